@@ -1,0 +1,67 @@
+"""The errors that a user can cause or must act on; everything else is a bug and keeps its traceback.
+
+An error says what is wrong, where, what is allowed, and what to type next. `cli.main` is the only
+place that catches these; it prints the message and leaves with `exit_code`.
+"""
+
+from __future__ import annotations
+
+
+class RgraspError(Exception):
+    """Something failed that is not a programming mistake (exit code 1).
+
+    Args:
+        what: What is wrong, as one sentence without a full stop.
+        where: The file, option or dataset it is wrong in.
+        allowed: What would have been right.
+        hint: What to type or do next.
+    """
+
+    exit_code = 1
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        where: object | None = None,
+        allowed: str | None = None,
+        hint: str | None = None,
+    ) -> None:
+        self.what = what
+        self.where = None if where is None else str(where)
+        self.allowed = allowed
+        self.hint = hint
+        super().__init__(self.message)
+
+    @property
+    def message(self) -> str:
+        """The whole message, one line for each part that is known."""
+        head = self.what if self.where is None else f"{self.where}: {self.what}"
+        lines = [head]
+        if self.allowed:
+            lines.append(f"  allowed: {self.allowed}")
+        if self.hint:
+            lines.append(f"  try: {self.hint}")
+        return "\n".join(lines)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Exceptions with keyword arguments do not pickle by default; workers send these home.
+        return (_rebuild, (type(self), self.what, self.where, self.allowed, self.hint))
+
+
+class InputError(RgraspError):
+    """The user's input or options cannot be used (exit code 2)."""
+
+    exit_code = 2
+
+
+class NoPlanError(RgraspError):
+    """No configuration meets the constraints (exit code 3)."""
+
+    exit_code = 3
+
+
+def _rebuild(
+    cls: type[RgraspError], what: str, where: str | None, allowed: str | None, hint: str | None
+) -> RgraspError:
+    return cls(what, where=where, allowed=allowed, hint=hint)
