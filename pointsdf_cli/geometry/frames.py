@@ -1,0 +1,100 @@
+"""Rigid transforms as arrays: rotations, wxyz quaternions and 4×4 homogeneous matrices.
+
+`T_world_object` reads "object in world": it takes coordinates in the object frame to the world.
+Every function works on leading batch dimensions.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
+    """The homogeneous matrix [..., 4, 4] of a rotation [..., 3, 3] and a translation [..., 3]."""
+    rotation = np.asarray(rotation, dtype=np.float64)
+    translation = np.asarray(translation, dtype=np.float64)
+    batch = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    matrix = np.zeros((*batch, 4, 4))
+    matrix[..., :3, :3] = rotation
+    matrix[..., :3, 3] = translation
+    matrix[..., 3, 3] = 1.0
+    return matrix
+
+
+def invert_transform(matrix: ArrayLike) -> Array:
+    """The inverse of rigid transforms [..., 4, 4], by transposition (no linear solve)."""
+    matrix = np.asarray(matrix, dtype=np.float64)
+    rotation = np.swapaxes(matrix[..., :3, :3], -1, -2)
+    return transform(rotation, -np.einsum("...ij,...j->...i", rotation, matrix[..., :3, 3]))
+
+
+def apply_transform(matrix: ArrayLike, points: ArrayLike) -> Array:
+    """Points [..., N, 3] taken through transforms [..., 4, 4]."""
+    matrix = np.asarray(matrix, dtype=np.float64)
+    points = np.asarray(points, dtype=np.float64)
+    moved: Array = points @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
+    return moved
+
+
+def is_rigid(matrix: ArrayLike, tolerance: float = 1e-4) -> bool:
+    """Whether a 4×4 matrix is a rotation and a translation: no scale, shear, mirror or NaN."""
+    matrix = np.asarray(matrix, dtype=np.float64)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        return False
+    rotation = matrix[:3, :3]
+    return bool(
+        np.abs(rotation @ rotation.T - np.eye(3)).max() < tolerance
+        and np.linalg.det(rotation) > 0
+        and np.abs(matrix[3] - (0, 0, 0, 1)).max() < tolerance
+    )
+
+
+def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
+    """Rotations [..., 3, 3] of quaternions [..., 4], scalar first; need not be of unit length."""
+    wxyz = np.asarray(wxyz, dtype=np.float64)
+    w, x, y, z = np.moveaxis(wxyz / np.linalg.norm(wxyz, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def wxyz_from_rotation(rotation: ArrayLike) -> Array:
+    """Unit quaternions [..., 4], scalar first and not negative, of rotations [..., 3, 3].
+
+    Takes the largest of the four candidates of Shepperd's method, so no division is by a small
+    number.
+    """
+    m = np.asarray(rotation, dtype=np.float64)
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    # Row k holds 4·q_k·(w, x, y, z).
+    a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    d, e, f = m[..., 1, 0] + m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 2, 1] + m[..., 1, 2]
+    candidates = np.stack(
+        [
+            np.stack([1 + xx + yy + zz, a, b, c], axis=-1),
+            np.stack([a, 1 + xx - yy - zz, d, e], axis=-1),
+            np.stack([b, d, 1 - xx + yy - zz, f], axis=-1),
+            np.stack([c, e, f, 1 - xx - yy + zz], axis=-1),
+        ],
+        axis=-2,
+    )
+    best = np.argmax(np.einsum("...kk->...k", candidates), axis=-1)
+    wxyz = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
+    wxyz = wxyz / np.linalg.norm(wxyz, axis=-1, keepdims=True)
+    return np.asarray(np.where(wxyz[..., :1] < 0, -wxyz, wxyz))
+
+
+def random_rotation(rng: np.random.Generator, count: int | None = None) -> Array:
+    """Rotations [count, 3, 3] (one [3, 3] without a count), uniform over SO(3).
+
+    A normalised four-dimensional Gaussian is uniform on the unit quaternions.
+    """
+    wxyz = rng.standard_normal((count or 1, 4))
+    rotations = rotation_from_wxyz(wxyz)
+    return rotations if count is not None else rotations[0]

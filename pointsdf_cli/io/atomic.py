@@ -1,0 +1,101 @@
+"""Files that are either whole or not there: written beside their place, flushed, then moved."""
+
+from __future__ import annotations
+
+import errno
+import os
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from pointsdf_cli.errors import InputError
+
+TEMPORARY_MARK = ".partial-"
+"""Part of the name of every file under construction; nothing reads such a file."""
+
+
+@contextmanager
+def atomic_path(path: Path | str) -> Iterator[Path]:
+    """A temporary path in `path`'s folder that takes its place when the block ends well.
+
+    On any exception the temporary file is removed and `path` is as it was. The suffix is kept,
+    because writers choose their format by it.
+
+    Raises:
+        InputError: The folder cannot be written, or the disk is full.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.stem}{TEMPORARY_MARK}{uuid.uuid4().hex[:8]}{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        with open(temporary, "rb") as handle:
+            os.fsync(handle.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise unwritable(path, error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text_atomic(path: Path | str, text: str) -> None:
+    """Write UTF-8 text as a whole or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def remove_leftovers(folder: Path | str) -> None:
+    """Remove temporary files that a killed run left in `folder` (they hold nothing finished)."""
+    for leftover in Path(folder).glob(f".*{TEMPORARY_MARK}*"):
+        leftover.unlink(missing_ok=True)
+
+
+def require_new(path: Path | str, force: bool) -> Path:
+    """`path`, unless something is there that `--force` was not given for.
+
+    Raises:
+        InputError: The file exists, or a folder stands where a file is to be written.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError("is a folder, and a file is to be written there", where=path)
+    if path.exists() and not force:
+        raise InputError(
+            "exists already, and nothing is overwritten unasked",
+            where=path,
+            hint="add --force, or choose another --out",
+        )
+    return path
+
+
+def require_folder(path: Path | str) -> Path:
+    """`path` as a folder that exists and can be written, made if need be.
+
+    Raises:
+        InputError: A file stands there, or the folder cannot be made or written.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise InputError("is a file, and a folder is needed", where=path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / f".{TEMPORARY_MARK}{uuid.uuid4().hex[:8]}"
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        raise unwritable(path, error) from error
+    return path
+
+
+def unwritable(path: Path | str, error: OSError) -> InputError:
+    """The user's view of an operating-system error met while writing `path`."""
+    if error.errno == errno.ENOSPC or "No space left" in str(error):
+        return InputError(
+            "the disk is full; nothing half-written was kept",
+            where=path,
+            hint="free some space or choose another --out, then run the same command again: "
+            "it resumes",
+        )
+    reason = error.strerror or str(error)
+    return InputError(f"cannot be written ({reason})", where=path, hint="choose another --out")

@@ -1,0 +1,197 @@
+"""HDF5 artifacts: one file an object or scene, with schema, units, frames and provenance.
+
+Root attributes of every artifact: `schema`, `schema_version`, `created_by`, `git_commit`, `seed`,
+`config_json`, `length_unit`. Every dataset carries `units` and `frame`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.atomic import atomic_path, unwritable
+from pointsdf_cli.io.provenance import created_by, git_commit
+
+NO_SEED = -1
+"""The `seed` attribute of an artifact in which nothing was drawn."""
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """An array with what its numbers mean."""
+
+    array: np.ndarray
+    units: str = ""
+    frame: str = ""
+
+
+@dataclass(frozen=True)
+class Artifact:
+    """The contents of one file: root attributes and datasets by name."""
+
+    path: Path
+    attributes: dict[str, Any]
+    datasets: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The options that the file was made with."""
+        return dict(json.loads(self.attributes.get("config_json", "{}")))
+
+
+def write_artifact(
+    path: Path | str,
+    *,
+    schema: str,
+    version: int,
+    datasets: Mapping[str, Dataset],
+    attributes: Mapping[str, Any] | None = None,
+    seed: int | None = None,
+    config: Mapping[str, Any] | None = None,
+) -> None:
+    """Write one artifact as a whole or not at all.
+
+    Datasets hold no time stamps, so equal contents give equal files.
+
+    Raises:
+        InputError: The place cannot be written, or the disk is full.
+    """
+    with atomic_path(path) as temporary:
+        try:
+            with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+                file.attrs["schema"] = schema
+                file.attrs["schema_version"] = version
+                file.attrs["created_by"] = created_by()
+                file.attrs["git_commit"] = git_commit()
+                file.attrs["seed"] = NO_SEED if seed is None else seed
+                file.attrs["config_json"] = json.dumps(dict(config or {}), sort_keys=True)
+                file.attrs["length_unit"] = "m"
+                for name, value in (attributes or {}).items():
+                    file.attrs[name] = value
+                for name, dataset in datasets.items():
+                    # Shuffled bytes of neighbouring floats compress; level 1 costs little time.
+                    big = dataset.array.size > 1024
+                    options = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+                    stored = file.create_dataset(
+                        name, data=dataset.array, track_times=False, **(options if big else {})
+                    )
+                    stored.attrs["units"] = dataset.units
+                    stored.attrs["frame"] = dataset.frame
+        except OSError as error:
+            raise unwritable(path, error) from error
+        except RuntimeError as error:
+            # h5py reports a failed flush at close (a full disk, say) as RuntimeError.
+            raise unwritable(path, OSError(str(error))) from error
+
+
+def read_artifact(
+    path: Path | str, *, schema: str, version: int, names: Iterable[str] | None = None
+) -> Artifact:
+    """Read an artifact of the given schema, all of its datasets or those in `names`.
+
+    Raises:
+        InputError: No such file, not HDF5, cut short, another schema or version, or a dataset
+            of `names` is missing.
+    """
+    path = Path(path)
+    try:
+        with open_hdf5(path) as file:
+            _require_schema(path, file, schema, version)
+            wanted = sorted(file) if names is None else list(names)
+            missing = [name for name in wanted if name not in file]
+            if missing:
+                raise InputError(
+                    f"lacks the dataset {', '.join(missing)}",
+                    where=path,
+                    allowed=f"a {schema} file (version {version}); this one holds "
+                    + (", ".join(sorted(file)) or "nothing"),
+                )
+            datasets = {name: np.asarray(file[name][()]) for name in wanted}
+            return Artifact(path, dict(file.attrs), datasets)
+    except (OSError, RuntimeError, KeyError, ValueError) as error:
+        raise _unreadable(path, error) from error
+
+
+def open_hdf5(path: Path | str) -> h5py.File:
+    """An HDF5 file open for reading.
+
+    Raises:
+        InputError: No such file, a folder, not HDF5, or cut short.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError("no such file", where=path)
+    if path.is_dir():
+        raise InputError("is a folder, and an HDF5 file is needed", where=path)
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[str, Any]) -> bool:
+    """Whether `path` already holds this artifact made with these options, so it can be kept.
+
+    Raises:
+        InputError: The file is there but was made by other options, or is another schema: work
+            of the user's that a resumed stage must not replace in silence.
+    """
+    path = Path(path)
+    if not path.exists():
+        return False
+    with open_hdf5(path) as file:
+        _require_schema(path, file, schema, version)
+        theirs = json.loads(str(file.attrs.get("config_json", "{}")))
+    ours = json.loads(json.dumps(dict(config)))
+    if theirs != ours:
+        changed = sorted(k for k in ours.keys() | theirs.keys() if ours.get(k) != theirs.get(k))
+        differences = ", ".join(f"{k}: {theirs.get(k)} there, {ours.get(k)} now" for k in changed)
+        raise InputError(
+            f"was made with other options ({differences})",
+            where=path,
+            hint="choose another --out, or add --force to make it anew",
+        )
+    return True
+
+
+def _require_schema(path: Path, file: h5py.File, schema: str, version: int) -> None:
+    found = file.attrs.get("schema")
+    if found is None:
+        raise InputError(
+            "is HDF5 but no rgrasp artifact (it has no `schema` attribute)",
+            where=path,
+            allowed=f"a {schema} file written by rgrasp",
+        )
+    if str(found) != schema:
+        raise InputError(
+            f"holds {found}, and {schema} is needed",
+            where=path,
+            hint=f"rgrasp info {path} shows what it is",
+        )
+    theirs = file.attrs.get("schema_version")
+    if not isinstance(theirs, (int, np.integer)) or int(theirs) != version:
+        age = "older" if isinstance(theirs, (int, np.integer)) and theirs < version else "another"
+        raise InputError(
+            f"is {age} version of the {schema} schema ({theirs})",
+            where=path,
+            allowed=f"version {version}",
+            hint="make it again with this rgrasp, or read it with the one that made it "
+            f"({file.attrs.get('created_by', 'unknown')})",
+        )
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    return InputError(
+        "cannot be read as HDF5: not such a file, or cut short",
+        where=path,
+        allowed="a whole .h5 file written by rgrasp",
+        hint="delete it and run the stage again: it makes only what is missing "
+        f"({str(error).splitlines()[0][:120]})",
+    )

@@ -1,0 +1,41 @@
+"""Who made a file: the version, the commit and the contents it came from."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import subprocess
+from pathlib import Path
+
+from pointsdf_cli import __version__
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def created_by() -> str:
+    """The program and version, as written to every artifact."""
+    return f"rgrasp {__version__}"
+
+
+@functools.cache
+def git_commit() -> str:
+    """The checkout's commit, with `-dirty` where it has changes; empty in an installed wheel."""
+    if not (_PACKAGE.parent / ".git").exists():
+        return ""
+    try:
+        answer = subprocess.run(
+            ["git", "-C", str(_PACKAGE.parent), "describe", "--always", "--dirty", "--abbrev=12"],
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return answer.stdout.strip()
+
+
+def file_sha256(path: Path | str) -> str:
+    """The SHA-256 of a file's bytes, in hexadecimal."""
+    with open(path, "rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
