@@ -1,0 +1,141 @@
+"""Any triangle soup to one closed, oriented, non-overlapping surface, or the reason why not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import manifold3d
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+
+REMESH_RESOLUTION = 96
+"""Cells along the longest side when a surface is rebuilt from its winding numbers."""
+
+
+@dataclass(frozen=True)
+class ClosedMesh:
+    """A closed surface that does not overlap itself.
+
+    Attributes:
+        vertices: [V, 3].
+        faces: [F, 3], counter-clockwise seen from outside.
+        repair: What was done to get there; "none" where nothing was.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    repair: str
+
+
+def close_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> ClosedMesh:
+    """Close, orient and unite a triangle soup.
+
+    In order: as it is, where it is a manifold already; with duplicate vertices merged, holes
+    filled and faces turned outward; else re-meshed where its generalised winding number (Jacobson
+    et al. 2013) passes one half. Pieces that overlap or touch are united, cavities kept.
+
+    Raises:
+        InputError: The soup encloses no volume.
+    """
+    whole = _as_manifold(vertices, faces)
+    steps: list[str] = []
+    if whole is None:
+        mesh = trimesh.Trimesh(vertices, faces, process=True, validate=True)
+        whole = _as_manifold(mesh.vertices, mesh.faces)
+        if whole is not None:
+            steps.append("vertices merged")
+    if whole is None:
+        trimesh.repair.fill_holes(mesh)
+        trimesh.repair.fix_normals(mesh, multibody=True)
+        whole = _as_manifold(mesh.vertices, mesh.faces)
+        if whole is not None:
+            steps.append("holes filled")
+    if whole is None:
+        whole = _remesh(vertices, faces)
+        steps.append(f"re-meshed from winding numbers at {REMESH_RESOLUTION}")
+    whole, note = _unite(whole)
+    if note:
+        steps.append(note)
+    extent = np.ptp(vertices, axis=0).max()
+    if whole.is_empty() or whole.volume() < 1e-7 * extent**3:
+        raise InputError(
+            "encloses no volume (a flat, empty or inside-out surface)",
+            allowed="a closed surface, or one with small holes",
+            hint="close it in a mesh editor, or leave it out",
+        )
+    mesh_out = whole.to_mesh()
+    return ClosedMesh(
+        np.asarray(mesh_out.vert_properties[:, :3], dtype=np.float64),
+        np.asarray(mesh_out.tri_verts, dtype=np.int32),
+        ", ".join(steps) or "none",
+    )
+
+
+def _as_manifold(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64]
+) -> manifold3d.Manifold | None:
+    """The solid of an oriented manifold surface, or None where it is not one."""
+    if len(faces) == 0:
+        return None
+    solid = manifold3d.Manifold(
+        manifold3d.Mesh64(
+            np.ascontiguousarray(vertices, dtype=np.float64),
+            np.ascontiguousarray(faces, dtype=np.uint64),
+        )
+    )
+    if solid.status() != manifold3d.Error.NoError or solid.is_empty():
+        return None
+    # An inside-out surface: turn it, rather than treat the world as solid.
+    if solid.volume() < 0:
+        flipped = manifold3d.Mesh64(
+            np.ascontiguousarray(vertices, dtype=np.float64),
+            np.ascontiguousarray(np.asarray(faces)[:, ::-1], dtype=np.uint64),
+        )
+        solid = manifold3d.Manifold(flipped)
+    return solid
+
+
+def _unite(solid: manifold3d.Manifold) -> tuple[manifold3d.Manifold, str]:
+    """Overlapping pieces made one; pieces that are turned inward stay as cavities."""
+    pieces = solid.decompose()
+    if len(pieces) < 2:
+        return solid, ""
+    bodies = [p for p in pieces if p.volume() > 0]
+    cavities = [p for p in pieces if p.volume() < 0]
+    united = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add)
+    for cavity in cavities:
+        mesh = cavity.to_mesh64()
+        faces = np.ascontiguousarray(np.asarray(mesh.tri_verts)[:, ::-1])
+        united = united - manifold3d.Manifold(manifold3d.Mesh64(mesh.vert_properties, faces))
+    return united, f"{len(bodies)} pieces united" if len(bodies) > 1 else ""
+
+
+def _remesh(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold3d.Manifold:
+    """The level set of the winding number at one half, on a regular grid."""
+    import igl
+    from skimage.measure import marching_cubes
+
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    cell = (high - low).max() / REMESH_RESOLUTION
+    counts = np.ceil((high - low) / cell).astype(int) + 5
+    # The half cell keeps grid points off the faces of axis-aligned boxes.
+    axes = [low[k] + (np.arange(counts[k]) - 2.5) * cell for k in range(3)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    winding = np.asarray(
+        igl.fast_winding_number(
+            np.ascontiguousarray(vertices), np.ascontiguousarray(faces, dtype=np.int64), grid
+        )
+    ).reshape(counts)
+    # A soup turned inward winds around its inside the other way.
+    if winding.min() < -0.5 and winding.max() < 0.5:
+        winding = -winding
+    if winding.max() <= 0.5:
+        return manifold3d.Manifold()
+    points, triangles, _, _ = marching_cubes(winding, 0.5, spacing=(cell, cell, cell))
+    points = points + low - 2.5 * cell
+    # skimage's winding order follows the gradient; the sign of the volume says which it is.
+    solid = _as_manifold(np.asarray(points, np.float64), np.asarray(triangles, np.int64))
+    return manifold3d.Manifold() if solid is None else solid

@@ -1,0 +1,182 @@
+"""Triangle meshes from any format that trimesh reads, checked, in metres, closed."""
+
+from __future__ import annotations
+
+import io
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.repair import close_mesh
+from pointsdf_cli.io.atomic import TEMPORARY_MARK, atomic_path
+from pointsdf_cli.io.provenance import file_sha256
+
+MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".dae", ".3mf")
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+SMALLEST, LARGEST = 0.005, 2.0
+"""Bounds [m] of the longest side of a thing that a hand may grasp: beyond them the unit is wrong."""
+
+# trimesh warns on its logger of what the checks below say better.
+logging.getLogger("trimesh").setLevel(logging.ERROR)
+
+
+@dataclass(frozen=True)
+class LoadedMesh:
+    """A closed mesh with where it came from.
+
+    Attributes:
+        name: The file's stem.
+        vertices: [V, 3], m, mesh frame.
+        faces: [F, 3], counter-clockwise seen from outside.
+        sha256: Of the file's bytes.
+        repair: What was done to close it ("none" where nothing was).
+    """
+
+    name: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    sha256: str
+    repair: str
+
+    @property
+    def size(self) -> float:
+        """The longest side of the bounding box [m]."""
+        return float(np.ptp(self.vertices, axis=0).max())
+
+
+def find_meshes(folder: Path | str, pattern: str = "*") -> list[Path]:
+    """The mesh files at or below `folder`, sorted; `folder` may be one mesh file itself.
+
+    Raises:
+        InputError: No such folder, no meshes in it, or two that would share an artifact's name.
+    """
+    folder = Path(folder)
+    if not folder.exists():
+        raise InputError("no such folder", where=folder)
+    if folder.is_file():
+        if folder.suffix.lower() not in MESH_SUFFIXES:
+            raise InputError(
+                "is not a mesh file", where=folder, allowed="a folder, or " + ", ".join(MESH_SUFFIXES)
+            )
+        return [folder]
+    found = sorted(
+        path
+        for path in folder.rglob(pattern)
+        if path.suffix.lower() in MESH_SUFFIXES and TEMPORARY_MARK not in path.name
+    )
+    if not found:
+        matching = "" if pattern == "*" else f" that match {pattern}"
+        raise InputError(
+            f"holds no meshes{matching}", where=folder, allowed=", ".join(MESH_SUFFIXES)
+        )
+    by_name: dict[Path, Path] = {}
+    for path in found:
+        twin = by_name.setdefault(path.with_suffix(""), path)
+        if twin is not path:
+            raise InputError(
+                f"two meshes of one name: {twin.name} and {path.name}",
+                where=path.parent,
+                hint=f"choose one kind with --pattern '*{path.suffix}'",
+            )
+    return found
+
+
+def artifact_path(mesh: Path, meshes: Path | str, out: Path | str) -> Path:
+    """Where a stage puts the HDF5 file of `mesh`: the same place below `out`."""
+    meshes = Path(meshes)
+    relative = mesh.relative_to(meshes) if meshes.is_dir() else Path(mesh.name)
+    return Path(out) / relative.with_suffix(".h5")
+
+
+def load_mesh(path: Path | str, unit: str = "m") -> LoadedMesh:
+    """Read one mesh file; scenes are joined, the surface is closed, the scale is checked.
+
+    Args:
+        path: The file.
+        unit: The unit of its numbers, a key of `UNITS`.
+
+    Raises:
+        InputError: The file cannot be read, holds no faces or numbers that are not finite, is of
+            an unlikely size (a wrong unit), or cannot be closed.
+    """
+    path = Path(path)
+    if unit not in UNITS:
+        raise InputError(f"unknown unit {unit!r}", where="--unit", allowed=", ".join(UNITS))
+    vertices, faces = _read(path)
+    vertices = vertices * UNITS[unit]
+    if not len(faces):
+        raise InputError("holds no faces", where=path, allowed="a triangle mesh")
+    if not np.isfinite(vertices[np.unique(faces)]).all():
+        raise InputError("holds vertices that are NaN or infinite", where=path)
+    _check_size(path, vertices[np.unique(faces)], unit)
+    try:
+        closed = close_mesh(vertices, faces)
+    except InputError as error:
+        raise InputError(
+            error.what, where=path, allowed=error.allowed, hint=error.hint
+        ) from error
+    return LoadedMesh(path.stem, closed.vertices, closed.faces, file_sha256(path), closed.repair)
+
+
+def save_mesh(path: Path | str, vertices: ArrayLike, faces: ArrayLike) -> None:
+    """Write a mesh [m], as a whole or not at all, in the format of the path's suffix."""
+    mesh = trimesh.Trimesh(np.asarray(vertices), np.asarray(faces), process=False)
+    with atomic_path(path) as temporary:
+        mesh.export(temporary)
+
+
+def centred(mesh: LoadedMesh) -> LoadedMesh:
+    """The mesh with the centre of its bounding box at the origin."""
+    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    return replace(mesh, vertices=mesh.vertices - middle)
+
+
+def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    if path.is_dir():
+        raise InputError("is a folder, and a mesh file is needed", where=path)
+    if not path.exists():
+        raise InputError("no such file", where=path)
+    kind = path.suffix.lower()
+    if kind not in MESH_SUFFIXES:
+        raise InputError(
+            f"unknown mesh format {path.suffix!r}", where=path, allowed=", ".join(MESH_SUFFIXES)
+        )
+    try:
+        # From bytes, and without materials: a mesh file must not make us open other files.
+        loaded = trimesh.load_scene(
+            io.BytesIO(path.read_bytes()), file_type=kind[1:], process=False, skip_materials=True
+        )
+        mesh = loaded.to_mesh()
+        vertices = np.asarray(mesh.vertices, dtype=np.float64)
+        faces = np.asarray(mesh.faces, dtype=np.int64)
+    except PermissionError as error:
+        raise InputError("cannot be read (permission denied)", where=path) from error
+    except Exception as error:  # trimesh's readers raise whatever the bytes provoke
+        raise InputError(
+            f"cannot be read as {kind[1:].upper()}: damaged or cut short "
+            f"({type(error).__name__}: {str(error)[:100]})",
+            where=path,
+            allowed="a triangle mesh: " + ", ".join(MESH_SUFFIXES),
+        ) from error
+    if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+        raise InputError("has faces that name vertices it does not hold", where=path)
+    return vertices, faces.reshape(-1, 3)
+
+
+def _check_size(path: Path, vertices: NDArray[np.float64], unit: str) -> None:
+    size = float(np.ptp(vertices, axis=0).max())
+    if SMALLEST <= size <= LARGEST:
+        return
+    fitting = [u for u, m in UNITS.items() if SMALLEST <= size / UNITS[unit] * m <= LARGEST]
+    looks = f"; in {' or '.join(fitting)} it would be a thing to grasp" if fitting else ""
+    raise InputError(
+        f"is {size:.4g} m across when read in {unit}{looks}",
+        where=path,
+        allowed=f"{SMALLEST:g} to {LARGEST:g} m",
+        hint=f"add --unit {fitting[-1]}" if fitting else "scale the mesh to metres",
+    )
