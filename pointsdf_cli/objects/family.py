@@ -1,0 +1,38 @@
+"""What a family of objects is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from manifold3d import Manifold
+
+from pointsdf_cli.objects.draw import Draw
+
+Kind = Literal["solid", "round", "vessel", "flat", "tool", "toy", "compound"]
+
+
+@dataclass(frozen=True)
+class Family:
+    """A kind of household object, made by drawing parameters.
+
+    Attributes:
+        name: As in file names and `--families`.
+        build: Draws the parameters and returns the closed solid: metres, +z up, in the pose in
+            which the object stands or lies on a table. Its place is free.
+        weight: How often the family is drawn, relative to the others.
+        kind: What sort of shape it is, for the balance of the mix.
+        summary: One line for the documentation.
+        unevenness: Largest displacement of the surface by its smooth irregularities, as a fraction
+            of the object's largest extent: fruit is uneven, steel is not.
+        genus: Number of through holes that every member has; None where it varies.
+    """
+
+    name: str
+    build: Callable[[Draw], Manifold]
+    weight: float
+    kind: Kind
+    summary: str
+    unevenness: float = 0.004
+    genus: int | None = None

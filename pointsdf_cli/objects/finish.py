@@ -1,0 +1,131 @@
+"""From a constructed solid to an object: slightly uneven, standing on z = 0, checked, as arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from manifold3d import Error, Manifold
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from pointsdf_cli.objects.draw import Draw
+
+SMALLEST_EXTENT = 0.03
+LARGEST_EXTENT = 0.35
+MOST_FACES = 8000
+# Edges shorter than this are collapsed: they carry no shape and break in single precision.
+FINEST_DETAIL = 2e-5
+
+
+class UnusableShape(Exception):
+    """A draw of parameters that does not make a valid object; another draw is taken."""
+
+
+def uneven(solid: Manifold, draw: Draw, amount: float) -> Manifold:
+    """Taper, bulge and ripple a solid by a smooth map, as no made thing is perfect.
+
+    The displacement is a sum of waves no shorter than a sixth of the object, so the map cannot fold
+    the surface or change its topology; walls keep their thickness to within a few percent.
+
+    Args:
+        solid: The object.
+        draw: Where the waves come from.
+        amount: Upper bound of the displacement relative to the largest extent.
+    """
+    low, high = np.reshape(solid.bounding_box(), (2, 3))
+    size = float((high - low).max())
+    amplitude = draw.uniform("unevenness", 0.0, max(amount, 1e-6)) * size
+    if amplitude < 1e-5:
+        return solid
+    waves = 5
+    direction = draw.rng.normal(size=(waves, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    wavelength = size * np.exp(draw.rng.uniform(np.log(0.25), np.log(2.0), waves))
+    push = draw.rng.normal(size=(waves, 3))
+    # Longer waves are stronger, and the slope of none exceeds one in ten.
+    share = np.minimum(wavelength / wavelength.max(), 0.1 * wavelength / (2 * np.pi * amplitude))
+    push *= (amplitude * share / waves / np.linalg.norm(push, axis=1))[:, None]
+    phase = draw.rng.uniform(0, 2 * np.pi, waves)
+    number = direction * (2 * np.pi / wavelength)[:, None]
+
+    def displace(points: np.ndarray) -> np.ndarray:
+        return points + np.sin(points @ number.T + phase) @ push
+
+    # The map bends straight edges, so they need points to bend at.
+    return solid.refine_to_length(max(size / 10, 0.006)).warp_batch(displace)
+
+
+def stand(solid: Manifold) -> Manifold:
+    """Shift a solid so that its lowest point is at z = 0 and its box is centred on the z axis."""
+    x0, y0, z0, x1, y1, _ = solid.bounding_box()
+    return solid.translate((-(x0 + x1) / 2, -(y0 + y1) / 2, -z0))
+
+
+def fit_size(solid: Manifold) -> Manifold:
+    """Scale a solid whose largest extent is outside 3–35 cm to the nearer end of that range."""
+    low, high = np.reshape(solid.bounding_box(), (2, 3))
+    size = float((high - low).max())
+    wanted = float(np.clip(size, SMALLEST_EXTENT * 1.001, LARGEST_EXTENT * 0.999))
+    return solid if wanted == size else solid.scale((wanted / size,) * 3)
+
+
+def limit_faces(solid: Manifold) -> Manifold:
+    """Drop degenerate edges, then detail below rising tolerances until 8000 faces suffice."""
+    solid = solid.simplify(FINEST_DETAIL)
+    tolerance = 2 * FINEST_DETAIL
+    while solid.num_tri() > MOST_FACES and tolerance < 5e-4:
+        solid = solid.simplify(tolerance)
+        tolerance *= 2
+    return solid
+
+
+def to_arrays(solid: Manifold) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices float32 [V, 3] and faces int32 [F, 3] of a checked solid.
+
+    Raises:
+        UnusableShape: Empty, in several pieces, of no volume, with coincident vertices, or an edge
+            that is not shared by exactly two faces.
+    """
+    if solid.status() != Error.NoError or solid.is_empty():
+        raise UnusableShape(f"status {solid.status()}, empty {solid.is_empty()}")
+    mesh = solid.to_mesh()
+    vertices = np.asarray(mesh.vert_properties[:, :3], dtype=np.float32)
+    faces = np.asarray(mesh.tri_verts, dtype=np.int32)
+    problem = closed_surface_problem(vertices, faces)
+    if problem:
+        raise UnusableShape(problem)
+    return vertices, faces
+
+
+def closed_surface_problem(vertices: np.ndarray, faces: np.ndarray) -> str:
+    """Why the mesh is not one closed, outward-facing surface with volume; empty if it is one."""
+    if len(np.unique(vertices, axis=0)) != len(vertices):
+        return "two vertices at one place"
+    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+    forward = edges[:, 0] * len(vertices) + edges[:, 1]
+    backward = edges[:, 1] * len(vertices) + edges[:, 0]
+    if len(np.unique(forward)) != len(forward) or not np.array_equal(
+        np.sort(forward), np.sort(backward)
+    ):
+        return "an edge is not shared by two faces"
+    if _component_count(len(vertices), edges) != 1:
+        return "more than one piece"
+    if mesh_volume(vertices, faces) <= 1e-9:
+        return "no volume"
+    return ""
+
+
+def mesh_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Volume in m³ inside a closed mesh, positive when its faces look outwards."""
+    a, b, c = np.asarray(vertices, dtype=float)[faces].transpose(1, 0, 2)
+    return float(np.sum(a * np.cross(b, c)) / 6)
+
+
+def euler_characteristic(vertices: np.ndarray, faces: np.ndarray) -> int:
+    """V − E + F, which is 2 − 2·genus for a single closed surface."""
+    return len(vertices) - len(faces) * 3 // 2 + len(faces)
+
+
+def _component_count(vertex_count: int, edges: np.ndarray) -> int:
+    ones = np.ones(len(edges), dtype=np.int8)
+    graph = coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(vertex_count, vertex_count))
+    return int(connected_components(graph, directed=False)[0])

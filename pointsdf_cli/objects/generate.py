@@ -1,0 +1,96 @@
+"""Object number i of a seed: which family, with which parameters, as a mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.objects.draw import Draw, Value
+from pointsdf_cli.objects.families import choose_families
+from pointsdf_cli.objects.family import Family
+from pointsdf_cli.objects.finish import (
+    UnusableShape,
+    fit_size,
+    limit_faces,
+    stand,
+    to_arrays,
+    uneven,
+)
+
+# Draws that make an invalid solid are rare (under one in a hundred); so many in a row are a bug.
+MOST_ATTEMPTS = 20
+GOLDEN_RATIO = (5**0.5 - 1) / 2
+
+
+@dataclass(frozen=True)
+class GeneratedObject:
+    """A procedural object.
+
+    Attributes:
+        name: `NNNNN_family`, the index with at least five digits; also the file's stem.
+        family: A key of `families.FAMILIES`.
+        vertices: [V, 3] float32 m, +z up, lowest point at z = 0, box centred on the z axis.
+        faces: [F, 3] int32, counter-clockwise seen from outside; one closed surface.
+        parameters: Every named draw: lengths in metres, angles in radians, ratios without unit.
+    """
+
+    name: str
+    family: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    parameters: dict[str, Value]
+
+
+def make_object(seed: int, index: int, families: Sequence[str] | None = None) -> GeneratedObject:
+    """Make object `index` of the endless series that belongs to a seed.
+
+    It depends on nothing but the arguments: not on how many are made, by whom, or in what order.
+
+    Args:
+        seed: 0 or more.
+        index: 0 or more.
+        families: Names to choose from with their relative weights; None for all.
+
+    Raises:
+        InputError: A negative seed or index, or a name that is no family.
+    """
+    if seed < 0:
+        raise InputError(f"the seed is {seed}", where="--seed", allowed="0 or more")
+    if index < 0:
+        raise InputError(f"the index is {index}", where="index", allowed="0 or more")
+    family = family_of(seed, index, choose_families(families))
+    for attempt in range(MOST_ATTEMPTS):
+        draw = Draw(np.random.default_rng([seed, index, attempt]))
+        try:
+            vertices, faces = build(family, draw)
+        except UnusableShape:
+            continue
+        name = f"{index:05d}_{family.name}"
+        return GeneratedObject(name, family.name, vertices, faces, draw.values)
+    raise RuntimeError(f"{family.name}: {MOST_ATTEMPTS} draws in a row made no valid solid")
+
+
+def build(family: Family, draw: Draw) -> tuple[np.ndarray, np.ndarray]:
+    """One member of a family: vertices [V, 3] float32 m and faces [F, 3] int32.
+
+    Raises:
+        UnusableShape: The parameters drawn do not make a valid solid.
+    """
+    solid = fit_size(family.build(draw))
+    solid = fit_size(uneven(solid, draw, family.unevenness))
+    return to_arrays(stand(limit_faces(solid)))
+
+
+def family_of(seed: int, index: int, choices: Sequence[Family]) -> Family:
+    """The family of object `index`: golden-ratio steps through the table of weights.
+
+    Any run of indices then holds the families nearly in proportion to their weights, which
+    independent draws would only do on average.
+    """
+    start = np.random.default_rng(seed).random()
+    place = (start + index * GOLDEN_RATIO) % 1.0
+    edges = np.cumsum([family.weight for family in choices])
+    return choices[int(np.searchsorted(edges / edges[-1], place, side="right"))]

@@ -1,0 +1,341 @@
+"""Solids to build objects from: turned, bevelled, lofted and swept bodies on manifold3d.
+
+Every function returns a closed manifold in metres; unions and differences of them stay closed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+from manifold3d import CrossSection, JoinType, Manifold, Mesh, OpType, triangulate
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+Vector = Sequence[float] | np.ndarray
+
+# Segments of a full turn: an 8 cm can then deviates from its circle by 0.1 mm.
+TURN_SEGMENTS = 48
+
+
+def union(parts: Sequence[Manifold]) -> Manifold:
+    """All parts as one solid, overlaps removed."""
+    return Manifold.batch_boolean(list(parts), OpType.Add)
+
+
+def polygon(points: np.ndarray) -> CrossSection:
+    """The region inside a closed polygon [N, 2], whichever way it is wound."""
+    x, y = np.asarray(points, dtype=float).T
+    clockwise = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0
+    return CrossSection([np.column_stack([x, y])[:: -1 if clockwise else 1]])
+
+
+def rounded(section: CrossSection, convex: float, concave: float | None = None) -> CrossSection:
+    """The region with its outer corners rounded by `convex` and its inner ones by `concave` m.
+
+    Parts that are thinner than twice `convex` vanish.
+    """
+    concave = convex if concave is None else concave
+    if concave > 0:
+        section = _offset(_offset(section, concave), -concave)
+    if convex > 0:
+        section = _offset(_offset(section, -convex), convex)
+    return section.simplify(2e-5)
+
+
+def stroke(points: np.ndarray, thickness: float | np.ndarray) -> CrossSection:
+    """The region within half the thickness of an open polyline [N, 2]: round-ended, m."""
+    radii = np.broadcast_to(np.asarray(thickness, dtype=float) / 2, (len(points),))
+    discs = [
+        CrossSection.circle(float(radius), 12).translate(tuple(map(float, point)))
+        for point, radius in zip(points, radii, strict=True)
+    ]
+    links = [CrossSection.batch_hull(pair) for pair in pairwise(discs)]
+    return CrossSection.batch_boolean(links, OpType.Add).simplify(1e-5)
+
+
+def turn(
+    profile: np.ndarray | CrossSection, fillet: float = 0.0, segments: int = TURN_SEGMENTS
+) -> Manifold:
+    """Revolve a profile about z.
+
+    Args:
+        profile: [N, 2] (radius, z) from the axis at the bottom to the axis at the top, or a region
+            of the (radius, z) half plane.
+        fillet: Radius that all its corners are rounded by, m.
+        segments: Corners of a full turn.
+    """
+    half = profile if isinstance(profile, CrossSection) else polygon(profile)
+    if fillet > 0:
+        # Mirrored first, so that the rounding does not touch the axis.
+        half = rounded(half + half.mirror((1.0, 0.0)), fillet)
+    # Clipped here: `revolve` leaves doubled points on the axis where it does the clipping.
+    right_half_plane = CrossSection.square((2.0, 4.0)).translate((0.0, -2.0))
+    return (half ^ right_half_plane).revolve(segments)
+
+
+def cylinder(radius: float, height: float, fillet: float = 0.0, segments: int = 0) -> Manifold:
+    """An upright cylinder from z = 0 to `height`, its rims rounded by `fillet`."""
+    profile = np.array([[0, 0], [radius, 0], [radius, height], [0, height]])
+    return turn(profile, fillet=min(fillet, 0.49 * radius, 0.49 * height), segments=segments or 40)
+
+
+def rounded_box(size: Vector, radius: float = 0.0, segments: int = 12) -> Manifold:
+    """A box [-x/2, x/2] × [-y/2, y/2] × [0, z] with rounded edges."""
+    extent = np.asarray(size, dtype=float)
+    radius = min(radius, 0.49 * float(extent.min()))
+    if radius <= 1e-5:
+        return Manifold.cube(tuple(extent), True).translate((0, 0, extent[2] / 2))
+    corner = Manifold.sphere(radius, segments)
+    inner = extent / 2 - radius
+    signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3)
+    centres = signs * inner + [0, 0, extent[2] / 2]
+    return Manifold.batch_hull([corner.translate(tuple(centre)) for centre in centres])
+
+
+def ellipsoid(radii: Vector, centre: Vector = (0, 0, 0), segments: int = 32) -> Manifold:
+    """An axis-aligned ellipsoid."""
+    return Manifold.sphere(1.0, segments).scale(tuple(radii)).translate(tuple(centre))
+
+
+def star_solid(radius: Callable[[np.ndarray], np.ndarray], segments: int = 48) -> Manifold:
+    """The body whose surface lies at `radius(direction)` from the origin.
+
+    Args:
+        radius: Maps unit vectors [N, 3] to distances [N] in metres.
+        segments: Fineness of the sphere that is displaced (`segments`² triangles in all).
+    """
+
+    def displace(points: np.ndarray) -> np.ndarray:
+        direction = points / np.linalg.norm(points, axis=1, keepdims=True)
+        return direction * radius(direction)[:, None]
+
+    return Manifold.sphere(1.0, segments).warp_batch(displace)
+
+
+def loft(rings: np.ndarray) -> Manifold:
+    """Join rings [L, N, 3] of points into a closed body; each end is closed by a fan.
+
+    The rings run counter-clockwise seen against the direction in which they are stacked. End rings
+    must be star-shaped about their mean.
+    """
+    levels, count, _ = rings.shape
+    index = np.arange(levels * count).reshape(levels, count)
+    following = np.roll(index, -1, axis=1)
+    low, low_next, high, high_next = index[:-1], following[:-1], index[1:], following[1:]
+    sides = np.concatenate(
+        [np.stack([low, low_next, high_next], -1), np.stack([low, high_next, high], -1)]
+    ).reshape(-1, 3)
+    bottom, top = levels * count, levels * count + 1
+    fan_low = np.stack([following[0], index[0], np.full(count, bottom)], -1)
+    fan_high = np.stack([index[-1], following[-1], np.full(count, top)], -1)
+    vertices = np.concatenate([rings.reshape(-1, 3), [rings[0].mean(0)], [rings[-1].mean(0)]])
+    return _solid(vertices, np.concatenate([sides, fan_low, fan_high]))
+
+
+def loft_sections(
+    z: np.ndarray,
+    half_x: np.ndarray,
+    half_y: np.ndarray,
+    exponent: float | np.ndarray = 2.0,
+    corners: int = TURN_SEGMENTS,
+) -> Manifold:
+    """A body of superellipse sections |x/a|ⁿ + |y/b|ⁿ = 1 stacked along z.
+
+    Args:
+        z: [L] rising heights, m.
+        half_x: a, [L] m.
+        half_y: b, [L] m.
+        exponent: n, 2 for ellipses, larger for boxier sections; a number or [L].
+        corners: Points a section.
+    """
+    angle = np.arange(corners) * (2 * np.pi / corners)
+    power = 2 / np.broadcast_to(np.asarray(exponent, dtype=float), z.shape)[:, None]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x = half_x[:, None] * np.sign(cosine) * np.abs(cosine) ** power
+    y = half_y[:, None] * np.sign(sine) * np.abs(sine) ** power
+    return loft(np.stack([x, y, np.broadcast_to(z[:, None], x.shape)], axis=-1))
+
+
+def tube(
+    path: np.ndarray,
+    half_width: float | np.ndarray,
+    half_height: float | np.ndarray | None = None,
+    up: Vector = (0.0, 0.0, 1.0),
+    corners: int = 16,
+    exponent: float = 2.0,
+    closed: bool = False,
+    round_ends: bool = True,
+) -> Manifold:
+    """Sweep a superellipse along a path.
+
+    Args:
+        path: [M, 3] m, nowhere parallel to `up`, curved less tightly than the section is wide.
+        half_width: Half the section across `up`, m; a number or [M].
+        half_height: Half the section along `up`, m; as wide as high when None.
+        up: The direction the section keeps upright.
+        corners: Points of the section.
+        exponent: 2 for ellipses, larger for boxier sections.
+        closed: Whether the last point joins the first.
+        round_ends: Whether open ends are domed instead of cut flat.
+    """
+    count = len(path)
+    width = np.broadcast_to(np.asarray(half_width, dtype=float), (count,))
+    height = (
+        width
+        if half_height is None
+        else np.broadcast_to(np.asarray(half_height, dtype=float), (count,))
+    )
+    if closed:
+        tangent = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
+    else:
+        tangent = np.gradient(path, axis=0)
+    tangent = tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
+    if round_ends and not closed:
+        path, width, height, tangent = _dome_ends(path, width, height, tangent)
+    side = np.cross(tangent, np.asarray(up, dtype=float))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    rise = np.cross(side, tangent)
+    angle = np.arange(corners) * (2 * np.pi / corners)
+    cosine = np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** (2 / exponent)
+    sine = np.sign(np.sin(angle)) * np.abs(np.sin(angle)) ** (2 / exponent)
+    across = (width[:, None] * cosine)[..., None] * side[:, None]
+    # side × rise = −tangent, so the angle runs backwards to keep the rings counter-clockwise.
+    along = (-height[:, None] * sine)[..., None] * rise[:, None]
+    rings = path[:, None] + across + along
+    return _ring(rings) if closed else loft(rings)
+
+
+def bevelled(section: CrossSection, thickness: float, bevel: float = 0.0) -> Manifold:
+    """A plate of the given outline from z = 0 to `thickness`, its edges rounded by `bevel`.
+
+    The outline may have holes. Where it is too narrow for the bevel the plate is cut square.
+    """
+    outlines = [np.asarray(outline) for outline in section.to_polygons()]
+    bevel = min(bevel, 0.45 * thickness)
+    # A quarter circle in three steps: (inset, rise) in units of the bevel.
+    steps = [(1.0, 0.0), (0.293, 0.293), (0.0, 1.0)] if bevel > 0 else [(0.0, 0.0)]
+    while True:
+        insets = [[_inset(outline, amount * bevel) for outline in outlines] for amount, _ in steps]
+        if bevel <= 0 or all(_same_turns(outlines, inset) for inset in insets):
+            break
+        bevel = 0.5 * bevel if bevel > 1e-4 else 0.0
+        steps = steps if bevel > 0 else [(0.0, 0.0)]
+    rises = [rise * bevel for _, rise in steps]
+    heights = rises + [thickness - rise for rise in reversed(rises)]
+    layers = [np.concatenate(inset) for inset in insets + insets[::-1]]
+    count = len(layers[0])
+    vertices = np.concatenate(
+        [
+            np.column_stack([layer, np.full(count, z)])
+            for layer, z in zip(layers, heights, strict=True)
+        ]
+    )
+    cap = np.asarray(triangulate(insets[0]))
+    following = np.concatenate(
+        [
+            start + np.roll(np.arange(len(outline)), -1)
+            for start, outline in zip(_starts(outlines), outlines, strict=True)
+        ]
+    )
+    low = np.arange(count)
+    faces = [cap[:, ::-1], cap + (len(layers) - 1) * count]
+    for level in range(len(layers) - 1):
+        base, top = level * count, (level + 1) * count
+        faces.append(np.stack([base + low, base + following, top + following], -1))
+        faces.append(np.stack([base + low, top + following, top + low], -1))
+    solid = _solid(vertices, np.concatenate(faces))
+    return solid if solid.volume() > 0 else section.extrude(thickness)
+
+
+def smooth_curve(points: Sequence[Vector] | np.ndarray, count: int) -> np.ndarray:
+    """A cubic spline through [K, D] points, sampled at `count` even steps of chord length."""
+    knots = np.asarray(points, dtype=float)
+    chord = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
+    return CubicSpline(chord, knots)(np.linspace(0, chord[-1], count))
+
+
+def smooth_steps(at: Vector, values: Vector, where: np.ndarray) -> np.ndarray:
+    """Monotone cubic interpolation: passes through the values and never overshoots them."""
+    return PchipInterpolator(at, values)(where)
+
+
+def arc(
+    radius: float, start: float, end: float, count: int, centre: Vector = (0.0, 0.0)
+) -> np.ndarray:
+    """Points [count, 2] of a circular arc, angles in radians."""
+    angle = np.linspace(start, end, count)
+    return np.asarray(centre) + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _offset(section: CrossSection, distance: float) -> CrossSection:
+    return section.offset(distance, JoinType.Round, 2.0, 16)
+
+
+def _solid(vertices: np.ndarray, faces: np.ndarray) -> Manifold:
+    return Manifold(Mesh(vertices.astype(np.float32), faces.astype(np.uint32)))
+
+
+def _ring(rings: np.ndarray) -> Manifold:
+    levels, count, _ = rings.shape
+    index = np.arange(levels * count).reshape(levels, count)
+    beside, above = np.roll(index, -1, axis=1), np.roll(index, -1, axis=0)
+    across = np.roll(above, -1, axis=1)
+    faces = np.concatenate(
+        [np.stack([index, beside, across], -1), np.stack([index, across, above], -1)]
+    )
+    return _solid(rings.reshape(-1, 3), faces.reshape(-1, 3))
+
+
+def _dome_ends(
+    path: np.ndarray, width: np.ndarray, height: np.ndarray, tangent: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Add shrinking rings at both ends, so that a tube ends in a dome as long as it is thick."""
+    angle = np.deg2rad([78.0, 52.0, 26.0])
+    shrink, reach = np.cos(angle), np.sin(angle)
+    first, last = min(width[0], height[0]), min(width[-1], height[-1])
+    path = np.concatenate(
+        [
+            path[0] - first * reach[:, None] * tangent[0],
+            path,
+            path[-1] + last * reach[::-1, None] * tangent[-1],
+        ]
+    )
+    width = np.concatenate([width[0] * shrink, width, width[-1] * shrink[::-1]])
+    height = np.concatenate([height[0] * shrink, height, height[-1] * shrink[::-1]])
+    tangent = np.concatenate([np.repeat(tangent[:1], 3, 0), tangent, np.repeat(tangent[-1:], 3, 0)])
+    return path, width, height, tangent
+
+
+def _starts(outlines: Sequence[np.ndarray]) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum([len(outline) for outline in outlines])[:-1]])
+
+
+def _inset(outline: np.ndarray, distance: float) -> np.ndarray:
+    """Move every vertex of a counter-clockwise outline inwards, mitred, at most twice as far."""
+    if distance == 0:
+        return outline
+    edge = np.roll(outline, -1, axis=0) - outline
+    edge /= np.linalg.norm(edge, axis=1, keepdims=True)
+    normal = np.column_stack([-edge[:, 1], edge[:, 0]])
+    before = np.roll(normal, 1, axis=0)
+    half_cosine = 1 + np.sum(normal * before, axis=1, keepdims=True)
+    return outline + distance * (normal + before) / np.maximum(half_cosine, 0.5)
+
+
+def _same_turns(outlines: Sequence[np.ndarray], insets: Sequence[np.ndarray]) -> bool:
+    """Whether no edge has turned around, and the inset outlines still bound the same region."""
+    for outline, inset in zip(outlines, insets, strict=True):
+        edge = np.roll(outline, -1, axis=0) - outline
+        moved = np.roll(inset, -1, axis=0) - inset
+        if np.any(np.sum(edge * moved, axis=1) <= 0):
+            return False
+    simple = CrossSection(list(insets))
+    return simple.num_contour() == len(outlines) and bool(
+        np.isclose(simple.area(), sum(map(_signed_area, insets)), rtol=1e-5)
+    )
+
+
+def _signed_area(outline: np.ndarray) -> float:
+    x, y = outline.T
+    return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) / 2)

@@ -1,0 +1,211 @@
+"""Contact sheets: a folder of meshes as one picture of shaded tiles, drawn without a display.
+
+Each tile is ray cast by Open3D, so nothing here needs a window, OpenGL or Vulkan. The tile is
+scaled to its own mesh; the caption under it tells the true size.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import open3d as o3d
+from matplotlib import get_data_path
+from PIL import Image, ImageDraw, ImageFont
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.atomic import atomic_path
+
+BACKGROUND = (250, 250, 248)
+INK = (40, 40, 44)
+FAINT_INK = (120, 120, 126)
+# Rays are cast on a grid this many times finer than the tile and averaged: smooth edges.
+SUPERSAMPLING = 2
+
+
+@dataclass(frozen=True)
+class SheetItem:
+    """One tile of a contact sheet.
+
+    Attributes:
+        vertices: [V, 3] m, +z up.
+        faces: [F, 3] vertex indices, counter-clockwise seen from outside.
+        label: The line in bold under the tile; tiles with equal `group` share a colour.
+        caption: A fainter second line; the size in centimetres when empty.
+        group: What the colour is chosen by; the label when empty.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    label: str
+    caption: str = ""
+    group: str = ""
+
+
+@dataclass(frozen=True)
+class SheetStyle:
+    """How a sheet is laid out: tiles per row, tile size in pixels and the camera's direction."""
+
+    columns: int = 6
+    tile: int = 200
+    azimuth: float = np.deg2rad(-55.0)
+    elevation: float = np.deg2rad(28.0)
+
+    def __post_init__(self) -> None:
+        if self.columns < 1:
+            raise InputError(f"{self.columns} columns", where="columns", allowed="1 or more")
+        if not 32 <= self.tile <= 2048:
+            raise InputError(f"{self.tile} pixels", where="tile", allowed="32 to 2048")
+
+
+def shaded_view(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    size: int,
+    colour: tuple[float, float, float] = (0.55, 0.65, 0.8),
+    azimuth: float = SheetStyle.azimuth,
+    elevation: float = SheetStyle.elevation,
+) -> np.ndarray:
+    """Orthographic picture of a mesh, lit by its face normals, filling the tile.
+
+    Args:
+        vertices: [V, 3] m, +z up.
+        faces: [F, 3].
+        size: Pixels on each side.
+        colour: RGB in [0, 1].
+        azimuth: Direction from the mesh to the camera, radians about +z from +x.
+        elevation: The same, above the horizon.
+
+    Returns:
+        uint8 [size, size, 3].
+    """
+    towards_camera = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    up = np.cross(towards_camera, right)
+    basis = np.stack([right, up, towards_camera])
+    seen = vertices @ basis.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    centre = (low + high) / 2
+    half = max(float((high - low)[:2].max()) / 2, 1e-9) * 1.08
+
+    fine = size * SUPERSAMPLING
+    ticks = (np.arange(fine) + 0.5) / fine * 2 - 1
+    x, y = np.meshgrid(centre[0] + half * ticks, centre[1] - half * ticks)
+    origin = np.stack([x, y, np.full_like(x, high[2] + half)], axis=-1) @ basis
+    direction = np.broadcast_to(-towards_camera, origin.shape)
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        np.ascontiguousarray(vertices, dtype=np.float32),
+        np.ascontiguousarray(faces, dtype=np.uint32),
+    )
+    hits = scene.cast_rays(np.concatenate([origin, direction], axis=-1).astype(np.float32))
+    normal = hits["primitive_normals"].numpy()
+    depth = hits["t_hit"].numpy()
+
+    # Back faces, which only a mesh that is not closed shows, are painted red.
+    facing = normal @ towards_camera
+    key = np.clip(normal @ _unit(0.35 * right + 0.75 * up + 0.75 * towards_camera), 0, 1)
+    fill = np.clip(normal @ _unit(-0.9 * right + 0.1 * up + 0.4 * towards_camera), 0, 1)
+    light = 0.16 + 0.68 * key + 0.22 * fill
+    picture = np.asarray(colour) * light[..., None]
+    picture = np.where((facing < 0)[..., None], (0.8, 0.1, 0.1), picture)
+    # A dark line where the depth jumps makes handles and rims readable.
+    jump = _depth_jump(depth) > 0.06 * half
+    picture = np.where(jump[..., None], picture * 0.55, picture)
+    picture = np.where(np.isinf(depth)[..., None], np.asarray(BACKGROUND) / 255, picture)
+    picture = picture.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, 3).mean(axis=(1, 3))
+    return (np.clip(picture, 0, 1) * 255).astype(np.uint8)
+
+
+def draw_sheet(items: Sequence[SheetItem], style: SheetStyle | None = None) -> Image.Image:
+    """All items in rows, each with its label and caption below.
+
+    Raises:
+        InputError: No item.
+    """
+    if not items:
+        raise InputError("there is no mesh to draw", where="contact sheet")
+    style = style or SheetStyle()
+    columns = min(style.columns, len(items))
+    rows = -(-len(items) // columns)
+    text = max(10, style.tile // 16)
+    font_bold, font = _font(text, bold=True), _font(text, bold=False)
+    pitch = style.tile + 2 * text + text
+    gap = style.tile // 20
+    sheet = Image.new(
+        "RGB", (columns * (style.tile + gap) + gap, rows * pitch + gap), color=BACKGROUND
+    )
+    pen = ImageDraw.Draw(sheet)
+    for index, item in enumerate(items):
+        left = gap + (index % columns) * (style.tile + gap)
+        top = gap + (index // columns) * pitch
+        tile = shaded_view(
+            item.vertices,
+            item.faces,
+            style.tile,
+            colour=_group_colour(item.group or item.label),
+            azimuth=style.azimuth,
+            elevation=style.elevation,
+        )
+        sheet.paste(Image.fromarray(tile), (left, top))
+        middle = left + style.tile // 2
+        caption = item.caption or size_caption(item.vertices)
+        pen.text((middle, top + style.tile), item.label, fill=INK, font=font_bold, anchor="mt")
+        pen.text(
+            (middle, top + style.tile + int(1.25 * text)),
+            caption,
+            fill=FAINT_INK,
+            font=font,
+            anchor="mt",
+        )
+    return sheet
+
+
+def write_sheet(
+    path: Path, items: Sequence[SheetItem], style: SheetStyle | None = None, colours: int = 128
+) -> None:
+    """Draw a sheet and write it as a palette PNG (small enough to keep in a repository)."""
+    sheet = draw_sheet(items, style).quantize(colors=colours, dither=Image.Dither.NONE)
+    with atomic_path(Path(path)) as temporary:
+        sheet.save(temporary, format="PNG", optimize=True)
+
+
+def size_caption(vertices: np.ndarray) -> str:
+    """The bounding box of [V, 3] m vertices as text in centimetres."""
+    extent = np.ptp(vertices, axis=0) * 100
+    return "{:.1f} × {:.1f} × {:.1f} cm".format(*extent)
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)
+
+
+def _depth_jump(depth: np.ndarray) -> np.ndarray:
+    """Largest depth step to the right and lower neighbour, [H, W]; 0 where both miss."""
+    finite = np.where(np.isinf(depth), 1e3, depth)
+    jump = np.zeros_like(finite)
+    jump[:, :-1] = np.abs(np.diff(finite, axis=1))
+    jump[:-1] = np.maximum(jump[:-1], np.abs(np.diff(finite, axis=0)))
+    return jump
+
+
+def _group_colour(group: str) -> tuple[float, float, float]:
+    """A calm colour that depends on the text alone (`hash` is salted per process)."""
+    hue = zlib.crc32(group.encode()) % 360 / 360
+    return colorsys.hls_to_rgb(hue, 0.68, 0.42)
+
+
+def _font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
+    # matplotlib ships DejaVu Sans, so the sheet looks the same on every machine.
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(Path(get_data_path()) / "fonts" / "ttf" / name, size)
