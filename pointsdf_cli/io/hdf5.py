@@ -19,6 +19,10 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import atomic_path, unwritable
 from pointsdf_cli.io.provenance import created_by, git_commit
 
+class OptionsDifferError(InputError):
+    """A finished artifact was made with other options: the user must decide, so a stage stops."""
+
+
 NO_SEED = -1
 """The `seed` attribute of an artifact in which nothing was drawn."""
 
@@ -140,8 +144,9 @@ def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[
     """Whether `path` already holds this artifact made with these options, so it can be kept.
 
     Raises:
-        InputError: The file is there but was made by other options, or is another schema: work
-            of the user's that a resumed stage must not replace in silence.
+        OptionsDifferError: The file is there but was made with other options: work of the user's
+            that a resumed stage must not replace in silence.
+        InputError: It is no artifact of this schema.
     """
     path = Path(path)
     if not path.exists():
@@ -153,7 +158,7 @@ def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[
     if theirs != ours:
         changed = sorted(k for k in ours.keys() | theirs.keys() if ours.get(k) != theirs.get(k))
         differences = ", ".join(f"{k}: {theirs.get(k)} there, {ours.get(k)} now" for k in changed)
-        raise InputError(
+        raise OptionsDifferError(
             f"was made with other options ({differences})",
             where=path,
             hint="choose another --out, or add --force to make it anew",

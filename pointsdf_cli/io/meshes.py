@@ -61,7 +61,9 @@ def find_meshes(folder: Path | str, pattern: str = "*") -> list[Path]:
     if folder.is_file():
         if folder.suffix.lower() not in MESH_SUFFIXES:
             raise InputError(
-                "is not a mesh file", where=folder, allowed="a folder, or " + ", ".join(MESH_SUFFIXES)
+                "is not a mesh file",
+                where=folder,
+                allowed="a folder, or " + ", ".join(MESH_SUFFIXES),
             )
         return [folder]
     found = sorted(
@@ -117,9 +119,7 @@ def load_mesh(path: Path | str, unit: str = "m") -> LoadedMesh:
     try:
         closed = close_mesh(vertices, faces)
     except InputError as error:
-        raise InputError(
-            error.what, where=path, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError(error.what, where=path, allowed=error.allowed, hint=error.hint) from error
     return LoadedMesh(path.stem, closed.vertices, closed.faces, file_sha256(path), closed.repair)
 
 

@@ -1,0 +1,116 @@
+"""The pinhole camera: OpenCV axes (+z forward, +y down), `K` in pixels, depth along z."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pointsdf_cli.errors import InputError
+
+LARGEST_IMAGE = 8192
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of an ideal camera.
+
+    Attributes:
+        width, height: Image size [px].
+        fx, fy: Focal lengths [px].
+        cx, cy: Principal point [px]; pixel centres are at whole numbers.
+
+    Raises:
+        InputError: A value is not finite or out of its range.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            if not 1 <= getattr(self, name) <= LARGEST_IMAGE:
+                raise InputError(
+                    f"{name} is {getattr(self, name)}",
+                    where="camera",
+                    allowed=f"1 to {LARGEST_IMAGE} pixels",
+                )
+        numbers = (self.fx, self.fy, self.cx, self.cy)
+        if not all(map(math.isfinite, numbers)) or self.fx <= 0 or self.fy <= 0:
+            raise InputError(
+                f"K holds fx, fy, cx, cy = {numbers}",
+                where="camera",
+                allowed="finite numbers, focal lengths above 0, in pixels",
+            )
+
+    @property
+    def K(self) -> NDArray[np.float64]:
+        """The intrinsic matrix [3, 3]."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    def project(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Pixels [N, 2] (u, v) of points [N, 3] in the camera frame, z > 0."""
+        points = np.asarray(points, dtype=np.float64)
+        focal, centre = np.array([self.fx, self.fy]), np.array([self.cx, self.cy])
+        return points[..., :2] / points[..., 2:] * focal + centre
+
+    def back_project(self, u: ArrayLike, v: ArrayLike, depth: ArrayLike) -> NDArray[np.float64]:
+        """Points [..., 3] in the camera frame of pixels (u, v) at `depth` [m] along z."""
+        u, v, depth = np.broadcast_arrays(
+            np.asarray(u, np.float64), np.asarray(v, np.float64), np.asarray(depth, np.float64)
+        )
+        return np.stack(
+            [(u - self.cx) / self.fx * depth, (v - self.cy) / self.fy * depth, depth], axis=-1
+        )
+
+
+def from_field_of_view(width: int, height: int, vertical: float) -> Camera:
+    """A camera with square pixels, centred, of a vertical field of view [rad]."""
+    focal = height / 2 / math.tan(vertical / 2)
+    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
+CAMERAS = {
+    # The paper's simulated camera (METHOD: 640×480, vertical field of view 0.820305 rad).
+    "reference": from_field_of_view(640, 480, 0.820305),
+    # The depth camera of a Kinect 2: nominal values of its factory calibration.
+    "kinect2": Camera(512, 424, 365.456, 365.456, 254.878, 205.395),
+}
+
+
+def load_camera(name: str) -> Camera:
+    """A camera by name, or from a JSON file `{"width": …, "height": …, "K": [[…], […], […]]}`.
+
+    Raises:
+        InputError: Neither a known name nor such a file.
+    """
+    if name in CAMERAS:
+        return CAMERAS[name]
+    path = Path(name)
+    form = f'{", ".join(CAMERAS)}, or a file {{"width": 640, "height": 480, "K": [[fx, 0, cx], …]}}'
+    if path.suffix.lower() != ".json" or not path.is_file():
+        raise InputError(f"no camera {name!r}", where="--camera", allowed=form)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        matrix = np.asarray(data["K"], dtype=np.float64)
+        width, height = data["width"], data["height"]
+        if matrix.size != 9 or not isinstance(width, int) or not isinstance(height, int):
+            raise ValueError("K must have 9 entries, width and height must be whole numbers")
+    except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"is no camera file ({type(error).__name__}: {error})", where=path, allowed=form
+        ) from error
+    matrix = matrix.reshape(3, 3)
+    if matrix[0, 1] != 0 or np.abs(matrix[[1, 2, 2], [0, 0, 1]]).max() != 0 or matrix[2, 2] != 1:
+        raise InputError(
+            "K has skew or is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", where=path, allowed=form
+        )
+    return Camera(width, height, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])

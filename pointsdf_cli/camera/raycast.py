@@ -1,0 +1,95 @@
+"""Depth images of meshes by ray casting, over no more of the image than the mesh can cover."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import ArrayLike, NDArray
+
+from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+
+_BEHIND = 1e-3
+"""Vertices nearer to the image plane than this [m] cannot be projected: cast the whole image."""
+
+
+@dataclass(frozen=True)
+class DepthPatch:
+    """The pixels of an image that saw the mesh.
+
+    Attributes:
+        u, v: i8 [H], pixel coordinates, row by row.
+        depth: f4 [H], m along z.
+        covered: Fraction of the whole image that they make.
+    """
+
+    u: NDArray[np.int64]
+    v: NDArray[np.int64]
+    depth: NDArray[np.float32]
+    covered: float
+
+
+class MeshCaster:
+    """Casts rays of a pinhole camera at one mesh.
+
+    Args:
+        vertices: [V, 3], mesh frame, m.
+        faces: [F, 3].
+        camera: The intrinsics.
+        threads: Threads of the ray tracer; 0 takes all cores.
+    """
+
+    def __init__(
+        self, vertices: ArrayLike, faces: ArrayLike, camera: Camera, threads: int = 1
+    ) -> None:
+        self._vertices = np.asarray(vertices, dtype=np.float64)
+        self._camera = camera
+        self._threads = threads
+        self._scene = o3d.t.geometry.RaycastingScene(threads)
+        self._scene.add_triangles(
+            o3d.core.Tensor(np.ascontiguousarray(self._vertices, dtype=np.float32)),
+            o3d.core.Tensor(np.ascontiguousarray(faces, dtype=np.uint32)),
+        )
+        low, high = self._vertices.min(axis=0), self._vertices.max(axis=0)
+        self._box = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
+
+    def cast(self, T_camera_object: NDArray[np.float64]) -> DepthPatch:
+        """Exact depths of the mesh seen from a camera in which it stands at `T_camera_object`."""
+        camera = self._camera
+        left, right, top, bottom = self._window(T_camera_object)
+        columns, rows = np.arange(left, right), np.arange(top, bottom)
+        # Directions with z = 1 make the ray parameter the depth itself.
+        rotation = T_camera_object[:3, :3]
+        x = ((columns - camera.cx) / camera.fx)[None, :, None] * rotation[0]
+        y = ((rows - camera.cy) / camera.fy)[:, None, None] * rotation[1]
+        rays = np.empty((len(rows), len(columns), 6), dtype=np.float32)
+        rays[..., :3] = invert_transform(T_camera_object)[:3, 3]
+        rays[..., 3:] = x + y + rotation[2]
+        hits = self._scene.cast_rays(o3d.core.Tensor(rays), self._threads)
+        depth = hits["t_hit"].numpy()
+        v, u = np.nonzero(np.isfinite(depth))
+        return DepthPatch(u + left, v + top, depth[v, u], len(u) / (camera.width * camera.height))
+
+    def _window(self, T_camera_object: NDArray[np.float64]) -> tuple[int, int, int, int]:
+        """Columns [left, right) and rows [top, bottom) that can see the mesh's bounding box."""
+        camera = self._camera
+        corners = apply_transform(T_camera_object, self._box)
+        if corners[:, 2].min() < _BEHIND:
+            return 0, camera.width, 0, camera.height
+        pixels = camera.project(corners)
+        (left, top), (right, bottom) = np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0))
+        return (
+            int(np.clip(left, 0, camera.width - 1)),
+            int(np.clip(right + 1, 1, camera.width)),
+            int(np.clip(top, 0, camera.height - 1)),
+            int(np.clip(bottom + 1, 1, camera.height)),
+        )
+
+
+def depth_image(patch: DepthPatch, camera: Camera) -> NDArray[np.float32]:
+    """The whole depth image [height, width] of a patch, 0 where nothing was hit."""
+    image = np.zeros((camera.height, camera.width), dtype=np.float32)
+    image[patch.v, patch.u] = patch.depth
+    return image

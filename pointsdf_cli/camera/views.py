@@ -1,0 +1,165 @@
+"""Random views of a mesh as partial clouds (paper section III-A; METHOD §1, "Views")."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.noise import DepthNoise
+from pointsdf_cli.camera.pinhole import CAMERAS, Camera
+from pointsdf_cli.camera.raycast import DepthPatch, MeshCaster, depth_image
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import random_rotation, transform
+from pointsdf_cli.io.batch import task_seed
+from pointsdf_cli.io.hdf5 import is_complete
+from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
+from pointsdf_cli.io.views import SCHEMA, VERSION, Views, write_views
+
+CLOUD_SIZE = 1000
+FEWEST_PIXELS = 50
+"""A view of fewer pixels sees almost nothing: it is drawn again."""
+LARGEST_COVER = 0.95
+"""A view that covers more of the image has no silhouette left: it is drawn again."""
+REDRAWS = 50
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """How the views of a mesh are made.
+
+    Attributes:
+        views: Views a mesh.
+        distance: From the camera to the centre of the mesh's bounding box [m].
+        camera: Intrinsics.
+        noise: Of the depth.
+        keep_depth: Whether the depth images are stored too.
+        unit: Unit of the mesh file's numbers.
+
+    Raises:
+        InputError: A value is out of its range.
+    """
+
+    views: int = 200
+    distance: float = 1.5
+    camera: Camera = CAMERAS["reference"]
+    noise: DepthNoise = field(default_factory=DepthNoise)
+    keep_depth: bool = False
+    unit: str = "m"
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.views <= 100_000:
+            raise InputError(f"{self.views} views", where="--views", allowed="1 to 100000")
+        if not 0.1 <= self.distance <= 20:
+            raise InputError(f"{self.distance} m", where="--distance", allowed="0.1 to 20 m")
+
+    def as_dict(self) -> dict[str, Any]:
+        """For `config_json`."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class ViewTask:
+    """One mesh to render, for one worker process."""
+
+    name: str
+    mesh: Path
+    out: Path
+    config: ViewConfig
+    seed: int
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class ViewSummary:
+    """What was rendered: views kept, views drawn again, and how the mesh was closed."""
+
+    views: int
+    redrawn: int
+    repair: str
+
+
+def render_file(task: ViewTask) -> ViewSummary | None:
+    """Render one mesh file to its views file; None where that is there already.
+
+    Raises:
+        InputError: The mesh cannot be used or is never seen, or the file not written.
+    """
+    config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
+    if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):
+        return None
+    mesh = load_mesh(task.mesh, task.config.unit)
+    try:
+        views, redrawn = render_views(mesh, task.config, task_seed(task.seed, task.name))
+    except InputError as error:
+        raise InputError(
+            error.what, where=task.mesh, allowed=error.allowed, hint=error.hint
+        ) from error
+    write_views(task.out, replace(views, mesh_file=task.mesh.name), seed=task.seed, config=config)
+    return ViewSummary(len(views.cloud), redrawn, mesh.repair)
+
+
+def render_views(
+    mesh: LoadedMesh, config: ViewConfig, rng: np.random.Generator
+) -> tuple[Views, int]:
+    """Views of a mesh at random orientations, and how many had to be drawn again.
+
+    Raises:
+        InputError: The mesh is too small or too large for the camera at this distance.
+    """
+    caster = MeshCaster(mesh.vertices, mesh.faces, config.camera)
+    centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    clouds = np.empty((config.views, CLOUD_SIZE, 3), dtype=np.float32)
+    poses = np.empty((config.views, 4, 4))
+    width, height = config.camera.width, config.camera.height
+    depths = np.empty((config.views, height, width), np.float32) if config.keep_depth else None
+    redrawn = 0
+    for k in range(config.views):
+        for _ in range(REDRAWS):
+            rotation = random_rotation(rng)
+            pose = transform(rotation, np.array([0, 0, config.distance]) - rotation @ centre)
+            patch = caster.cast(pose)
+            if len(patch.u) >= FEWEST_PIXELS and patch.covered <= LARGEST_COVER:
+                break
+            redrawn += 1
+        else:
+            raise InputError(
+                f"{REDRAWS} views at {config.distance} m saw fewer than {FEWEST_PIXELS} pixels of "
+                "it, or nothing else",
+                hint="check its size and unit, or choose another --distance or --camera",
+            )
+        patch = replace(patch, depth=config.noise.apply(patch.depth, rng))
+        clouds[k] = sample_cloud(patch, config.camera, rng)
+        poses[k] = pose
+        if depths is not None:
+            depths[k] = depth_image(patch, config.camera)
+    views = Views(
+        cloud=clouds,
+        T_camera_object=poses,
+        K=config.camera.K,
+        image_size=(width, height),
+        noise=config.noise.sigma,
+        mesh_file=mesh.name,
+        mesh_hash=mesh.sha256,
+        mesh_repair=mesh.repair,
+        depth=depths,
+    )
+    return views, redrawn
+
+
+def sample_cloud(
+    patch: DepthPatch, camera: Camera, rng: np.random.Generator, count: int = CLOUD_SIZE
+) -> NDArray[np.float64]:
+    """`count` points [count, 3] of a patch, camera frame, m; each pixel once before any twice."""
+    pixels = len(patch.u)
+    chosen = (
+        rng.permutation(pixels)[:count]
+        if pixels < 4 * count
+        else rng.choice(pixels, count, replace=False, shuffle=False)
+    )
+    if pixels < count:
+        chosen = np.concatenate([chosen, rng.integers(pixels, size=count - pixels)])
+    return camera.back_project(patch.u[chosen], patch.v[chosen], patch.depth[chosen])

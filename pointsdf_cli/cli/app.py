@@ -1,0 +1,41 @@
+"""The table of commands. Each lives in a file of its own and imports what it needs when it runs."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from pointsdf_cli import __version__
+from pointsdf_cli.cli import label_sdf, render
+
+app = typer.Typer(
+    name="rgrasp",
+    help="From one partial point cloud to a grasp of an object that nobody has modelled.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"rgrasp {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and leave."
+        ),
+    ] = False,
+) -> None:
+    pass
+
+
+app.command("render")(render.render)
+app.command("label-sdf")(label_sdf.label_sdf)

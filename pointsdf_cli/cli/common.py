@@ -1,0 +1,202 @@
+"""Options that every command shares, and the one way in which commands report."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pointsdf_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from pointsdf_cli.io.batch import StageReport
+
+Seed = Annotated[int, typer.Option(help="The same seed gives the same datasets.")]
+Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Processes; 0 takes all cores.")]
+Device = Annotated[str, typer.Option(help="cpu, cuda or cuda:N.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")]
+Json = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
+Force = Annotated[bool, typer.Option("--force", help="Make anew what is there already.")]
+Shard = Annotated[
+    str | None, typer.Option(metavar="i/n", help="Only every n-th file, from the i-th (0-based).")
+]
+SkipBad = Annotated[
+    bool, typer.Option("--skip-bad", help="Exit 0 although some inputs could not be used.")
+]
+
+
+def job_count(jobs: int) -> int:
+    """The number of processes for `--jobs`.
+
+    Raises:
+        InputError: Negative, or absurdly many.
+    """
+    if not 0 <= jobs <= 1024:
+        raise InputError(f"{jobs} jobs", where="--jobs", allowed="0 (all cores) to 1024")
+    return jobs or len(os.sched_getaffinity(0))
+
+
+def check_seed(seed: int) -> int:
+    """`seed`, if it can seed a generator.
+
+    Raises:
+        InputError: Negative or beyond 63 bits.
+    """
+    if not 0 <= seed < 2**63:
+        raise InputError(f"{seed} is no seed", where="--seed", allowed="0 to 2⁶³ − 1")
+    return seed
+
+
+def torch_device(name: str) -> str:
+    """`name`, if torch can compute there.
+
+    Raises:
+        InputError: No such kind of device, or not on this machine.
+    """
+    import torch
+
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise InputError(
+            f"no device {name!r}", where="--device", allowed="cpu, cuda, cuda:N"
+        ) from error
+    if device.type not in ("cpu", "cuda"):
+        raise InputError(f"no device {name!r}", where="--device", allowed="cpu, cuda, cuda:N")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise InputError(
+            f"{name} is not on this machine ({torch.cuda.device_count()} CUDA devices)",
+            where="--device",
+            allowed="cpu" + "".join(f", cuda:{k}" for k in range(torch.cuda.device_count())),
+        )
+    return name
+
+
+@dataclass(frozen=True)
+class Reporter:
+    """Progress and messages on stderr, the result on stdout.
+
+    Attributes:
+        quiet: Nothing on stderr but errors.
+        as_json: The result as one JSON object instead of lines.
+    """
+
+    quiet: bool = False
+    as_json: bool = False
+
+    def say(self, text: str) -> None:
+        """One line of progress on stderr."""
+        if not self.quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    def result(self, values: Mapping[str, Any], lines: list[str] | None = None) -> None:
+        """The command's result: `values` as JSON, or `lines` (by default "name: value")."""
+        if self.as_json:
+            print(json.dumps(values, default=_plain, ensure_ascii=False))
+        else:
+            for line in lines if lines is not None else [f"{k}: {v}" for k, v in values.items()]:
+                print(line)
+
+    @contextmanager
+    def progress(self, title: str, total: int) -> Iterator[Progress]:
+        """A progress bar on a terminal, an occasional line elsewhere; nothing when quiet."""
+        progress = Progress(title, total, self.quiet)
+        try:
+            yield progress
+        finally:
+            progress.close()
+
+
+class Progress:
+    """Counts finished files; `advance` may be given to `run_stage` as `on_done`."""
+
+    _LINE_EVERY = 10.0
+
+    def __init__(self, title: str, total: int, quiet: bool) -> None:
+        self._title, self._total, self._quiet = title, total, quiet
+        self._count = 0
+        self._started = self._spoke = time.monotonic()
+        self._bar: Any = None
+        if not quiet and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            self._bar = Bar(
+                "{task.description}",
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeRemainingColumn(),
+                console=Console(stderr=True),
+            )
+            self._bar.start()
+            self._task = self._bar.add_task(title, total=total)
+
+    def advance(self, name: str, _result: object = None) -> None:
+        """One more is finished."""
+        self._count += 1
+        if self._bar:
+            self._bar.update(self._task, advance=1, description=f"{self._title} {name[-32:]}")
+            return
+        now = time.monotonic()
+        if not self._quiet and (now - self._spoke > self._LINE_EVERY):
+            self._spoke = now
+            left = (now - self._started) / self._count * (self._total - self._count)
+            print(
+                f"{self._title}: {self._count} of {self._total}, {left:.0f} s left",
+                file=sys.stderr,
+                flush=True,
+            )
+
+    def close(self) -> None:
+        """Take the bar off the terminal."""
+        if self._bar:
+            self._bar.stop()
+
+
+def finish_stage(
+    reporter: Reporter,
+    report: StageReport[Any],
+    out: Path,
+    skip_bad: bool,
+    values: Mapping[str, Any],
+    lines: list[str],
+) -> None:
+    """Print a stage's result, then complain of what it could not use.
+
+    Raises:
+        InputError: Some inputs were refused and `--skip-bad` was not given.
+    """
+    refused = {name: error.what for name, error in report.refused}
+    counts = {"made": len(report.made), "kept": len(report.kept), "refused": len(refused)}
+    if report.made or report.kept:
+        reporter.result(
+            {"out": out, **counts, "seconds": round(report.seconds, 3), **values, "bad": refused},
+            [
+                f"{out}: {counts['made']} made, {counts['kept']} there already, "
+                f"{counts['refused']} refused, in {report.seconds:.1f} s",
+                *lines,
+            ],
+        )
+    if skip_bad and (report.made or report.kept):
+        for _, error in report.refused:
+            reporter.say(f"skipped: {error.message}")
+        return
+    report.raise_if_refused()
+
+
+def _plain(value: Any) -> Any:
+    """JSON for paths, NumPy scalars and arrays."""
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} has no JSON form")

@@ -1,0 +1,63 @@
+"""`rgrasp label-sdf`: meshes to points with signed distances."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+
+def label_sdf(
+    views: Annotated[Path, typer.Option(help="The views that `rgrasp render` made.")],
+    meshes: Annotated[Path, typer.Option(help="The meshes that they were rendered from.")],
+    out: Annotated[Path, typer.Option(help="One HDF5 of labelled points per mesh goes here.")],
+    points: Annotated[int, typer.Option(help="Labelled points per mesh.")] = 50_000,
+    seed: common.Seed = 0,
+    jobs: common.Jobs = 0,
+    shard: common.Shard = None,
+    force: common.Force = False,
+    skip_bad: common.SkipBad = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Label points around every rendered mesh with exact signed distances.
+
+    Example: rgrasp label-sdf --views views/ --meshes ycb/ --out labels/
+    """
+    from pointsdf_cli.geometry.sdf_sampling import SamplingConfig
+    from pointsdf_cli.io.atomic import remove_leftovers, require_folder
+    from pointsdf_cli.io.batch import run_stage, shard_of
+    from pointsdf_cli.objects.labelling import find_label_tasks, label_file
+
+    config = SamplingConfig(points)
+    seed, jobs = common.check_seed(seed), common.job_count(jobs)
+    found = shard_of(find_label_tasks(views, meshes, out, config, seed, force), shard)
+    out = require_folder(out)
+    for folder in {task.out.parent for task in found}:
+        remove_leftovers(folder)
+    reporter = common.Reporter(quiet, as_json)
+    with reporter.progress("label-sdf", len(found)) as progress:
+        report = run_stage(
+            [(task.name, task) for task in found], label_file, jobs=jobs, on_done=progress.advance
+        )
+    made = list(report.made.values())
+    labelled = sum(summary.points for summary in made)
+    inside = sum(s.inside_fraction * s.points for s in made) / labelled if labelled else 0.0
+    rate = labelled / report.seconds if report.seconds else 0.0
+    by_mesh = {name: summary.inside_fraction for name, summary in report.made.items()}
+    common.finish_stage(
+        reporter,
+        report,
+        out,
+        skip_bad,
+        {
+            "points": labelled,
+            "inside_fraction": inside,
+            "points_per_second": rate,
+            "inside_fraction_by_mesh": by_mesh,
+        },
+        [f"{labelled} points, {inside:.1%} inside, {rate:.0f} a second"],
+    )

@@ -1,0 +1,78 @@
+"""`rgrasp render`: meshes to partial views."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+
+def render(
+    meshes: Annotated[Path, typer.Option(help="A folder of meshes, or one mesh.")],
+    out: Annotated[Path, typer.Option(help="One HDF5 of views per mesh goes here.")] = Path(
+        "views"
+    ),
+    views: Annotated[int, typer.Option(help="Views per mesh.")] = 200,
+    camera: Annotated[
+        str, typer.Option(help="reference, kinect2, or a JSON file with K, width and height.")
+    ] = "reference",
+    distance: Annotated[float, typer.Option(help="Camera to object [m].")] = 1.5,
+    noise: Annotated[
+        float, typer.Option(help="Deviation of the depth at 1.5 m [m]; grows with its square.")
+    ] = 0.001,
+    keep_depth: Annotated[
+        bool, typer.Option("--keep-depth", help="Store the depth images too (large).")
+    ] = False,
+    unit: Annotated[str, typer.Option(help="Unit of the mesh files: m, cm, mm or inch.")] = "m",
+    pattern: Annotated[str, typer.Option(help="Only meshes of such names, such as '*.ply'.")] = "*",
+    seed: common.Seed = 0,
+    jobs: common.Jobs = 0,
+    shard: common.Shard = None,
+    force: common.Force = False,
+    skip_bad: common.SkipBad = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Render meshes to noisy partial point clouds from random orientations.
+
+    Example: rgrasp render --meshes ycb/ --out views/
+    """
+    from pointsdf_cli.camera.noise import DepthNoise
+    from pointsdf_cli.camera.pinhole import load_camera
+    from pointsdf_cli.camera.views import ViewConfig, ViewTask, render_file
+    from pointsdf_cli.io.atomic import remove_leftovers, require_folder
+    from pointsdf_cli.io.batch import run_stage, shard_of
+    from pointsdf_cli.io.meshes import artifact_path, find_meshes
+
+    config = ViewConfig(views, distance, load_camera(camera), DepthNoise(noise), keep_depth, unit)
+    seed, jobs = common.check_seed(seed), common.job_count(jobs)
+    found = shard_of(find_meshes(meshes, pattern), shard)
+    out = require_folder(out)
+    tasks = []
+    for mesh in found:
+        path = artifact_path(mesh, meshes, out)
+        name = path.relative_to(out).with_suffix("").as_posix()
+        tasks.append((name, ViewTask(name, mesh, path, config, seed, force)))
+    for folder in {task.out.parent for _, task in tasks}:
+        remove_leftovers(folder)
+    reporter = common.Reporter(quiet, as_json)
+    with reporter.progress("render", len(tasks)) as progress:
+        report = run_stage(tasks, render_file, jobs=jobs, on_done=progress.advance)
+    made = sum(summary.views for summary in report.made.values())
+    redrawn = sum(summary.redrawn for summary in report.made.values())
+    repaired = {n: s.repair for n, s in report.made.items() if s.repair != "none"}
+    rate = made / report.seconds if report.seconds else 0.0
+    common.finish_stage(
+        reporter,
+        report,
+        out,
+        skip_bad,
+        {"views": made, "redrawn": redrawn, "views_per_second": rate, "repaired": repaired},
+        [
+            f"{made} views ({redrawn} drawn again), {rate:.0f} a second; "
+            f"{len(repaired)} meshes repaired"
+        ],
+    )

@@ -1,0 +1,124 @@
+"""Where to ask for signed distances around a mesh (METHOD §1, "Labels")."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.signed_distance import SignedDistance, sample_surface
+
+MARGIN = 1.03
+"""The unit box is this much larger than what is scaled into it (METHOD §1, "Object frame")."""
+
+
+@dataclass(frozen=True)
+class SamplingConfig:
+    """How many labelled points a mesh gets, and where.
+
+    The lengths are in units of the mesh scaled so that its longest side is 1/1.03.
+
+    Attributes:
+        points: All of them together.
+        wide_variance, near_variance: Of the Gaussian jitter on surface points.
+        wide_share, near_share: Fractions of the points; the rest is uniform.
+        box: Uniform points lie in ±box about the centre of the bounding box.
+
+    Raises:
+        InputError: A value is out of its range.
+    """
+
+    points: int = 50_000
+    wide_variance: float = 0.0025
+    near_variance: float = 0.00025
+    wide_share: float = 0.4
+    near_share: float = 0.4
+    box: float = 0.6
+
+    def __post_init__(self) -> None:
+        if not 100 <= self.points <= 50_000_000:
+            raise InputError(
+                f"{self.points} points a mesh", where="--points", allowed="100 to 50000000"
+            )
+        shares = (self.wide_share, self.near_share, 1 - self.wide_share - self.near_share)
+        if min(shares) < -1e-9:
+            raise InputError(f"shares of {shares}", where="sampling", allowed="three that sum to 1")
+
+    def as_dict(self) -> dict[str, Any]:
+        """For `config_json`."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class SdfSamples:
+    """Labelled points of one mesh.
+
+    Attributes:
+        points: f4 [N, 3], mesh frame, the mesh's unit.
+        sdf: f4 [N], negative inside.
+        inside_fraction: Of all points.
+        uniform_inside: Fraction of the uniform points alone.
+        expected_inside: The same by the mesh's volume (divergence theorem).
+    """
+
+    points: NDArray[np.float32]
+    sdf: NDArray[np.float32]
+    inside_fraction: float
+    uniform_inside: float
+    expected_inside: float
+
+
+def sample_sdf(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    config: SamplingConfig,
+    rng: np.random.Generator,
+    threads: int = 1,
+) -> SdfSamples:
+    """Points around a closed mesh with exact signed distances.
+
+    Raises:
+        InputError: The share of points found inside contradicts the volume that the surface
+            encloses, so the signs mean nothing.
+    """
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    centre, unit = (low + high) / 2, MARGIN * float((high - low).max())
+    wide, near = round(config.points * config.wide_share), round(config.points * config.near_share)
+    uniform = config.points - wide - near
+    surface, _ = sample_surface(vertices, faces, wide + near, rng)
+    deviation = np.sqrt(np.repeat([config.wide_variance, config.near_variance], [wide, near]))
+    jittered = surface + unit * deviation[:, None] * rng.standard_normal((wide + near, 3))
+    spread = centre + unit * rng.uniform(-config.box, config.box, (uniform, 3))
+    points = np.concatenate([jittered, spread]).astype(np.float32)
+    sdf = SignedDistance(vertices, faces, threads)(points)
+    samples = SdfSamples(
+        points=points,
+        sdf=sdf,
+        inside_fraction=float((sdf < 0).mean()),
+        uniform_inside=float((sdf[wide + near :] < 0).mean()) if uniform else 0.0,
+        expected_inside=enclosed_volume(vertices, faces) / (2 * config.box * unit) ** 3,
+    )
+    _refuse_nonsense(samples, uniform)
+    return samples
+
+
+def enclosed_volume(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> float:
+    """The volume that a closed, outward oriented surface encloses (divergence theorem)."""
+    a, b, c = (vertices - vertices.mean(axis=0))[faces].swapaxes(0, 1)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+def _refuse_nonsense(samples: SdfSamples, uniform: int) -> None:
+    expected = samples.expected_inside
+    # Six standard deviations of a binomial share, and a little for rounding.
+    slack = 6 * np.sqrt(max(expected, 1 / max(uniform, 1)) / max(uniform, 1)) + 1e-3
+    if not 0 < expected < 1 or (uniform and abs(samples.uniform_inside - expected) > slack):
+        raise InputError(
+            f"{samples.uniform_inside:.1%} of space is inside by the signs, {expected:.1%} by the "
+            "volume: its surface crosses itself, so inside and outside mean nothing",
+            allowed="a closed surface that does not cross itself",
+            hint="mend it in a mesh editor, or leave it out",
+        )

@@ -1,0 +1,193 @@
+"""Running one stage over many files: processes, shards, resumption, and bad files set apart."""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+import zlib
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.io.hdf5 import OptionsDifferError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+@dataclass
+class StageReport(Generic[Result]):
+    """What became of a stage's files.
+
+    Attributes:
+        made: Results of the tasks that ran, by task name.
+        kept: Names whose artifact was there already.
+        refused: Name and error of every input that could not be used.
+        seconds: Wall time.
+    """
+
+    made: dict[str, Result] = field(default_factory=dict)
+    kept: list[str] = field(default_factory=list)
+    refused: list[tuple[str, InputError]] = field(default_factory=list)
+    seconds: float = 0.0
+
+    def raise_if_refused(self) -> None:
+        """Raise one error for all that was refused, if anything was.
+
+        Raises:
+            InputError: With the first few messages; the good files were finished all the same.
+        """
+        if not self.refused:
+            return
+        if len(self.refused) == 1 and not self.made and not self.kept:
+            raise self.refused[0][1]
+        shown = "\n".join(f"  {error.message}" for _, error in self.refused[:10])
+        more = f"\n  and {len(self.refused) - 10} more" if len(self.refused) > 10 else ""
+        raise InputError(
+            f"{len(self.refused)} of {len(self.refused) + len(self.made) + len(self.kept)} inputs "
+            f"cannot be used (the others are done):\n{shown}{more}",
+            hint="mend or remove them and run the same command again, or add --skip-bad",
+        )
+
+
+def run_stage(
+    tasks: Sequence[tuple[str, Task]],
+    work: Callable[[Task], Result | None],
+    *,
+    jobs: int,
+    on_done: Callable[[str, Result | None], None] | None = None,
+) -> StageReport[Result]:
+    """Run `work` on every named task; `None` from it means that the artifact was there already.
+
+    `work` must be a function at module level, because it travels to other processes. The order in
+    which tasks finish does not matter to what they make: each draws from `task_seed`.
+
+    Raises:
+        RgraspError: Anything but bad input: it stops the stage; what is finished stays.
+    """
+    report: StageReport[Result] = StageReport()
+    started = time.monotonic()
+
+    def finish(name: str, outcome: Result | InputError | None) -> None:
+        if isinstance(outcome, InputError):
+            report.refused.append((name, outcome))
+            outcome = None
+        elif outcome is None:
+            report.kept.append(name)
+        else:
+            report.made[name] = outcome
+        if on_done:
+            on_done(name, outcome)
+
+    if jobs == 1 or len(tasks) < 2:
+        for name, task in tasks:
+            finish(name, _guarded(work, task))
+    else:
+        _run_parallel(tasks, work, jobs, finish)
+    # Processes finish in any order; the report does not depend on it.
+    report.made = {name: report.made[name] for name, _ in tasks if name in report.made}
+    report.kept.sort()
+    report.refused.sort(key=lambda pair: pair[0])
+    report.seconds = time.monotonic() - started
+    return report
+
+
+def shard_of(tasks: Sequence[Task], shard: str | None) -> list[Task]:
+    """Every n-th task, for `--shard i/n`, i from 0.
+
+    Raises:
+        InputError: Not of that form.
+    """
+    if shard is None:
+        return list(tasks)
+    index, slash, count = shard.partition("/")
+    if not (slash and index.isdecimal() and count.isdecimal() and int(index) < int(count)):
+        raise InputError(
+            f"{shard!r} is no shard",
+            where="--shard",
+            allowed="i/n with 0 ≤ i < n, such as 0/4, 1/4, 2/4 and 3/4 for four machines",
+        )
+    return list(tasks[int(index) :: int(count)])
+
+
+def task_seed(seed: int, name: str) -> np.random.Generator:
+    """A random generator for one task, the same whoever runs it and in whatever order."""
+    return np.random.default_rng([seed, zlib.crc32(name.encode())])
+
+
+def _guarded(work: Callable[[Task], Result | None], task: Task) -> Result | InputError | None:
+    try:
+        return work(task)
+    except OptionsDifferError:
+        raise
+    except InputError as error:
+        return error
+
+
+def _run_parallel(
+    tasks: Sequence[tuple[str, Task]],
+    work: Callable[[Task], Result | None],
+    jobs: int,
+    finish: Callable[[str, Any], None],
+) -> None:
+    # Spawned, not forked: h5py handles, embree and torch threads do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(
+        min(jobs, len(tasks)),
+        mp_context=context,
+        initializer=_start_worker,
+        initargs=(os.getpid(),),
+    ) as pool:
+        try:
+            pending: dict[Future[Any], str] = {}
+            queue = iter(tasks)
+            exhausted = False
+            while pending or not exhausted:
+                # A short queue ahead of the workers: results are small, tasks need not be.
+                while not exhausted and len(pending) < 4 * jobs:
+                    item = next(queue, None)
+                    if item is None:
+                        exhausted = True
+                        break
+                    pending[pool.submit(_guarded, work, item[1])] = item[0]
+                done, _ = wait(pending, return_when=FIRST_COMPLETED)
+                for future in done:
+                    finish(pending.pop(future), future.result())
+        except BrokenProcessPool as error:
+            raise RgraspError(
+                "a worker process died (killed from outside, or out of memory)",
+                hint="run the same command again: it resumes; with fewer --jobs it needs less "
+                "memory",
+            ) from error
+        except BaseException:
+            for process in list((pool._processes or {}).values()):
+                process.terminate()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _start_worker(parent: int) -> None:
+    """In a worker: one thread for the numerical libraries, and an end when the parent ends."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+    # Ctrl-C reaches the whole process group; the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: die with the parent
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

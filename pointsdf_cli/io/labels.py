@@ -1,0 +1,65 @@
+"""The `labels` artifact: points around one mesh with their signed distances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+
+SCHEMA, VERSION = "labels", 1
+
+
+@dataclass(frozen=True)
+class Labels:
+    """N labelled points of one mesh.
+
+    Attributes:
+        points: f4 [N, 3], mesh frame, m.
+        sdf: f4 [N], m, negative inside.
+        mesh_file: Name of the mesh file.
+        mesh_hash: SHA-256 of its bytes; the views of the same mesh carry the same.
+    """
+
+    points: NDArray[np.float32]
+    sdf: NDArray[np.float32]
+    mesh_file: str
+    mesh_hash: str
+
+
+def write_labels(
+    path: Path | str, labels: Labels, *, seed: int, config: Mapping[str, Any] | None = None
+) -> None:
+    """Write `labels` as one HDF5 file."""
+    write_artifact(
+        path,
+        schema=SCHEMA,
+        version=VERSION,
+        datasets={
+            "points": Dataset(labels.points, "m", "mesh"),
+            "sdf": Dataset(labels.sdf, "m", "mesh"),
+        },
+        attributes={"mesh_file": labels.mesh_file, "mesh_hash": labels.mesh_hash},
+        seed=seed,
+        config=config,
+    )
+
+
+def read_labels(path: Path | str) -> Labels:
+    """Read a labels file.
+
+    Raises:
+        InputError: Not a labels file of this version.
+    """
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=["points", "sdf"])
+    return Labels(
+        points=artifact.datasets["points"],
+        sdf=artifact.datasets["sdf"],
+        mesh_file=str(artifact.attributes["mesh_file"]),
+        mesh_hash=str(artifact.attributes["mesh_hash"]),
+    )

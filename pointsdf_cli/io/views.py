@@ -1,0 +1,116 @@
+"""The `views` artifact: partial clouds of one mesh from many orientations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+
+SCHEMA, VERSION = "views", 1
+
+
+@dataclass(frozen=True)
+class Views:
+    """V views of one mesh.
+
+    Attributes:
+        cloud: f4 [V, 1000, 3], camera frame (OpenCV), m.
+        T_camera_object: f8 [V, 4, 4], the mesh frame in each camera.
+        K: f8 [3, 3], pixels.
+        image_size: (width, height), pixels.
+        noise: Standard deviation of the depth noise at 1.5 m [m].
+        mesh_file: Name of the mesh file.
+        mesh_hash: SHA-256 of its bytes.
+        mesh_repair: What was done to close it.
+        depth: f4 [V, height, width], m along z, 0 where nothing was hit; only with --keep-depth.
+    """
+
+    cloud: NDArray[np.float32]
+    T_camera_object: NDArray[np.float64]
+    K: NDArray[np.float64]
+    image_size: tuple[int, int]
+    noise: float
+    mesh_file: str
+    mesh_hash: str
+    mesh_repair: str = "none"
+    depth: NDArray[np.float32] | None = None
+
+
+def write_views(
+    path: Path | str, views: Views, *, seed: int, config: Mapping[str, Any] | None = None
+) -> None:
+    """Write `views` as one HDF5 file."""
+    datasets = {
+        "cloud": Dataset(views.cloud, "m", "camera"),
+        "T_camera_object": Dataset(views.T_camera_object, "1, m", "camera"),
+    }
+    if views.depth is not None:
+        datasets["depth"] = Dataset(views.depth, "m", "camera")
+    write_artifact(
+        path,
+        schema=SCHEMA,
+        version=VERSION,
+        datasets=datasets,
+        attributes={
+            "K": views.K,
+            "image_size": views.image_size,
+            "noise": views.noise,
+            "mesh_file": views.mesh_file,
+            "mesh_hash": views.mesh_hash,
+            "mesh_repair": views.mesh_repair,
+        },
+        seed=seed,
+        config=config,
+    )
+
+
+def read_views(path: Path | str, with_depth: bool = False) -> Views:
+    """Read a views file; the depth images only where asked for (they are large).
+
+    Raises:
+        InputError: Not a views file of this version.
+    """
+    names = ["cloud", "T_camera_object", *(["depth"] if with_depth else [])]
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=names)
+    attributes, datasets = artifact.attributes, artifact.datasets
+    width, height = (int(n) for n in attributes["image_size"])
+    return Views(
+        cloud=datasets["cloud"],
+        T_camera_object=datasets["T_camera_object"],
+        K=np.asarray(attributes["K"]),
+        image_size=(width, height),
+        noise=float(attributes["noise"]),
+        mesh_file=str(attributes["mesh_file"]),
+        mesh_hash=str(attributes["mesh_hash"]),
+        mesh_repair=str(attributes["mesh_repair"]),
+        depth=datasets.get("depth"),
+    )
+
+
+@dataclass(frozen=True)
+class ViewsHeader:
+    """What a views file says of its mesh, read without its arrays.
+
+    Attributes:
+        mesh_hash: SHA-256 of the mesh file's bytes.
+        unit: The unit that the mesh file was read in.
+    """
+
+    mesh_hash: str
+    unit: str
+
+
+def read_views_header(path: Path | str) -> ViewsHeader:
+    """The mesh that a views file shows.
+
+    Raises:
+        InputError: Not a views file of this version.
+    """
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=[])
+    return ViewsHeader(str(artifact.attributes["mesh_hash"]), str(artifact.config.get("unit", "m")))

@@ -1,0 +1,111 @@
+"""The `label-sdf` stage: signed distances for every mesh that has views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.sdf_sampling import SamplingConfig, sample_sdf
+from pointsdf_cli.io.atomic import TEMPORARY_MARK
+from pointsdf_cli.io.batch import task_seed
+from pointsdf_cli.io.hdf5 import is_complete
+from pointsdf_cli.io.labels import SCHEMA, VERSION, Labels, write_labels
+from pointsdf_cli.io.meshes import find_meshes, load_mesh
+from pointsdf_cli.io.views import read_views_header
+
+
+@dataclass(frozen=True)
+class LabelTask:
+    """One mesh to label, for one worker process."""
+
+    name: str
+    views: Path
+    mesh: Path
+    out: Path
+    config: SamplingConfig
+    seed: int
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class LabelSummary:
+    """What was labelled, and the fractions of points found inside."""
+
+    points: int
+    inside_fraction: float
+    uniform_inside: float
+    expected_inside: float
+
+
+def find_label_tasks(
+    views: Path, meshes: Path, out: Path, config: SamplingConfig, seed: int, force: bool
+) -> list[LabelTask]:
+    """A task for every views file, with the mesh that it was rendered from.
+
+    Raises:
+        InputError: A folder is missing or empty, or a views file's mesh is not in `meshes`.
+    """
+    if not views.is_dir():
+        raise InputError(
+            "no such folder of views", where=views, hint="rgrasp render --meshes DIR --out DIR"
+        )
+    files = sorted(p for p in views.rglob("*.h5") if TEMPORARY_MARK not in p.name)
+    if not files:
+        raise InputError("holds no views (*.h5)", where=views, hint="rgrasp render --meshes DIR")
+    root = meshes if meshes.is_dir() else meshes.parent
+    by_place = {mesh.relative_to(root).with_suffix(""): mesh for mesh in find_meshes(meshes)}
+    tasks = []
+    for file in files:
+        place = file.relative_to(views).with_suffix("")
+        if place not in by_place:
+            raise InputError(
+                f"no mesh {place}.* for these views",
+                where=file,
+                allowed=f"a mesh in {meshes} at the place where render found it",
+            )
+        tasks.append(
+            LabelTask(
+                place.as_posix(), file, by_place[place], out / f"{place}.h5", config, seed, force
+            )
+        )
+    return tasks
+
+
+def label_file(task: LabelTask) -> LabelSummary | None:
+    """Label one mesh; None where its labels are there already.
+
+    Raises:
+        InputError: The mesh is not the one that the views show, or cannot be labelled.
+    """
+    config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
+    if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):
+        return None
+    views = read_views_header(task.views)
+    mesh = load_mesh(task.mesh, views.unit)
+    if mesh.sha256 != views.mesh_hash:
+        raise InputError(
+            "is not the mesh that its views were rendered from (other contents)",
+            where=task.mesh,
+            hint=f"render it again: rgrasp render --meshes {task.mesh} --force",
+        )
+    try:
+        samples = sample_sdf(
+            mesh.vertices, mesh.faces, task.config, task_seed(task.seed, task.name)
+        )
+    except InputError as error:
+        raise InputError(
+            error.what, where=task.mesh, allowed=error.allowed, hint=error.hint
+        ) from error
+    write_labels(
+        task.out,
+        Labels(samples.points, samples.sdf, task.mesh.name, mesh.sha256),
+        seed=task.seed,
+        config=config,
+    )
+    return LabelSummary(
+        len(samples.points),
+        samples.inside_fraction,
+        samples.uniform_inside,
+        samples.expected_inside,
+    )
