@@ -89,13 +89,18 @@ def _as_manifold(
     if solid.status() != manifold3d.Error.NoError or solid.is_empty():
         return None
     # An inside-out surface: turn it, rather than treat the world as solid.
-    if solid.volume() < 0:
-        flipped = manifold3d.Mesh64(
-            np.ascontiguousarray(vertices, dtype=np.float64),
-            np.ascontiguousarray(np.asarray(faces)[:, ::-1], dtype=np.uint64),
+    return _turned(vertices, faces) if solid.volume() < 0 else solid
+
+
+def _turned(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold3d.Manifold:
+    """The solid of a surface with every face turned over."""
+    # Copies, because manifold3d takes no read-only arrays, which its own meshes are.
+    return manifold3d.Manifold(
+        manifold3d.Mesh64(
+            np.array(vertices, dtype=np.float64, order="C"),
+            np.array(np.asarray(faces)[:, ::-1], dtype=np.uint64, order="C"),
         )
-        solid = manifold3d.Manifold(flipped)
-    return solid
+    )
 
 
 def _unite(solid: manifold3d.Manifold) -> tuple[manifold3d.Manifold, str]:
@@ -108,8 +113,7 @@ def _unite(solid: manifold3d.Manifold) -> tuple[manifold3d.Manifold, str]:
     united = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add)
     for cavity in cavities:
         mesh = cavity.to_mesh64()
-        faces = np.ascontiguousarray(np.asarray(mesh.tri_verts)[:, ::-1])
-        united = united - manifold3d.Manifold(manifold3d.Mesh64(mesh.vert_properties, faces))
+        united = united - _turned(np.asarray(mesh.vert_properties), np.asarray(mesh.tri_verts))
     return united, f"{len(bodies)} pieces united" if len(bodies) > 1 else ""
 
 

@@ -19,6 +19,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import atomic_path, unwritable
 from pointsdf_cli.io.provenance import created_by, git_commit
 
+
 class OptionsDifferError(InputError):
     """A finished artifact was made with other options: the user must decide, so a stage stops."""
 

@@ -1,0 +1,29 @@
+# Two commands: `make demo` and `make test`. Both set up what is missing.
+.PHONY: demo test lint bench smoke setup clean
+
+SHELL := /bin/bash
+RUN := .venv/bin
+
+setup:
+	@bash pipelines/setup.sh
+
+demo: setup
+	@PATH="$(CURDIR)/$(RUN):$$PATH" bash pipelines/demo.sh demo
+
+# One numerical thread a test process: two processes of two threads each would fight for two cores.
+test: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 $(RUN)/python -m pytest -n auto $(PYTEST_ARGS)
+
+lint: setup
+	$(RUN)/ruff check pointsdf_cli tests benchmarks
+	$(RUN)/ruff format --check pointsdf_cli tests benchmarks
+	$(RUN)/mypy
+
+smoke: setup
+	PATH="$(CURDIR)/$(RUN):$$PATH" bash pipelines/smoke.sh
+
+bench: setup
+	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(RUN)/python $$file || exit 1; done
+
+clean:
+	rm -rf .venv build dist demo *.egg-info

@@ -1,0 +1,51 @@
+#!/usr/bin/env bash
+# Everything between a fresh clone and a working `rgrasp`: system libraries, a virtual environment
+# in .venv, the package with its pinned dependencies. Runs again only where something changed.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+stamp=.venv/.set-up
+wanted=$(cat pyproject.toml constraints.txt pipelines/setup.sh | sha256sum | cut -d' ' -f1)
+[ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ] && exit 0
+
+# --- System libraries: Open3D links against them and says only that it cannot be imported. -------
+missing=()
+has_library() { { ldconfig -p 2>/dev/null || /sbin/ldconfig -p; } | grep -q "$1"; }
+has_library 'libusb-1\.0\.so\.0' || missing+=(libusb-1.0-0)
+has_library 'libGL\.so\.1' || missing+=(libgl1)
+has_library 'libgomp\.so\.1' || missing+=(libgomp1)
+if [ "$(uname -s)" = Linux ] && [ ${#missing[@]} -gt 0 ]; then
+    if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+        echo "setup: installing ${missing[*]}" >&2
+        apt-get update -qq >/dev/null && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq "${missing[@]}" >/dev/null
+    else
+        echo "setup: system libraries are missing. Type this, then make again:" >&2
+        echo "    sudo apt-get update && sudo apt-get install -y ${missing[*]}" >&2
+        exit 1
+    fi
+fi
+
+# --- Python: 3.11 first, because PyBullet's wheels end there (newer ones compile it). ------------
+python=""
+for candidate in ${PYTHON:-} python3.11 python3.12 python3.13 python3; do
+    if "$candidate" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+        python=$candidate
+        break
+    fi
+done
+if [ -z "$python" ]; then
+    echo "setup: no Python 3.11 or newer with venv was found. Type this, then make again:" >&2
+    echo "    sudo apt-get update && sudo apt-get install -y python3.11 python3.11-venv" >&2
+    exit 1
+fi
+case "$("$python" -c 'import sys; print(sys.version_info[1])')" in
+    11) ;;
+    *) echo "setup: $("$python" --version) has no PyBullet wheel; it will be compiled (minutes, needs a C++ compiler)" >&2 ;;
+esac
+
+[ -x .venv/bin/python ] || "$python" -m venv .venv
+echo "setup: installing rgrasp and its dependencies into .venv (a few minutes the first time)" >&2
+# torch first and alone: with it in place no other package asks for another build of it.
+.venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
+.venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[sim,dev]'
+echo "$wanted" > "$stamp"

@@ -1,0 +1,142 @@
+"""Self-test of an installation: versions, processor, and golden facts that each part must meet."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+PACKAGES = ("numpy", "torch", "open3d", "trimesh", "manifold3d", "h5py", "libigl", "pybullet")
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of the doctor's report.
+
+    Attributes:
+        name: What was looked at.
+        ok: Whether it is as it must be.
+        detail: What was found; where it is wrong, what to do.
+    """
+
+    name: str
+    ok: bool
+    detail: str
+
+
+def examine() -> list[Check]:
+    """Every check, in the order of the floors; a check that raises is a check that failed."""
+    checks: list[tuple[str, Callable[[], tuple[bool, str]]]] = [
+        ("versions", _versions),
+        ("processor", _processor),
+        ("assets", _assets),
+        ("signed distance of a sphere", _sphere_distance),
+        ("winding signs of overlapping boxes", _overlap),
+        ("depth of a sphere", _sphere_depth),
+        ("artifact round trip", _round_trip),
+    ]
+    results = []
+    for name, check in checks:
+        try:
+            ok, detail = check()
+        except Exception as error:  # whatever is broken, the other checks are still worth having
+            ok, detail = False, f"{type(error).__name__}: {error}"
+        results.append(Check(name, ok, detail))
+    return results
+
+
+def _versions() -> tuple[bool, str]:
+    found, missing = [], []
+    for package in PACKAGES:
+        try:
+            found.append(f"{package} {importlib.metadata.version(package)}")
+        except importlib.metadata.PackageNotFoundError:
+            missing.append(package)
+    # PyBullet is an extra: everything but the simulator works without it.
+    fatal = [package for package in missing if package != "pybullet"]
+    detail = f"Python {platform.python_version()}, " + ", ".join(found)
+    if missing:
+        detail += f"; missing: {', '.join(missing)} (pip install 'rgrasp[sim]')"
+    return not fatal, detail
+
+
+def _processor() -> tuple[bool, str]:
+    import torch
+
+    cores = len(os.sched_getaffinity(0))
+    return True, (
+        f"{cores} cores, bfloat16 {'in hardware' if bfloat16_in_hardware() else 'emulated'}, "
+        f"{torch.cuda.device_count()} CUDA devices"
+    )
+
+
+def bfloat16_in_hardware() -> bool:
+    """Whether the processor multiplies bfloat16 matrices itself (AVX512-BF16 or AMX)."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as handle:
+            flags = next((line for line in handle if line.startswith("flags")), "")
+    except OSError:
+        return False
+    return "avx512_bf16" in flags or "amx_bf16" in flags
+
+
+def _assets() -> tuple[bool, str]:
+    from pointsdf_cli.assets import assets_folder
+
+    folder = assets_folder()
+    robots = sorted(path.stem for path in (folder / "robots").glob("*.yaml"))
+    return True, f"{folder} (robots: {', '.join(robots) or 'none'})"
+
+
+def _sphere_distance() -> tuple[bool, str]:
+    import trimesh
+
+    from pointsdf_cli.geometry.signed_distance import SignedDistance
+
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (2000, 3))
+    found = SignedDistance(ball.vertices, ball.faces, threads=1)(points)
+    worst = float(np.abs(found - (np.linalg.norm(points, axis=1) - 0.05)).max())
+    return worst < 5e-5, f"worst error {worst * 1e6:.1f} µm of 50 mm"
+
+
+def _overlap() -> tuple[bool, str]:
+    import trimesh
+
+    from pointsdf_cli.geometry.signed_distance import SignedDistance
+
+    shifted = trimesh.creation.box((1, 1, 1)).apply_translation((0.5, 0.01, 0.02))
+    both = trimesh.util.concatenate([trimesh.creation.box((1, 1, 1)), shifted])
+    inside = SignedDistance(both.vertices, both.faces, 1).inside([[0.25, 0, 0], [0.9, 0, 0]])
+    return bool(inside.all()), "the overlap counts as inside" if inside.all() else "parity leaks"
+
+
+def _sphere_depth() -> tuple[bool, str]:
+    import trimesh
+
+    from pointsdf_cli.camera.pinhole import CAMERAS
+    from pointsdf_cli.camera.raycast import MeshCaster
+    from pointsdf_cli.geometry.frames import transform
+
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
+    caster = MeshCaster(ball.vertices, ball.faces, CAMERAS["reference"])
+    nearest = float(caster.cast(transform(np.eye(3), [0, 0, 1.5])).depth.min())
+    return abs(nearest - 1.45) < 1e-4, f"nearest depth {nearest:.5f} m, expected 1.45000 m"
+
+
+def _round_trip() -> tuple[bool, str]:
+    import tempfile
+    from pathlib import Path
+
+    from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+
+    array = np.arange(6.0).reshape(2, 3)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "check.h5"
+        write_artifact(path, schema="check", version=1, datasets={"a": Dataset(array, "m")})
+        same = np.array_equal(read_artifact(path, schema="check", version=1).datasets["a"], array)
+    return same, "written and read back"

@@ -1,0 +1,131 @@
+"""Pictures of the data half: views with their clouds, slices of signed distance, depth noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.noise import DepthNoise
+from pointsdf_cli.camera.raycast import MeshCaster, depth_image
+from pointsdf_cli.camera.views import ViewConfig
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.signed_distance import SignedDistance
+from pointsdf_cli.io.atomic import atomic_path
+from pointsdf_cli.io.labels import Labels
+from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.io.views import Views
+
+
+def save_figure(figure: Figure, path: Path, dpi: int = 90) -> None:
+    """Write a figure as PNG, as a whole or not at all, and close it."""
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=dpi, bbox_inches="tight", metadata={"Software": "rgrasp"})
+    plt.close(figure)
+
+
+def views_sheet(items: Sequence[tuple[LoadedMesh, Views]], columns: int = 4) -> Figure:
+    """For each mesh one depth image, and the 1000-point clouds of that view and of three more.
+
+    The clouds are drawn in the camera frame, as the camera sees them, coloured by depth.
+    """
+    figure, axes = plt.subplots(
+        len(items), 1 + columns, figsize=(2.1 * (1 + columns), 2.1 * len(items)), squeeze=False
+    )
+    for row, (mesh, views) in zip(axes, items, strict=True):
+        config = ViewConfig()
+        patch = MeshCaster(mesh.vertices, mesh.faces, config.camera).cast(views.T_camera_object[0])
+        image = depth_image(patch, config.camera)
+        top, bottom = patch.v.min() - 8, patch.v.max() + 9
+        left, right = patch.u.min() - 8, patch.u.max() + 9
+        shown = np.ma.masked_equal(image[max(top, 0) : bottom, max(left, 0) : right], 0)
+        row[0].imshow(shown, cmap="viridis_r")
+        row[0].set_title(f"{mesh.name[:24]}\ndepth", fontsize=7)
+        row[0].axis("off")
+        for k, axis in enumerate(row[1:]):
+            cloud = views.cloud[k % len(views.cloud)]
+            axis.scatter(cloud[:, 0], cloud[:, 1], c=cloud[:, 2], s=0.7, cmap="viridis_r")
+            axis.set_aspect("equal")
+            axis.invert_yaxis()
+            axis.set_xticks([])
+            axis.set_yticks([])
+            extent = np.ptp(cloud, axis=0) * 100
+            axis.set_title(
+                f"view {k}: {extent[0]:.0f}×{extent[1]:.0f}×{extent[2]:.0f} cm", fontsize=7
+            )
+    return figure
+
+
+def sdf_slices(items: Sequence[tuple[LoadedMesh, Labels]], resolution: int = 160) -> Figure:
+    """The signed distance through each mesh's middle with its zero level, and the labelled points.
+
+    Left of each pair: the field itself, computed anew on a plane. Right: the stored labels within
+    a thin slab about that plane, in the same colours, so that a wrong label would stand out.
+    """
+    columns = 2
+    rows = -(-len(items) // columns)
+    figure, axes = plt.subplots(
+        rows, 2 * columns, figsize=(3 * 2 * columns, 3 * rows), squeeze=False
+    )
+    for axis in axes.ravel():
+        axis.axis("off")
+    for k, (mesh, labels) in enumerate(items):
+        left, right = axes[k // columns, 2 * (k % columns) : 2 * (k % columns) + 2]
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        centre, half = (low + high) / 2, 0.6 * float((high - low).max())
+        # Cut across the thinnest horizontal side, so that what is hollow shows.
+        across = int(np.argmin((high - low)[:2]))
+        plane = [axis for axis in range(3) if axis != across]
+        line = np.linspace(-half, half, resolution)
+        grid = np.zeros((resolution, resolution, 3)) + centre
+        grid[..., plane[0]] += line[None, :]
+        grid[..., plane[1]] += line[:, None]
+        field = SignedDistance(mesh.vertices, mesh.faces)(grid.reshape(-1, 3))
+        field = field.reshape(resolution, resolution) * 100
+        limit = float(np.abs(field).max())
+        extent = (-half * 100, half * 100, -half * 100, half * 100)
+        style = {"cmap": "RdBu", "vmin": -limit, "vmax": limit}
+        left.imshow(field, origin="lower", extent=extent, **style)
+        left.contour(field, levels=[0.0], extent=extent, colors="k", linewidths=1)
+        left.set_title(f"{mesh.name[:24]}: SDF [cm], zero in black", fontsize=8)
+        near = np.abs(labels.points[:, across] - centre[across]) < 0.03 * half
+        points = (labels.points[near] - centre)[:, plane] * 100
+        right.scatter(points[:, 0], points[:, 1], c=labels.sdf[near] * 100, s=2, **style)
+        right.set_xlim(*extent[:2])
+        right.set_ylim(*extent[2:])
+        right.set_aspect("equal")
+        right.set_title(f"labels in the slab, {(labels.sdf < 0).mean():.0%} inside", fontsize=8)
+    return figure
+
+
+def noise_picture(noise: DepthNoise, seed: int = 0) -> Figure:
+    """Deviation against depth, and a tilted plane at 1.5 m measured with it, seen from the side."""
+    figure, (law, side) = plt.subplots(1, 2, figsize=(10, 3.4))
+    depth = np.linspace(0.5, 4.0, 200, dtype=np.float32)
+    law.plot(depth, 1e3 * noise.deviation(depth), label="σ(z) = σ₀·(z / 1.5 m)²")
+    law.plot(1.5, 1e3 * noise.sigma, "o", label=f"σ₀ = {1e3 * noise.sigma:g} mm at 1.5 m")
+    law.set_xlabel("depth z [m]")
+    law.set_ylabel("deviation [mm]")
+    law.legend(fontsize=8)
+    rng = np.random.default_rng(seed)
+    across = np.linspace(-0.05, 0.05, 400, dtype=np.float32)
+    true: NDArray[np.float32] = (1.5 + 0.3 * across).astype(np.float32)
+    side.plot(100 * across, 1e3 * (true - 1.5), "k", lw=1, label="true plane")
+    side.plot(100 * across, 1e3 * (noise.apply(true, rng) - 1.5), ".", ms=2, label="measured")
+    side.set_xlabel("across the image [cm]")
+    side.set_ylabel("depth − 1.5 m [mm]")
+    side.legend(fontsize=8)
+    return figure
+
+
+def object_points(views: Views, view: int) -> NDArray[np.float64]:
+    """One view's cloud [1000, 3] taken back to the mesh frame."""
+    return apply_transform(np.linalg.inv(views.T_camera_object[view]), views.cloud[view])
