@@ -7,6 +7,7 @@ from manifold3d import CrossSection, Manifold
 
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
+from pointsdf_cli.objects.refine import refine
 from pointsdf_cli.objects.solids import (
     bevelled,
     cylinder,
@@ -28,7 +29,7 @@ def carton(draw: Draw) -> Manifold:
     size = np.array([middle, short, long])
     if draw.chance("lies", 0.35):
         size = size[[2, 0, 1]]
-    box = rounded_box(size, radius).refine_to_length(long / 7)
+    box = refine(rounded_box(size, radius), long / 7)
     middle_point = np.array([0, 0, size[2] / 2])
 
     def bulged(points: np.ndarray) -> np.ndarray:
@@ -171,7 +172,7 @@ def sponge(draw: Draw) -> Manifold:
     sag = draw.uniform("sag", 0.0, 0.4)
     waist = draw.uniform("waist", -0.05, 0.2)
     corner = draw.uniform("corner", 0.002, 0.012)
-    pad = rounded_box((width, length, thickness), min(corner, thickness / 3)).refine_to_length(0.01)
+    pad = refine(rounded_box((width, length, thickness), min(corner, thickness / 3)), 0.012)
 
     def soften(points: np.ndarray) -> np.ndarray:
         u, v = points[:, 0] / (width / 2), points[:, 1] / (length / 2)
@@ -223,7 +224,7 @@ def remote(draw: Draw) -> Manifold:
     if columns == 0:
         return body
     pitch = min(0.7 * width * min(taper, 1) / columns, 0.75 * length / rows)
-    button = ellipsoid((0.38 * pitch, 0.32 * pitch, 2 * rise), segments=12)
+    button = ellipsoid((0.38 * pitch, 0.32 * pitch, 1.9 * rise), segments=12)
     buttons = [
         button.translate(
             (pitch * (column - (columns - 1) / 2), pitch * (row - (rows - 1) / 2), thickness - rise)

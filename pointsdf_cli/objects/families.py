@@ -6,11 +6,13 @@ import difflib
 from collections.abc import Sequence
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.objects import boxes, fruit, rounds
+from pointsdf_cli.objects import bottles, boxes, fruit, rounds, vessels
 from pointsdf_cli.objects.family import Family
 
 FAMILIES: dict[str, Family] = {
-    family.name: family for module in (boxes, rounds, fruit) for family in module.FAMILIES
+    family.name: family
+    for module in (boxes, rounds, bottles, vessels, fruit)
+    for family in module.FAMILIES
 }
 
 

@@ -8,6 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pointsdf_cli.objects.draw import Draw
+from pointsdf_cli.objects.refine import refine
 
 SMALLEST_EXTENT = 0.03
 LARGEST_EXTENT = 0.35
@@ -51,7 +52,7 @@ def uneven(solid: Manifold, draw: Draw, amount: float) -> Manifold:
         return points + np.sin(points @ number.T + phase) @ push
 
     # The map bends straight edges, so they need points to bend at.
-    return solid.refine_to_length(max(size / 10, 0.006)).warp_batch(displace)
+    return refine(solid, max(size / 8, 0.008)).warp_batch(displace)
 
 
 def stand(solid: Manifold) -> Manifold:
@@ -90,10 +91,27 @@ def to_arrays(solid: Manifold) -> tuple[np.ndarray, np.ndarray]:
     mesh = solid.to_mesh()
     vertices = np.asarray(mesh.vert_properties[:, :3], dtype=np.float32)
     faces = np.asarray(mesh.tri_verts, dtype=np.int32)
+    vertices, faces = weld(vertices, faces)
     problem = closed_surface_problem(vertices, faces)
     if problem:
         raise UnusableShape(problem)
     return vertices, faces
+
+
+def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Join vertices that coincide in single precision, and drop the faces this collapses.
+
+    Where two surfaces merely touch, the result is not a closed surface any more: check it.
+    """
+    kept, first, place = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    if len(kept) == len(vertices):
+        return vertices, faces
+    order = np.argsort(first)
+    renumbered = np.empty(len(kept), dtype=np.int32)
+    renumbered[order] = np.arange(len(kept), dtype=np.int32)
+    joined = renumbered[place.reshape(-1)][faces]
+    whole = (joined != np.roll(joined, 1, axis=1)).all(axis=1)
+    return kept[order], joined[whole]
 
 
 def closed_surface_problem(vertices: np.ndarray, faces: np.ndarray) -> str:

@@ -81,7 +81,10 @@ def build(family: Family, draw: Draw) -> tuple[np.ndarray, np.ndarray]:
     """
     solid = fit_size(family.build(draw))
     solid = fit_size(uneven(solid, draw, family.unevenness))
-    return to_arrays(stand(limit_faces(solid)))
+    solid = limit_faces(solid)
+    if family.genus is not None and solid.genus() != family.genus:
+        raise UnusableShape(f"genus {solid.genus()}, not {family.genus}")
+    return to_arrays(stand(solid))
 
 
 def family_of(seed: int, index: int, choices: Sequence[Family]) -> Family:

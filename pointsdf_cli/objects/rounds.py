@@ -137,9 +137,8 @@ def jar(draw: Draw) -> Manifold:
         ridges = draw.integer("ridges", 24, 40)
         groove = cylinder(0.0012, lid_height * 0.7, segments=8)
         places = np.linspace(0, 2 * np.pi, ridges, endpoint=False)
-        lid -= union(
-            [groove.translate((lid_radius * np.cos(a), lid_radius * np.sin(a), 0)) for a in places]
-        )
+        around = lid_radius * np.column_stack([np.cos(places), np.sin(places)])
+        lid -= union([groove.translate((float(x), float(y), -1e-4)) for x, y in around])
     return union([body, lid.translate((0, 0, height - 0.35 * lid_height))])
 
 

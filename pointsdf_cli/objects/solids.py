@@ -51,7 +51,7 @@ def stroke(points: np.ndarray, thickness: float | np.ndarray) -> CrossSection:
         for point, radius in zip(points, radii, strict=True)
     ]
     links = [CrossSection.batch_hull(pair) for pair in pairwise(discs)]
-    return CrossSection.batch_boolean(links, OpType.Add).simplify(1e-5)
+    return CrossSection.batch_boolean(links, OpType.Add).simplify(3e-5)
 
 
 def turn(

@@ -1,0 +1,375 @@
+"""Thin-walled vessels of revolution: cups, mugs, bowls, plates, glasses, pots, tins.
+
+All are a wall of even thickness around a centre line in the (radius, z) half plane; handles are cut
+by the vessel's own cavity, so that they never reach inside.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from manifold3d import Manifold
+
+from pointsdf_cli.objects.draw import Draw
+from pointsdf_cli.objects.family import Family
+from pointsdf_cli.objects.refine import refine
+from pointsdf_cli.objects.solids import (
+    cylinder,
+    polygon,
+    rounded_box,
+    smooth_curve,
+    stroke,
+    tube,
+    turn,
+    union,
+)
+
+THINNEST_WALL, THICKEST_WALL = 0.0012, 0.005
+
+
+def soften(points: np.ndarray, passes: int = 3) -> np.ndarray:
+    """Cut the corners of an open polyline [N, D], ends kept (Chaikin)."""
+    for _ in range(passes):
+        low = 0.75 * points[:-1] + 0.25 * points[1:]
+        high = 0.25 * points[:-1] + 0.75 * points[1:]
+        inner = np.stack([low, high], axis=1).reshape(-1, points.shape[1])[1:-1]
+        points = np.concatenate([points[:1], inner, points[-1:]])
+    return points
+
+
+def shell(line: np.ndarray, wall: float) -> Manifold:
+    """The wall around a centre line [N, 2] of (radius, z) from the axis to the rim."""
+    return turn(stroke(line, wall))
+
+
+def cavity(line: np.ndarray, wall: float) -> Manifold:
+    """What the wall of `shell` encloses, up to the level of its rim."""
+    rim = float(line[-1, 1]) + wall
+    inside = polygon(np.concatenate([line, [(line[-1, 0], rim), (0, rim)]]))
+    return turn(inside - stroke(line, wall))
+
+
+def solid_of(line: np.ndarray, wall: float) -> Manifold:
+    """The vessel filled up to its rim: what a scanner sees of a closed one."""
+    inside = polygon(np.concatenate([line, [(0, line[-1, 1])]]))
+    return turn(inside + stroke(line, wall))
+
+
+def wall_thickness(draw: Draw) -> float:
+    """A wall between drawn steel and stoneware, m."""
+    return draw.log_uniform("wall", THINNEST_WALL, THICKEST_WALL)
+
+
+def ear(
+    low: tuple[float, float],
+    high: tuple[float, float],
+    reach: float,
+    squareness: float,
+    half_width: float,
+    half_height: float,
+) -> Manifold:
+    """A handle in the (x, z) plane from (x, z) `low` to `high`, standing out by `reach`."""
+    out = max(low[0], high[0]) + reach
+    rise = high[1] - low[1]
+    knots = [
+        (low[0], 0, low[1]),
+        (low[0] + (0.55 + 0.35 * squareness) * (out - low[0]), 0, low[1] + 0.04 * rise),
+        (out, 0, low[1] + (0.42 - 0.15 * squareness) * rise),
+        (out, 0, low[1] + (0.62 + 0.15 * squareness) * rise),
+        (high[0] + (0.55 + 0.35 * squareness) * (out - high[0]), 0, high[1] - 0.02 * rise),
+        (high[0], 0, high[1]),
+    ]
+    path = soften(np.array(knots, dtype=float), passes=3)
+    return tube(path, half_width, half_height, up=(0, 1, 0), corners=14, round_ends=False)
+
+
+def mug(draw: Draw) -> Manifold:
+    """A mug or tea cup with one handle."""
+    radius = draw.uniform("radius", 0.032, 0.052)
+    height = radius * draw.uniform("height_ratio", 1.3, 2.7)
+    wall = max(wall_thickness(draw), 0.002)
+    foot, belly = draw.uniform("foot_ratio", 0.6, 1.0), draw.uniform("belly_ratio", 0.95, 1.15)
+    line = soften(
+        np.array(
+            [
+                (0, 0),
+                (foot * radius, 0),
+                (0.5 * (foot + belly) * radius, 0.2 * height),
+                (belly * radius, 0.5 * height),
+                (radius, 0.8 * height),
+                (radius, height),
+            ]
+        )
+    )
+    thick = draw.uniform("handle_radius", 0.0032, 0.006)
+    flat = draw.uniform("handle_flatness", 0.8, 1.8)
+    reach = draw.uniform("handle_reach", 0.02, 0.035) + thick
+    low = height * draw.uniform("handle_low", 0.12, 0.3)
+    high = height * draw.uniform("handle_high", 0.75, 0.9)
+    # A loop that a finger, or at least a ray, still passes through.
+    high = max(high, low + 4 * thick + 0.008)
+    radius_at = np.interp([low, high], line[:, 1], line[:, 0])
+    handle = ear(
+        (radius_at[0], low),
+        (radius_at[1], high),
+        reach,
+        draw.uniform("handle_squareness", 0, 1),
+        thick,
+        thick * flat,
+    )
+    return union([shell(line, wall), handle - cavity(line, wall)])
+
+
+def bowl(draw: Draw) -> Manifold:
+    """An open bowl, from finger bowl to mixing bowl, perhaps with a lip and a foot ring."""
+    radius = draw.uniform("radius", 0.045, 0.14)
+    height = radius * draw.uniform("height_ratio", 0.4, 1.0)
+    wall = wall_thickness(draw)
+    foot = radius * draw.uniform("foot_ratio", 0.3, 0.65)
+    power = draw.uniform("roundness", 1.2, 2.6)
+    t = np.linspace(0, 1, 14)
+    side = np.column_stack([foot + (radius - foot) * (1 - (1 - t) ** power), height * t])
+    line = np.concatenate([[(0, 0)], side])
+    if draw.chance("lip", 0.45):
+        lip = draw.uniform("lip_width", 0.003, 0.012)
+        line = np.concatenate([line, [(radius + lip, height + 0.2 * lip)]])
+    parts = [shell(soften(line, 2), wall)]
+    if draw.chance("foot_ring", 0.5):
+        ring = stroke(np.array([(0.9 * foot, -0.004), (0.9 * foot, 0.002)]), max(wall, 0.002))
+        parts.append(turn(ring))
+    return union(parts)
+
+
+def plate(draw: Draw) -> Manifold:
+    """A plate or saucer: flat middle, raised rim."""
+    radius = draw.uniform("radius", 0.06, 0.14)
+    wall = draw.log_uniform("wall", 0.0015, THICKEST_WALL)
+    well = radius * draw.uniform("well_ratio", 0.5, 0.8)
+    rise = draw.uniform("rise", 0.008, 0.03)
+    step = draw.uniform("step", 0.2, 0.9)
+    line = np.array(
+        [(0, 0), (well, 0), (well + 0.2 * (radius - well), step * rise), (radius, rise)]
+    )
+    parts = [shell(soften(line), wall)]
+    if draw.chance("foot_ring", 0.5):
+        parts.append(turn(stroke(np.array([(0.85 * well, -0.003), (0.85 * well, 0.001)]), 0.003)))
+    return union(parts)
+
+
+def tumbler(draw: Draw) -> Manifold:
+    """A drinking glass, paper cup, beaker or pot: straight or tapered, either way up."""
+    radius = draw.uniform("radius", 0.022, 0.06)
+    height = radius * draw.uniform("height_ratio", 1.0, 3.6)
+    wall = wall_thickness(draw)
+    foot = radius * draw.uniform("foot_ratio", 0.6, 1.02)
+    waist = draw.uniform("waist", -0.08, 0.06) * radius
+    middle = 0.5 * (foot + radius) + waist
+    line = np.array([(0, 0), (foot, 0), (middle, height / 2), (radius, height)])
+    corner = draw.uniform("corner", 0.0, 0.3)
+    around = np.array([(foot * (1 - corner), 0), (foot, 0.3 * corner * height)])
+    line = np.concatenate([line[:1], soften(np.concatenate([around, line[2:]]), 2)])
+    cup = shell(line, wall)
+    if draw.chance("thick_base", 0.3):
+        plug = cylinder(foot - 0.2 * wall, draw.uniform("base", 0.004, 0.015), 0.0005, segments=48)
+        cup = union([cup, plug])
+    return cup.rotate((180, 0, 0)) if draw.chance("upside_down", 0.2) else cup
+
+
+def rim_cup(draw: Draw) -> Manifold:
+    """A stacking cup: straight wall, rolled rim that stands out, stepped-in foot."""
+    radius = draw.uniform("radius", 0.022, 0.055)
+    height = radius * draw.uniform("height_ratio", 1.3, 2.4)
+    wall = draw.log_uniform("wall", 0.0014, 0.003)
+    step = draw.uniform("step", 0.001, 0.004)
+    step_height = height * draw.uniform("step_at", 0.06, 0.2)
+    roll = draw.uniform("roll", 0.0025, 0.006)
+    line = [
+        (0, 0),
+        (radius - step, 0),
+        (radius - step, step_height),
+        (radius, step_height + 0.002),
+        (radius, height - roll),
+        (radius + 0.3 * roll, height),
+        (radius + 1.2 * roll, height - 0.3 * roll),
+    ]
+    cup = shell(np.concatenate([line[:1], soften(np.array(line[1:]), 2)]), wall)
+    return cup.rotate((180, 0, 0)) if draw.chance("upside_down", 0.2) else cup
+
+
+def wine_glass(draw: Draw) -> Manifold:
+    """A stemmed glass, goblet or egg cup."""
+    radius = draw.uniform("radius", 0.025, 0.045)
+    bowl_height = radius * draw.uniform("bowl_ratio", 1.0, 2.4)
+    stem = radius * draw.uniform("stem_ratio", 0.3, 2.0)
+    wall = draw.log_uniform("wall", THINNEST_WALL, 0.003)
+    foot = radius * draw.uniform("foot_ratio", 0.7, 1.05)
+    mouth = radius * draw.uniform("mouth_ratio", 0.75, 1.1)
+    thick = draw.uniform("stem_radius", 0.003, 0.006)
+    line = np.array(
+        [
+            (0, stem),
+            (0.6 * radius, stem + 0.08 * bowl_height),
+            (1.05 * radius, stem + 0.35 * bowl_height),
+            (0.97 * radius, stem + 0.7 * bowl_height),
+            (mouth, stem + bowl_height),
+        ]
+    )
+    base = [(0, 0), (foot, 0), (foot, 0.0015), (1.5 * thick, 0.006), (thick, 0.012 + 0.1 * stem)]
+    top = [
+        (thick, stem - 0.05 * stem),
+        (1.8 * thick, stem + 0.02 * bowl_height),
+        (0, stem + 0.02 * bowl_height),
+    ]
+    if stem < 0.014:
+        base = base[:-1]
+    return union([shell(soften(line), wall), turn(np.array(base + top), fillet=0.0006)])
+
+
+def pan(draw: Draw) -> Manifold:
+    """A pan or pot: shallow to deep, with a long handle, two loops or two lugs."""
+    radius = draw.uniform("radius", 0.05, 0.11)
+    height = radius * draw.uniform("height_ratio", 0.3, 1.2)
+    wall = draw.log_uniform("wall", 0.0015, 0.004)
+    flare = draw.uniform("flare", 0.0, 0.2)
+    line = soften(
+        np.array(
+            [
+                (0, 0),
+                (radius * (1 - flare), 0),
+                (radius * (1 - 0.3 * flare), 0.4 * height),
+                (radius, height),
+            ]
+        )
+    )
+    level = 0.75 * height
+    start = float(np.interp(level, line[:, 1], line[:, 0]))
+    if draw.chance("long_handle", 0.6):
+        reach = draw.uniform("handle", 0.09, 0.17)
+        lift = draw.uniform("handle_lift", 0.0, 0.25) * reach
+        path = smooth_curve(
+            [
+                (start, 0, level),
+                (start + reach / 2, 0, level + 0.3 * lift),
+                (start + reach, 0, level + lift),
+            ],
+            12,
+        )
+        grip = np.linspace(
+            draw.uniform("grip_start", 0.003, 0.006), draw.uniform("grip_end", 0.006, 0.011), 12
+        )
+        handles = [tube(path, 0.55 * grip, grip, up=(0, 1, 0))]
+    else:
+        span, reach = (
+            draw.uniform("loop_span", 0.025, 0.05),
+            draw.uniform("loop_reach", 0.018, 0.035),
+        )
+        thick = draw.uniform("loop_radius", 0.003, 0.005)
+        loop = ear((0.9 * start, -span / 2), (0.9 * start, span / 2), reach, 0.7, thick, thick)
+        loop = loop.rotate((90, 0, 0)).translate((0, 0, level))
+        handles = [loop, loop.rotate((0, 0, 180))]
+    return union([shell(line, wall), union(handles) - cavity(line, wall)])
+
+
+def open_tin(draw: Draw) -> Manifold:
+    """An opened tin or tube: straight wall, open top, perhaps ribs; standing, or upside down."""
+    radius = draw.uniform("radius", 0.025, 0.055)
+    height = radius * draw.uniform("height_ratio", 0.6, 3.5)
+    wall = draw.log_uniform("wall", THINNEST_WALL, 0.003)
+    ribs = draw.integer("ribs", 0, 6)
+    z = np.linspace(0.1, 0.9, 4 * ribs + 2) * height
+    ripple = 0.0006 * (1 - np.cos(np.linspace(0, 2 * np.pi * ribs, len(z))))
+    line = np.concatenate(
+        [[(0, 0), (radius, 0)], np.column_stack([radius - ripple, z]), [(radius, height)]]
+    )
+    tin = shell(line, wall)
+    return tin.rotate((180, 0, 0)) if draw.chance("upside_down", 0.15) else tin
+
+
+def flower_pot(draw: Draw) -> Manifold:
+    """A tapered pot with a thick band at the rim, and sometimes a hole in the bottom."""
+    radius = draw.uniform("radius", 0.03, 0.08)
+    height = radius * draw.uniform("height_ratio", 1.2, 2.2)
+    wall = draw.uniform("wall", 0.002, 0.0055)
+    foot = radius * draw.uniform("foot_ratio", 0.55, 0.8)
+    band = height * draw.uniform("band", 0.15, 0.3)
+    line = np.array([(0, 0), (foot, 0), (radius, height)])
+    middle = float(np.interp(height - band, [0, height], [foot, radius]))
+    rim = stroke(
+        np.array([(middle + wall / 2, height - band), (radius + wall / 2, height)]), 1.3 * wall
+    )
+    pot = union([shell(line, wall), turn(rim) - cavity(line, wall)])
+    if draw.chance("hole", 0.5):
+        pot -= cylinder(draw.uniform("hole_radius", 0.003, 0.008), 0.02, segments=24).translate(
+            (0, 0, -0.01)
+        )
+    return pot
+
+
+def lid(draw: Draw) -> Manifold:
+    """A pot or jar lid lying open side down, with a knob, or a flat one without."""
+    radius = draw.uniform("radius", 0.03, 0.11)
+    wall = draw.log_uniform("wall", 0.0014, 0.004)
+    skirt = draw.uniform("skirt", 0.004, 0.018)
+    dome = radius * draw.uniform("dome", 0.0, 0.35)
+    t = np.linspace(0, 1, 10)
+    top = np.column_stack([radius * t, skirt + dome * (1 - t**2)])
+    cover = shell(np.concatenate([top, [(radius, 0)]]), wall)
+    if not draw.chance("knob", 0.6):
+        return cover
+    knob = draw.uniform("knob_radius", 0.008, 0.018)
+    rise = draw.uniform("knob_rise", 0.01, 0.025)
+    profile = [
+        (0, 0),
+        (0.5 * knob, 0),
+        (0.5 * knob, 0.4 * rise),
+        (knob, 0.6 * rise),
+        (knob, rise),
+        (0, rise),
+    ]
+    return union([cover, turn(np.array(profile), fillet=0.001).translate((0, 0, skirt + dome))])
+
+
+def tray(draw: Draw) -> Manifold:
+    """An open box, tray, drawer or crate with flat or slightly drafted walls."""
+    length = draw.uniform("length", 0.07, 0.3)
+    width = length * draw.uniform("width_ratio", 0.45, 1.0)
+    height = width * draw.uniform("height_ratio", 0.15, 0.9)
+    wall = draw.log_uniform("wall", 0.0015, THICKEST_WALL)
+    corner = draw.uniform("corner", 0.002, 0.12 * length)
+    draft = draw.uniform("draft", 0.0, 0.2)
+    outer = rounded_box((width, length, 2 * height), min(corner, 0.45 * width, 0.9 * height))
+    room = rounded_box(
+        (width - 2 * wall, length - 2 * wall, 2 * height),
+        max(min(corner, 0.45 * width, 0.9 * height) - wall, 0.0005),
+    )
+    box = (outer - room.translate((0, 0, wall))).trim_by_plane((0, 0, -1), -height)
+    # Walls that lean outwards, as anything that is moulded does.
+    return refine(box, length / 8).warp_batch(
+        lambda p: (
+            p * np.column_stack([1 + draft * (p[:, 2:] / height - 0.5)] * 2 + [np.ones(len(p))])
+        )
+    )
+
+
+FAMILIES = (
+    Family("mug", mug, 3.0, "vessel", "mugs and tea cups with one handle", 0.002, 1),
+    Family("bowl", bowl, 3.0, "vessel", "bowls, some with a lip or a foot ring", 0.003, 0),
+    Family("plate", plate, 2.0, "vessel", "plates and saucers", 0.003, 0),
+    Family(
+        "tumbler",
+        tumbler,
+        2.5,
+        "vessel",
+        "glasses, paper cups and beakers, some upside down",
+        0.002,
+        0,
+    ),
+    Family("rim_cup", rim_cup, 3.0, "vessel", "stacking cups with rolled rims", 0.002, 0),
+    Family("wine_glass", wine_glass, 1.0, "vessel", "stemmed glasses and egg cups", 0.002, 0),
+    Family("pan", pan, 1.5, "vessel", "pans with a long handle, pots with two loops", 0.002),
+    Family("open_tin", open_tin, 1.5, "vessel", "opened tins and tubes", 0.003, 0),
+    Family(
+        "flower_pot", flower_pot, 1.0, "vessel", "tapered pots with a band, some with a hole", 0.003
+    ),
+    Family("lid", lid, 1.0, "vessel", "pot and jar lids, open side down", 0.003, 0),
+    Family("tray", tray, 1.5, "vessel", "open boxes, trays and crates", 0.003, 0),
+)
