@@ -41,7 +41,7 @@ class DepthNoise:
         return scaled
 
     def apply(self, depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-        """Depths [m], of any shape, with noise added; the order of the pixels is the order drawn."""
+        """Depths [m], of any shape, with noise added, drawn in the order of the pixels."""
         noise = rng.standard_normal(depth.shape, dtype=np.float32)
         noisy: NDArray[np.float32] = depth + self.deviation(depth) * noise
         return noisy

@@ -49,8 +49,8 @@ class MeshCaster:
         self._threads = threads
         self._scene = o3d.t.geometry.RaycastingScene(threads)
         self._scene.add_triangles(
-            o3d.core.Tensor(np.ascontiguousarray(self._vertices, dtype=np.float32)),
-            o3d.core.Tensor(np.ascontiguousarray(faces, dtype=np.uint32)),
+            o3d.core.Tensor.from_numpy(np.ascontiguousarray(self._vertices, dtype=np.float32)),
+            o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, dtype=np.uint32)),
         )
         low, high = self._vertices.min(axis=0), self._vertices.max(axis=0)
         self._box = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
@@ -67,7 +67,7 @@ class MeshCaster:
         rays = np.empty((len(rows), len(columns), 6), dtype=np.float32)
         rays[..., :3] = invert_transform(T_camera_object)[:3, 3]
         rays[..., 3:] = x + y + rotation[2]
-        hits = self._scene.cast_rays(o3d.core.Tensor(rays), self._threads)
+        hits = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), self._threads)
         depth = hits["t_hit"].numpy()
         v, u = np.nonzero(np.isfinite(depth))
         return DepthPatch(u + left, v + top, depth[v, u], len(u) / (camera.width * camera.height))

@@ -36,7 +36,7 @@ class SignedDistance:
         corners = local[self._faces]
         self._normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self._scene = o3d.t.geometry.RaycastingScene(threads)
-        self._scene.add_triangles(o3d.core.Tensor(local), o3d.core.Tensor(self._faces))
+        self._scene.add_triangles(o3d.core.Tensor.from_numpy(local), o3d.core.Tensor.from_numpy(self._faces))
         self._threads = threads
 
     def __call__(self, points: ArrayLike) -> NDArray[np.float32]:
@@ -44,7 +44,7 @@ class SignedDistance:
         local = self._local(points)
         if len(local) == 0:
             return np.zeros(0, dtype=np.float32)
-        nearest = self._scene.compute_closest_points(o3d.core.Tensor(local), self._threads)
+        nearest = self._scene.compute_closest_points(o3d.core.Tensor.from_numpy(local), self._threads)
         offset = local - nearest["points"].numpy()
         distance = np.sqrt(np.einsum("ij,ij->i", offset, offset))
         normal = self._normals[nearest["primitive_ids"].numpy()]
@@ -65,7 +65,7 @@ class SignedDistance:
 
     def _odd_crossings(self, local: NDArray[np.float32]) -> NDArray[np.bool_]:
         counts = self._scene.count_intersections(
-            o3d.core.Tensor(_rays(local, _RAY_DIRECTIONS[0])), self._threads
+            o3d.core.Tensor.from_numpy(_rays(local, _RAY_DIRECTIONS[0])), self._threads
         )
         odd: NDArray[np.bool_] = counts.numpy() % 2 == 1
         return odd
@@ -79,7 +79,7 @@ class SignedDistance:
         numbers = np.empty((len(_RAY_DIRECTIONS), len(local)), dtype=np.int64)
         for k, direction in enumerate(_RAY_DIRECTIONS):
             hits = self._scene.list_intersections(
-                o3d.core.Tensor(_rays(local, direction)), self._threads
+                o3d.core.Tensor.from_numpy(_rays(local, direction)), self._threads
             )
             crossing = np.sign(self._normals[hits["primitive_ids"].numpy()] @ direction)
             numbers[k] = np.rint(

@@ -6,6 +6,7 @@ Root attributes of every artifact: `schema`, `schema_version`, `created_by`, `gi
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ import h5py
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.atomic import atomic_path, unwritable
+from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.provenance import created_by, git_commit
 
 
@@ -68,32 +69,29 @@ def write_artifact(
     Raises:
         InputError: The place cannot be written, or the disk is full.
     """
+    # In memory first: HDF5 that meets a full disk while it closes a file takes the process along.
+    image = io.BytesIO()
+    with h5py.File(image, "w", libver=("v110", "v110")) as file:
+        file.attrs["schema"] = schema
+        file.attrs["schema_version"] = version
+        file.attrs["created_by"] = created_by()
+        file.attrs["git_commit"] = git_commit()
+        file.attrs["seed"] = NO_SEED if seed is None else seed
+        file.attrs["config_json"] = json.dumps(dict(config or {}), sort_keys=True)
+        file.attrs["length_unit"] = "m"
+        for name, value in (attributes or {}).items():
+            file.attrs[name] = value
+        for name, dataset in datasets.items():
+            # Shuffled bytes of neighbouring floats compress; level 1 costs little time.
+            big = np.size(dataset.array) > 1024
+            options = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+            stored = file.create_dataset(
+                name, data=dataset.array, track_times=False, **(options if big else {})
+            )
+            stored.attrs["units"] = dataset.units
+            stored.attrs["frame"] = dataset.frame
     with atomic_path(path) as temporary:
-        try:
-            with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
-                file.attrs["schema"] = schema
-                file.attrs["schema_version"] = version
-                file.attrs["created_by"] = created_by()
-                file.attrs["git_commit"] = git_commit()
-                file.attrs["seed"] = NO_SEED if seed is None else seed
-                file.attrs["config_json"] = json.dumps(dict(config or {}), sort_keys=True)
-                file.attrs["length_unit"] = "m"
-                for name, value in (attributes or {}).items():
-                    file.attrs[name] = value
-                for name, dataset in datasets.items():
-                    # Shuffled bytes of neighbouring floats compress; level 1 costs little time.
-                    big = dataset.array.size > 1024
-                    options = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-                    stored = file.create_dataset(
-                        name, data=dataset.array, track_times=False, **(options if big else {})
-                    )
-                    stored.attrs["units"] = dataset.units
-                    stored.attrs["frame"] = dataset.frame
-        except OSError as error:
-            raise unwritable(path, error) from error
-        except RuntimeError as error:
-            # h5py reports a failed flush at close (a full disk, say) as RuntimeError.
-            raise unwritable(path, OSError(str(error))) from error
+        temporary.write_bytes(image.getbuffer())
 
 
 def read_artifact(

@@ -19,7 +19,7 @@ from pointsdf_cli.io.provenance import file_sha256
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".dae", ".3mf")
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 SMALLEST, LARGEST = 0.005, 2.0
-"""Bounds [m] of the longest side of a thing that a hand may grasp: beyond them the unit is wrong."""
+"""Bounds [m] of the longest side of a thing to grasp: beyond them the unit is wrong."""
 
 # trimesh warns on its logger of what the checks below say better.
 logging.getLogger("trimesh").setLevel(logging.ERROR)

@@ -1,0 +1,69 @@
+"""Stages: the same results whoever runs them, bad inputs set apart, shards that make the whole."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.io.batch import run_stage, shard_of, task_seed
+
+
+def draw(name: str) -> float:
+    return float(task_seed(3, name).random())
+
+
+def refuse_odd(number: int) -> int | None:
+    if number % 2:
+        raise InputError(f"{number} is odd")
+    return None if number == 4 else number
+
+
+def die(_: int) -> int:
+    os._exit(9)
+
+
+NAMES = [(f"mesh{k}", f"mesh{k}") for k in range(6)]
+
+
+def test_what_a_task_draws_does_not_depend_on_processes_or_order() -> None:
+    alone = run_stage(NAMES, draw, jobs=1).made
+    assert run_stage(NAMES[::-1], draw, jobs=2).made == alone
+    assert len(set(alone.values())) == 6
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_bad_inputs_are_set_apart_and_the_others_done(jobs: int) -> None:
+    report = run_stage([(str(k), k) for k in range(6)], refuse_odd, jobs=jobs)
+    assert report.made == {"0": 0, "2": 2}
+    assert report.kept == ["4"]
+    assert [name for name, _ in report.refused] == ["1", "3", "5"]
+    with pytest.raises(InputError, match="3 of 6 inputs cannot be used"):
+        report.raise_if_refused()
+
+
+def test_a_worker_that_dies_ends_the_stage_with_one_message() -> None:
+    with pytest.raises(RgraspError, match="worker process died"):
+        run_stage([(str(k), k) for k in range(4)], die, jobs=2)
+
+
+def test_shards_are_disjoint_and_make_the_whole() -> None:
+    tasks = list(range(11))
+    shards = [shard_of(tasks, f"{k}/3") for k in range(3)]
+    assert sorted(task for shard in shards for task in shard) == tasks
+
+
+@pytest.mark.parametrize("text", ["3/3", "x/2", "1", "-1/2", "1/0", "1/2/3", ""])
+def test_what_is_no_shard_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--shard"):
+        shard_of([1, 2], text)
+
+
+def test_errors_travel_between_processes_whole() -> None:
+    import pickle
+
+    error = InputError("what", where="here", allowed="that", hint="type this")
+    again = pickle.loads(pickle.dumps(error))
+    assert again.message == "here: what\n  allowed: that\n  try: type this"
+    assert again.exit_code == 2

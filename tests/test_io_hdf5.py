@@ -1,0 +1,136 @@
+"""Artifacts: whole or absent, with provenance, refused when they are something else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.atomic import atomic_path, remove_leftovers, require_new
+from pointsdf_cli.io.hdf5 import (
+    Dataset,
+    OptionsDifferError,
+    is_complete,
+    read_artifact,
+    write_artifact,
+)
+
+NUMBERS = np.arange(12, dtype=np.float32).reshape(4, 3)
+
+
+@pytest.fixture
+def artifact(tmp_path: Path) -> Path:
+    path = tmp_path / "a.h5"
+    write_artifact(
+        path,
+        schema="views",
+        version=1,
+        datasets={"cloud": Dataset(NUMBERS, "m", "camera")},
+        attributes={"noise": 0.001},
+        seed=7,
+        config={"views": 4},
+    )
+    return path
+
+
+def test_every_promised_attribute_is_there(artifact: Path) -> None:
+    with h5py.File(artifact) as file:
+        for name in (
+            "schema",
+            "schema_version",
+            "created_by",
+            "git_commit",
+            "seed",
+            "config_json",
+            "length_unit",
+        ):
+            assert name in file.attrs
+        assert file.attrs["length_unit"] == "m"
+        assert file["cloud"].attrs["units"] == "m"
+        assert file["cloud"].attrs["frame"] == "camera"
+
+
+def test_reading_gives_back_what_was_written(artifact: Path) -> None:
+    read = read_artifact(artifact, schema="views", version=1)
+    np.testing.assert_array_equal(read.datasets["cloud"], NUMBERS)
+    assert read.attributes["seed"] == 7
+    assert read.config == {"views": 4}
+
+
+def test_equal_contents_make_equal_files(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_artifact(
+            tmp_path / f"{name}.h5", schema="s", version=1, datasets={"x": Dataset(NUMBERS)}
+        )
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+
+
+def test_another_schema_is_named(artifact: Path) -> None:
+    with pytest.raises(InputError, match="holds views, and labels is needed"):
+        read_artifact(artifact, schema="labels", version=1)
+
+
+def test_an_older_version_is_named(artifact: Path) -> None:
+    with pytest.raises(InputError, match="older version"):
+        read_artifact(artifact, schema="views", version=2)
+
+
+def test_a_missing_dataset_is_named(artifact: Path) -> None:
+    with pytest.raises(InputError, match="lacks the dataset depth"):
+        read_artifact(artifact, schema="views", version=1, names=["depth"])
+
+
+@pytest.mark.parametrize("keep", [0, 10, 500, 1500])
+def test_a_file_cut_short_is_an_input_error(artifact: Path, keep: int) -> None:
+    artifact.write_bytes(artifact.read_bytes()[:keep])
+    with pytest.raises(InputError, match="cut short"):
+        read_artifact(artifact, schema="views", version=1)
+
+
+def test_foreign_hdf5_is_known(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        file["data"] = NUMBERS
+    with pytest.raises(InputError, match="no rgrasp artifact"):
+        read_artifact(tmp_path / "x.h5", schema="views", version=1)
+
+
+def test_a_finished_file_is_complete_only_for_the_same_options(artifact: Path) -> None:
+    assert is_complete(artifact, schema="views", version=1, config={"views": 4})
+    with pytest.raises(OptionsDifferError, match="views: 4 there, 5 now"):
+        is_complete(artifact, schema="views", version=1, config={"views": 5})
+    assert not is_complete(artifact.with_name("none.h5"), schema="views", version=1, config={})
+
+
+def test_an_exception_while_writing_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
+    target = tmp_path / "t.txt"
+    target.write_text("old")
+
+    def write_half() -> None:
+        with atomic_path(target) as temporary:
+            temporary.write_text("half")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        write_half()
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_leftovers_of_a_killed_run_are_removed_and_nothing_else(tmp_path: Path) -> None:
+    with atomic_path(tmp_path / "a.h5") as temporary:
+        temporary.write_bytes(b"x")
+        name = temporary.name
+    (tmp_path / name).write_bytes(b"a writer was killed here")
+    (tmp_path / ".hidden").write_bytes(b"the user's")
+    remove_leftovers(tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".hidden", "a.h5"]
+
+
+def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("precious")
+    with pytest.raises(InputError, match="--force"):
+        require_new(tmp_path / "a", force=False)
+    assert require_new(tmp_path / "a", force=True) == tmp_path / "a"

@@ -1,0 +1,133 @@
+"""Meshes from files: closed, in metres, with what was mended on record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.sdf_sampling import enclosed_volume
+from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh, save_mesh
+
+
+def test_a_closed_mesh_is_kept_as_it_is(tmp_path: Path, box_mesh: trimesh.Trimesh) -> None:
+    box_mesh.export(tmp_path / "box.ply")
+    mesh = load_mesh(tmp_path / "box.ply")
+    assert mesh.repair == "none"
+    assert enclosed_volume(mesh.vertices, mesh.faces) == pytest.approx(0.08 * 0.06 * 0.04)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".off", ".glb"])
+def test_every_format_gives_the_same_solid(
+    suffix: str, tmp_path: Path, box_mesh: trimesh.Trimesh
+) -> None:
+    box_mesh.export(tmp_path / f"box{suffix}")
+    mesh = load_mesh(tmp_path / f"box{suffix}")
+    assert enclosed_volume(mesh.vertices, mesh.faces) == pytest.approx(1.92e-4, rel=1e-5)
+
+
+def test_a_scene_of_two_parts_is_joined_at_their_places(tmp_path: Path) -> None:
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.creation.box((0.1, 0.1, 0.1)))
+    shift = trimesh.transformations.translation_matrix([0.3, 0, 0])
+    scene.add_geometry(trimesh.creation.box((0.1, 0.1, 0.1)), transform=shift)
+    scene.export(tmp_path / "two.glb")
+    mesh = load_mesh(tmp_path / "two.glb")
+    assert mesh.size == pytest.approx(0.4)
+    assert enclosed_volume(mesh.vertices, mesh.faces) == pytest.approx(2e-3, rel=1e-5)
+
+
+def test_overlapping_boxes_become_one_body(tmp_path: Path) -> None:
+    one = trimesh.creation.box((0.1, 0.1, 0.1))
+    other = one.copy().apply_translation([0.05, 0, 0])
+    trimesh.util.concatenate([one, other]).export(tmp_path / "cross.ply")
+    mesh = load_mesh(tmp_path / "cross.ply")
+    assert enclosed_volume(mesh.vertices, mesh.faces) == pytest.approx(1.5e-3, rel=1e-5)
+    assert "united" in mesh.repair
+
+
+def test_a_hollow_ball_keeps_its_cavity(tmp_path: Path) -> None:
+    shell = trimesh.creation.icosphere(subdivisions=3, radius=0.05)
+    hole = trimesh.creation.icosphere(subdivisions=3, radius=0.04)
+    expected = shell.volume - hole.volume
+    hole.invert()
+    trimesh.util.concatenate([shell, hole]).export(tmp_path / "hollow.ply")
+    mesh = load_mesh(tmp_path / "hollow.ply")
+    assert enclosed_volume(mesh.vertices, mesh.faces) == pytest.approx(expected, rel=1e-4)
+
+
+def test_an_inside_out_mesh_is_turned(tmp_path: Path, box_mesh: trimesh.Trimesh) -> None:
+    box_mesh.invert()
+    box_mesh.export(tmp_path / "box.ply")
+    mesh = load_mesh(tmp_path / "box.ply")
+    assert enclosed_volume(mesh.vertices, mesh.faces) > 0
+
+
+def test_a_missing_triangle_is_filled_and_recorded(
+    tmp_path: Path, box_mesh: trimesh.Trimesh
+) -> None:
+    trimesh.Trimesh(box_mesh.vertices, box_mesh.faces[1:]).export(tmp_path / "box.ply")
+    mesh = load_mesh(tmp_path / "box.ply")
+    assert enclosed_volume(mesh.vertices, mesh.faces) == pytest.approx(1.92e-4, rel=1e-5)
+    assert mesh.repair == "holes filled"
+
+
+def test_a_soup_without_a_lid_is_re_meshed_from_winding_numbers(tmp_path: Path) -> None:
+    # A cylinder whose faces share no vertex, without its top cap, and with one face doubled.
+    body = trimesh.creation.cylinder(radius=0.03, height=0.1, sections=48)
+    kept = body.faces[body.triangles_center[:, 2] < 0.0499]
+    soup = np.concatenate([body.vertices[kept], body.vertices[kept[:1]]]).reshape(-1, 3)
+    trimesh.Trimesh(soup, np.arange(len(soup)).reshape(-1, 3), process=False).export(
+        tmp_path / "can.stl"
+    )
+    mesh = load_mesh(tmp_path / "can.stl")
+    assert "winding" in mesh.repair or "filled" in mesh.repair
+    assert enclosed_volume(mesh.vertices, mesh.faces) == pytest.approx(body.volume, rel=0.15)
+    assert mesh.size == pytest.approx(0.1, abs=0.005)
+
+
+def test_millimetres_are_named_and_may_be_declared(
+    tmp_path: Path, box_mesh: trimesh.Trimesh
+) -> None:
+    box_mesh.apply_scale(1000).export(tmp_path / "box.ply")
+    with pytest.raises(InputError, match="--unit mm"):
+        load_mesh(tmp_path / "box.ply")
+    assert load_mesh(tmp_path / "box.ply", unit="mm").size == pytest.approx(0.08)
+
+
+def test_a_sheet_encloses_nothing_and_is_refused(tmp_path: Path) -> None:
+    trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], [[0, 1, 2]]).export(tmp_path / "s.ply")
+    with pytest.raises(InputError, match="encloses no volume"):
+        load_mesh(tmp_path / "s.ply")
+
+
+def test_meshes_are_found_below_and_keep_their_places(tmp_path: Path, box_mesh) -> None:
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    box_mesh.export(tmp_path / "a" / "b" / "box.stl")
+    (found,) = find_meshes(tmp_path)
+    assert artifact_path(found, tmp_path, Path("out")) == Path("out/a/b/box.h5")
+
+
+def test_two_meshes_of_one_name_are_refused_unless_a_pattern_chooses(
+    tmp_path: Path, box_mesh: trimesh.Trimesh
+) -> None:
+    box_mesh.export(tmp_path / "box.stl")
+    box_mesh.export(tmp_path / "box.ply")
+    with pytest.raises(InputError, match="--pattern"):
+        find_meshes(tmp_path)
+    assert [p.name for p in find_meshes(tmp_path, "*.ply")] == ["box.ply"]
+
+
+def test_saving_and_loading_goes_round(tmp_path: Path, box_mesh: trimesh.Trimesh) -> None:
+    save_mesh(tmp_path / "deep" / "box.ply", box_mesh.vertices, box_mesh.faces)
+    assert load_mesh(tmp_path / "deep" / "box.ply").size == pytest.approx(0.08)
+
+
+def test_real_scans_load_closed(shared_meshes: Path) -> None:
+    for name in ("006_mustard_bottle", "024_bowl", "065-a_cups"):
+        mesh = load_mesh(shared_meshes / "test" / "ycb" / f"{name}.ply")
+        assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
+        assert 0.03 < mesh.size < 0.35
