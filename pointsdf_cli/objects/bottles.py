@@ -8,17 +8,9 @@ from manifold3d import Manifold
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
 from pointsdf_cli.objects.refine import refine
-from pointsdf_cli.objects.solids import (
-    cylinder,
-    loft_sections,
-    rounded_box,
-    smooth_curve,
-    smooth_steps,
-    tube,
-    turn,
-    union,
-)
-from pointsdf_cli.objects.vessels import cavity, ear, shell, soften, solid_of
+from pointsdf_cli.objects.sections import smooth_curve, smooth_steps, soften
+from pointsdf_cli.objects.solids import cylinder, loft_sections, rounded_box, tube, turn, union
+from pointsdf_cli.objects.walls import cavity, ear, shell, solid_of
 
 
 def screw_cap(draw: Draw, radius: float, name: str = "cap") -> Manifold:

@@ -8,15 +8,8 @@ from manifold3d import CrossSection, Manifold
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
 from pointsdf_cli.objects.refine import refine
-from pointsdf_cli.objects.solids import (
-    bevelled,
-    cylinder,
-    ellipsoid,
-    polygon,
-    rounded,
-    rounded_box,
-    union,
-)
+from pointsdf_cli.objects.sections import polygon, rounded
+from pointsdf_cli.objects.solids import bevelled, cylinder, ellipsoid, rounded_box, union
 
 
 def carton(draw: Draw) -> Manifold:

@@ -6,12 +6,22 @@ import difflib
 from collections.abc import Sequence
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.objects import bottles, boxes, fruit, rounds, vessels
+from pointsdf_cli.objects import (
+    bottles,
+    boxes,
+    cutlery,
+    fruit,
+    pincers,
+    rings,
+    rounds,
+    tools,
+    vessels,
+)
 from pointsdf_cli.objects.family import Family
 
 FAMILIES: dict[str, Family] = {
     family.name: family
-    for module in (boxes, rounds, bottles, vessels, fruit)
+    for module in (boxes, rounds, bottles, vessels, fruit, tools, pincers, cutlery, rings)
     for family in module.FAMILIES
 }
 

@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from manifold3d import Manifold
-from scipy.spatial.transform import Rotation
 
+from pointsdf_cli.geometry.frames import random_rotation
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
-from pointsdf_cli.objects.solids import (
-    cylinder,
-    ellipsoid,
-    smooth_curve,
-    smooth_steps,
-    star_solid,
-    tube,
-    union,
-)
+from pointsdf_cli.objects.sections import smooth_curve, smooth_steps
+from pointsdf_cli.objects.solids import cylinder, ellipsoid, star_solid, tube, union
 
 
 def ball(draw: Draw) -> Manifold:
@@ -24,7 +17,7 @@ def ball(draw: Draw) -> Manifold:
     radius = draw.log_uniform("radius", 0.017, 0.11)
     form = draw.choice("form", ("smooth", "smooth", "seam", "panels", "dimples", "pointed"))
     depth = draw.uniform("groove", 0.004, 0.02) * radius
-    turn = Rotation.random(rng=draw.rng)
+    turn = random_rotation(draw.rng, 1)[0]
     if form == "pointed":
         stretch = draw.uniform("stretch", 1.3, 1.8)
         radius = min(radius, 0.09)
@@ -39,7 +32,7 @@ def ball(draw: Draw) -> Manifold:
     axes = _fibonacci_sphere(draw.integer("features", 12, 60))
 
     def surface(direction: np.ndarray) -> np.ndarray:
-        d = turn.apply(direction)
+        d = direction @ turn.T
         if form == "seam":
             # The saddle curve of a tennis ball: z against a quartic of the two other axes.
             height = d[:, 2] - 0.9 * (d[:, 0] ** 2 - d[:, 1] ** 2)

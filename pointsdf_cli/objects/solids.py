@@ -6,13 +6,11 @@ Every function returns a closed manifold in metres; unions and differences of th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 
 import numpy as np
-from manifold3d import CrossSection, JoinType, Manifold, Mesh, OpType, triangulate
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from manifold3d import CrossSection, Manifold, Mesh, OpType, triangulate
 
-Vector = Sequence[float] | np.ndarray
+from pointsdf_cli.objects.sections import Vector, polygon, rounded
 
 # Segments of a full turn: an 8 cm can then deviates from its circle by 0.1 mm.
 TURN_SEGMENTS = 48
@@ -21,37 +19,6 @@ TURN_SEGMENTS = 48
 def union(parts: Sequence[Manifold]) -> Manifold:
     """All parts as one solid, overlaps removed."""
     return Manifold.batch_boolean(list(parts), OpType.Add)
-
-
-def polygon(points: np.ndarray) -> CrossSection:
-    """The region inside a closed polygon [N, 2], whichever way it is wound."""
-    x, y = np.asarray(points, dtype=float).T
-    clockwise = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0
-    return CrossSection([np.column_stack([x, y])[:: -1 if clockwise else 1]])
-
-
-def rounded(section: CrossSection, convex: float, concave: float | None = None) -> CrossSection:
-    """The region with its outer corners rounded by `convex` and its inner ones by `concave` m.
-
-    Parts that are thinner than twice `convex` vanish.
-    """
-    concave = convex if concave is None else concave
-    if concave > 0:
-        section = _offset(_offset(section, concave), -concave)
-    if convex > 0:
-        section = _offset(_offset(section, -convex), convex)
-    return section.simplify(2e-5)
-
-
-def stroke(points: np.ndarray, thickness: float | np.ndarray) -> CrossSection:
-    """The region within half the thickness of an open polyline [N, 2]: round-ended, m."""
-    radii = np.broadcast_to(np.asarray(thickness, dtype=float) / 2, (len(points),))
-    discs = [
-        CrossSection.circle(float(radius), 12).translate(tuple(map(float, point)))
-        for point, radius in zip(points, radii, strict=True)
-    ]
-    links = [CrossSection.batch_hull(pair) for pair in pairwise(discs)]
-    return CrossSection.batch_boolean(links, OpType.Add).simplify(3e-5)
 
 
 def turn(
@@ -246,30 +213,6 @@ def bevelled(section: CrossSection, thickness: float, bevel: float = 0.0) -> Man
         faces.append(np.stack([base + low, top + following, top + low], -1))
     solid = _solid(vertices, np.concatenate(faces))
     return solid if solid.volume() > 0 else section.extrude(thickness)
-
-
-def smooth_curve(points: Sequence[Vector] | np.ndarray, count: int) -> np.ndarray:
-    """A cubic spline through [K, D] points, sampled at `count` even steps of chord length."""
-    knots = np.asarray(points, dtype=float)
-    chord = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
-    return CubicSpline(chord, knots)(np.linspace(0, chord[-1], count))
-
-
-def smooth_steps(at: Vector, values: Vector, where: np.ndarray) -> np.ndarray:
-    """Monotone cubic interpolation: passes through the values and never overshoots them."""
-    return PchipInterpolator(at, values)(where)
-
-
-def arc(
-    radius: float, start: float, end: float, count: int, centre: Vector = (0.0, 0.0)
-) -> np.ndarray:
-    """Points [count, 2] of a circular arc, angles in radians."""
-    angle = np.linspace(start, end, count)
-    return np.asarray(centre) + radius * np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def _offset(section: CrossSection, distance: float) -> CrossSection:
-    return section.offset(distance, JoinType.Round, 2.0, 16)
 
 
 def _solid(vertices: np.ndarray, faces: np.ndarray) -> Manifold:

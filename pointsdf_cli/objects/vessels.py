@@ -12,74 +12,16 @@ from manifold3d import Manifold
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
 from pointsdf_cli.objects.refine import refine
-from pointsdf_cli.objects.solids import (
-    cylinder,
-    polygon,
-    rounded_box,
-    smooth_curve,
-    stroke,
-    tube,
-    turn,
-    union,
+from pointsdf_cli.objects.sections import smooth_curve, soften, stroke
+from pointsdf_cli.objects.solids import cylinder, rounded_box, tube, turn, union
+from pointsdf_cli.objects.walls import (
+    THICKEST_WALL,
+    THINNEST_WALL,
+    cavity,
+    ear,
+    shell,
+    wall_thickness,
 )
-
-THINNEST_WALL, THICKEST_WALL = 0.0012, 0.005
-
-
-def soften(points: np.ndarray, passes: int = 3) -> np.ndarray:
-    """Cut the corners of an open polyline [N, D], ends kept (Chaikin)."""
-    for _ in range(passes):
-        low = 0.75 * points[:-1] + 0.25 * points[1:]
-        high = 0.25 * points[:-1] + 0.75 * points[1:]
-        inner = np.stack([low, high], axis=1).reshape(-1, points.shape[1])[1:-1]
-        points = np.concatenate([points[:1], inner, points[-1:]])
-    return points
-
-
-def shell(line: np.ndarray, wall: float) -> Manifold:
-    """The wall around a centre line [N, 2] of (radius, z) from the axis to the rim."""
-    return turn(stroke(line, wall))
-
-
-def cavity(line: np.ndarray, wall: float) -> Manifold:
-    """What the wall of `shell` encloses, up to the level of its rim."""
-    rim = float(line[-1, 1]) + wall
-    inside = polygon(np.concatenate([line, [(line[-1, 0], rim), (0, rim)]]))
-    return turn(inside - stroke(line, wall))
-
-
-def solid_of(line: np.ndarray, wall: float) -> Manifold:
-    """The vessel filled up to its rim: what a scanner sees of a closed one."""
-    inside = polygon(np.concatenate([line, [(0, line[-1, 1])]]))
-    return turn(inside + stroke(line, wall))
-
-
-def wall_thickness(draw: Draw) -> float:
-    """A wall between drawn steel and stoneware, m."""
-    return draw.log_uniform("wall", THINNEST_WALL, THICKEST_WALL)
-
-
-def ear(
-    low: tuple[float, float],
-    high: tuple[float, float],
-    reach: float,
-    squareness: float,
-    half_width: float,
-    half_height: float,
-) -> Manifold:
-    """A handle in the (x, z) plane from (x, z) `low` to `high`, standing out by `reach`."""
-    out = max(low[0], high[0]) + reach
-    rise = high[1] - low[1]
-    knots = [
-        (low[0], 0, low[1]),
-        (low[0] + (0.55 + 0.35 * squareness) * (out - low[0]), 0, low[1] + 0.04 * rise),
-        (out, 0, low[1] + (0.42 - 0.15 * squareness) * rise),
-        (out, 0, low[1] + (0.62 + 0.15 * squareness) * rise),
-        (high[0] + (0.55 + 0.35 * squareness) * (out - high[0]), 0, high[1] - 0.02 * rise),
-        (high[0], 0, high[1]),
-    ]
-    path = soften(np.array(knots, dtype=float), passes=3)
-    return tube(path, half_width, half_height, up=(0, 1, 0), corners=14, round_ends=False)
 
 
 def mug(draw: Draw) -> Manifold:

@@ -1,0 +1,77 @@
+"""Outlines and curves in the plane: what solids are turned, extruded and swept from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from manifold3d import CrossSection, JoinType, OpType
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+Vector = Sequence[float] | np.ndarray
+
+
+def polygon(points: np.ndarray) -> CrossSection:
+    """The region inside a closed polygon [N, 2], whichever way it is wound."""
+    x, y = np.asarray(points, dtype=float).T
+    clockwise = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0
+    return CrossSection([np.column_stack([x, y])[:: -1 if clockwise else 1]])
+
+
+def rounded(section: CrossSection, convex: float, concave: float | None = None) -> CrossSection:
+    """The region with its outer corners rounded by `convex` and its inner ones by `concave` m.
+
+    Parts that are thinner than twice `convex` vanish.
+    """
+    concave = convex if concave is None else concave
+    if concave > 0:
+        section = _offset(_offset(section, concave), -concave)
+    if convex > 0:
+        section = _offset(_offset(section, -convex), convex)
+    return section.simplify(2e-5)
+
+
+def stroke(points: np.ndarray, thickness: float | np.ndarray) -> CrossSection:
+    """The region within half the thickness of an open polyline [N, 2]: round-ended, m."""
+    radii = np.broadcast_to(np.asarray(thickness, dtype=float) / 2, (len(points),))
+    discs = [
+        CrossSection.circle(float(radius), 12).translate(tuple(map(float, point)))
+        for point, radius in zip(points, radii, strict=True)
+    ]
+    links = [CrossSection.batch_hull(pair) for pair in pairwise(discs)]
+    return CrossSection.batch_boolean(links, OpType.Add).simplify(3e-5)
+
+
+def smooth_curve(points: Sequence[Vector] | np.ndarray, count: int) -> np.ndarray:
+    """A cubic spline through [K, D] points, sampled at `count` even steps of chord length."""
+    knots = np.asarray(points, dtype=float)
+    chord = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
+    return CubicSpline(chord, knots)(np.linspace(0, chord[-1], count))
+
+
+def smooth_steps(at: Vector, values: Vector, where: np.ndarray) -> np.ndarray:
+    """Monotone cubic interpolation: passes through the values and never overshoots them."""
+    return PchipInterpolator(at, values)(where)
+
+
+def arc(
+    radius: float, start: float, end: float, count: int, centre: Vector = (0.0, 0.0)
+) -> np.ndarray:
+    """Points [count, 2] of a circular arc, angles in radians."""
+    angle = np.linspace(start, end, count)
+    return np.asarray(centre) + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def soften(points: np.ndarray, passes: int = 3) -> np.ndarray:
+    """Cut the corners of an open polyline [N, D], ends kept (Chaikin)."""
+    for _ in range(passes):
+        low = 0.75 * points[:-1] + 0.25 * points[1:]
+        high = 0.25 * points[:-1] + 0.75 * points[1:]
+        inner = np.stack([low, high], axis=1).reshape(-1, points.shape[1])[1:-1]
+        points = np.concatenate([points[:1], inner, points[-1:]])
+    return points
+
+
+def _offset(section: CrossSection, distance: float) -> CrossSection:
+    return section.offset(distance, JoinType.Round, 2.0, 16)
