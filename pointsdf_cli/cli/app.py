@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from pointsdf_cli import __version__
-from pointsdf_cli.cli import doctor, info, label_sdf, render
+from pointsdf_cli.cli import doctor, info, label_sdf, render, report
 
 app = typer.Typer(
     name="rgrasp",
@@ -41,3 +41,4 @@ app.command("render")(render.render)
 app.command("label-sdf")(label_sdf.label_sdf)
 app.command("info")(info.info)
 app.command("doctor")(doctor.doctor)
+app.command("report")(report.report)

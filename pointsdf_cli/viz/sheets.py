@@ -15,9 +15,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.noise import DepthNoise
+from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster, depth_image
-from pointsdf_cli.camera.views import ViewConfig
-from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.labels import Labels
@@ -33,22 +32,21 @@ def save_figure(figure: Figure, path: Path, dpi: int = 90) -> None:
 
 
 def views_sheet(items: Sequence[tuple[LoadedMesh, Views]], columns: int = 4) -> Figure:
-    """For each mesh one depth image, and the 1000-point clouds of that view and of three more.
+    """For each mesh one exact depth image, the 1000-point cloud of that view and of others.
 
     The clouds are drawn in the camera frame, as the camera sees them, coloured by depth.
     """
     figure, axes = plt.subplots(
-        len(items), 1 + columns, figsize=(2.1 * (1 + columns), 2.1 * len(items)), squeeze=False
+        len(items), 1 + columns, figsize=(2.1 * (1 + columns), 2.3 * len(items)), squeeze=False
     )
     for row, (mesh, views) in zip(axes, items, strict=True):
-        config = ViewConfig()
-        patch = MeshCaster(mesh.vertices, mesh.faces, config.camera).cast(views.T_camera_object[0])
-        image = depth_image(patch, config.camera)
-        top, bottom = patch.v.min() - 8, patch.v.max() + 9
-        left, right = patch.u.min() - 8, patch.u.max() + 9
-        shown = np.ma.masked_equal(image[max(top, 0) : bottom, max(left, 0) : right], 0)
-        row[0].imshow(shown, cmap="viridis_r")
-        row[0].set_title(f"{mesh.name[:24]}\ndepth", fontsize=7)
+        camera = _camera_of(views)
+        patch = MeshCaster(mesh.vertices, mesh.faces, camera).cast(views.T_camera_object[0])
+        image = depth_image(patch, camera)
+        top, bottom = max(patch.v.min() - 8, 0), patch.v.max() + 9
+        left, right = max(patch.u.min() - 8, 0), patch.u.max() + 9
+        row[0].imshow(np.ma.masked_equal(image[top:bottom, left:right], 0), cmap="viridis_r")
+        row[0].set_title(f"{mesh.name[:24]}\ndepth of view 0", fontsize=7)
         row[0].axis("off")
         for k, axis in enumerate(row[1:]):
             cloud = views.cloud[k % len(views.cloud)]
@@ -57,11 +55,14 @@ def views_sheet(items: Sequence[tuple[LoadedMesh, Views]], columns: int = 4) -> 
             axis.invert_yaxis()
             axis.set_xticks([])
             axis.set_yticks([])
-            extent = np.ptp(cloud, axis=0) * 100
-            axis.set_title(
-                f"view {k}: {extent[0]:.0f}×{extent[1]:.0f}×{extent[2]:.0f} cm", fontsize=7
-            )
+            across, down, deep = np.ptp(cloud, axis=0) * 100
+            axis.set_title(f"view {k}\n{across:.0f} × {down:.0f} × {deep:.0f} cm", fontsize=7)
     return figure
+
+
+def _camera_of(views: Views) -> Camera:
+    K, (width, height) = views.K, views.image_size
+    return Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
 
 
 def sdf_slices(items: Sequence[tuple[LoadedMesh, Labels]], resolution: int = 160) -> Figure:
@@ -90,7 +91,8 @@ def sdf_slices(items: Sequence[tuple[LoadedMesh, Labels]], resolution: int = 160
         grid[..., plane[1]] += line[:, None]
         field = SignedDistance(mesh.vertices, mesh.faces)(grid.reshape(-1, 3))
         field = field.reshape(resolution, resolution) * 100
-        limit = float(np.abs(field).max())
+        # Beyond a third of the picture the colour is full: what is near zero is what matters.
+        limit = 100 * half / 3
         extent = (-half * 100, half * 100, -half * 100, half * 100)
         style = {"cmap": "RdBu", "vmin": -limit, "vmax": limit}
         left.imshow(field, origin="lower", extent=extent, **style)
@@ -124,8 +126,3 @@ def noise_picture(noise: DepthNoise, seed: int = 0) -> Figure:
     side.set_ylabel("depth − 1.5 m [mm]")
     side.legend(fontsize=8)
     return figure
-
-
-def object_points(views: Views, view: int) -> NDArray[np.float64]:
-    """One view's cloud [1000, 3] taken back to the mesh frame."""
-    return apply_transform(np.linalg.inv(views.T_camera_object[view]), views.cloud[view])

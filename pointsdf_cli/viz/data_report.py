@@ -1,0 +1,134 @@
+"""The report on a folder of views and labels: what is there, and pictures of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.atomic import TEMPORARY_MARK
+from pointsdf_cli.io.hdf5 import open_hdf5
+from pointsdf_cli.io.labels import Labels, read_labels
+from pointsdf_cli.io.meshes import MESH_SUFFIXES, LoadedMesh, load_mesh
+from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.io.views import Views, read_views
+from pointsdf_cli.viz import html
+from pointsdf_cli.viz.sheets import sdf_slices, views_sheet
+
+SHOWN = 6
+"""Objects drawn of each kind, spread evenly over the folder."""
+
+
+@dataclass(frozen=True)
+class DataFolder:
+    """The artifacts found below a folder, by schema."""
+
+    views: list[Path]
+    labels: list[Path]
+    meshes: list[Path]
+
+
+def scan(folder: Path, meshes: Path | None = None) -> DataFolder:
+    """Find views, labels and meshes below `folder` (meshes also below `meshes`).
+
+    Raises:
+        InputError: No such folder, or nothing in it that this report knows.
+    """
+    if not folder.is_dir():
+        raise InputError("no such folder", where=folder)
+    found: dict[str, list[Path]] = {"views": [], "labels": []}
+    for path in sorted(folder.rglob("*.h5")):
+        if TEMPORARY_MARK in path.name:
+            continue
+        with open_hdf5(path) as file:
+            found.setdefault(str(file.attrs.get("schema", "")), []).append(path)
+    if not found["views"] and not found["labels"]:
+        raise InputError(
+            "holds neither views nor labels",
+            where=folder,
+            allowed="a folder that rgrasp render or label-sdf wrote to",
+        )
+    roots = [folder, *([meshes] if meshes else [])]
+    files = sorted(
+        {p for root in roots for p in root.rglob("*") if p.suffix.lower() in MESH_SUFFIXES}
+    )
+    return DataFolder(found["views"], found["labels"], files)
+
+
+def data_report(found: DataFolder, title: str) -> str:
+    """The page, as HTML."""
+    parts = [
+        html.table(
+            ("artifact", "files"),
+            [("views", len(found.views)), ("labels", len(found.labels))],
+        )
+    ]
+    seen = [
+        (mesh, read_views(path)) for path in _spread(found.views) for mesh in _mesh(path, found)
+    ]
+    if seen:
+        parts += [
+            html.heading("Views"),
+            html.note("Each cloud as its camera sees it, coloured by depth."),
+            html.picture(views_sheet(seen), "views and their clouds"),
+            html.table(
+                ("mesh", "views", "points a view", "noise at 1.5 m [mm]", "repair"),
+                [
+                    (m.name, len(v.cloud), v.cloud.shape[1], 1e3 * v.noise, v.mesh_repair)
+                    for m, v in seen
+                ],
+            ),
+        ]
+    labelled = [
+        (mesh, read_labels(path)) for path in _spread(found.labels) for mesh in _mesh(path, found)
+    ]
+    if labelled:
+        parts += [
+            html.heading("Signed distances"),
+            html.note("Left the field on a plane through the middle, right the stored labels."),
+            html.picture(sdf_slices(labelled), "slices of signed distance"),
+            html.table(
+                ("mesh", "points", "inside [%]", "median |distance| [mm]"),
+                [_label_row(mesh, labels) for mesh, labels in labelled],
+            ),
+        ]
+    if not seen and not labelled:
+        parts.append(
+            html.note("No pictures: the meshes were not found. Give their folder by --meshes.")
+        )
+    return html.page(title, parts)
+
+
+def sample_items(
+    found: DataFolder,
+) -> tuple[list[tuple[LoadedMesh, Views]], list[tuple[LoadedMesh, Labels]]]:
+    """The same selection as the page shows, for pictures of their own."""
+    views = [(m, read_views(path)) for path in _spread(found.views) for m in _mesh(path, found)]
+    labels = [(m, read_labels(path)) for path in _spread(found.labels) for m in _mesh(path, found)]
+    return views, labels
+
+
+def _spread(paths: list[Path]) -> list[Path]:
+    chosen = np.unique(np.linspace(0, len(paths) - 1, SHOWN).astype(int)) if paths else []
+    return [paths[k] for k in chosen]
+
+
+def _mesh(artifact: Path, found: DataFolder) -> list[LoadedMesh]:
+    """The mesh that an artifact was made from, known by its hash; empty if it is not here."""
+    with open_hdf5(artifact) as file:
+        name, digest = str(file.attrs["mesh_file"]), str(file.attrs["mesh_hash"])
+    for path in found.meshes:
+        if path.name == name and file_sha256(path) == digest:
+            return [load_mesh(path)]
+    return []
+
+
+def _label_row(mesh: LoadedMesh, labels: Labels) -> tuple[object, ...]:
+    return (
+        mesh.name,
+        len(labels.sdf),
+        100 * float((labels.sdf < 0).mean()),
+        1e3 * float(np.median(np.abs(labels.sdf))),
+    )
