@@ -11,17 +11,31 @@ from pointsdf_cli.objects import (
     boxes,
     cutlery,
     fruit,
+    household,
     pincers,
     rings,
     rounds,
     tools,
+    toys,
     vessels,
 )
 from pointsdf_cli.objects.family import Family
 
 FAMILIES: dict[str, Family] = {
     family.name: family
-    for module in (boxes, rounds, bottles, vessels, fruit, tools, pincers, cutlery, rings)
+    for module in (
+        boxes,
+        rounds,
+        bottles,
+        vessels,
+        fruit,
+        tools,
+        pincers,
+        cutlery,
+        rings,
+        toys,
+        household,
+    )
     for family in module.FAMILIES
 }
 

@@ -1,0 +1,414 @@
+"""Other things about the house: lamps, shoes, locks, cups to go, kettles, buckets, assemblies."""
+
+from __future__ import annotations
+
+import numpy as np
+from manifold3d import CrossSection, Manifold
+
+from pointsdf_cli.geometry.frames import random_rotation
+from pointsdf_cli.objects.draw import Draw
+from pointsdf_cli.objects.family import Family
+from pointsdf_cli.objects.refine import refine
+from pointsdf_cli.objects.sections import arc, polygon, rounded, smooth_curve, smooth_steps, soften
+from pointsdf_cli.objects.solids import (
+    bevelled,
+    cylinder,
+    ellipsoid,
+    loft,
+    loft_sections,
+    rounded_box,
+    tube,
+    turn,
+    union,
+)
+from pointsdf_cli.objects.walls import cavity, ear, shell, solid_of
+
+
+def lamp(draw: Draw) -> Manifold:
+    """A table lamp: foot, stem (straight or a swan neck) and a hollow shade."""
+    foot = draw.uniform("foot_radius", 0.035, 0.07)
+    stem = draw.uniform("stem_radius", 0.003, 0.009)
+    height = draw.uniform("height", 0.12, 0.24)
+    shade = draw.uniform("shade_radius", 0.04, 0.075)
+    drop = draw.uniform("shade_height", 0.04, 0.08)
+    top_ratio = draw.uniform("shade_top", 0.35, 0.9)
+    wall = draw.uniform("wall", 0.0015, 0.003)
+    rise = draw.uniform("foot_height", 0.006, 0.02)
+    base = turn(
+        np.array([(0, 0), (foot, 0), (foot, 0.4 * rise), (2 * stem, rise), (0, rise)]), fillet=0.001
+    )
+    line = soften(np.array([(0, drop), (top_ratio * shade, drop), (shade, 0)]), 1)
+    cover = shell(line, wall)
+    swan = draw.chance("swan_neck", 0.5)
+    if swan:
+        reach = draw.uniform("reach", 0.03, 0.09)
+        path = smooth_curve(
+            [
+                (0, 0, 0.5 * rise),
+                (0, 0, 0.6 * height),
+                (0.45 * reach, 0, height),
+                (reach, 0, 0.86 * height),
+                (reach, 0, 0.78 * height),
+            ],
+            26,
+        )
+        cover = cover.translate((reach, 0, 0.78 * height - drop))
+    else:
+        path = np.linspace((0, 0, 0.5 * rise), (0, 0, height), 6)
+        cover = cover.translate((0, 0, height - drop))
+    return union([base, cover, tube(path, stem, up=(0, 1, 0), corners=14)])
+
+
+def shoe(draw: Draw) -> Manifold:
+    """A shoe or slipper: a sole under an upper that is open at the ankle."""
+    length = draw.uniform("length", 0.11, 0.29)
+    width = length * draw.uniform("width_ratio", 0.3, 0.4)
+    height = length * draw.uniform("height_ratio", 0.26, 0.42)
+    wall = draw.uniform("wall", 0.003, 0.005)
+    t = np.linspace(0, 1, 24)
+    half = (
+        width
+        / 2
+        * smooth_steps(
+            [0, 0.04, 0.15, 0.42, 0.7, 0.92, 1], [0.3, 0.55, 0.72, 0.66, 1.0, 0.62, 0.3], t
+        )
+    )
+    top = height * smooth_steps(
+        [0, 0.06, 0.3, 0.45, 0.75, 0.95, 1], [0.8, 1.0, 1.0, 0.82, 0.42, 0.3, 0.2], t
+    )
+
+    def body(shrink: float, floor: float) -> Manifold:
+        angle = np.linspace(0, 2 * np.pi, 28, endpoint=False)
+        x = length * t[:, None] * np.ones(28)
+        x = shrink + x * (1 - 2 * shrink / length)
+        y = (half - shrink)[:, None] * np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** 0.7
+        unit = 0.5 + 0.5 * np.sign(np.sin(angle)) * np.abs(np.sin(angle)) ** 0.7
+        z = floor + (top - shrink - floor)[:, None] * unit
+        return loft(np.stack([x, y, z], axis=-1))
+
+    upper = body(0.0, 0.0)
+    inside = body(wall, 2 * wall)
+    mouth = length * draw.uniform("mouth", 0.3, 0.45)
+    slot = rounded_box((mouth, 0.62 * width, height), 0.25 * width).translate(
+        (0.05 * length + mouth / 2, 0, 0.55 * height)
+    )
+    opening = (
+        slot ^ body(wall, 2 * wall).translate((0, 0, 0.3 * height))
+        if draw.chance("narrow_mouth", 0.3)
+        else slot
+    )
+    sole_rim = draw.uniform("sole_rim", 0.001, 0.005)
+    outline = np.concatenate(
+        [
+            np.column_stack([length * t, half + sole_rim]),
+            np.column_stack([length * t, -half - sole_rim])[::-1],
+        ]
+    )
+    sole = bevelled(rounded(polygon(outline), 0.004), draw.uniform("sole", 0.008, 0.02), 0.002)
+    hollow = inside + (opening - sole)
+    shoe_body = union([upper, sole]) - hollow.trim_by_plane((0, 0, 1), 0.012)
+    if draw.chance("heel", 0.4):
+        heel = rounded_box((0.24 * length, 1.1 * half[4], 0.02), 0.003)
+        shoe_body = union([shoe_body, heel.translate((0.14 * length, 0, -0.014))])
+    return shoe_body
+
+
+def padlock(draw: Draw) -> Manifold:
+    """A padlock, handbag or kettle bell: a body under a thick bow."""
+    width = draw.uniform("width", 0.03, 0.08)
+    height = width * draw.uniform("height_ratio", 0.7, 1.2)
+    depth = width * draw.uniform("depth_ratio", 0.25, 0.6)
+    bow = width * draw.uniform("bow_radius", 0.06, 0.11)
+    span = width * draw.uniform("span", 0.26, 0.38)
+    rise = width * draw.uniform("rise", 0.1, 0.7)
+    half = np.concatenate(
+        [[(span, -0.2 * height)], arc(span, 0, np.pi, 16, (0, rise)), [(-span, -0.2 * height)]]
+    )
+    path = np.column_stack([half[:, 0], np.zeros(len(half)), half[:, 1] + height])
+    body = rounded_box((width, depth, height), 0.12 * depth)
+    if draw.chance("round_body", 0.35):
+        body = (
+            cylinder(width / 2, depth, 0.1 * depth, segments=44)
+            .translate((0, 0, -depth / 2))
+            .rotate((90, 0, 0))
+            .translate((0, 0, height - 0.42 * width))
+        )
+    return union([body, tube(path, bow, up=(0, 1, 0), corners=14, round_ends=False)])
+
+
+def cup_to_go(draw: Draw) -> Manifold:
+    """A closed paper cup, yoghurt pot or thermos cup: tapered, under a lid wider than itself."""
+    radius = draw.uniform("radius", 0.03, 0.05)
+    height = radius * draw.uniform("height_ratio", 1.0, 3.6)
+    foot = radius * draw.uniform("foot_ratio", 0.62, 0.95)
+    lid = draw.uniform("lid_height", 0.002, 0.016)
+    rim = radius + draw.uniform("rim", 0.001, 0.004)
+    profile = [
+        (0, 0.004),
+        (foot - 0.003, 0.004),
+        (foot - 0.003, 0),
+        (foot, 0),
+        (radius, height),
+        (rim, height),
+        (rim, height + 0.4 * lid),
+        (0.88 * radius, height + lid),
+        (0.8 * radius, height + 0.6 * lid),
+        (0, height + 0.6 * lid),
+    ]
+    cup = turn(np.array(profile), fillet=0.0006)
+    if draw.chance("straw", 0.25):
+        lean = draw.uniform("lean", -0.2, 0.2)
+        straw = cylinder(0.0035, 0.07, segments=14).rotate((0, float(np.degrees(lean)), 0))
+        cup = union([cup, straw.translate((0.2 * radius, 0, height - 0.01))])
+    return cup
+
+
+def bucket(draw: Draw) -> Manifold:
+    """A bucket or basket: a tapered open vessel under a bow handle."""
+    radius = draw.uniform("radius", 0.035, 0.095)
+    height = radius * draw.uniform("height_ratio", 0.9, 1.9)
+    wall = draw.log_uniform("wall", 0.0015, 0.004)
+    foot = radius * draw.uniform("foot_ratio", 0.65, 0.95)
+    line = np.array([(0, 0), (foot, 0), (radius, height)])
+    bow = draw.uniform("bow_radius", 0.002, 0.006)
+    rise = radius * draw.uniform("rise", 0.6, 1.3)
+    t = np.linspace(0, np.pi, 30)
+    reach = radius + 0.5 * wall
+    path = np.column_stack([reach * np.cos(t), np.zeros(30), 0.92 * height + rise * np.sin(t)])
+    low = np.array(
+        [[float(np.interp(0.82 * height, [0, height], [foot, radius])), 0, 0.82 * height]]
+    )
+    path = np.concatenate([low, path, low * [-1, 1, 1]])
+    handle = tube(path, bow, draw.uniform("bow_flatness", 1.0, 2.5) * bow, up=(0, 1, 0), corners=12)
+    return union([shell(line, wall), handle - cavity(line, wall)])
+
+
+def teapot(draw: Draw) -> Manifold:
+    """A tea pot, kettle or watering can: a closed body with a spout and a handle."""
+    radius = draw.uniform("radius", 0.045, 0.075)
+    height = radius * draw.uniform("height_ratio", 1.0, 1.9)
+    foot, neck = (
+        radius * draw.uniform("foot_ratio", 0.5, 0.8),
+        radius * draw.uniform("neck_ratio", 0.35, 0.65),
+    )
+    line = soften(
+        np.array(
+            [(0, 0), (foot, 0), (radius, 0.25 * height), (radius, 0.65 * height), (neck, height)]
+        )
+    )
+    body = solid_of(line, 0.002)
+    dome = draw.uniform("lid_dome", 0.004, 0.02)
+    top = turn(
+        np.array(
+            [(0, -0.004), (neck, -0.004), (neck, 0.002), (0.6 * neck, dome), (0, dome + 0.001)]
+        ),
+        fillet=0.001,
+    )
+    knob = ellipsoid((0.009, 0.009, 0.009), segments=20)
+    thick = draw.uniform("spout_radius", 0.006, 0.011)
+    reach = radius * draw.uniform("spout_reach", 0.4, 0.8)
+    start = 0.3 * height
+    tip = height * draw.uniform("spout_height", 0.8, 1.1)
+    spout_path = smooth_curve(
+        [
+            (-0.9 * radius, 0, start),
+            (-radius - 0.6 * reach, 0, start + 0.45 * (tip - start)),
+            (-radius - reach, 0, tip),
+        ],
+        14,
+    )
+    spout = tube(spout_path, np.linspace(1.5 * thick, thick, 14), up=(0, 1, 0))
+    grip = draw.uniform("handle_radius", 0.0045, 0.0075)
+    parts = [
+        body,
+        spout,
+        top.translate((0, 0, height)),
+        knob.translate((0, 0, height + dome + 0.006)),
+    ]
+    if draw.chance("handle_above", 0.3):
+        t = np.linspace(0.1, np.pi - 0.1, 24)
+        path = np.column_stack(
+            [
+                0.8 * radius * np.cos(t),
+                np.zeros(24),
+                0.75 * height + (0.25 * height + 0.95 * radius) * np.sin(t),
+            ]
+        )
+        parts.append(tube(path, grip, up=(0, 1, 0), corners=14))
+    else:
+        at = np.interp([0.25 * height, 0.8 * height], line[:, 1], line[:, 0])
+        handle = ear(
+            (0.95 * at[0], 0.25 * height),
+            (0.95 * at[1], 0.8 * height),
+            draw.uniform("handle_reach", 0.022, 0.04) + grip,
+            draw.uniform("handle_squareness", 0, 1),
+            grip,
+            grip,
+        )
+        parts.append(handle)
+    return union(parts)
+
+
+def controller(draw: Draw) -> Manifold:
+    """A game controller or camera: a slab with two grips, knobs and a lens."""
+    width = draw.uniform("width", 0.09, 0.16)
+    depth = width * draw.uniform("depth_ratio", 0.35, 0.6)
+    height = draw.uniform("height", 0.018, 0.04)
+    parts = [rounded_box((width, depth, height), 0.42 * height)]
+    if draw.chance("grips", 0.6):
+        reach, grip = (
+            draw.uniform("grip_reach", 0.3, 0.7) * depth,
+            0.5 * height * draw.uniform("grip_ratio", 0.9, 1.2),
+        )
+        for side in (-1, 1):
+            path = np.linspace(
+                (side * (0.5 * width - grip), 0, 0.5 * height),
+                (side * (0.5 * width), -0.4 * depth - reach, 0.5 * height),
+                8,
+            )
+            parts.append(
+                tube(
+                    path,
+                    np.linspace(grip, 0.8 * grip, 8),
+                    np.linspace(0.95 * grip, 0.75 * grip, 8),
+                    corners=20,
+                )
+            )
+    for index in range(draw.integer("knobs", 1, 4)):
+        size = float(draw.rng.uniform(0.004, 0.012))
+        place = draw.rng.uniform(-0.38, 0.38, 2) * [width, depth]
+        knob = cylinder(size, 0.004 + size, 0.001, segments=22)
+        parts.append(
+            knob.translate((float(place[0]), float(place[1]), height - 0.002 - 1e-4 * index))
+        )
+    if draw.chance("lens", 0.35):
+        lens = cylinder(
+            0.45 * min(depth, width),
+            draw.uniform("lens_length", 0.01, 0.05) + height,
+            0.002,
+            segments=40,
+        )
+        parts.append(lens)
+    return union(parts)
+
+
+def furniture(draw: Draw) -> Manifold:
+    """A doll's chair, stool or table, or a stand: a plate on legs, perhaps with a back."""
+    width = draw.uniform("width", 0.05, 0.15)
+    depth = width * draw.uniform("depth_ratio", 0.7, 1.3)
+    leg_height = width * draw.uniform("leg_ratio", 0.4, 1.2)
+    seat = draw.uniform("seat", 0.004, 0.012)
+    leg = draw.uniform("leg", 0.003, 0.007)
+    splay = draw.uniform("splay", 0.0, 0.2)
+    plate = rounded_box((width, depth, seat), 0.3 * seat)
+    if draw.chance("round_seat", 0.3):
+        plate = cylinder(0.5 * min(width, depth), seat, 0.3 * seat, segments=44)
+        depth = width = 0.8 * min(width, depth)
+    parts = [plate.translate((0, 0, leg_height))]
+    for x in (-1, 1):
+        for y in (-1, 1):
+            head = np.array(
+                [x * (width / 2 - 1.5 * leg), y * (depth / 2 - 1.5 * leg), leg_height + 0.5 * seat]
+            )
+            foot = head * [1 + splay, 1 + splay, 0]
+            parts.append(
+                tube(
+                    np.linspace(foot, head, 4),
+                    leg,
+                    up=(0, 1, 0),
+                    corners=12,
+                    exponent=2.5,
+                    round_ends=False,
+                )
+            )
+    if draw.chance("back", 0.5):
+        back = rounded_box((width * 0.9, 1.3 * seat, leg_height), 0.3 * seat)
+        parts.append(back.translate((0, depth / 2 - 1.3 * seat, leg_height + 0.4 * seat)))
+    return union(parts)
+
+
+def assembly(draw: Draw) -> Manifold:
+    """Two to five simple solids grown into one another at random: everything the list forgot."""
+    size = draw.uniform("size", 0.025, 0.06)
+    parts: list[Manifold] = []
+    centres = [np.zeros(3)]
+    for _ in range(draw.integer("parts", 2, 5)):
+        extent = size * draw.rng.uniform(0.35, 1.2, 3)
+        form = int(draw.rng.integers(5))
+        if form == 0:
+            part = rounded_box(2 * extent, 0.2 * extent.min()).translate((0, 0, -float(extent[2])))
+        elif form == 1:
+            part = cylinder(
+                float(extent[0]), float(2 * extent[2]), 0.15 * float(extent.min())
+            ).translate((0, 0, -float(extent[2])))
+        elif form == 2:
+            part = ellipsoid(extent, segments=32)
+        elif form == 3:
+            z = np.linspace(-extent[2], extent[2], 12)
+            shape = extent[0] * smooth_steps(
+                [-1, 0, 1], draw.rng.uniform(0.3, 1.0, 3), z / extent[2]
+            )
+            part = loft_sections(z, shape, shape * extent[1] / extent[0], 2 + 3 * draw.rng.random())
+        else:
+            section = CrossSection.circle(float(extent[0]), int(draw.rng.integers(3, 9)))
+            part = bevelled(section, float(1.5 * extent[2]), 0.1 * float(extent.min()))
+        turn_by = random_rotation(draw.rng, 1)[0] if draw.rng.random() < 0.5 else np.eye(3)
+        base = centres[int(draw.rng.integers(len(centres)))]
+        step = draw.rng.normal(size=3)
+        centre = base + (step / np.linalg.norm(step)) * 0.75 * size * (len(parts) > 0)
+        centres.append(centre)
+        parts.append(part.transform(np.column_stack([turn_by, centre])))
+    solid = union(parts)
+    if draw.chance("drilled", 0.3):
+        drill = cylinder(0.3 * size * draw.uniform("drill", 0.5, 1.0), 0.5, segments=28).translate(
+            (0, 0, -0.25)
+        )
+        solid -= drill.transform(np.column_stack([random_rotation(draw.rng, 1)[0], centres[-1]]))
+    return solid
+
+
+def bent_plate(draw: Draw) -> Manifold:
+    """A thin sheet bent once or twice: book ends, brackets, shelves, stands, shells."""
+    width = draw.uniform("width", 0.03, 0.14)
+    length = draw.uniform("length", 0.08, 0.24)
+    sheet = draw.log_uniform("sheet", 0.0012, 0.006)
+    bends = draw.integer("bends", 1, 3)
+    corner = draw.uniform("corner", 0.001, 0.3 * width)
+    outline = rounded(CrossSection.square((width, length), True), corner)
+    if draw.chance("hole", 0.3):
+        outline -= CrossSection.circle(0.2 * width, 28)
+    plate = bevelled(outline, sheet, 0.25 * sheet).translate((0, 0, -sheet / 2))
+    angles = draw.rng.uniform(-1.5, 1.5, bends)
+    places = np.sort(draw.rng.uniform(-0.4, 0.4, bends)) * length
+    sharp = draw.uniform("bend_length", 0.1, 0.35) * length
+
+    fine = np.linspace(-0.52 * length, 0.52 * length, 240)
+    heading = sum(
+        a / 2 * np.tanh((fine - p) * 2 / sharp) for a, p in zip(angles, places, strict=True)
+    )
+    step = fine[1] - fine[0]
+    along, rise = np.cumsum(np.cos(heading)) * step, np.cumsum(np.sin(heading)) * step
+
+    def fold(points: np.ndarray) -> np.ndarray:
+        tilt = np.interp(points[:, 1], fine, heading)
+        y = np.interp(points[:, 1], fine, along) - points[:, 2] * np.sin(tilt)
+        z = np.interp(points[:, 1], fine, rise) + points[:, 2] * np.cos(tilt)
+        return np.column_stack([points[:, 0], y, z])
+
+    return refine(plate, max(0.25 * sharp, 0.006)).warp_batch(fold)
+
+
+FAMILIES = (
+    Family("lamp", lamp, 1.5, "compound", "table lamps with a hollow shade", 0.002, 0),
+    Family("shoe", shoe, 1.5, "vessel", "shoes and slippers, open at the ankle", 0.004, 0),
+    Family("padlock", padlock, 1.0, "compound", "padlocks, handbags, kettle bells", 0.003, 1),
+    Family("cup_to_go", cup_to_go, 1.5, "round", "closed paper cups and yoghurt pots", 0.004, 0),
+    Family("bucket", bucket, 1.0, "vessel", "buckets and baskets under a bow", 0.002, 1),
+    Family("teapot", teapot, 1.0, "compound", "tea pots and watering cans, closed", 0.003, 1),
+    Family("controller", controller, 1.0, "compound", "game controllers and cameras", 0.004, 0),
+    Family("furniture", furniture, 1.0, "compound", "doll's chairs, stools and tables", 0.003),
+    Family(
+        "assembly", assembly, 3.0, "compound", "random simple solids grown into one another", 0.006
+    ),
+    Family("bent_plate", bent_plate, 1.5, "flat", "thin sheets bent up to three times", 0.003),
+)

@@ -1,0 +1,445 @@
+"""Toys: studded bricks, arches, peg boards, aeroplanes, cars, animals, houses."""
+
+from __future__ import annotations
+
+import numpy as np
+from manifold3d import CrossSection, Manifold
+
+from pointsdf_cli.objects.draw import Draw
+from pointsdf_cli.objects.family import Family
+from pointsdf_cli.objects.sections import polygon, rounded, smooth_curve, smooth_steps, stroke
+from pointsdf_cli.objects.solids import (
+    bevelled,
+    cylinder,
+    ellipsoid,
+    loft_sections,
+    rounded_box,
+    tube,
+    turn,
+    union,
+)
+
+
+def _grid(columns: int, rows: int, pitch: float) -> list[tuple[float, float]]:
+    x = pitch * (np.arange(columns) - (columns - 1) / 2)
+    y = pitch * (np.arange(rows) - (rows - 1) / 2)
+    return [(float(a), float(b)) for a in x for b in y]
+
+
+def _upright(plate: Manifold, thickness: float) -> Manifold:
+    """Stand a plate drawn in (x, y) up, its x along y and its y along z, centred in depth."""
+    return plate.translate((0, 0, -thickness / 2)).rotate((90, 0, 0)).rotate((0, 0, 90))
+
+
+def brick(draw: Draw) -> Manifold:
+    """A studded building brick: block, curved or sloped; hollow below as moulded, or filled."""
+    pitch = draw.uniform("pitch", 0.013, 0.024)
+    columns, rows = draw.integer("columns", 1, 2), draw.integer("rows", 2, 5)
+    height = pitch * draw.choice("height_units", (0.6, 1.2, 1.2, 2.4))
+    form = draw.choice("form", ("block", "block", "curved", "sloped"))
+    wall = draw.uniform("wall", 0.0014, 0.0035)
+    gap = 0.0003
+    width, length = columns * pitch - gap, rows * pitch - gap
+    half = length / 2
+    if form == "curved" and rows >= 3:
+        flat = half - pitch
+        t = np.linspace(0, np.pi / 2, 9)
+        side = np.column_stack(
+            [flat + (half - flat) * np.cos(t), height * (0.15 + 0.85 * np.sin(t))]
+        )
+        outline = np.concatenate([[(-half, 0), (half, 0)], side, side[::-1] * [-1, 1]])
+        studs = _grid(columns, max(rows - 2, 1), pitch)
+        body = _upright(bevelled(polygon(outline), width, 0.0006), width)
+    elif form == "sloped" and rows >= 3:
+        outline = np.array(
+            [
+                (-half, 0),
+                (half, 0),
+                (half, 0.15 * height),
+                (half - 1.1 * pitch, height),
+                (-half, height),
+            ]
+        )
+        body = _upright(bevelled(rounded(polygon(outline), 0.0005), width, 0.0006), width)
+        studs = [(x, y - pitch / 2) for x, y in _grid(columns, rows - 1, pitch)]
+    else:
+        body = rounded_box((width, length, height), 0.0007)
+        studs = _grid(columns, rows, pitch)
+    stud, rise = (
+        pitch * draw.uniform("stud_ratio", 0.27, 0.33),
+        pitch * draw.uniform("stud_rise", 0.18, 0.3),
+    )
+    knob = cylinder(stud, rise + 0.002, 0.0006, segments=24)
+    if draw.chance("hollow_studs", 0.6):
+        knob -= cylinder(0.62 * stud, rise, segments=20).translate((0, 0, 0.003))
+    parts = [body, *(knob.translate((x, y, height - 0.002)) for x, y in studs)]
+    filled = union(parts)
+    if not draw.chance("hollow_below", 0.6):
+        return filled
+    # The room below keeps clear of a slope or a curve by being as high as their lowest edge.
+    roof = (
+        height - wall if form == "block" or rows < 3 else max(0.15 * height, 0.55 * height - wall)
+    )
+    inset = wall if form == "block" or rows < 3 else max(wall, 0.45 * pitch)
+    room = rounded_box((width - 2 * wall, length - 2 * inset, roof + 0.005)).translate(
+        (0, 0, -0.005)
+    )
+    if columns > 1 and rows > 1:
+        bore = cylinder(0.3 * pitch, roof - 0.001, segments=20).translate((0, 0, -1e-3))
+        pipe = cylinder(0.4 * pitch, roof + 0.001, segments=24) - bore
+        room -= union([pipe.translate((x, y, 0)) for x, y in _grid(columns - 1, rows - 1, pitch)])
+    return filled - room
+
+
+def brick_stack(draw: Draw) -> Manifold:
+    """Several bricks built into one piece: stairs, towers, bridges with an arch."""
+    pitch = draw.uniform("pitch", 0.013, 0.02)
+    layers = draw.integer("layers", 2, 4)
+    height = 1.2 * pitch
+    parts = []
+    for layer in range(layers):
+        long = int(draw.rng.integers(2, 5))
+        shift = pitch * int(draw.rng.integers(-1, 2)) if layer else 0.0
+        turned = layer > 0 and draw.rng.random() < 0.3
+        # A thousandth wider per layer, so that no two side faces lie in one plane.
+        grow = 1 - 0.001 * layer
+        block = rounded_box((2 * pitch * grow, long * pitch * grow, height + 1e-4), 0.0006)
+        studs = [
+            cylinder(0.3 * pitch, 0.25 * pitch, 0.0006, segments=20).translate(
+                (x, y, height - 0.001)
+            )
+            for x, y in _grid(2, long, pitch)
+        ]
+        piece = union([block, *studs])
+        piece = piece.rotate((0, 0, 90)) if turned else piece
+        parts.append(piece.translate((0, shift, layer * height - 1e-4 * layer)))
+    solid = union(parts)
+    if draw.chance("arch", 0.4):
+        gate = (
+            cylinder(0.6 * pitch, 6 * pitch, segments=32)
+            .translate((0, 0, -3 * pitch))
+            .rotate((0, 90, 0))
+        )
+        solid -= gate.translate((0, 0, 0.1 * pitch))
+    return solid
+
+
+def arch_block(draw: Draw) -> Manifold:
+    """A wooden arch, bridge or gate: a block with one or two round or square openings below."""
+    width = draw.uniform("width", 0.06, 0.16)
+    height = width * draw.uniform("height_ratio", 0.4, 0.9)
+    depth = width * draw.uniform("depth_ratio", 0.2, 0.6)
+    openings = draw.integer("openings", 1, 2)
+    outline = CrossSection.square((width, height)).translate((-width / 2, 0))
+    room = width / openings
+    radius = room * draw.uniform("opening_ratio", 0.2, 0.38)
+    spring = max(0.0, min(height - radius - 0.012, height * draw.uniform("spring", 0.0, 0.5)))
+    radius = min(radius, height - spring - 0.008)
+    for index in range(openings):
+        centre = room * (index - (openings - 1) / 2)
+        hole = CrossSection.circle(radius, 40).translate((centre, spring))
+        hole += CrossSection.square((2 * radius, spring + 0.05)).translate((centre - radius, -0.05))
+        outline -= hole
+    plate = bevelled(rounded(outline, 0.0012), depth, draw.uniform("edge", 0.0004, 0.003))
+    return _upright(plate, depth)
+
+
+def peg_board(draw: Draw) -> Manifold:
+    """A board with rows of blind holes, some holding pegs: peg tests, pen stands, egg trays."""
+    columns, rows = draw.integer("columns", 2, 5), draw.integer("rows", 2, 5)
+    pitch = draw.uniform("pitch", 0.018, 0.045)
+    thickness = draw.uniform("thickness", 0.012, 0.04)
+    hole = pitch * draw.uniform("hole_ratio", 0.1, 0.36)
+    margin = draw.uniform("margin", 0.002, 0.02)
+    board = rounded_box(
+        (columns * pitch + margin, rows * pitch + margin, thickness),
+        draw.uniform("edge", 0.0005, 0.004),
+    )
+    floor = thickness * draw.uniform("floor", 0.12, 0.6)
+    drill = cylinder(hole, thickness, segments=20).translate((0, 0, floor))
+    places = _grid(columns, rows, pitch)
+    board -= union([drill.translate((x, y, 0)) for x, y in places])
+    share = draw.uniform("peg_share", 0.0, 0.7)
+    length = thickness * draw.uniform("peg_length", 0.8, 2.2)
+    peg = cylinder(hole * 1.02, length, 0.0006, segments=20).translate((0, 0, floor - 0.001))
+    pegs = [peg.translate((x, y, 0)) for x, y in places if draw.rng.random() < share]
+    return union([board, *pegs])
+
+
+def aeroplane(draw: Draw) -> Manifold:
+    """A toy aeroplane: fuselage, one or two wings, tail, propeller, wheels."""
+    length = draw.uniform("length", 0.12, 0.27)
+    body = length * draw.uniform("body_ratio", 0.07, 0.13)
+    t = np.linspace(0, 1, 22)
+    shape = body * smooth_steps(
+        [0, 0.04, 0.2, 0.45, 1], [0.75, 0.9, 1.0, 0.95, draw.uniform("tail_ratio", 0.25, 0.6)], t
+    )
+    path = np.column_stack([length * t, np.zeros_like(t), np.linspace(0, 0.25 * body, 22)])
+    parts = [
+        tube(path, shape, 1.05 * shape, exponent=draw.uniform("section", 2.0, 3.5), corners=20)
+    ]
+    span = length * draw.uniform("span_ratio", 0.75, 1.2)
+    chord = length * draw.uniform("chord_ratio", 0.16, 0.26)
+    sheet = draw.uniform("wing_thickness", 0.004, 0.01)
+    sweep, taper = draw.uniform("sweep", -0.05, 0.5) * chord, draw.uniform("wing_taper", 0.55, 1.0)
+
+    def wing(half_span: float, root: float, back: float, thick: float) -> Manifold:
+        tip = taper * root
+        outline = np.array(
+            [
+                (0, -half_span * 0.02),
+                (root, -half_span * 0.02),
+                (back + tip, half_span),
+                (back, half_span),
+            ]
+        )
+        half = rounded(polygon(outline), 0.12 * root)
+        return bevelled(half + half.mirror((0.0, 1.0)), thick, 0.3 * thick)
+
+    wing_at = length * draw.uniform("wing_at", 0.2, 0.38)
+    level = body * draw.uniform("wing_level", -0.7, 0.5)
+    main = wing(span / 2, chord, sweep, sheet)
+    parts.append(main.translate((wing_at, 0, level)))
+    if draw.chance("biplane", 0.4):
+        upper = level + body * draw.uniform("wing_gap", 1.5, 2.4)
+        parts.append(main.translate((wing_at, 0, upper)))
+        strut = cylinder(max(0.1 * body, 0.002), upper - level + 0.5 * sheet, segments=12)
+        for y in (-0.3 * span, 0.3 * span, -0.5 * body, 0.5 * body):
+            x = wing_at + 0.45 * chord + 0.6 * sweep * abs(y) / span
+            parts.append(strut.translate((x, y, level + 0.25 * sheet)))
+    tail = wing(0.19 * span, 0.6 * chord, 0.5 * sweep, 0.8 * sheet)
+    parts.append(tail.translate((length - 0.6 * chord, 0, 0.2 * body)))
+    fin = np.array(
+        [(0, 0), (0.55 * chord, 0), (0.6 * chord, 1.9 * body), (0.25 * chord, 1.9 * body)]
+    )
+    blade = bevelled(rounded(polygon(fin), 0.002), 0.8 * sheet, 0.2 * sheet)
+    blade = blade.translate((0, 0, -0.4 * sheet)).rotate((90, 0, 0))
+    parts.append(blade.translate((length - 0.56 * chord, 0, 0.1 * body)))
+    if draw.chance("propeller", 0.6):
+        hub = tube(np.linspace((-0.9 * body, 0, 0), (0.1 * body, 0, 0), 5), 0.28 * body, corners=14)
+        vane = ellipsoid(
+            (0.1 * body + 0.001, 0.28 * body, 1.5 * body), (-0.6 * body, 0, 0), segments=20
+        )
+        parts.append(
+            union([hub, vane.rotate((float(draw.uniform("propeller_turn", 0, 180)), 0, 0))])
+        )
+    if draw.chance("wheels", 0.6):
+        wheel = draw.uniform("wheel", 0.4, 0.7) * body
+        axle_x, axle_z = wing_at + 0.1 * chord, -body - 0.8 * wheel
+        axle = (
+            cylinder(0.15 * wheel + 0.001, 2.2 * body, segments=12)
+            .translate((0, 0, -1.1 * body))
+            .rotate((90, 0, 0))
+        )
+        disc = (
+            cylinder(wheel, 0.5 * wheel, 0.1 * wheel, segments=28)
+            .translate((0, 0, -0.25 * wheel))
+            .rotate((90, 0, 0))
+        )
+        leg = cylinder(0.18 * body, body + 0.8 * wheel, segments=12).translate((axle_x, 0, axle_z))
+        parts += [leg, axle.translate((axle_x, 0, axle_z))]
+        parts += [disc.translate((axle_x, side * 0.95 * body, axle_z)) for side in (-1, 1)]
+    return union(parts)
+
+
+def toy_car(draw: Draw) -> Manifold:
+    """A toy car, lorry, bus or wagon on four wheels."""
+    length = draw.uniform("length", 0.06, 0.18)
+    width = length * draw.uniform("width_ratio", 0.36, 0.55)
+    body = length * draw.uniform("body_ratio", 0.14, 0.26)
+    cabin = length * draw.uniform("cabin_ratio", 0.1, 0.24)
+    start, end = draw.uniform("cabin_start", -0.45, -0.1), draw.uniform("cabin_end", 0.05, 0.45)
+    rake = draw.uniform("rake", 0.0, 0.6) * cabin
+    half = length / 2
+    outline = np.array(
+        [
+            (-half, 0),
+            (half, 0),
+            (half, 0.8 * body),
+            (end * length + rake, body),
+            (end * length, body + cabin),
+            (start * length, body + cabin),
+            (start * length - 0.6 * rake, body),
+            (-half, 0.95 * body),
+        ]
+    )
+    outline[:, 0] = np.clip(outline[:, 0], -half, half)
+    shell = bevelled(
+        rounded(polygon(outline), 0.06 * body), width, draw.uniform("edge", 0.001, 0.008)
+    )
+    shell = shell.translate((0, 0, -width / 2)).rotate((90, 0, 0))
+    wheel = draw.uniform("wheel", 0.07, 0.11) * length
+    thick = 0.22 * width
+    disc = (
+        cylinder(wheel, thick, 0.12 * wheel, segments=32)
+        .translate((0, 0, -thick / 2))
+        .rotate((90, 0, 0))
+    )
+    axles = (-0.3 * length, 0.3 * length)
+    out = draw.uniform("track", 0.4, 0.52) * width
+    well = cylinder(1.12 * wheel, 0.5 * thick, segments=32).rotate((90, 0, 0))
+    wells = [
+        well.translate((x, y, 0))
+        for x in axles
+        for y in (width / 2 + 0.1 * thick, -width / 2 + 0.4 * thick)
+    ]
+    discs = [disc.translate((x, side * out, 0.05 * wheel)) for x in axles for side in (-1, 1)]
+    axle = cylinder(0.35 * wheel, 2 * out, segments=16).translate((0, 0, -out)).rotate((90, 0, 0))
+    rods = [axle.translate((x, 0, 0.05 * wheel)) for x in axles]
+    return union([shell - union(wells), *discs, *rods])
+
+
+def animal(draw: Draw) -> Manifold:
+    """A toy animal or doll: trunk, head, two or four legs, ears or a tail, all of ellipsoids."""
+    trunk = draw.uniform("trunk", 0.022, 0.045)
+    stretch = draw.uniform("stretch", 1.1, 1.9)
+    girth = draw.uniform("girth", 0.75, 1.1)
+    legs = draw.choice("legs", (2, 4, 4))
+    leg_length = trunk * draw.uniform("leg_length", 0.9, 1.9)
+    leg = trunk * draw.uniform("leg_radius", 0.22, 0.38)
+    head = trunk * draw.uniform("head", 0.45, 0.8)
+    parts = [ellipsoid((trunk * stretch, trunk * girth, trunk), segments=40)]
+    fore = 0.62 * trunk * stretch
+    for x in (-fore, fore) if legs == 4 else (0.0,):
+        for side in (-1, 1):
+            path = np.array(
+                [
+                    (x, side * 0.5 * girth * trunk, -0.3 * trunk),
+                    (1.08 * x, side * 0.62 * girth * trunk, -0.5 * trunk - leg_length),
+                ]
+            )
+            parts.append(
+                tube(
+                    np.linspace(*path, 6),
+                    np.linspace(1.1 * leg, 0.85 * leg, 6),
+                    up=(1, 0, 0),
+                    corners=18,
+                )
+            )
+    neck = np.array(
+        [
+            trunk * stretch * draw.uniform("neck_forward", 0.6, 1.1),
+            0,
+            trunk * draw.uniform("neck_up", 0.5, 1.6),
+        ]
+    )
+    parts.append(
+        tube(
+            np.linspace([0.4 * trunk * stretch, 0, 0], neck, 6),
+            np.linspace(0.7 * head, 0.6 * head, 6),
+            up=(0, 1, 0),
+            corners=18,
+        )
+    )
+    parts.append(
+        ellipsoid((head * draw.uniform("snout", 1.0, 1.6), head, head), tuple(neck), segments=32)
+    )
+    ear = head * draw.uniform("ear", 0.3, 0.75)
+    for side in (-1, 1):
+        parts.append(
+            ellipsoid(
+                (0.3 * ear, 0.55 * ear, ear),
+                (neck[0] - 0.2 * head, side * 0.6 * head, neck[2] + 0.75 * head),
+                segments=18,
+            )
+        )
+    if draw.chance("tail", 0.6):
+        tail = smooth_curve(
+            [
+                (-0.85 * trunk * stretch, 0, 0.2 * trunk),
+                (-1.4 * trunk * stretch, 0, 0.5 * trunk),
+                (-1.6 * trunk * stretch, 0, draw.uniform("tail_up", 0.0, 1.4) * trunk),
+            ],
+            10,
+        )
+        parts.append(tube(tail, np.linspace(0.24, 0.12, 10) * trunk, up=(0, 1, 0), corners=12))
+    return union(parts)
+
+
+def toy_house(draw: Draw) -> Manifold:
+    """A small house, church or bird house: block, gabled roof that overhangs, chimney, door."""
+    width = draw.uniform("width", 0.04, 0.1)
+    depth = width * draw.uniform("depth_ratio", 0.7, 1.5)
+    height = width * draw.uniform("height_ratio", 0.5, 1.3)
+    rise = width * draw.uniform("roof_ratio", 0.25, 0.7)
+    eave = draw.uniform("eave", 0.002, 0.01)
+    gable = polygon(
+        np.array(
+            [
+                (-width / 2, 0),
+                (width / 2, 0),
+                (width / 2, height),
+                (0, height + rise),
+                (-width / 2, height),
+            ]
+        )
+    )
+    house = bevelled(gable, depth, 0.0005).translate((0, 0, -depth / 2)).rotate((90, 0, 0))
+    slope = np.array(
+        [
+            (-width / 2 - eave, height - eave * 2 * rise / width),
+            (0, height + rise),
+            (width / 2 + eave, height - eave * 2 * rise / width),
+        ]
+    )
+    long = depth + 2 * eave
+    roof = stroke(slope, draw.uniform("roof_thickness", 0.003, 0.008)).extrude(long)
+    parts = [house, roof.translate((0, 0, -long / 2)).rotate((90, 0, 0))]
+    if draw.chance("chimney", 0.5):
+        stack = rounded_box((0.16 * width, 0.16 * width, rise), 0.0008)
+        parts.append(stack.translate((0.25 * width, 0.2 * depth, height + 0.3 * rise)))
+    solid = union(parts)
+    if draw.chance("door", 0.6):
+        hole = cylinder(0.16 * width, 0.4 * depth, segments=28).rotate((90, 0, 0))
+        solid -= hole.translate((0, -0.2 * depth, 0.5 * height))
+    return solid
+
+
+def top_toy(draw: Draw) -> Manifold:
+    """A skittle, spinning top, chess man or doll: a turned body with a round head."""
+    radius = draw.uniform("radius", 0.014, 0.045)
+    height = radius * draw.uniform("height_ratio", 1.8, 5.0)
+    waist = radius * draw.uniform("waist_ratio", 0.25, 0.7)
+    head = radius * draw.uniform("head_ratio", 0.45, 0.9)
+    z = np.linspace(0, height, 34)
+    shape = smooth_steps(
+        np.array([0, 0.08, 0.3, 0.72, 1.0]) * height,
+        [0.85 * radius, radius, 0.9 * radius, waist, waist],
+        z,
+    )
+    body = loft_sections(z, shape, shape)
+    crown = ellipsoid(
+        (head, head, head * draw.uniform("head_stretch", 0.8, 1.4)),
+        (0, 0, height + 0.4 * head),
+        segments=36,
+    )
+    parts = [body, crown]
+    if draw.chance("collar", 0.4):
+        ring = turn(
+            np.array([(0, -0.003), (1.25 * waist, -0.001), (1.25 * waist, 0.001), (0, 0.003)])
+        )
+        parts.append(ring.translate((0, 0, 0.8 * height)))
+    return union(parts)
+
+
+FAMILIES = (
+    Family(
+        "brick",
+        brick,
+        3.0,
+        "toy",
+        "studded bricks: blocks, curves, slopes; hollow below or filled",
+        0.002,
+        0,
+    ),
+    Family(
+        "brick_stack", brick_stack, 1.5, "toy", "bricks built into stairs, towers and arches", 0.002
+    ),
+    Family("arch_block", arch_block, 1.0, "toy", "wooden arches and bridges", 0.003, 0),
+    Family("peg_board", peg_board, 2.0, "toy", "boards with blind holes and pegs", 0.003, 0),
+    Family("aeroplane", aeroplane, 2.5, "compound", "toy aeroplanes with one or two wings", 0.003),
+    Family("toy_car", toy_car, 1.5, "toy", "cars, lorries and buses on four wheels", 0.003),
+    Family("animal", animal, 1.5, "compound", "animals and dolls of ellipsoids", 0.008),
+    Family("toy_house", toy_house, 1.0, "toy", "houses with roof, chimney and door", 0.003, 0),
+    Family("top_toy", top_toy, 1.0, "toy", "skittles, tops, chess men", 0.004, 0),
+)
