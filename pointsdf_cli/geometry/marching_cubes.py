@@ -41,7 +41,7 @@ class CrossedCells(NamedTuple):
 def straddling(values: np.ndarray) -> np.ndarray:
     """Which cells the zero level crosses: [C] bool from the values [C, 8] at their corners."""
     inside = values < 0
-    return inside.any(axis=1) & ~inside.all(axis=1)
+    return np.logical_xor(inside.any(axis=1), inside.all(axis=1))
 
 
 def cross_cells(corners: np.ndarray, values: np.ndarray) -> CrossedCells:
@@ -124,7 +124,7 @@ def _contours(case: int) -> list[list[int]]:
                     j += 1
                 first = _edge_between(face[i - 1], face[i])
                 last = _edge_between(face[j % 4], face[(j + 1) % 4])
-                following[first] = last
+                following[last] = first
     loops = []
     while following:
         start, edge = following.popitem()

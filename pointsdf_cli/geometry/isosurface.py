@@ -1,0 +1,175 @@
+"""From a signed distance field to a closed mesh (METHOD.md section 1).
+
+MISE finds the cells (`mise.py`), marching cubes interpolates the field's own values (not a
+thresholded copy, which would leave stairs), and one Newton step along each crossed edge pulls the
+vertices to zero. A grid as coarse as it is fine (`coarse = resolution`) is the dense extraction;
+both give the same surface wherever the coarse grid sees any of it.
+
+Limit: a separate part that no corner of the coarse grid is inside of, or within half a cell of, is
+not found. A sheet cannot hide like that; a ball thinner than half a coarse cell can.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.geometry.marching_cubes import cross_cells
+from pointsdf_cli.geometry.mise import Field, SampledGrid, SearchRules, find_surface_cells
+
+MAX_RESOLUTION = 512
+_END_GAP = 1e-3
+"""Vertices keep this share of an edge away from its ends, so that no triangle shrinks to nothing
+when the mesh is stored in float32."""
+
+
+class EmptySurfaceError(RgraspError):
+    """The field is nowhere negative inside the box, as far as the coarse grid shows."""
+
+
+@dataclass(frozen=True)
+class IsosurfaceConfig:
+    """How to look for the zero level.
+
+    Attributes:
+        resolution: Cells along each side of the box: `coarse` times a power of two, at most 512.
+        coarse: Cells of the first grid, which is asked everywhere.
+        half_width: The box is [-half_width, half_width]³, in the field's units.
+        rules: When MISE asks and where it looks.
+        newton: One Newton step along each edge (one more query a vertex).
+        smallest_part: Parts that enclose less than this share of the largest part's volume are
+            dropped; 1 keeps the largest alone, 0 everything.
+        batch: Points asked at once.
+    """
+
+    resolution: int = 128
+    coarse: int = 32
+    half_width: float = 0.8
+    rules: SearchRules = field(default_factory=SearchRules)
+    newton: bool = True
+    smallest_part: float = 0.05
+    batch: int = 1 << 16
+
+    def __post_init__(self) -> None:
+        fine = [self.coarse << k for k in range(10) if 0 < self.coarse << k <= MAX_RESOLUTION]
+        if self.resolution not in fine:
+            raise InputError(
+                f"no grid of {self.resolution} cells is refined from one of {self.coarse}",
+                where="--resolution",
+                allowed=", ".join(map(str, fine)) or f"a coarse grid of 1 to {MAX_RESOLUTION}",
+            )
+        if not (self.half_width > 0 and 0 <= self.smallest_part <= 1):
+            raise InputError(
+                "the isosurface options make no sense",
+                where=self,
+                allowed="half_width > 0, 0 ≤ smallest_part ≤ 1",
+            )
+
+
+@dataclass(frozen=True)
+class Isosurface:
+    """A closed surface around the inside of a field.
+
+    Attributes:
+        vertices: [V, 3] f8, in the field's units.
+        faces: [F, 3] i4, counter-clockwise seen from outside.
+        queries: How many points the field was asked for.
+        parts_dropped: How many parts were too small to keep.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    queries: int
+    parts_dropped: int
+
+
+def extract_isosurface(sdf: Field, config: IsosurfaceConfig | None = None) -> Isosurface:
+    """The zero level of `sdf` in the box, closed where it meets the box's edge.
+
+    Args:
+        sdf: Negative inside, float32 points in.
+        config: Resolution and the rest; by default 128³ refined from 32³.
+
+    Raises:
+        EmptySurfaceError: Nothing is inside at the first grid's corners or near them.
+        RgraspError: The field is not finite.
+    """
+    config = config or IsosurfaceConfig()
+    grid = SampledGrid(sdf, config.resolution, config.half_width, config.batch)
+    corners = find_surface_cells(grid, config.coarse, config.rules)
+    if len(corners) == 0:
+        raise EmptySurfaceError(
+            "no surface: the field is nowhere negative in the box",
+            allowed="a field that is negative inside the object",
+        )
+    crossed = cross_cells(corners, grid.values)
+    vertices = _vertices(grid, crossed.low, crossed.high, config)
+    vertices, faces, dropped = _keep_large_parts(vertices, crossed.faces, config.smallest_part)
+    return Isosurface(vertices, faces, grid.queries, dropped)
+
+
+def _vertices(
+    grid: SampledGrid, low: NDArray[np.integer], high: NDArray[np.integer], config: IsosurfaceConfig
+) -> NDArray[np.float64]:
+    """Where the edges between the corners `low` and `high` [V] cross zero: [V, 3]."""
+    start, end = grid.positions(low), grid.positions(high)
+    value_low, value_high = (grid.values[row].astype(np.float64) for row in (low, high))
+    share = value_low / (value_low - value_high)
+    if config.newton:
+        share = np.clip(share, _END_GAP, 1 - _END_GAP)
+        here = grid.ask(start + share[:, None] * (end - start)).astype(np.float64)
+        share = _newton_step(share, value_low, here, value_high)
+    share = np.clip(share, _END_GAP, 1 - _END_GAP)
+    return start + share[:, None] * (end - start)
+
+
+def _newton_step(
+    t: NDArray[np.float64],
+    at_0: NDArray[np.float64],
+    at_t: NDArray[np.float64],
+    at_1: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """One Newton step from t on each unit edge, kept between the two samples of opposite sign.
+
+    The slope is that of the parabola through the three samples, so no gradient is asked for, the
+    error falls from the second to the third order in the edge's length, and a vertex never leaves
+    its edge (the mesh cannot fold).
+    """
+    slope = (at_t - at_0) / t + (at_1 - at_t) / (1 - t) - (at_1 - at_0)
+    same_side = (at_t < 0) == (at_0 < 0)
+    low, high = np.where(same_side, t, 0.0), np.where(same_side, 1.0, t)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stepped = t - at_t / slope
+    return np.where(np.isfinite(stepped), np.clip(stepped, low, high), t)
+
+
+def _keep_large_parts(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], smallest: float
+) -> tuple[NDArray[np.float64], NDArray[np.int32], int]:
+    """The connected parts that enclose at least `smallest` of what the largest encloses.
+
+    Cavities count by the volume they enclose, like bodies: those kept keep the solid as the field
+    says it is, and no body is dropped without its cavities.
+    """
+    ends = (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())
+    links = coo_array((np.ones(len(ends[0]), bool), ends), shape=(len(vertices),) * 2)
+    count, part = connected_components(links, directed=False)
+    if count == 1:
+        return vertices, faces, 0
+    a, b, c = vertices[faces].swapaxes(0, 1)
+    volume = np.abs(
+        np.bincount(part[faces[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)) / 6, count)
+    )
+    keep = volume >= smallest * volume.max()
+    keep[volume.argmax()] = True
+    if smallest == 1:
+        keep = np.arange(count) == volume.argmax()
+    kept_vertex = keep[part]
+    renumber = np.cumsum(kept_vertex, dtype=np.int32) - 1
+    faces = renumber[faces[kept_vertex[faces[:, 0]]]]
+    return vertices[kept_vertex], faces, int((~keep).sum())

@@ -1,0 +1,254 @@
+"""Multiresolution search for the grid cells that the zero level of a field crosses.
+
+MISE (Mescheder et al. 2019, METHOD.md section 1): a coarse grid is asked everywhere, and only the
+cells that the surface crosses are subdivided. Three rules go beyond the paper's:
+
+- A new corner is asked only where its sign is in doubt, or where it ends an edge that the surface
+  crosses. An SDF cannot change faster than its slope allows, so a neighbour's distance often
+  settles the sign; such a corner holds a lower bound with that sign until it is needed.
+- Where an answer refutes a bound (a network's slope is not bounded by a theorem), every corner of
+  the cells around it is asked.
+- Where the surface leaves the refined cells through a face, the cell beyond is searched too: a
+  sheet is followed to its end once any of it is seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import RgraspError
+from pointsdf_cli.geometry.marching_cubes import CORNERS, straddling
+
+Field = Callable[[NDArray[np.float32]], NDArray[np.floating]]
+"""A signed distance field: points [N, 3] f4 → values [N], negative inside."""
+
+Cells = NDArray[np.int32]
+"""[C, 3]: cells named by their lowest corner, in steps of the finest grid."""
+
+_FACES = [(np.flatnonzero(CORNERS[:, k] == s), k, 2 * s - 1) for k in range(3) for s in (0, 1)]
+# The points of a halved cell that are not corners of the whole, in half steps, and for each the
+# corners of the edge, face or cell that it is the middle of.
+_MIDDLES = [np.array(m) for m in product((0, 1, 2), repeat=3) if 1 in m]
+_ENDS = [np.flatnonzero((np.abs(2 * CORNERS - m) <= 1).all(axis=1)) for m in _MIDDLES]
+
+
+@dataclass(frozen=True)
+class SearchRules:
+    """How far the field's values are trusted.
+
+    Attributes:
+        slope: The steepest change of the field that bounds are made with; 1 for an exact SDF,
+            infinity for the paper's rule (every corner of a subdivided cell is asked).
+        reach: Cells of the coarse grid with a corner nearer to the surface than this many cells
+            are subdivided although their corners agree; 0 is the paper's rule.
+    """
+
+    slope: float = 1.25
+    reach: float = 0.5
+
+
+class SampledGrid:
+    """A field's values on those corners of a cubic grid that were looked at.
+
+    Coarse and fine levels are strides on the same grid, so one answer serves all of them.
+
+    Args:
+        field: Negative inside.
+        resolution: Cells along each side.
+        half_width: The grid spans [-half_width, half_width]³.
+        batch: Points asked at once.
+    """
+
+    def __init__(self, field: Field, resolution: int, half_width: float, batch: int) -> None:
+        self._field, self._half_width, self._batch = field, half_width, batch
+        self.side = resolution + 1
+        self.step = 2 * half_width / resolution
+        # 1 + the row of each corner, 0 where it was never looked at. The system gives memory only
+        # to pages that are written, and a surface writes few of them. Flat numbers fit 32 bits.
+        self._slot = np.zeros(self.side**3, dtype=np.int32)
+        self._weights = np.array([self.side**2, self.side, 1], dtype=np.int32)
+        self._flat = np.zeros(0, dtype=np.int32)
+        self.values = np.zeros(0, dtype=np.float32)
+        self.exact = np.zeros(0, dtype=bool)
+        self.queries = 0
+
+    def ask(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """The field at points [N, 3], cut to the box.
+
+        The box's own SDF, shrunk by half a step, takes part by max(): what sticks out is cut off
+        flat, and the outermost corners are always outside.
+
+        Raises:
+            RgraspError: The field is not finite.
+        """
+        points = np.ascontiguousarray(points, dtype=np.float32)
+        starts = range(0, len(points), self._batch)
+        answers = [np.asarray(self._field(points[i : i + self._batch])) for i in starts]
+        values = np.concatenate(answers) if answers else np.zeros(0)
+        self.queries += len(points)
+        if values.shape != (len(points),) or not np.isfinite(values).all():
+            raise RgraspError("the field gave values that are not finite numbers, one a point")
+        wall = np.abs(points).max(axis=1, initial=0) - (self._half_width - self.step / 2)
+        return np.maximum(values, wall).astype(np.float32)
+
+    def positions(self, rows: NDArray[np.integer]) -> NDArray[np.float64]:
+        """Where the corners of `rows` [N] are: [N, 3], in the field's units."""
+        index = np.stack(np.unravel_index(self._flat[rows], (self.side,) * 3), axis=1)
+        return index * self.step - self._half_width
+
+    def corner_rows(self, cells: Cells, stride: int) -> NDArray[np.int32]:
+        """The rows [C, 8] of the corners of cells of size `stride`; new ones are asked."""
+        base = self._flat_of(cells)
+        rows = np.empty((len(cells), 8), dtype=np.int32)
+        fresh = []
+        for k, offset in enumerate(self._flat_of(stride * CORNERS)):
+            rows[:, k] = self._slot[base + offset] - 1
+            unknown = np.flatnonzero(rows[:, k] < 0)
+            if len(unknown):
+                # One number per flat index first: cells of one call may share the new corner.
+                flat = np.unique(base[unknown] + offset)
+                fresh.append(self._add([flat], [np.zeros(len(flat), np.float32)]))
+                rows[unknown, k] = self._slot[base[unknown] + offset] - 1
+        if fresh:
+            self.settle(np.concatenate(fresh))
+        return rows
+
+    def halve(self, cells: Cells, stride: int, slope: float) -> Cells:
+        """The children, of size `stride`, of cells of twice that size whose corners are known.
+
+        Children's corners get bounds where the sign is certain, and are asked elsewhere.
+        """
+        values = self.values[self.corner_rows(cells, 2 * stride)]
+        base = self._flat_of(cells)
+        places, bounds, certainties = [], [], []
+        added = len(self._flat)
+        for middle, ends in zip(_MIDDLES, _ENDS, strict=True):
+            flat = base + self._flat_of(stride * middle[None])
+            new = np.flatnonzero(self._slot[flat] == 0)
+            self._slot[flat[new]] = np.arange(added + 1, added + 1 + len(new), dtype=np.int32)
+            added += len(new)
+            change = slope * stride * self.step * np.sqrt(np.count_nonzero(middle == 1))
+            ends_here = values[new[:, None], ends]
+            above, below = ends_here.max(axis=1) - change, ends_here.min(axis=1) + change
+            places.append(flat[new])
+            bounds.append(np.where(above > 0, above, below).astype(np.float32))
+            certainties.append((above > 0) != (below < 0))  # both: they contradict each other
+        rows = self._add(places, bounds)
+        self.settle(rows[~np.concatenate(certainties)])
+        return (cells[:, None] + stride * CORNERS.astype(np.int32)).reshape(-1, 3)
+
+    def settle(self, rows: NDArray[np.integer]) -> NDArray[np.integer]:
+        """Ask those of the corners `rows` that hold bounds; the rows whose sign was wrong."""
+        wanted = np.zeros(len(self.values), dtype=bool)
+        wanted[rows] = True
+        rows = np.flatnonzero(wanted & ~self.exact)
+        rows = rows[np.argsort(self._flat[rows])]  # neighbours side by side: kinder to caches
+        believed = self.values[rows] < 0
+        self.values[rows] = self.ask(self.positions(rows))
+        self.exact[rows] = True
+        return rows[(self.values[rows] < 0) != believed]
+
+    def _flat_of(self, cells: NDArray[np.integer]) -> NDArray[np.int32]:
+        x, y, z = cells.astype(np.int32, copy=False).T
+        flat: NDArray[np.int32] = (x * np.int32(self.side) + y) * np.int32(self.side) + z
+        return flat
+
+    def _add(
+        self, places: list[NDArray[np.int32]], values: list[NDArray[np.float32]]
+    ) -> NDArray[np.integer]:
+        """New rows for the corners at flat indices `places`, holding `values` as bounds."""
+        first = len(self._flat)
+        self._flat = np.concatenate([self._flat, *places])
+        self.values = np.concatenate([self.values, *values])
+        rows = np.arange(first, len(self._flat))
+        self._slot[self._flat[rows]] = rows + 1
+        self.exact = np.concatenate([self.exact, np.zeros(len(rows), bool)])
+        return rows
+
+
+def find_surface_cells(grid: SampledGrid, coarse: int, rules: SearchRules) -> NDArray[np.int32]:
+    """The corner rows [C, 8] of the finest cells that the surface crosses.
+
+    Every end of a crossed edge holds the field's own value.
+
+    Args:
+        grid: Empty; filled on the way.
+        coarse: Cells along each side of the first grid; divides the resolution.
+        rules: When to ask and where to look.
+    """
+    stride = (grid.side - 1) // coarse
+    axis = np.arange(coarse, dtype=np.int32) * stride
+    cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    rows = grid.corner_rows(cells, stride)
+    near = straddling(grid.values[rows])
+    if stride > 1:
+        near |= np.abs(grid.values[rows]).min(axis=1) < rules.reach * stride * grid.step
+    cells, rows = cells[near], rows[near]
+    while stride > 1:
+        stride //= 2
+        cells, rows = _subdivide(grid, cells, stride, rules.slope)
+    return rows
+
+
+def _subdivide(
+    grid: SampledGrid, parents: Cells, stride: int, slope: float
+) -> tuple[Cells, NDArray[np.int32]]:
+    """The cells of size `stride` that the surface crosses in `parents` or, from there, beyond.
+
+    Returns:
+        The cells [C, 3] and their corner rows [C, 8].
+    """
+    halved = np.zeros(((grid.side - 1) // (2 * stride),) * 3, dtype=bool)
+    cells, rows = np.zeros((0, 3), np.int32), np.zeros((0, 8), np.int32)
+    while len(parents):
+        halved[tuple((parents // (2 * stride)).T)] = True
+        children = grid.halve(parents, stride, slope)
+        first = len(cells)
+        cells = np.concatenate([cells, children])
+        rows = np.concatenate([rows, grid.corner_rows(children, stride)])
+        fresh = _settle_crossed_edges(grid, rows, np.arange(first, len(cells)))
+        beyond = _led_to(cells[fresh], grid.values[rows[fresh]] < 0, stride) // (2 * stride)
+        beyond = np.unique(beyond[~halved[tuple(beyond.T)]], axis=0)
+        parents = beyond * np.int32(2 * stride)
+    crossed = straddling(grid.values[rows])
+    return cells[crossed], rows[crossed]
+
+
+def _led_to(cells: Cells, inside: NDArray[np.bool_], stride: int) -> Cells:
+    """The neighbours across every face that the surface cuts, with repeats.
+
+    The grid's outermost corners are always outside, so none of them lies beyond the grid.
+    """
+    beyond = []
+    for corners, axis, direction in _FACES:
+        on_face = inside[:, corners]
+        neighbour = cells[on_face.any(axis=1) & ~on_face.all(axis=1)]
+        neighbour[:, axis] += direction * stride
+        beyond.append(neighbour)
+    return np.concatenate(beyond)
+
+
+def _settle_crossed_edges(
+    grid: SampledGrid, rows: NDArray[np.int32], fresh: NDArray[np.integer]
+) -> NDArray[np.integer]:
+    """Ask the ends of all crossed edges of the cells `fresh`; the cells whose signs are settled.
+
+    Cells around a refuted bound are asked in full and join the result.
+    """
+    inside = grid.values[rows[fresh]] < 0
+    ends = np.zeros_like(inside)
+    for bit in (4, 2, 1):
+        ends |= inside != inside[:, np.arange(8) ^ bit]
+    wrong = grid.settle(rows[fresh][ends])
+    while len(wrong):
+        refuted = np.zeros(len(grid.values), dtype=bool)
+        refuted[wrong] = True
+        around = np.flatnonzero(refuted[rows].any(axis=1))
+        fresh = np.union1d(fresh, around)
+        wrong = grid.settle(rows[around].ravel())
+    return fresh
