@@ -9,7 +9,7 @@ from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
 from pointsdf_cli.objects.refine import refine
 from pointsdf_cli.objects.sections import polygon, rounded
-from pointsdf_cli.objects.solids import bevelled, cylinder, ellipsoid, rounded_box, union
+from pointsdf_cli.objects.solids import bevelled, cylinder, ellipsoid, on_edge, rounded_box, union
 
 
 def carton(draw: Draw) -> Manifold:
@@ -53,7 +53,7 @@ def drink_carton(draw: Draw) -> Manifold:
         ]
         outline = rounded(polygon(np.array(corners)), radius)
         # The outline stands in the (y, z) plane and is extruded along x.
-        parts = [_upright(bevelled(outline, width, radius), width)]
+        parts = [on_edge(bevelled(outline, width, radius), width)]
         height += rise / 2
     elif top == "gable":
         rise = draw.uniform("gable", 0.3, 0.55) * depth
@@ -70,7 +70,7 @@ def drink_carton(draw: Draw) -> Manifold:
                 ]
             )
         )
-        parts.append(_upright(gable.extrude(width - 0.002), width - 0.002))
+        parts.append(on_edge(gable.extrude(width - 0.002), width - 0.002))
         ridge = rounded_box((width - 0.002, 0.003, fin + rise), 0.001)
         parts.append(ridge.translate((0, 0, height)))
     if draw.chance("cap", 0.5):
@@ -126,12 +126,12 @@ def wood_block(draw: Draw) -> Manifold:
         outline = np.array(
             [(-edge / 2, 0), (edge / 2, 0), (lean, edge * draw.uniform("rise", 0.4, 0.9))]
         )
-        return _upright(bevelled(rounded(polygon(outline), radius), depth, radius), depth)
+        return on_edge(bevelled(rounded(polygon(outline), radius), depth, radius), depth)
     if form == "half_round":
         disc = CrossSection.circle(edge / 2, 48) ^ CrossSection.square((edge, edge)).translate(
             (-edge / 2, 0)
         )
-        return _upright(bevelled(rounded(disc, radius), depth, radius), depth)
+        return on_edge(bevelled(rounded(disc, radius), depth, radius), depth)
     bar = CrossSection.square((edge, edge * draw.uniform("bar", 0.25, 0.5)), True)
     return bevelled(rounded(bar + bar.rotate(90), radius), depth, radius)
 
@@ -226,11 +226,6 @@ def remote(draw: Draw) -> Manifold:
         for row in range(rows)
     ]
     return union([body, *buttons])
-
-
-def _upright(plate: Manifold, thickness: float) -> Manifold:
-    """Stand a plate drawn in (x, y) up so that its y points up and it is centred in depth."""
-    return plate.translate((0, 0, -thickness / 2)).rotate((90, 0, 0)).rotate((0, 0, 90))
 
 
 FAMILIES = (

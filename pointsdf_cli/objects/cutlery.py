@@ -12,6 +12,15 @@ from pointsdf_cli.objects.sections import polygon, rounded, smooth_curve, smooth
 from pointsdf_cli.objects.solids import bevelled, cylinder, ellipsoid, tube, union
 
 
+# Edge and back of a blade at five places along it, as fractions of its width.
+_BLADES: dict[str, tuple[list[float], list[float]]] = {
+    "pointed": ([0, 0, 0.05, 0.35, 1], [1, 1, 1, 1, 1]),
+    "round": ([0, 0, 0, 0.12, 0.6], [1, 1, 1, 0.95, 0.7]),
+    "cleaver": ([0, 0, 0, 0, 0.05], [1, 1, 1, 1, 1]),
+    "dagger": ([0, 0, 0.1, 0.25, 0.5], [1, 1, 0.9, 0.75, 0.5]),
+}
+
+
 def _handle(draw: Draw, length: float) -> Manifold:
     """A handle from y = −length to y = 0: flat metal, or thick as of plastic."""
     thick = draw.chance("thick_handle", 0.45)
@@ -124,20 +133,9 @@ def knife(draw: Draw) -> Manifold:
     blade = draw.uniform("blade_length", 0.07, 0.19)
     width = draw.uniform("blade_width", 0.014, 0.042)
     back = draw.uniform("back", 0.0012, 0.0035)
-    form = draw.choice("form", ("pointed", "round", "cleaver", "dagger"))
+    form = draw.choice("form", tuple(_BLADES))
     t = np.linspace(0, 1, 16)
-    low = {
-        "pointed": [0, 0, 0.05, 0.35, 1],
-        "round": [0, 0, 0, 0.12, 0.6],
-        "cleaver": [0, 0, 0, 0, 0.05],
-        "dagger": [0, 0, 0.1, 0.25, 0.5],
-    }[form]
-    high = {
-        "pointed": [1, 1, 1, 1, 1],
-        "round": [1, 1, 1, 0.95, 0.7],
-        "cleaver": [1, 1, 1, 1, 1],
-        "dagger": [1, 1, 0.9, 0.75, 0.5],
-    }[form]
+    low, high = _BLADES[form]
     at = [0, 0.3, 0.6, 0.85, 1]
     edge = np.minimum(width * smooth_steps(at, low, t), width * smooth_steps(at, high, t) - 0.0015)
     spine = width * smooth_steps(at, high, t)

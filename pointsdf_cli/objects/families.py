@@ -7,8 +7,10 @@ from collections.abc import Sequence
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.objects import (
+    assemblies,
     bottles,
     boxes,
+    bricks,
     cutlery,
     fruit,
     household,
@@ -33,8 +35,10 @@ FAMILIES: dict[str, Family] = {
         pincers,
         cutlery,
         rings,
+        bricks,
         toys,
         household,
+        assemblies,
     )
     for family in module.FAMILIES
 }

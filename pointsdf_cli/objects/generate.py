@@ -22,6 +22,9 @@ from pointsdf_cli.objects.finish import (
 
 # Draws that make an invalid solid are rare (under one in a hundred); so many in a row are a bug.
 MOST_ATTEMPTS = 20
+GENERATOR_VERSION = 1
+"""Raised whenever any object changes for a given seed and index."""
+
 GOLDEN_RATIO = (5**0.5 - 1) / 2
 
 

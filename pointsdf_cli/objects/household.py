@@ -1,21 +1,18 @@
-"""Other things about the house: lamps, shoes, locks, cups to go, kettles, buckets, assemblies."""
+"""Other things about the house: lamps, shoes, locks, cups to go, buckets, tea pots."""
 
 from __future__ import annotations
 
 import numpy as np
-from manifold3d import CrossSection, Manifold
+from manifold3d import Manifold
 
-from pointsdf_cli.geometry.frames import random_rotation
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
-from pointsdf_cli.objects.refine import refine
 from pointsdf_cli.objects.sections import arc, polygon, rounded, smooth_curve, smooth_steps, soften
 from pointsdf_cli.objects.solids import (
     bevelled,
     cylinder,
     ellipsoid,
     loft,
-    loft_sections,
     rounded_box,
     tube,
     turn,
@@ -292,123 +289,12 @@ def controller(draw: Draw) -> Manifold:
     return union(parts)
 
 
-def furniture(draw: Draw) -> Manifold:
-    """A doll's chair, stool or table, or a stand: a plate on legs, perhaps with a back."""
-    width = draw.uniform("width", 0.05, 0.15)
-    depth = width * draw.uniform("depth_ratio", 0.7, 1.3)
-    leg_height = width * draw.uniform("leg_ratio", 0.4, 1.2)
-    seat = draw.uniform("seat", 0.004, 0.012)
-    leg = draw.uniform("leg", 0.003, 0.007)
-    splay = draw.uniform("splay", 0.0, 0.2)
-    plate = rounded_box((width, depth, seat), 0.3 * seat)
-    if draw.chance("round_seat", 0.3):
-        plate = cylinder(0.5 * min(width, depth), seat, 0.3 * seat, segments=44)
-        depth = width = 0.8 * min(width, depth)
-    parts = [plate.translate((0, 0, leg_height))]
-    for x in (-1, 1):
-        for y in (-1, 1):
-            head = np.array(
-                [x * (width / 2 - 1.5 * leg), y * (depth / 2 - 1.5 * leg), leg_height + 0.5 * seat]
-            )
-            foot = head * [1 + splay, 1 + splay, 0]
-            parts.append(
-                tube(
-                    np.linspace(foot, head, 4),
-                    leg,
-                    up=(0, 1, 0),
-                    corners=12,
-                    exponent=2.5,
-                    round_ends=False,
-                )
-            )
-    if draw.chance("back", 0.5):
-        back = rounded_box((width * 0.9, 1.3 * seat, leg_height), 0.3 * seat)
-        parts.append(back.translate((0, depth / 2 - 1.3 * seat, leg_height + 0.4 * seat)))
-    return union(parts)
-
-
-def assembly(draw: Draw) -> Manifold:
-    """Two to five simple solids grown into one another at random: everything the list forgot."""
-    size = draw.uniform("size", 0.025, 0.06)
-    parts: list[Manifold] = []
-    centres = [np.zeros(3)]
-    for _ in range(draw.integer("parts", 2, 5)):
-        extent = size * draw.rng.uniform(0.35, 1.2, 3)
-        form = int(draw.rng.integers(5))
-        if form == 0:
-            part = rounded_box(2 * extent, 0.2 * extent.min()).translate((0, 0, -float(extent[2])))
-        elif form == 1:
-            part = cylinder(
-                float(extent[0]), float(2 * extent[2]), 0.15 * float(extent.min())
-            ).translate((0, 0, -float(extent[2])))
-        elif form == 2:
-            part = ellipsoid(extent, segments=32)
-        elif form == 3:
-            z = np.linspace(-extent[2], extent[2], 12)
-            shape = extent[0] * smooth_steps(
-                [-1, 0, 1], draw.rng.uniform(0.3, 1.0, 3), z / extent[2]
-            )
-            part = loft_sections(z, shape, shape * extent[1] / extent[0], 2 + 3 * draw.rng.random())
-        else:
-            section = CrossSection.circle(float(extent[0]), int(draw.rng.integers(3, 9)))
-            part = bevelled(section, float(1.5 * extent[2]), 0.1 * float(extent.min()))
-        turn_by = random_rotation(draw.rng, 1)[0] if draw.rng.random() < 0.5 else np.eye(3)
-        base = centres[int(draw.rng.integers(len(centres)))]
-        step = draw.rng.normal(size=3)
-        centre = base + (step / np.linalg.norm(step)) * 0.75 * size * (len(parts) > 0)
-        centres.append(centre)
-        parts.append(part.transform(np.column_stack([turn_by, centre])))
-    solid = union(parts)
-    if draw.chance("drilled", 0.3):
-        drill = cylinder(0.3 * size * draw.uniform("drill", 0.5, 1.0), 0.5, segments=28).translate(
-            (0, 0, -0.25)
-        )
-        solid -= drill.transform(np.column_stack([random_rotation(draw.rng, 1)[0], centres[-1]]))
-    return solid
-
-
-def bent_plate(draw: Draw) -> Manifold:
-    """A thin sheet bent once or twice: book ends, brackets, shelves, stands, shells."""
-    width = draw.uniform("width", 0.03, 0.14)
-    length = draw.uniform("length", 0.08, 0.24)
-    sheet = draw.log_uniform("sheet", 0.0012, 0.006)
-    bends = draw.integer("bends", 1, 3)
-    corner = draw.uniform("corner", 0.001, 0.3 * width)
-    outline = rounded(CrossSection.square((width, length), True), corner)
-    if draw.chance("hole", 0.3):
-        outline -= CrossSection.circle(0.2 * width, 28)
-    plate = bevelled(outline, sheet, 0.25 * sheet).translate((0, 0, -sheet / 2))
-    angles = draw.rng.uniform(-1.5, 1.5, bends)
-    places = np.sort(draw.rng.uniform(-0.4, 0.4, bends)) * length
-    sharp = draw.uniform("bend_length", 0.1, 0.35) * length
-
-    fine = np.linspace(-0.52 * length, 0.52 * length, 240)
-    heading = sum(
-        a / 2 * np.tanh((fine - p) * 2 / sharp) for a, p in zip(angles, places, strict=True)
-    )
-    step = fine[1] - fine[0]
-    along, rise = np.cumsum(np.cos(heading)) * step, np.cumsum(np.sin(heading)) * step
-
-    def fold(points: np.ndarray) -> np.ndarray:
-        tilt = np.interp(points[:, 1], fine, heading)
-        y = np.interp(points[:, 1], fine, along) - points[:, 2] * np.sin(tilt)
-        z = np.interp(points[:, 1], fine, rise) + points[:, 2] * np.cos(tilt)
-        return np.column_stack([points[:, 0], y, z])
-
-    return refine(plate, max(0.25 * sharp, 0.006)).warp_batch(fold)
-
-
 FAMILIES = (
-    Family("lamp", lamp, 1.5, "compound", "table lamps with a hollow shade", 0.002, 0),
+    Family("lamp", lamp, 1.5, "compound", "table lamps with a hollow shade", 0.002),
     Family("shoe", shoe, 1.5, "vessel", "shoes and slippers, open at the ankle", 0.004, 0),
     Family("padlock", padlock, 1.0, "compound", "padlocks, handbags, kettle bells", 0.003, 1),
     Family("cup_to_go", cup_to_go, 1.5, "round", "closed paper cups and yoghurt pots", 0.004, 0),
     Family("bucket", bucket, 1.0, "vessel", "buckets and baskets under a bow", 0.002, 1),
     Family("teapot", teapot, 1.0, "compound", "tea pots and watering cans, closed", 0.003, 1),
     Family("controller", controller, 1.0, "compound", "game controllers and cameras", 0.004, 0),
-    Family("furniture", furniture, 1.0, "compound", "doll's chairs, stools and tables", 0.003),
-    Family(
-        "assembly", assembly, 3.0, "compound", "random simple solids grown into one another", 0.006
-    ),
-    Family("bent_plate", bent_plate, 1.5, "flat", "thin sheets bent up to three times", 0.003),
 )

@@ -59,7 +59,7 @@ def chain(draw: Draw) -> Manifold:
     links = draw.integer("links", 3, 14)
     wire = draw.uniform("wire", 0.0022, 0.0048)
     long = wire * draw.uniform("link_ratio", 4.2, 6.0)
-    wide = long * draw.uniform("width_ratio", 0.55, 0.75)
+    wide = long * draw.uniform("width_ratio", 0.42, 0.66)
     angle = np.linspace(0, 2 * np.pi, 22, endpoint=False)
     oval = np.column_stack([long * np.cos(angle), wide * np.sin(angle), np.zeros_like(angle)])
     link = tube(oval, wire, closed=True, corners=10, up=(0, 0, 1))

@@ -215,6 +215,11 @@ def bevelled(section: CrossSection, thickness: float, bevel: float = 0.0) -> Man
     return solid if solid.volume() > 0 else section.extrude(thickness)
 
 
+def on_edge(plate: Manifold, thickness: float) -> Manifold:
+    """Stand a plate drawn in (x, y) up: its x along y, its y along z, centred in depth on x = 0."""
+    return plate.translate((0, 0, -thickness / 2)).rotate((90, 0, 0)).rotate((0, 0, 90))
+
+
 def _solid(vertices: np.ndarray, faces: np.ndarray) -> Manifold:
     return Manifold(Mesh(vertices.astype(np.float32), faces.astype(np.uint32)))
 

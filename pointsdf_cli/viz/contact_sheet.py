@@ -19,6 +19,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import atomic_path
+from pointsdf_cli.io.meshes import load_mesh
 
 BACKGROUND = (250, 250, 248)
 INK = (40, 40, 44)
@@ -105,10 +106,11 @@ def shaded_view(
     direction = np.broadcast_to(-towards_camera, origin.shape)
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        np.ascontiguousarray(vertices, dtype=np.float32),
-        np.ascontiguousarray(faces, dtype=np.uint32),
+        o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, dtype=np.float32)),
+        o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, dtype=np.uint32)),
     )
-    hits = scene.cast_rays(np.concatenate([origin, direction], axis=-1).astype(np.float32))
+    rays = np.concatenate([origin, direction], axis=-1).astype(np.float32)
+    hits = scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
     normal = hits["primitive_normals"].numpy()
     depth = hits["t_hit"].numpy()
 
@@ -178,6 +180,21 @@ def write_sheet(
     sheet = draw_sheet(items, style).quantize(colors=colours, dither=Image.Dither.NONE)
     with atomic_path(Path(path)) as temporary:
         sheet.save(temporary, format="PNG", optimize=True)
+
+
+def items_from_files(meshes: Sequence[Path]) -> list[SheetItem]:
+    """A tile for each mesh file, labelled by its name without a leading number."""
+    items = []
+    for path in meshes:
+        mesh = load_mesh(path)
+        number, _, rest = mesh.name.partition("_")
+        name = (
+            rest
+            if rest and number.replace("-", "").isalnum() and number[0].isdigit()
+            else mesh.name
+        )
+        items.append(SheetItem(mesh.vertices, mesh.faces, name.replace("_", " ")[:26]))
+    return items
 
 
 def size_caption(vertices: np.ndarray) -> str:

@@ -1,0 +1,143 @@
+"""`rgrasp objects`: meshes to work on, made or fetched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+app = typer.Typer(
+    help="Household objects: made by rule, or fetched from the YCB set.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+SheetFile = Annotated[
+    Path | None, typer.Option(help="Also draw the first 60 objects into this PNG.")
+]
+Out = Annotated[Path, typer.Option(help="One PLY per object goes here.")]
+
+
+@app.command("make")
+def make(
+    out: Out = Path("meshes"),
+    count: Annotated[int, typer.Option("--count", "-n", help="How many objects.")] = 100,
+    families: Annotated[
+        str | None, typer.Option(metavar="a,b,…", help="Only these families, such as mug,bowl.")
+    ] = None,
+    sheet: SheetFile = None,
+    seed: common.Seed = 0,
+    jobs: common.Jobs = 0,
+    shard: common.Shard = None,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Make household objects, no two alike: watertight meshes in metres, standing on z = 0.
+
+    Example: rgrasp objects make --out meshes/ --count 500 --seed 0 --sheet meshes.png
+    """
+    from collections import Counter
+
+    from pointsdf_cli.io.batch import shard_of
+    from pointsdf_cli.objects.store import MANIFEST, make_objects
+
+    seed, jobs = common.check_seed(seed), common.job_count(jobs)
+    chosen = None if families is None else [name.strip() for name in families.split(",")]
+    sheet = _check_sheet(sheet)
+    reporter = common.Reporter(quiet, as_json)
+    total = len(shard_of(range(max(count, 0)), shard))
+    with reporter.progress("objects", total) as progress:
+        report = make_objects(
+            out, count, seed, chosen, jobs, shard, force, on_result=progress.advance
+        )
+    mix = Counter(about["family"] for about in report.made.values())
+    rate = len(report.made) / report.seconds if report.seconds else 0.0
+    if sheet:
+        _draw_sheet(sheet, [out / f"{name}.ply" for name in sorted([*report.made, *report.kept])])
+    common.finish_stage(
+        reporter,
+        report,
+        out,
+        False,
+        {"objects_per_second": rate, "families": dict(sorted(mix.items())), "sheet": sheet},
+        [f"{len(mix)} families, {rate:.0f} objects a second; listed in {out / MANIFEST}"]
+        + ([f"{sheet}: contact sheet"] if sheet else []),
+    )
+
+
+@app.command("fetch")
+def fetch(
+    collection: Annotated[str, typer.Argument(help="ycb: the YCB object set, 600 MB in all.")],
+    out: Out = Path("ycb"),
+    objects: Annotated[
+        str | None,
+        typer.Option(metavar="003,006,…", help="Only these, by number or name; all if not given."),
+    ] = None,
+    base_url: Annotated[
+        str | None, typer.Option(help="Where the archives NAME_google_16k.tgz lie.")
+    ] = None,
+    sheet: SheetFile = None,
+    force: common.Force = False,
+    skip_bad: common.SkipBad = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Fetch scanned objects as watertight meshes; resumes, and checks sums once they are known.
+
+    Example: rgrasp objects fetch ycb --out ycb/ --objects 003,006,025
+    """
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.objects.fetch import YCB_BASE_URL, fetch_ycb
+    from pointsdf_cli.objects.ycb_names import choose_ycb
+
+    if collection != "ycb":
+        raise InputError(f"no collection {collection!r}", where="COLLECTION", allowed="ycb")
+    wanted = None if objects is None else [name.strip() for name in objects.split(",")]
+    sheet = _check_sheet(sheet)
+    reporter = common.Reporter(quiet, as_json)
+    with reporter.progress("fetch", len(choose_ycb(wanted))) as progress:
+        states, refused = fetch_ycb(
+            out, wanted, base_url or YCB_BASE_URL, force, on_done=progress.advance
+        )
+    if sheet and states:
+        _draw_sheet(sheet, [out / f"{name}.ply" for name in states])
+    fetched = [name for name, state in states.items() if state == "fetched"]
+    if states:
+        reporter.result(
+            {"out": out, "fetched": fetched, "kept": len(states) - len(fetched), "sheet": sheet},
+            [f"{out}: {len(fetched)} fetched, {len(states) - len(fetched)} there already"],
+        )
+    if refused and skip_bad and states:
+        for error in refused:
+            reporter.say(f"skipped: {error.message}")
+    elif len(refused) == 1:
+        raise refused[0]
+    elif refused:
+        raise InputError(
+            f"{len(refused)} objects cannot be used:\n"
+            + "\n".join(f"  {error.message}" for error in refused[:10]),
+            where=out,
+        )
+
+
+def _check_sheet(path: Path | None) -> Path | None:
+    """The sheet's path, if a PNG can be written there; known before the work, not after."""
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.atomic import require_folder
+
+    if path is None:
+        return None
+    if path.suffix.lower() != ".png" or path.is_dir():
+        raise InputError("is no picture's name", where=path, allowed="a file that ends in .png")
+    require_folder(path.parent)
+    return path
+
+
+def _draw_sheet(path: Path, meshes: list[Path]) -> None:
+    from pointsdf_cli.viz.contact_sheet import items_from_files, write_sheet
+
+    write_sheet(path, items_from_files(meshes[:60]))

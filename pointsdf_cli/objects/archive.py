@@ -1,0 +1,76 @@
+"""One mesh out of a downloaded tar archive, without trusting the archive."""
+
+from __future__ import annotations
+
+import tarfile
+from pathlib import Path, PurePosixPath
+
+from pointsdf_cli.errors import InputError
+
+LARGEST_MEMBER = 256 * 1024**2
+MOST_MEMBERS = 10_000
+# What is wanted, best first: the watertight mesh, then the same as STL, then the textured one.
+WANTED = ("nontextured.ply", "nontextured.stl", "textured.obj")
+
+
+def extract_mesh(archive: Path, out: Path, largest: int = LARGEST_MEMBER) -> Path:
+    """Copy the mesh in a tar archive to `out` with the member's suffix; nothing else is unpacked.
+
+    The bytes are read through the archive and written to a path of our own, so no member can
+    choose where anything lands; an archive that tries is refused as a whole all the same.
+
+    Args:
+        archive: A `.tgz`.
+        out: The path to write, less its suffix.
+        largest: Bound on the mesh's size in bytes.
+
+    Returns:
+        The file written.
+
+    Raises:
+        InputError: The archive is damaged, holds absolute paths, `..`, links or devices, too many
+            or too large members, or no mesh.
+    """
+    try:
+        with tarfile.open(archive, mode="r:*") as tar:
+            member = _choose(tar, archive, largest)
+            source = tar.extractfile(member)
+            if source is None:
+                raise InputError("the mesh in it is no file", where=archive)
+            data = source.read(largest + 1)
+    except (tarfile.TarError, EOFError, OSError) as error:
+        raise InputError(
+            f"is no readable tar archive ({type(error).__name__}: {error})",
+            where=archive,
+            hint="delete it and fetch it again",
+        ) from error
+    if len(data) != member.size:
+        raise InputError(f"{member.name} is cut short", where=archive)
+    path = out.with_name(out.name + PurePosixPath(member.name).suffix)
+    path.write_bytes(data)
+    return path
+
+
+def _choose(tar: tarfile.TarFile, archive: Path, largest: int) -> tarfile.TarInfo:
+    """The member to read, after every member has been found harmless."""
+    found: dict[str, tarfile.TarInfo] = {}
+    for number, member in enumerate(tar):
+        name = PurePosixPath(member.name)
+        if number >= MOST_MEMBERS:
+            raise InputError(f"holds more than {MOST_MEMBERS} members", where=archive)
+        if name.is_absolute() or ".." in name.parts or "\\" in member.name:
+            raise InputError(f"holds a path that leads outside: {member.name!r}", where=archive)
+        if not (member.isfile() or member.isdir()):
+            raise InputError(f"holds a link or a device: {member.name!r}", where=archive)
+        if member.size > largest:
+            raise InputError(
+                f"{member.name!r} unpacks to {member.size} bytes",
+                where=archive,
+                allowed=f"at most {largest}",
+            )
+        if member.isfile() and name.name in WANTED:
+            found.setdefault(name.name, member)
+    for wanted in WANTED:
+        if wanted in found:
+            return found[wanted]
+    raise InputError("holds no mesh", where=archive, allowed=", ".join(WANTED))

@@ -1,0 +1,147 @@
+"""One file over HTTP: streamed, resumed where it broke off, retried a bounded number of times."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+
+from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.io.atomic import unwritable
+
+_CHUNK = 1 << 16
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How hard to try.
+
+    Attributes:
+        attempts: Tries in all; one that brought at least a byte does not count.
+        first_wait: Seconds before the second try; doubled each time.
+        longest_wait: Bound of the wait [s].
+        timeout: Seconds without any byte after which a try has failed.
+        largest: Bound of the file's size in bytes.
+    """
+
+    attempts: int = 5
+    first_wait: float = 1.0
+    longest_wait: float = 30.0
+    timeout: float = 30.0
+    largest: int = 1024**3
+
+    def __post_init__(self) -> None:
+        if self.attempts < 1:
+            raise InputError(f"{self.attempts} attempts", where="attempts", allowed="1 or more")
+
+
+class _Broken(Exception):
+    """This try failed in a way that another may not."""
+
+
+def download(
+    url: str,
+    path: Path,
+    patience: Patience | None = None,
+    on_bytes: Callable[[int], None] | None = None,
+) -> str:
+    """Fetch `url` into `path` and give the SHA-256 of the whole file.
+
+    What was fetched so far lies in `path` + `.part`, also after a kill, and the next call asks the
+    server for the rest only. The file is resumed only if the server still has the same version of
+    it (its entity tag or date is compared), else fetched from the start.
+
+    Raises:
+        InputError: The server has no such file, the file is too large, or the disk cannot hold it.
+        RgraspError: The server cannot be reached, or breaks off every time.
+    """
+    patience = patience or Patience()
+    part, tag = path.with_name(path.name + ".part"), path.with_name(path.name + ".tag")
+    failures = 0
+    with httpx.Client(timeout=patience.timeout, follow_redirects=True) as client:
+        while True:
+            before = part.stat().st_size if part.exists() else 0
+            try:
+                _fetch_rest(client, url, part, tag, patience.largest, on_bytes)
+                break
+            except (_Broken, httpx.TransportError) as error:
+                gained = (part.stat().st_size if part.exists() else 0) > before
+                failures = 1 if gained else failures + 1
+                if failures >= patience.attempts:
+                    raise RgraspError(
+                        f"cannot be fetched ({type(error).__name__}: {error})",
+                        where=url,
+                        hint="check the connection and run the same command again: it resumes",
+                    ) from error
+                time.sleep(min(patience.first_wait * 2 ** (failures - 1), patience.longest_wait))
+            except OSError as error:
+                raise unwritable(path, error) from error
+    digest = hashlib.sha256()
+    with open(part, "rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    part.replace(path)
+    tag.unlink(missing_ok=True)
+    return digest.hexdigest()
+
+
+def _fetch_rest(
+    client: httpx.Client,
+    url: str,
+    part: Path,
+    tag: Path,
+    largest: int,
+    on_bytes: Callable[[int], None] | None,
+) -> None:
+    """Append what is missing to `part`, which is whole when this returns."""
+    have = part.stat().st_size if part.exists() else 0
+    validator = tag.read_text(encoding="ascii") if have and tag.exists() else ""
+    headers = {"Accept-Encoding": "identity"}
+    if validator:
+        headers |= {"Range": f"bytes={have}-", "If-Range": validator}
+    with client.stream("GET", url, headers=headers) as response:
+        if response.status_code == 416 and validator:
+            # Nothing is left to send, or less than we have: let a fresh try decide.
+            tag.unlink()
+            raise _Broken("the part does not fit the file any more")
+        if response.status_code in (403, 404, 410):
+            raise InputError(f"the server has no such file ({response.status_code})", where=url)
+        if response.status_code not in (200, 206):
+            raise _Broken(f"HTTP status {response.status_code}")
+        resumes = response.status_code == 206
+        if resumes and not response.headers.get("Content-Range", "").startswith(f"bytes {have}-"):
+            tag.unlink(missing_ok=True)
+            raise _Broken("the server sent another part than asked for")
+        _remember(tag, response.headers)
+        expected = (have if resumes else 0) + int(response.headers.get("Content-Length", 0))
+        written = have if resumes else 0
+        if max(expected, written) > largest:
+            raise InputError(f"{expected} bytes", where=url, allowed=f"at most {largest}")
+        with open(part, "ab" if resumes else "wb") as file:
+            for block in response.iter_raw(_CHUNK):
+                written += len(block)
+                if written > largest:
+                    raise InputError(
+                        "is larger than allowed", where=url, allowed=f"{largest} bytes"
+                    )
+                file.write(block)
+                if on_bytes:
+                    on_bytes(len(block))
+        if "Content-Length" in response.headers and written != expected:
+            raise _Broken(f"{written} bytes of {expected}")
+
+
+def _remember(tag: Path, headers: httpx.Headers) -> None:
+    """Keep what identifies this version of the file; a weak entity tag does not."""
+    entity = headers.get("ETag", "")
+    validator = (
+        entity if entity and not entity.startswith("W/") else headers.get("Last-Modified", "")
+    )
+    if validator:
+        tag.write_text(validator, encoding="ascii")
+    else:
+        tag.unlink(missing_ok=True)

@@ -1,0 +1,154 @@
+"""The YCB object set: the official archives, fetched, checked against known sums, made into PLY."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.atomic import require_folder, write_text_atomic
+from pointsdf_cli.io.meshes import load_mesh, save_mesh
+from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.objects.archive import extract_mesh
+from pointsdf_cli.objects.download import Patience, download
+from pointsdf_cli.objects.ycb_names import choose_ycb
+
+YCB_BASE_URL = "http://ycb-benchmarks.s3-website-us-east-1.amazonaws.com/data/google/"
+"""Where the official YCB download script finds the Google scanner's archives."""
+
+LOCK = "ycb.lock.json"
+_LOCK_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class LockEntry:
+    """What is known of one archive and the mesh made from it.
+
+    Attributes:
+        url: Where it came from.
+        sha256: Of the archive's bytes, as first seen.
+        size: Of the archive in bytes.
+        mesh_sha256: Of the PLY made from it.
+        repair: What was done to close the mesh.
+    """
+
+    url: str
+    sha256: str
+    size: int
+    mesh_sha256: str
+    repair: str
+
+
+def fetch_ycb(
+    out: Path,
+    objects: Sequence[str] | None = None,
+    base_url: str = YCB_BASE_URL,
+    force: bool = False,
+    patience: Patience | None = None,
+    on_done: Callable[[str, str], None] | None = None,
+) -> tuple[dict[str, str], list[InputError]]:
+    """Fetch objects of the YCB set as watertight PLY meshes in metres, `out`/NAME.ply.
+
+    The sum of each archive is kept in `out`/ycb.lock.json when it is first seen, and compared from
+    then on; a mesh that is there and fits its sum is left alone.
+
+    Args:
+        out: A folder, made if need be.
+        objects: Names or leading numbers (`003`, `065-a`); None for all.
+        base_url: The folder of the archives NAME_google_16k.tgz.
+        force: Fetch anew what is there already (the sums still have to fit).
+        patience: Tries and waits.
+        on_done: Called with each name and "fetched", "kept" or "refused".
+
+    Returns:
+        "fetched" or "kept" for each name, and the errors of the archives that could not be used.
+
+    Raises:
+        InputError: A name that is no YCB object, or a folder that cannot be written.
+        RgraspError: The server cannot be reached.
+    """
+    names = choose_ycb(objects)
+    out = require_folder(out)
+    lock = read_lock(out)
+    states: dict[str, str] = {}
+    refused: list[InputError] = []
+    for name in names:
+        try:
+            states[name] = _fetch_one(name, out, lock, base_url, force, patience)
+        except InputError as error:
+            refused.append(error)
+        if on_done:
+            on_done(name, states.get(name, "refused"))
+    return states, refused
+
+
+def read_lock(out: Path) -> dict[str, LockEntry]:
+    """The known sums in a folder; none if there is no lock file.
+
+    Raises:
+        InputError: The lock file cannot be understood.
+    """
+    path = out / LOCK
+    if not path.exists():
+        return {}
+    try:
+        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if document["format"] != _LOCK_FORMAT:
+            raise ValueError(f"format {document['format']}")
+        return {name: LockEntry(**entry) for name, entry in document["objects"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"is no lock file of this version ({error})",
+            where=path,
+            hint="move it away; the sums are then taken anew",
+        ) from error
+
+
+def _fetch_one(
+    name: str,
+    out: Path,
+    lock: dict[str, LockEntry],
+    base_url: str,
+    force: bool,
+    patience: Patience | None,
+) -> str:
+    mesh_path = out / f"{name}.ply"
+    known = lock.get(name)
+    if mesh_path.exists() and not force:
+        if known and file_sha256(mesh_path) == known.mesh_sha256:
+            return "kept"
+        raise InputError(
+            "is there already, but not as it was fetched",
+            where=mesh_path,
+            hint="move it away, or add --force",
+        )
+    url = f"{base_url.rstrip('/')}/{name}_google_16k.tgz"
+    # Hidden, so that a stage which takes the folder for its meshes does not look inside.
+    archive = require_folder(out / ".archives") / f"{name}_google_16k.tgz"
+    sha256 = download(url, archive, patience)
+    try:
+        if known and sha256 != known.sha256:
+            raise InputError(
+                f"has changed: SHA-256 {sha256}, but {known.sha256} when first seen",
+                where=url,
+                hint=f"if that is to be trusted, remove {name!r} from {out / LOCK}",
+            )
+        size = archive.stat().st_size
+        with tempfile.TemporaryDirectory(dir=archive.parent) as scratch:
+            mesh = load_mesh(extract_mesh(archive, Path(scratch) / name))
+        save_mesh(mesh_path, mesh.vertices, mesh.faces)
+    finally:
+        archive.unlink(missing_ok=True)
+    lock[name] = LockEntry(url, sha256, size, file_sha256(mesh_path), mesh.repair)
+    _write_lock(out, lock)
+    return "fetched"
+
+
+def _write_lock(out: Path, lock: dict[str, LockEntry]) -> None:
+    entries = {name: asdict(lock[name]) for name in sorted(lock)}
+    document = {"format": _LOCK_FORMAT, "objects": entries}
+    write_text_atomic(out / LOCK, json.dumps(document, indent=1) + "\n")

@@ -1,0 +1,154 @@
+"""Generated objects as files: one PLY each, made in any order by any number of processes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.atomic import remove_leftovers, require_folder, write_text_atomic
+from pointsdf_cli.io.batch import StageReport, run_stage, shard_of
+from pointsdf_cli.io.hdf5 import OptionsDifferError
+from pointsdf_cli.io.object_mesh import read_object_about, write_object_mesh
+from pointsdf_cli.objects.families import choose_families
+from pointsdf_cli.objects.finish import mesh_volume
+from pointsdf_cli.objects.generate import GENERATOR_VERSION, family_of, make_object
+
+MANIFEST = "objects.csv"
+MOST_OBJECTS = 10_000_000
+
+
+@dataclass(frozen=True)
+class ObjectTask:
+    """Which object goes into which file."""
+
+    seed: int
+    index: int
+    families: tuple[str, ...] | None
+    path: Path
+    force: bool
+
+
+def make_objects(
+    out: Path,
+    count: int,
+    seed: int = 0,
+    families: Sequence[str] | None = None,
+    jobs: int = 1,
+    shard: str | None = None,
+    force: bool = False,
+    on_result: Callable[[str, dict[str, Any] | None], None] | None = None,
+) -> StageReport[dict[str, Any]]:
+    """Write objects 0 to `count` − 1 of a seed into `out` as `NNNNN_family.ply`.
+
+    Files that are there already are kept, so that an interrupted run resumes; `objects.csv`, a row
+    for every generated object in the folder, is written last.
+
+    Args:
+        out: A folder, made if need be.
+        count: 1 or more.
+        seed: Of the series of objects; 0 or more.
+        families: Names to choose from; None for all.
+        jobs: Processes.
+        shard: `i/n` makes only every n-th object, from the i-th.
+        force: Make objects anew that are there already.
+        on_result: Called with each name and its description (None where the file was kept).
+
+    Returns:
+        The report of the stage; `made` holds each new object's description.
+
+    Raises:
+        InputError: A count, shard or family that does not exist; a folder that cannot be written;
+            an object there that another seed or another version of the generator made.
+    """
+    if not 1 <= count <= MOST_OBJECTS:
+        raise InputError(f"{count} objects", where="--count", allowed=f"1 to {MOST_OBJECTS}")
+    choices = choose_families(families)
+    names = None if families is None else tuple(family.name for family in choices)
+    indices = shard_of(range(count), shard)
+    out = require_folder(out)
+    if shard is None:
+        # Shards may be running side by side: what looks left over may be another one's work.
+        remove_leftovers(out)
+    tasks = []
+    for index in indices:
+        name = f"{index:05d}_{family_of(seed, index, choices).name}"
+        tasks.append((name, ObjectTask(seed, index, names, out / f"{name}.ply", force)))
+    report = run_stage(tasks, make_file, jobs=jobs, on_done=on_result)
+    write_manifest(out)
+    return report
+
+
+def make_file(task: ObjectTask) -> dict[str, Any] | None:
+    """Make one object and write it; its description, or None if the file was there.
+
+    Raises:
+        OptionsDifferError: The file there was made from another seed or by another generator.
+        InputError: The file cannot be written.
+    """
+    if task.path.exists() and not task.force and _is_same(task):
+        return None
+    made = make_object(task.seed, task.index, task.families)
+    about = {
+        "name": made.name,
+        "family": made.family,
+        "seed": task.seed,
+        "index": task.index,
+        "generator_version": GENERATOR_VERSION,
+        "extent": [round(float(side), 6) for side in np.ptp(made.vertices, axis=0)],
+        "volume": float(f"{mesh_volume(made.vertices, made.faces):.6g}"),
+        "vertices": len(made.vertices),
+        "faces": len(made.faces),
+        "parameters": made.parameters,
+    }
+    write_object_mesh(task.path, made.vertices, made.faces, about)
+    return about
+
+
+def write_manifest(folder: Path) -> Path:
+    """Write `objects.csv`: a row for every generated object in the folder, sorted by name."""
+    rows = [about for path in sorted(folder.glob("*.ply")) if (about := read_object_about(path))]
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    sides = ["extent_x_m", "extent_y_m", "extent_z_m"]
+    table.writerow(["name", "family", "seed", "index", *sides, "volume_m3", "faces", "parameters"])
+    for about in rows:
+        table.writerow(
+            [about[key] for key in ("name", "family", "seed", "index")]
+            + about["extent"]
+            + [about["volume"], about["faces"], json.dumps(about["parameters"], sort_keys=True)]
+        )
+    path = folder / MANIFEST
+    write_text_atomic(path, text.getvalue())
+    return path
+
+
+def _is_same(task: ObjectTask) -> bool:
+    """Whether the file there is this object; False if it is cut short or not ours to begin with."""
+    about = read_object_about(task.path)
+    if about is None:
+        raise OptionsDifferError(
+            "is not a whole generated object, and nothing is overwritten unasked",
+            where=task.path,
+            hint="choose another --out, or add --force to make it anew",
+        )
+    ours = {"seed": task.seed, "index": task.index, "generator_version": GENERATOR_VERSION}
+    changed = [
+        f"{key}: {about.get(key)} there, {ours[key]} now"
+        for key in ours
+        if about.get(key) != ours[key]
+    ]
+    if changed:
+        raise OptionsDifferError(
+            f"was made with other options ({', '.join(changed)})",
+            where=task.path,
+            hint="choose another --out, or add --force to make it anew",
+        )
+    return True
