@@ -1,4 +1,4 @@
-"""The pictures of docs/ that show a model rather than a result: python pipelines/pictures.py DIR."""
+"""Pictures of docs/ that show a model and no result: python pipelines/pictures.py DIR."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the files that ship with rgrasp lie: beside the package in a wheel, above it in a checkout."""
+"""Where the bundled files lie: inside the package in a wheel, beside it in a checkout."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The errors that a user can cause or must act on; everything else is a bug and keeps its traceback.
+"""The errors that a user can cause or must act on; all others are bugs and keep their traceback.
 
 An error says what is wrong, where, what is allowed, and what to type next. `cli.main` is the only
 place that catches these; it prints the message and leaves with `exit_code`.

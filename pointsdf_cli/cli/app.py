@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from pointsdf_cli import __version__
-from pointsdf_cli.cli import doctor, info, label_sdf, render, report
+from pointsdf_cli.cli import doctor, info, label_sdf, objects, render, report
 
 app = typer.Typer(
     name="rgrasp",
@@ -37,6 +37,7 @@ def _root(
     pass
 
 
+app.add_typer(objects.app, name="objects")
 app.command("render")(render.render)
 app.command("label-sdf")(label_sdf.label_sdf)
 app.command("info")(info.info)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -11,24 +11,32 @@ from pointsdf_cli.cli import common
 
 
 def info(
-    artifact: Annotated[
-        Path, typer.Argument(help="An HDF5 artifact or a mesh.", metavar="ARTIFACT")
+    artifacts: Annotated[
+        list[Path], typer.Argument(help="HDF5 artifacts or meshes.", metavar="ARTIFACT...")
     ],
     quiet: common.Quiet = False,
     as_json: common.Json = False,
 ) -> None:
-    """Show the contents and provenance of an artifact.
+    """Show the contents and provenance of artifacts (--json: one object a line).
 
     Example: rgrasp info views/006_mustard_bottle.h5
     """
     from pointsdf_cli.io.describe import describe
 
-    description = describe(artifact)
-    lines = [f"{name}: {value}" for name, value in description["facts"].items()]
+    reporter = common.Reporter(quiet, as_json)
+    for path, description in [(path, describe(path)) for path in artifacts]:
+        reporter.result({"path": path, **description}, _lines(path, description))
+
+
+def _lines(path: Path, description: dict[str, Any]) -> list[str]:
+    lines = [f"{path}"]
+    lines += [f"  {name}: {value}" for name, value in description["facts"].items()]
     if description["datasets"]:
-        lines.append("datasets:")
+        lines.append("  datasets:")
     for name, entry in description["datasets"].items():
         shape = " × ".join(map(str, entry["shape"])) or "scalar"
         meaning = ", ".join(part for part in (entry["units"], entry["frame"]) if part)
-        lines.append(f"  {name}: {entry['dtype']} [{shape}]" + (f" ({meaning})" if meaning else ""))
-    common.Reporter(quiet, as_json).result(description, lines)
+        lines.append(
+            f"    {name}: {entry['dtype']} [{shape}]" + (f" ({meaning})" if meaning else "")
+        )
+    return lines

@@ -36,7 +36,9 @@ class SignedDistance:
         corners = local[self._faces]
         self._normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self._scene = o3d.t.geometry.RaycastingScene(threads)
-        self._scene.add_triangles(o3d.core.Tensor.from_numpy(local), o3d.core.Tensor.from_numpy(self._faces))
+        self._scene.add_triangles(
+            o3d.core.Tensor.from_numpy(local), o3d.core.Tensor.from_numpy(self._faces)
+        )
         self._threads = threads
 
     def __call__(self, points: ArrayLike) -> NDArray[np.float32]:
@@ -44,7 +46,9 @@ class SignedDistance:
         local = self._local(points)
         if len(local) == 0:
             return np.zeros(0, dtype=np.float32)
-        nearest = self._scene.compute_closest_points(o3d.core.Tensor.from_numpy(local), self._threads)
+        nearest = self._scene.compute_closest_points(
+            o3d.core.Tensor.from_numpy(local), self._threads
+        )
         offset = local - nearest["points"].numpy()
         distance = np.sqrt(np.einsum("ij,ij->i", offset, offset))
         normal = self._normals[nearest["primitive_ids"].numpy()]
