@@ -1,0 +1,95 @@
+"""Clouds as plain tables: text (XYZ, TXT, CSV) and NumPy arrays.
+
+Three columns are x y z; six are x y z and a normal where every row's last three have unit length,
+or a colour where they are whole numbers from 0 to 255. Further columns are left out.
+"""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.ply import RawCloud
+
+_HEAD_LINES = 100
+"""Comments and column titles may take up so many lines."""
+
+
+def read_xyz(path: Path) -> RawCloud:
+    """Numbers in columns, separated by blanks, commas or semicolons; `#` begins a comment.
+
+    Raises:
+        InputError: Not text, no numbers, or rows of different lengths.
+    """
+    try:
+        with open(path, encoding="utf-8-sig") as handle:
+            head = list(itertools.islice(handle, _HEAD_LINES))
+        first = next((i for i, row in enumerate(head) if _is_numbers(row)), None)
+        if first is None:
+            raise InputError("holds no rows of numbers", where=path, allowed="x y z in each row")
+        table = np.loadtxt(
+            path,
+            delimiter=next((s for s in ",;" if s in head[first]), None),
+            skiprows=first,
+            ndmin=2,
+            comments=("#", "//"),
+            encoding="utf-8-sig",
+        )
+    except UnicodeDecodeError as error:
+        raise InputError("is not text", where=path, allowed="x y z in each row") from error
+    except ValueError as error:
+        raise InputError(
+            f"cannot be read as a table: {str(error)[:80]}",
+            where=path,
+            allowed="as many numbers in every row, at least three",
+        ) from error
+    comments = {}
+    for line in head[:first]:
+        key, _, value = line.lstrip("#/ ").partition(" ")
+        comments[key.rstrip(":")] = value.strip()
+    return _from_table(table, comments, path)
+
+
+def read_npy(path: Path) -> RawCloud:
+    """An array [N, 3], [N, 6] or an image of points [height, width, 3].
+
+    Raises:
+        InputError: Damaged, holds Python objects, or is of another shape or type.
+    """
+    try:
+        array = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise InputError("is not a NumPy array, or is cut short", where=path) from error
+    if array.dtype.kind not in "fiu" or array.ndim not in (2, 3) or array.shape[-1] < 3:
+        raise InputError(
+            f"is an array {list(array.shape)} of {array.dtype}",
+            where=path,
+            allowed="numbers [N, 3], [N, 6] or [height, width, 3]",
+        )
+    return _from_table(array.reshape(-1, array.shape[-1]).astype(np.float64), {}, path)
+
+
+def _is_numbers(row: str) -> bool:
+    words = row.replace(",", " ").replace(";", " ").split()
+    try:
+        return len([float(word) for word in words]) >= 3
+    except ValueError:
+        return False
+
+
+def _from_table(table: NDArray[np.float64], comments: dict[str, str], path: Path) -> RawCloud:
+    if table.shape[1] < 3:
+        raise InputError(f"rows of {table.shape[1]} numbers", where=path, allowed="at least x y z")
+    normals = colours = None
+    if table.shape[1] >= 6:
+        rest = table[:, 3:6]
+        length = np.linalg.norm(rest, axis=1)
+        if np.allclose(length, 1, atol=1e-3):
+            normals = rest
+        elif np.array_equal(rest, np.clip(np.round(rest), 0, 255)):
+            colours = rest.astype(np.uint8)
+    return RawCloud(table[:, :3], normals, colours, comments)

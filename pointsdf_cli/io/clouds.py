@@ -1,0 +1,247 @@
+"""Point clouds from depth cameras: PLY, PCD, XYZ and NPY in, PLY out.
+
+Lengths are metres. Two header comments say where a cloud lies (in XYZ files after a `#`):
+
+    comment frame camera
+    comment T_world_camera 1 0 0 0.1  0 1 0 0  0 0 1 0.5  0 0 0 1
+
+`frame` names the frame of the coordinates: `camera` (OpenCV: x right, y down, z forward) or
+`world`; a file without it is taken to be in the camera's. `T_world_camera`, 16 numbers by rows, is
+the camera in the world.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform, is_rigid
+from pointsdf_cli.io.atomic import atomic_path
+from pointsdf_cli.io.cloud_text import read_npy, read_xyz
+from pointsdf_cli.io.meshes import UNITS
+from pointsdf_cli.io.pcd import read_pcd
+from pointsdf_cli.io.ply import RawCloud, read_ply, write_ply
+
+FEWEST_POINTS = 50
+SMALLEST, LARGEST = 0.005, 2.0
+"""Bounds [m] of the longest side of a partial view of something that a hand may grasp."""
+
+_READERS = {
+    ".ply": read_ply,
+    ".pcd": read_pcd,
+    ".npy": read_npy,
+    ".xyz": read_xyz,
+    ".txt": read_xyz,
+    ".csv": read_xyz,
+}
+CLOUD_SUFFIXES = tuple(_READERS)
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points with what is known about where they lie.
+
+    Attributes:
+        points: f8 [N, 3], m, in `frame`.
+        normals: f8 [N, 3] of unit length, in `frame`; None where the file had none.
+        colours: u1 [N, 3], red green blue; None where the file had none.
+        frame: "camera" or "world".
+        T_world_camera: f8 [4, 4], the camera in the world; None where it is not known.
+    """
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64] | None = None
+    colours: NDArray[np.uint8] | None = None
+    frame: str = "camera"
+    T_world_camera: NDArray[np.float64] | None = None
+
+    def in_camera_frame(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The points [N, 3] in the camera's frame, and T_frame_camera [4, 4] to go back.
+
+        Raises:
+            InputError: The cloud is in the world's frame and the camera's place is not known, or
+                it is said to be in the camera's and lies behind it.
+        """
+        if self.frame == "camera":
+            points, T_frame_camera = self.points, np.eye(4)
+        elif self.T_world_camera is not None:
+            T_frame_camera = self.T_world_camera
+            points = apply_transform(invert_transform(T_frame_camera), self.points)
+        else:
+            raise InputError(
+                f"the cloud is in frame {self.frame!r}, and nothing says where the camera stood",
+                allowed="a header comment `T_world_camera` with 16 numbers, row by row",
+                hint="add --camera-pose X,Y,Z,QW,QX,QY,QZ",
+            )
+        behind = np.count_nonzero(points[:, 2] <= 0)
+        if behind:
+            raise InputError(
+                f"{behind} of {len(points)} points lie behind the camera (z ≤ 0), so these are "
+                "not the coordinates of a camera looking along +z",
+                allowed="camera frame: x right, y down, z forward",
+                hint="if the cloud is in the world's frame, add "
+                "--frame world --camera-pose X,Y,Z,QW,QX,QY,QZ",
+            )
+        return points, T_frame_camera
+
+
+def read_cloud(path: Path | str, unit: str = "m", drop_invalid: bool = False) -> Cloud:
+    """Read a cloud of any size from any of the formats.
+
+    Args:
+        path: A file whose suffix is one of CLOUD_SUFFIXES.
+        unit: The unit of its coordinates, a key of `UNITS`; the result is in metres.
+        drop_invalid: Leave out points that are NaN or infinite, instead of refusing them.
+
+    Raises:
+        InputError: No such file, another format, damaged or cut short, no points, or coordinates
+            that are not finite.
+    """
+    path = Path(path)
+    if unit not in UNITS:
+        raise InputError(f"unknown unit {unit!r}", where="--unit", allowed=", ".join(UNITS))
+    if path.is_dir():
+        raise InputError("is a folder, and a point cloud is needed", where=path)
+    if not path.exists():
+        raise InputError("no such file", where=path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(
+            f"unknown cloud format {path.suffix!r}", where=path, allowed=", ".join(CLOUD_SUFFIXES)
+        )
+    try:
+        raw = reader(path)
+    except PermissionError as error:
+        raise InputError("cannot be read (permission denied)", where=path) from error
+    if len(raw.points) == 0:
+        raise InputError("holds no points", where=path)
+    raw = _finite(raw, path, drop_invalid)
+    pose = _pose(raw.comments, path)
+    return Cloud(
+        points=raw.points * UNITS[unit],
+        normals=_unit_normals(raw.normals),
+        colours=raw.colours,
+        frame=_frame(raw.comments, path),
+        T_world_camera=pose,
+    )
+
+
+def write_cloud(path: Path | str, cloud: Cloud) -> None:
+    """Write a cloud as binary PLY, float32, in metres, as a whole or not at all."""
+    comments = {"frame": cloud.frame}
+    if cloud.T_world_camera is not None:
+        comments["T_world_camera"] = " ".join(repr(float(v)) for v in cloud.T_world_camera.ravel())
+    with atomic_path(path) as temporary:
+        write_ply(temporary, cloud.points, cloud.normals, cloud.colours, comments)
+
+
+def check_object_cloud(cloud: Cloud, where: Any) -> Cloud:
+    """`cloud`, if it can be a partial view of one object that a hand may grasp.
+
+    Raises:
+        InputError: Too few points, all of them equal or on a line, another unit, or a scene.
+    """
+    points = cloud.points
+    if len(points) < FEWEST_POINTS:
+        raise InputError(
+            f"holds {len(points)} point{'s' * (len(points) != 1)}, too few to see a shape in",
+            where=where,
+            allowed=f"at least {FEWEST_POINTS} points on the object",
+        )
+    size = float(np.ptp(points, axis=0).max())
+    if size == 0:
+        raise InputError("all points are the same point", where=where)
+    spread = np.linalg.svd(np.cov(points.T), compute_uv=False)
+    if spread[1] < 1e-6 * spread[0]:
+        raise InputError("all points lie on one line", where=where)
+    if not SMALLEST <= size <= LARGEST:
+        raise _size_error(points, size, where)
+    return cloud
+
+
+def _size_error(points: NDArray[np.float64], size: float, where: Any) -> InputError:
+    allowed = f"one object, {SMALLEST * 1000:g} mm to {LARGEST:g} m across, in metres"
+    if size < SMALLEST:
+        return InputError(
+            f"the cloud is {size * 1000:.2g} mm across, too small for a thing to grasp",
+            where=where,
+            allowed=allowed,
+            hint="check the unit (--unit m, cm, mm, inch)",
+        )
+    # A camera sees some metres far: coordinates in the hundreds are another unit.
+    if np.abs(np.median(points, axis=0)).max() > 20 or size > 20:
+        return InputError(
+            f"the cloud is {size:.4g} m across: these look like millimetres",
+            where=where,
+            allowed=allowed,
+            hint="add --unit mm",
+        )
+    return InputError(
+        f"the cloud is {size:.2g} m across: a whole scene, not one object",
+        where=where,
+        allowed=allowed,
+        hint="cut the object out first; `rgrasp plan` does so with --segment auto",
+    )
+
+
+def _finite(raw: RawCloud, path: Path, drop: bool) -> RawCloud:
+    finite: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(raw.points), axis=1)
+    bad = len(finite) - int(np.count_nonzero(finite))
+    if not bad:
+        return raw
+    if not drop or bad == len(finite):
+        raise InputError(
+            f"{bad} of {len(finite)} points are NaN or infinite",
+            where=path,
+            allowed="finite coordinates (depth cameras write NaN where they see nothing)",
+            hint="add --drop-invalid to leave those points out" if bad < len(finite) else None,
+        )
+    return replace(
+        raw,
+        points=raw.points[finite],
+        normals=None if raw.normals is None else raw.normals[finite],
+        colours=None if raw.colours is None else raw.colours[finite],
+    )
+
+
+def _unit_normals(normals: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+    """Normals made unit length; None if some are missing (zero or NaN), as cameras leave them."""
+    if normals is None:
+        return None
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    if not (np.isfinite(length).all() and (length > 0).all()):
+        return None
+    return normals / length
+
+
+def _frame(comments: dict[str, str], path: Path) -> str:
+    frame = comments.get("frame", "camera").strip()
+    if frame not in ("camera", "world"):
+        raise InputError(
+            f"unknown frame {frame!r} in the header", where=path, allowed="camera, world"
+        )
+    return frame
+
+
+def _pose(comments: dict[str, str], path: Path) -> NDArray[np.float64] | None:
+    text = comments.get("T_world_camera")
+    if text is None:
+        return None
+    try:
+        pose = np.array([float(word) for word in text.split()]).reshape(4, 4)
+    except ValueError as error:
+        raise InputError(
+            "the header's T_world_camera is not 16 numbers", where=path, allowed="4×4, row by row"
+        ) from error
+    if not is_rigid(pose):
+        raise InputError(
+            "the header's T_world_camera is not a rotation and a translation",
+            where=path,
+            allowed="4×4, row by row: an orthonormal rotation, last row 0 0 0 1",
+        )
+    return pose

@@ -1,0 +1,317 @@
+"""Clouds in every format, there and back; and every bad file ends in one message."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import open3d as o3d
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import (
+    apply_transform,
+    random_rotation,
+    transform,
+    wxyz_from_rotation,
+)
+from pointsdf_cli.io.clouds import Cloud, check_object_cloud, read_cloud, write_cloud
+from pointsdf_cli.io.pcd import lzf_decompress
+
+RNG = np.random.default_rng(0)
+POINTS = (RNG.uniform(-0.05, 0.05, (200, 3)) + [0, 0, 0.8]).astype(np.float32).astype(np.float64)
+NORMALS = RNG.standard_normal((200, 3))
+NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
+COLOURS = RNG.integers(0, 256, (200, 3), dtype=np.uint8)
+POSE = transform(random_rotation(RNG), [0.3, -0.2, 0.9])
+
+finite32 = st.floats(-1e6, 1e6, width=32)
+clouds = st.integers(1, 40).flatmap(
+    lambda n: st.builds(
+        Cloud,
+        points=arrays(np.float64, (n, 3), elements=finite32),
+        normals=st.none() | st.just(NORMALS[:n]),
+        colours=st.none() | arrays(np.uint8, (n, 3)),
+        frame=st.sampled_from(["camera", "world"]),
+        T_world_camera=st.none()
+        | st.builds(
+            lambda seed, t: transform(random_rotation(np.random.default_rng(seed)), t),
+            st.integers(0, 2**32),
+            arrays(np.float64, 3, elements=st.floats(-10, 10)),
+        ),
+    )
+)
+
+
+@given(cloud=clouds)
+@settings(max_examples=60, deadline=None)
+def test_ply_round_trip(cloud: Cloud, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.mktemp("ply") / "cloud.ply"
+    write_cloud(path, cloud)
+    back = read_cloud(path)
+    assert np.array_equal(back.points, cloud.points)
+    assert back.frame == cloud.frame
+    assert (back.T_world_camera is None) == (cloud.T_world_camera is None)
+    if cloud.T_world_camera is not None:
+        assert np.array_equal(back.T_world_camera, cloud.T_world_camera)
+    assert (back.normals is None) == (cloud.normals is None)
+    if cloud.normals is not None:
+        assert np.allclose(back.normals, cloud.normals, atol=1e-6)
+    assert (back.colours is None) == (cloud.colours is None)
+    if cloud.colours is not None:
+        assert np.array_equal(back.colours, cloud.colours)
+
+
+def open3d_cloud() -> o3d.t.geometry.PointCloud:
+    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(POINTS.astype(np.float32)))
+    cloud.point.normals = o3d.core.Tensor(NORMALS.astype(np.float32))
+    cloud.point.colors = o3d.core.Tensor(COLOURS)
+    return cloud
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
+@pytest.mark.parametrize("ascii_form", [True, False])
+@pytest.mark.parametrize("compressed", [True, False])
+def test_reads_what_open3d_writes(
+    suffix: str, ascii_form: bool, compressed: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / f"cloud{suffix}"
+    o3d.t.io.write_point_cloud(
+        str(path), open3d_cloud(), write_ascii=ascii_form, compressed=compressed
+    )
+    cloud = read_cloud(path)
+    assert np.allclose(cloud.points, POINTS, atol=1e-6)
+    assert np.allclose(cloud.normals, NORMALS, atol=1e-4)
+    if not (suffix == ".pcd" and ascii_form):  # Open3D prints too few digits of packed colours
+        assert np.array_equal(cloud.colours, COLOURS)
+    assert (cloud.frame, cloud.T_world_camera) == ("camera", None)
+
+
+def test_open3d_reads_what_we_write(tmp_path: Path) -> None:
+    path = tmp_path / "cloud.ply"
+    write_cloud(path, Cloud(POINTS, NORMALS, COLOURS, "world", POSE))
+    cloud = o3d.t.io.read_point_cloud(str(path))
+    assert np.allclose(cloud.point.positions.numpy(), POINTS)
+    assert np.allclose(cloud.point.normals.numpy(), NORMALS, atol=1e-6)
+    assert np.array_equal(cloud.point.colors.numpy(), COLOURS)
+
+
+def test_ply_big_endian_doubles_after_another_element(tmp_path: Path) -> None:
+    header = (
+        "ply\nformat binary_big_endian 1.0\nelement sensor 2\nproperty short id\n"
+        "element vertex 3\nproperty uchar quality\nproperty double x\nproperty double y\n"
+        "property double z\nend_header\n"
+    )
+    rows = [(9, 0.1, 0.2, 0.3), (8, 0.4, 0.5, 0.6), (7, 0.7, 0.8, 0.9)]
+    body = struct.pack(">hh", 1, 2) + b"".join(struct.pack(">Bddd", *row) for row in rows)
+    path = tmp_path / "cloud.ply"
+    path.write_bytes(header.encode() + body)
+    assert np.array_equal(read_cloud(path).points, np.array(rows)[:, 1:])
+
+
+def test_pcd_viewpoint_is_the_camera_in_the_world(tmp_path: Path) -> None:
+    place, wxyz = POSE[:3, 3], wxyz_from_rotation(POSE[:3, :3])
+    world = apply_transform(POSE, POINTS)
+    path = tmp_path / "cloud.pcd"
+    path.write_text(
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z _\nSIZE 4 4 4 1\nTYPE F F F U\nCOUNT 1 1 1 2\n"
+        f"WIDTH {len(world)}\nHEIGHT 1\nVIEWPOINT {' '.join(map(str, [*place, *wxyz]))}\n"
+        f"POINTS {len(world)}\nDATA ascii\n" + "".join(f"{x} {y} {z} 0 0\n" for x, y, z in world)
+    )
+    cloud = read_cloud(path)
+    assert cloud.frame == "world"
+    assert cloud.T_world_camera == pytest.approx(POSE)
+    points, T_world_camera = cloud.in_camera_frame()
+    assert points == pytest.approx(POINTS)
+    assert apply_transform(T_world_camera, points) == pytest.approx(world)
+
+
+@given(data=st.binary(max_size=400))
+@settings(max_examples=60, deadline=None)
+def test_lzf_literals_come_back(data: bytes) -> None:
+    packed = b"".join(
+        bytes([len(run) - 1]) + run for run in (data[i : i + 32] for i in range(0, len(data), 32))
+    )
+    assert lzf_decompress(packed, len(data)) == data
+
+
+def test_lzf_copy_may_overlap_itself() -> None:
+    # "ab", then 9 bytes from 2 back: (length − 2) = 7 in the long form.
+    assert lzf_decompress(bytes([1]) + b"ab" + bytes([7 << 5, 0, 1]), 11) == b"ab" * 5 + b"a"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("blanks.xyz", "# frame world\n0.1 0.2 0.3\n0.4 0.5 0.6\n"),
+        ("commas.csv", "x,y,z\n0.1,0.2,0.3\n0.4,0.5,0.6\n"),
+        ("crlf.txt", "0.1;0.2;0.3\r\n0.4;0.5;0.6\r\n"),
+        ("bom.xyz", "\ufeff0.1 0.2 0.3 7\n0.4 0.5 0.6 8\n"),
+    ],
+)
+def test_text_tables(name: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(text.encode())
+    cloud = read_cloud(path)
+    assert np.array_equal(cloud.points, [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
+    assert cloud.frame == ("world" if "world" in text else "camera")
+
+
+def test_six_columns_are_normals_or_colours(tmp_path: Path) -> None:
+    np.save(tmp_path / "normals.npy", np.hstack([POINTS, NORMALS]))
+    np.save(tmp_path / "colours.npy", np.hstack([POINTS, COLOURS]))
+    np.save(tmp_path / "image.npy", POINTS.reshape(10, 20, 3))
+    assert np.allclose(read_cloud(tmp_path / "normals.npy").normals, NORMALS)
+    colours = read_cloud(tmp_path / "colours.npy")
+    assert colours.normals is None
+    assert np.array_equal(colours.colours, COLOURS)
+    assert np.array_equal(read_cloud(tmp_path / "image.npy").points, POINTS)
+
+
+def test_unit_scales_to_metres(tmp_path: Path) -> None:
+    np.save(tmp_path / "mm.npy", POINTS * 1000)
+    assert read_cloud(tmp_path / "mm.npy", unit="mm").points == pytest.approx(POINTS)
+
+
+def test_invalid_points_are_refused_or_dropped(tmp_path: Path) -> None:
+    holed = POINTS.copy()
+    holed[[3, 7], [0, 2]] = np.nan, np.inf
+    np.save(tmp_path / "holed.npy", holed)
+    with pytest.raises(InputError, match=r"2 of 200 points.*\n.*\n.*--drop-invalid"):
+        read_cloud(tmp_path / "holed.npy")
+    kept = read_cloud(tmp_path / "holed.npy", drop_invalid=True).points
+    assert np.array_equal(kept, np.delete(POINTS, [3, 7], axis=0))
+
+
+def test_world_cloud_without_a_camera_asks_for_one() -> None:
+    with pytest.raises(InputError, match="--camera-pose"):
+        Cloud(POINTS, frame="world").in_camera_frame()
+
+
+def test_points_behind_the_camera_are_not_in_its_frame() -> None:
+    with pytest.raises(InputError, match="behind the camera"):
+        Cloud(POINTS - [0, 0, 1]).in_camera_frame()
+
+
+def ply(body: bytes, vertices: object = 3, form: str = "ascii", more: str = "") -> bytes:
+    return (
+        f"ply\nformat {form} 1.0\n{more}element vertex {vertices}\nproperty float x\n"
+        "property float y\nproperty float z\nend_header\n"
+    ).encode() + body
+
+
+PCD = (
+    "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 3\nHEIGHT 1\n"
+    "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 3\nDATA "
+)
+POSE_LINE = "comment T_world_camera "
+BAD_FILES = {
+    "empty.ply": (b"", "not a PLY"),
+    "rubbish.ply": (RNG.bytes(5000), "not a PLY"),
+    "rubbish.pcd": (RNG.bytes(5000), "not a PCD"),
+    "rubbish.xyz": (b"\xff\xfe\x00" + RNG.bytes(5000), "not text|no rows"),
+    "rubbish.npy": (RNG.bytes(5000), "not a NumPy"),
+    "none.ply": (ply(b"", 0), "no points"),
+    "none.xyz": (b"# nothing\n", "no rows"),
+    "no_end.ply": (b"ply\nformat ascii 1.0\nelement vertex 1\n", "no end"),
+    "short.ply": (ply(b"1 2 3\n4 5 6\n"), "cut short"),
+    "short_binary.ply": (ply(bytes(35), 3, "binary_little_endian"), "cut short"),
+    "greedy.ply": (ply(bytes(36), 10**15, "binary_little_endian"), "cut short"),
+    "greedy_ascii.ply": (ply(b"1 2 3\n", 10**15), "cut short"),
+    "negative.ply": (ply(b"", -3), "negative"),
+    "not_a_count.ply": (ply(b"", "many"), "header is damaged"),
+    "words.ply": (ply(b"one two three\n" * 3), "not all numbers"),
+    "form.ply": (ply(b"", 3, "binary_middle_endian"), "unknown PLY format"),
+    "no_z.ply": (
+        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n",
+        "no x, y and z",
+    ),
+    "frame.ply": (ply(b"1 2 3\n" * 3, more="comment frame moon\n"), "unknown frame"),
+    "pose.ply": (ply(b"1 2 3\n" * 3, more=f"{POSE_LINE}1 2 3\n"), "not 16 numbers"),
+    "mirror.ply": (
+        ply(b"1 2 3\n" * 3, more=f"{POSE_LINE}-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n"),
+        "not a rotation",
+    ),
+    "short.pcd": ((PCD + "ascii\n1 2 3\n4 5\n").encode(), "cut short"),
+    "short_binary.pcd": ((PCD + "binary\n").encode() + bytes(35), "cut short"),
+    "short_packed.pcd": ((PCD + "binary_compressed\n").encode() + bytes(3), "cut short"),
+    "damaged_packed.pcd": (
+        (PCD + "binary_compressed\n").encode() + struct.pack("<II", 4, 36) + b"\xff\xff\xff\xff",
+        "damaged",
+    ),
+    "kind.pcd": ((PCD + "ternary\n").encode(), "unknown PCD data"),
+    "ragged.xyz": (b"1 2 3\n4 5\n", "as a table"),
+    "thin.npy": (b"", "not a NumPy"),
+    "cloud.jpg": (b"", "unknown cloud format"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_a_bad_file_is_one_message(name: str, tmp_path: Path) -> None:
+    content, message = BAD_FILES[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=message) as caught:
+        read_cloud(tmp_path / name)
+    assert name in caught.value.message
+
+
+@given(cut=st.integers(0, 2000), flip=st.integers(0, 2000), byte=st.integers(0, 255))
+@settings(max_examples=150, deadline=None)
+@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
+def test_damage_never_raises_anything_else(
+    suffix: str, cut: int, flip: int, byte: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("damage")
+    path = folder / f"cloud{suffix}"
+    if not (whole := folder / f"whole{suffix}").exists():
+        o3d.t.io.write_point_cloud(str(whole), open3d_cloud(), compressed=suffix == ".pcd")
+    content = bytearray(whole.read_bytes())
+    content[flip % len(content)] = byte
+    path.write_bytes(content[: len(content) - cut])
+    try:
+        cloud = read_cloud(path)
+    except InputError:
+        return
+    assert np.isfinite(cloud.points).all()
+
+
+def test_no_file_and_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_cloud(tmp_path / "nowhere.ply")
+    with pytest.raises(InputError, match="is a folder"):
+        read_cloud(tmp_path)
+
+
+LINE = np.outer(np.linspace(0, 0.1, 100), [1, 2, 3]) + [0, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (POINTS[:3], "3 points, too few"),
+        (np.repeat(POINTS[:1], 100, axis=0), "the same point"),
+        (LINE, "on one line"),
+        (POINTS * 1000, "millimetres.*\n.*\n.*--unit mm"),
+        (POINTS * 0.01, "too small"),
+        (RNG.uniform(-2, 2, (500, 3)) + [0, 0, 3], "a whole scene"),
+    ],
+)
+def test_what_cannot_be_one_object(points: np.ndarray, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        check_object_cloud(Cloud(points), "cloud.ply")
+
+
+def test_a_plane_and_an_ordinary_cloud_pass() -> None:
+    assert check_object_cloud(Cloud(POINTS * [1, 1, 0] + [0, 0, 1]), "plane").points.shape
+    assert check_object_cloud(Cloud(POINTS), "cloud").points.shape
+
+
+def test_millions_of_points(tmp_path: Path) -> None:
+    """Two million there and back in arrays, not point by point."""
+    points = np.tile(POINTS, (10_000, 1))
+    write_cloud(tmp_path / "many.ply", Cloud(points))
+    assert np.array_equal(read_cloud(tmp_path / "many.ply").points[-200:], POINTS)
