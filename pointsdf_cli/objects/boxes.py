@@ -187,7 +187,7 @@ def soap(draw: Draw) -> Manifold:
         shaped = np.sign(points) * np.abs(points) ** power
         return shaped * np.array([length, width, height]) / 2
 
-    bar = Manifold.sphere(1.0, 48).warp_batch(inflate)
+    bar = Manifold.sphere(1.0, 72).warp_batch(inflate)
     if draw.chance("flat_bottom", 0.5):
         bar = bar.trim_by_plane((0, 0, 1), -height * draw.uniform("cut", 0.1, 0.4))
     return bar

@@ -11,7 +11,6 @@ from pointsdf_cli.objects.refine import refine
 from pointsdf_cli.objects.sections import polygon, rounded, smooth_curve, smooth_steps, stroke
 from pointsdf_cli.objects.solids import bevelled, cylinder, ellipsoid, tube, union
 
-
 # Edge and back of a blade at five places along it, as fractions of its width.
 _BLADES: dict[str, tuple[list[float], list[float]]] = {
     "pointed": ([0, 0, 0.05, 0.35, 1], [1, 1, 1, 1, 1]),

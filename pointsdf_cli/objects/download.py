@@ -13,8 +13,6 @@ import httpx
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.atomic import unwritable
 
-_CHUNK = 1 << 16
-
 
 @dataclass(frozen=True)
 class Patience:
@@ -122,7 +120,7 @@ def _fetch_rest(
         if max(expected, written) > largest:
             raise InputError(f"{expected} bytes", where=url, allowed=f"at most {largest}")
         with open(part, "ab" if resumes else "wb") as file:
-            for block in response.iter_raw(_CHUNK):
+            for block in response.iter_raw():
                 written += len(block)
                 if written > largest:
                     raise InputError(

@@ -89,8 +89,8 @@ def to_arrays(solid: Manifold) -> tuple[np.ndarray, np.ndarray]:
     if solid.status() != Error.NoError or solid.is_empty():
         raise UnusableShape(f"status {solid.status()}, empty {solid.is_empty()}")
     mesh = solid.to_mesh()
-    vertices = np.asarray(mesh.vert_properties[:, :3], dtype=np.float32)
-    faces = np.asarray(mesh.tri_verts, dtype=np.int32)
+    vertices = np.array(mesh.vert_properties[:, :3], dtype=np.float32)
+    faces = np.array(mesh.tri_verts, dtype=np.int32)
     vertices, faces = weld(vertices, faces)
     problem = closed_surface_problem(vertices, faces)
     if problem:

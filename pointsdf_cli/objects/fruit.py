@@ -28,7 +28,7 @@ def ball(draw: Draw) -> Manifold:
             girth = (1 - along**2) ** sharp / np.maximum(np.sqrt(1 - along**2), 1e-6)
             return points * np.column_stack([np.full_like(along, stretch), girth, girth]) * radius
 
-        return Manifold.sphere(1.0, 56).warp_batch(lens)
+        return Manifold.sphere(1.0, 72).warp_batch(lens)
     axes = _fibonacci_sphere(draw.integer("features", 12, 60))
 
     def surface(direction: np.ndarray) -> np.ndarray:
@@ -45,7 +45,7 @@ def ball(draw: Draw) -> Manifold:
             return radius - depth * np.exp(-((angle / (1.1 / np.sqrt(len(axes)))) ** 2))
         return np.full(len(d), radius)
 
-    return star_solid(surface, segments=72 if form in ("panels", "seam", "dimples") else 48)
+    return star_solid(surface, segments=96 if form in ("panels", "seam", "dimples") else 72)
 
 
 def apple(draw: Draw) -> Manifold:
@@ -61,7 +61,7 @@ def apple(draw: Draw) -> Manifold:
         dimples = top * np.exp(-((1 - z) / 0.09)) + bottom * np.exp(-((1 + z) / 0.08))
         return radius * (1 + lean * z - dimples - depth * (1 - z**2) * np.cos(ribs * around))
 
-    fruit = star_solid(surface, segments=56).scale((1, 1, flatness))
+    fruit = star_solid(surface, segments=72).scale((1, 1, flatness))
     if not draw.chance("stem", 0.6):
         return fruit
     reach = radius * flatness * (1 + lean)
@@ -101,7 +101,7 @@ def lemon(draw: Draw) -> Manifold:
         ends = right * np.exp(-((1 - x) / (width**2))) + left * np.exp(-((1 + x) / (width**2)))
         return radius * (1 + 1.5 * ends)
 
-    return star_solid(surface, segments=48).scale((length / (2 * radius), 1, 1))
+    return star_solid(surface, segments=64).scale((length / (2 * radius), 1, 1))
 
 
 def strawberry(draw: Draw) -> Manifold:
@@ -117,7 +117,7 @@ def strawberry(draw: Draw) -> Manifold:
         hollow = depth * np.exp(-((angle / 0.09) ** 2))
         return radius * (1 + taper * d[:, 2] - 0.3 * np.exp(-(1 - d[:, 2]) / 0.12) - hollow)
 
-    fruit = star_solid(surface, segments=64).scale((1, 1, stretch))
+    fruit = star_solid(surface, segments=80).scale((1, 1, stretch))
     lying = draw.chance("lies", 0.6)
     return fruit.rotate((0, 100, 0)) if lying else fruit
 
@@ -135,7 +135,7 @@ def plum(draw: Draw) -> Manifold:
         fold = crease * np.exp(-((around / width) ** 2)) * np.sqrt(1 - np.minimum(d[:, 2] ** 2, 1))
         return radius * (1 - fold - dimple * np.exp(-(1 - d[:, 2]) / 0.06))
 
-    return star_solid(surface, segments=56).scale((1, 1, stretch))
+    return star_solid(surface, segments=72).scale((1, 1, stretch))
 
 
 def potato(draw: Draw) -> Manifold:
@@ -151,7 +151,7 @@ def potato(draw: Draw) -> Manifold:
     def surface(d: np.ndarray) -> np.ndarray:
         return radius * (1 + height * (np.exp(-(1 - d @ axes.T) / 0.15) @ sign).clip(-0.9, 2.0))
 
-    return star_solid(surface, segments=52).scale((stretch, 1, flatness))
+    return star_solid(surface, segments=64).scale((stretch, 1, flatness))
 
 
 def banana(draw: Draw) -> Manifold:

@@ -174,7 +174,7 @@ def draw_sheet(items: Sequence[SheetItem], style: SheetStyle | None = None) -> I
 
 
 def write_sheet(
-    path: Path, items: Sequence[SheetItem], style: SheetStyle | None = None, colours: int = 128
+    path: Path, items: Sequence[SheetItem], style: SheetStyle | None = None, colours: int = 200
 ) -> None:
     """Draw a sheet and write it as a palette PNG (small enough to keep in a repository)."""
     sheet = draw_sheet(items, style).quantize(colors=colours, dither=Image.Dither.NONE)
@@ -218,7 +218,8 @@ def _depth_jump(depth: np.ndarray) -> np.ndarray:
 
 def _group_colour(group: str) -> tuple[float, float, float]:
     """A calm colour that depends on the text alone (`hash` is salted per process)."""
-    hue = zlib.crc32(group.encode()) % 360 / 360
+    # Ten hues only: a palette image then has enough shades of each.
+    hue = zlib.crc32(group.encode()) % 10 / 10
     return colorsys.hls_to_rgb(hue, 0.68, 0.42)
 
 
