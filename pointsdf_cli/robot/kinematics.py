@@ -1,0 +1,153 @@
+"""Forward kinematics of the whole robot, batched and differentiable."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pointsdf_cli.robot.description import RobotDescription
+
+
+class Kinematics:
+    """FK_l(q) of every link (paper section IV-C), on [B, J] configurations at once.
+
+    Joints at one depth of the tree are evaluated together, so a four-fingered hand costs no more
+    steps than one finger.
+
+    Args:
+        robot: The robot.
+        dtype: Of the results; float64 agrees with a physics engine to rounding.
+        device: Where to compute.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        dtype: torch.dtype = torch.float64,
+        device: str | torch.device = "cpu",
+    ) -> None:
+        self.robot = robot
+        self.links = robot.tree.links
+        self._index = {link: i for i, link in enumerate(self.links)}
+
+        def tensor(array: NDArray[np.float64]) -> Tensor:
+            return torch.tensor(np.array(array), dtype=dtype, device=device)
+
+        joints = robot.tree.joints
+        columns = {name: i for i, name in enumerate(robot.joint_names)}
+        # Joints that are not part of q rest at 0, through a column that is always zero.
+        spare = len(columns)
+        self._columns = torch.tensor([columns.get(j.name, spare) for j in joints], device=device)
+        axes = np.array([j.axis for j in joints])
+        cross = np.zeros((len(joints), 3, 3))
+        cross[:, [2, 0, 1], [1, 2, 0]] = axes
+        cross[:, [1, 2, 0], [2, 0, 1]] = -axes
+        turning = np.array([j.kind in ("revolute", "continuous") for j in joints])[:, None, None]
+        sliding = np.array([j.kind == "prismatic" for j in joints])[:, None]
+        origins = np.array([j.T_parent_joint for j in joints])
+        fixed = origins[:, :3, :3]
+        # Rodrigues: R(q) = R0 + sin q R0 K + (1 - cos q) R0 K²; p(q) = p0 + q R0 a if it slides.
+        self._rotation = tensor(fixed)
+        self._sine = tensor(fixed @ cross * turning)
+        self._versine = tensor(fixed @ cross @ cross * turning)
+        self._offset = tensor(origins[:, :3, 3])
+        self._slide = tensor(np.einsum("jab,jb->ja", fixed, axes) * sliding)
+        self._levels = self._tree_levels()
+        self._order = self._restoring_order()
+        base = tensor(robot.T_world_base)
+        self._base_rotation, self._base_position = base[:3, :3], base[:3, 3]
+        self._palm = self._index[robot.palm_link]
+        self._palm_offset = tensor(robot.T_link_palm)
+
+    def __call__(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Poses of all links in the world.
+
+        Args:
+            q: [..., J].
+
+        Returns:
+            Rotations [..., L, 3, 3] and positions [..., L, 3] in the order of `links`.
+        """
+        batch = q.shape[:-1]
+        flat = q.reshape(-1, q.shape[-1])
+        angle = torch.cat([flat, flat.new_zeros(len(flat), 1)], dim=1)[:, self._columns]
+        sine = torch.sin(angle)[..., None, None]
+        versine = (1 - torch.cos(angle))[..., None, None]
+        local_rotation = self._rotation + sine * self._sine + versine * self._versine
+        local_position = self._offset + angle[..., None] * self._slide
+        count = len(flat)
+        # One entry a level; a level's links are found through (level, place) of their parents.
+        rotations = [self._base_rotation.expand(count, 1, 3, 3)]
+        positions = [self._base_position.expand(count, 1, 3)]
+        for joints, parents in self._levels:
+            rotation, position = rotations[-1], positions[-1]
+            if parents is not None:
+                rotation, position = rotation[:, parents], position[:, parents]
+            turned = (rotation @ local_position[:, joints, :, None]).squeeze(-1)
+            rotations.append(rotation @ local_rotation[:, joints])
+            positions.append(position + turned)
+        all_rotations = torch.cat(rotations, dim=1)[:, self._order]
+        all_positions = torch.cat(positions, dim=1)[:, self._order]
+        return (
+            all_rotations.reshape(*batch, -1, 3, 3),
+            all_positions.reshape(*batch, -1, 3),
+        )
+
+    def palm(self, q: Tensor) -> Tensor:
+        """T_world_palm [..., 4, 4] of configurations [..., J]."""
+        rotation, position = self(q)
+        return self.palm_of(rotation, position)
+
+    def palm_of(self, rotation: Tensor, position: Tensor) -> Tensor:
+        """T_world_palm [..., 4, 4] from the poses of all links."""
+        pose = homogeneous(rotation[..., self._palm, :, :], position[..., self._palm, :])
+        return pose @ self._palm_offset
+
+    def index(self, link: str) -> int:
+        """The place of a link in the results."""
+        return self._index[link]
+
+    def points(self, q: Tensor, surface: Sequence[tuple[str, Tensor]]) -> list[Tensor]:
+        """World positions [..., P_l, 3] of points [P_l, 3] that are fixed to links."""
+        rotation, position = self(q)
+        return [
+            points @ rotation[..., self._index[link], :, :].transpose(-1, -2)
+            + position[..., self._index[link], None, :]
+            for link, points in surface
+        ]
+
+    def _tree_levels(self) -> list[tuple[Tensor, Tensor | None]]:
+        """For each depth the joints that lead there, and their parents' places one level up.
+
+        The places are None where they are 0, 1, 2, ... : nothing needs to be gathered.
+        """
+        joints, device = self.robot.tree.joints, self._columns.device
+        levels: list[tuple[Tensor, Tensor | None]] = []
+        above = [self.links[0]]
+        while True:
+            here = [i for i, joint in enumerate(joints) if joint.parent in above]
+            if not here:
+                return levels
+            parents = [above.index(joints[i].parent) for i in here]
+            same = parents == list(range(len(above)))
+            places = None if same else torch.tensor(parents, device=device)
+            levels.append((torch.tensor(here, device=device), places))
+            above = [joints[i].child for i in here]
+
+    def _restoring_order(self) -> Tensor:
+        """From root-then-levels back to the order of `links`."""
+        by_level = [self.links[0]]
+        for joints, _ in self._levels:
+            by_level += [self.robot.tree.joints[int(i)].child for i in joints]
+        return torch.tensor([by_level.index(link) for link in self.links])
+
+
+def homogeneous(rotation: Tensor, position: Tensor) -> Tensor:
+    """[..., 4, 4] from [..., 3, 3] and [..., 3]."""
+    top = torch.cat([rotation, position[..., None]], dim=-1)
+    bottom = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=top.dtype, device=top.device)
+    return torch.cat([top, bottom.expand(*top.shape[:-2], 1, 4)], dim=-2)

@@ -1,0 +1,219 @@
+"""Collision shapes of a link: box, cylinder, sphere and convex hull, with exact geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import trimesh
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.meshes import load_mesh
+
+KINDS = ("box", "cylinder", "sphere", "hull")
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One convex shape.
+
+    Attributes:
+        kind: One of `KINDS`.
+        size: [m]: box (x, y, z), cylinder (radius, length along z), sphere (radius,), hull ().
+        pose: [4, 4], the shape's own frame in the link's.
+        vertices: [V, 3], corners of a hull in its own frame; empty for the others.
+        faces: [F, 3], triangles of a hull, seen counter-clockwise from outside.
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    pose: NDArray[np.float64]
+    vertices: NDArray[np.float64] | None = None
+    faces: NDArray[np.int64] | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError(f"no shape {self.kind!r}", allowed=", ".join(KINDS))
+        if any(value <= 0 for value in self.size):
+            raise InputError(f"a {self.kind} of size {self.size}", allowed="sizes above 0 m")
+
+    def triangles(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Corners and faces of a hull, in its own frame.
+
+        Raises:
+            ValueError: The shape is no hull.
+        """
+        if self.vertices is None or self.faces is None:
+            raise ValueError(f"a {self.kind} has no triangles of its own")
+        return self.vertices, self.faces
+
+    def as_mesh(self, sections: int = 48) -> trimesh.Trimesh:
+        """The shape as a triangle mesh in the link's frame; curves have `sections` facets."""
+        if self.kind == "box":
+            mesh = trimesh.creation.box(self.size)
+        elif self.kind == "cylinder":
+            mesh = trimesh.creation.cylinder(self.size[0], self.size[1], sections=sections)
+        elif self.kind == "sphere":
+            mesh = trimesh.creation.icosphere(subdivisions=3, radius=self.size[0])
+        else:
+            mesh = trimesh.Trimesh(*self.triangles(), process=False)
+        mesh.apply_transform(self.pose)
+        return mesh
+
+    def signed_distance(self, points: Tensor) -> Tensor:
+        """Signed distance [...] of points [..., 3] in the link's frame, negative inside.
+
+        Exact for box, cylinder and sphere, and differentiable where the distance is. For a hull
+        it is the largest distance to a face's plane: the exact sign, exact inside, and never
+        more than the distance outside.
+        """
+        pose = torch.as_tensor(self.pose, dtype=points.dtype, device=points.device)
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        if self.kind == "sphere":
+            return _norm(local) - self.size[0]
+        if self.kind == "cylinder":
+            radial = _norm(local[..., :2]) - self.size[0]
+            q = torch.stack([radial, local[..., 2].abs() - self.size[1] / 2], dim=-1)
+            return _outside_inside(q)
+        if self.kind == "box":
+            half = points.new_tensor(self.size) / 2
+            return _outside_inside(local.abs() - half)
+        normals, offsets = self._planes(points)
+        return (local @ normals.T - offsets).amax(dim=-1)
+
+    def lowest(self, rotation: Tensor, position: Tensor) -> Tensor:
+        """Height [...] of the lowest point of the shape, exact, for links at (R [..., 3, 3], p)."""
+        # The world's z axis in the shape's frame; the support function of the shape along it.
+        pose = torch.as_tensor(self.pose, dtype=rotation.dtype, device=rotation.device)
+        centre = position[..., 2] + rotation[..., 2, :] @ pose[:3, 3]
+        up = rotation[..., 2, :] @ pose[:3, :3]
+        if self.kind == "sphere":
+            return centre - self.size[0]
+        if self.kind == "cylinder":
+            reach = self.size[0] * _norm(up[..., :2]) + self.size[1] / 2 * up[..., 2].abs()
+            return centre - reach
+        if self.kind == "box":
+            return centre - (up.abs() @ (up.new_tensor(self.size) / 2))
+        vertices = torch.as_tensor(self.vertices, dtype=up.dtype, device=up.device)
+        return centre + (up @ vertices.T).amin(dim=-1)
+
+    def _planes(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        vertices, faces = self.triangles()
+        a, b, c = (vertices[faces[:, k]] for k in range(3))
+        normals = np.cross(b - a, c - a)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        offsets = (normals * a).sum(axis=1)
+        return (
+            torch.as_tensor(normals, dtype=like.dtype, device=like.device),
+            torch.as_tensor(offsets, dtype=like.dtype, device=like.device),
+        )
+
+
+def mesh_shape(path: Path, scale: NDArray[np.float64], pose: NDArray[np.float64]) -> Shape:
+    """The convex hull of a mesh file, as physics engines take a link's mesh.
+
+    Raises:
+        InputError: The mesh cannot be read.
+    """
+    mesh = load_mesh(path)
+    hull = trimesh.convex.convex_hull(mesh.vertices * scale)
+    return Shape("hull", (), pose, np.asarray(hull.vertices), np.asarray(hull.faces))
+
+
+def bounding_box(shapes: tuple[Shape, ...]) -> NDArray[np.float64]:
+    """The corners (low, high) [2, 3] of a box around shapes, link frame."""
+    meshes = [shape.as_mesh() for shape in shapes]
+    corners = np.concatenate([np.asarray(mesh.bounds) for mesh in meshes])
+    return np.stack([corners.min(axis=0), corners.max(axis=0)])
+
+
+def cover_points(shape: Shape, step: float) -> NDArray[np.float64]:
+    """Points [N, 3] on a shape, link frame, such that no surface point is farther than `step`.
+
+    Regular patches whose half diagonal (along the surface, so also through space) is below
+    `step`.
+    """
+    if shape.kind == "box":
+        local = _cover_box(np.array(shape.size), step)
+    elif shape.kind == "cylinder":
+        local = _cover_cylinder(shape.size[0], shape.size[1], step)
+    elif shape.kind == "sphere":
+        local = _cover_sphere(shape.size[0], step)
+    else:
+        # Subdivided until no edge is longer: every point of a triangle is then within
+        # edge / √3 of a corner.
+        local, _ = trimesh.remesh.subdivide_to_size(
+            *shape.triangles(), max_edge=step * np.sqrt(3) * 0.999, max_iter=20
+        )
+    return apply_transform(shape.pose, local)
+
+
+def _line(length: float, step: float) -> NDArray[np.float64]:
+    """Middles of equal cells of [-length/2, length/2], each at most √2·step wide."""
+    count = max(1, int(np.ceil(length / (np.sqrt(2) * step))))
+    return (np.arange(count) + 0.5) / count * length - length / 2
+
+
+def _cover_box(size: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+    faces = []
+    for axis in range(3):
+        u, v = (k for k in range(3) if k != axis)
+        grid = np.stack(np.meshgrid(_line(size[u], step), _line(size[v], step)), -1).reshape(-1, 2)
+        for side in (-0.5, 0.5):
+            face = np.empty((len(grid), 3))
+            face[:, u], face[:, v], face[:, axis] = grid[:, 0], grid[:, 1], side * size[axis]
+            faces.append(face)
+    return np.concatenate(faces)
+
+
+def _cover_cylinder(radius: float, length: float, step: float) -> NDArray[np.float64]:
+    angles = _line(2 * np.pi * radius, step) / radius
+    heights = _line(length, step)
+    angle, height = (g.ravel() for g in np.meshgrid(angles, heights))
+    side = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
+    rings = _line(radius, step) + radius / 2
+    disc = []
+    for ring in rings:
+        # The outer edge of the ring's cells is the longest arc; it must be narrow enough too.
+        edge = ring + radius / len(rings) / 2
+        around = _line(2 * np.pi * edge, step) / edge
+        disc.append(np.stack([ring * np.cos(around), ring * np.sin(around)], axis=1))
+    flat = np.concatenate(disc)
+    caps = [np.column_stack([flat, np.full(len(flat), z)]) for z in (-length / 2, length / 2)]
+    return np.concatenate([side, *caps])
+
+
+def _cover_sphere(radius: float, step: float) -> NDArray[np.float64]:
+    rows = []
+    latitudes = _line(np.pi * radius, step) / radius
+    half_row = np.pi / len(latitudes) / 2
+    for latitude in latitudes:
+        widest = np.cos(max(0.0, abs(latitude) - half_row)) * radius
+        around = _line(2 * np.pi * widest, step) / widest
+        ring = radius * np.cos(latitude)
+        rows.append(
+            np.stack(
+                [
+                    ring * np.cos(around),
+                    ring * np.sin(around),
+                    np.full(len(around), radius * np.sin(latitude)),
+                ],
+                axis=1,
+            )
+        )
+    return np.concatenate(rows)
+
+
+def _norm(vectors: Tensor) -> Tensor:
+    """Euclidean length with a finite gradient at 0."""
+    return (vectors.square().sum(dim=-1) + 1e-20).sqrt()
+
+
+def _outside_inside(q: Tensor) -> Tensor:
+    """Distance from per-axis excesses [..., K]: Euclidean outside, the nearest side inside."""
+    return _norm(q.clamp(min=0)) + q.amax(dim=-1).clamp(max=0)

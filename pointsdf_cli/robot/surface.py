@@ -1,0 +1,50 @@
+"""Points on the surface of every link, close enough that nothing can pass between them unseen."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.shapes import Shape, cover_points
+
+SPACING = 0.01
+"""No point of a link's surface is farther than this [m] from a sample."""
+
+
+def link_surface(shapes: tuple[Shape, ...], spacing: float = SPACING) -> NDArray[np.float64]:
+    """Points [P, 3] on a union of shapes, link frame, that cover its surface within `spacing`.
+
+    Each shape is covered by itself. What lies deeper than `spacing` inside another shape covers
+    nothing of the union's surface and is left out.
+
+    Raises:
+        InputError: The spacing is not positive.
+    """
+    if not 1e-4 <= spacing <= 1.0:
+        raise InputError(f"a spacing of {spacing} m", allowed="0.0001 to 1 m")
+    kept = []
+    for i, shape in enumerate(shapes):
+        points = cover_points(shape, spacing)
+        outside = np.ones(len(points), dtype=bool)
+        for j, other in enumerate(shapes):
+            if i != j:
+                depth = other.signed_distance(torch.from_numpy(points)).numpy()
+                outside &= depth > -spacing
+        kept.append(points[outside])
+    return np.concatenate(kept) if kept else np.zeros((0, 3))
+
+
+def robot_surface(
+    robot: RobotDescription, spacing: float = SPACING
+) -> dict[str, NDArray[np.float64]]:
+    """Surface points [P_l, 3] of every link that has a shape, in the link's frame, m.
+
+    These are the points x of FK_l(q) at which the paper's constraints are evaluated
+    (section IV-C): each link's value is the minimum over them.
+    """
+    return {
+        link: link_surface(shapes, spacing) for link, shapes in robot.tree.shapes.items() if shapes
+    }

@@ -1,0 +1,230 @@
+"""Reads what grasping needs of a URDF: the tree of joints, their limits, the collision shapes."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.robot.shapes import Shape, mesh_shape
+
+MOVING = ("revolute", "continuous", "prismatic")
+JOINT_KINDS = (*MOVING, "fixed")
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint of the tree.
+
+    Attributes:
+        kind: One of `JOINT_KINDS`.
+        T_parent_joint: [4, 4], the child link's frame in the parent's where the joint is at 0.
+        axis: [3], unit, in the child's frame.
+        lower, upper: Limits [rad or m]; ±π where the URDF gives none.
+        velocity: Largest speed [rad/s or m/s].
+        effort: Largest torque or force [N m or N].
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    T_parent_joint: NDArray[np.float64]
+    axis: NDArray[np.float64]
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+
+
+@dataclass(frozen=True)
+class Tree:
+    """Links in an order in which every parent stands before its children.
+
+    Attributes:
+        links: Link names; the first is the root.
+        joints: `joints[i]` leads to `links[i + 1]`.
+        shapes: Collision shapes by link name, in the link's frame.
+    """
+
+    links: tuple[str, ...]
+    joints: tuple[Joint, ...]
+    shapes: dict[str, tuple[Shape, ...]]
+
+    def neighbours(self) -> set[frozenset[str]]:
+        """Pairs of links that one joint connects."""
+        return {frozenset((joint.parent, joint.child)) for joint in self.joints}
+
+
+def read_urdf(path: Path) -> Tree:
+    """Read a URDF file.
+
+    Raises:
+        InputError: Not XML, not a URDF, a joint kind or shape that is not supported, a name used
+            twice, no or several roots, or a mesh that cannot be found.
+    """
+    if not path.is_file():
+        raise InputError("no such URDF file", where=path)
+    try:
+        root = ET.fromstring(path.read_bytes())
+    except ET.ParseError as error:
+        raise InputError(f"is not XML ({error})", where=path) from error
+    if root.tag != "robot":
+        raise InputError(f"has the root <{root.tag}>", where=path, allowed="a URDF: <robot>")
+    names = [_attribute(link, "name", path) for link in root.findall("link")]
+    joints = [_joint(node, path) for node in root.findall("joint")]
+    for kind, all_names in (("link", names), ("joint", [joint.name for joint in joints])):
+        twice = sorted({name for name in all_names if all_names.count(name) > 1})
+        if twice:
+            raise InputError(f"names the {kind} {twice[0]!r} twice", where=path)
+    shapes = {
+        name: tuple(_shapes(link, path))
+        for name, link in zip(names, root.findall("link"), strict=True)
+    }
+    links, ordered = _ordered(names, joints, path)
+    return Tree(links, ordered, shapes)
+
+
+def _ordered(
+    names: list[str], joints: list[Joint], path: Path
+) -> tuple[tuple[str, ...], tuple[Joint, ...]]:
+    """Links and joints from the root outwards, breadth first."""
+    children = {joint.child for joint in joints}
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in names:
+                raise InputError(
+                    f"joint {joint.name!r} names the link {link!r}",
+                    where=path,
+                    allowed=", ".join(names),
+                )
+    roots = [name for name in names if name not in children]
+    if len(roots) != 1:
+        raise InputError(
+            f"has {len(roots)} root links ({', '.join(roots[:4])})", where=path, allowed="one"
+        )
+    links, ordered = [roots[0]], []
+    for link in links:  # grows while it is walked
+        for joint in joints:
+            if joint.parent == link:
+                ordered.append(joint)
+                links.append(joint.child)
+    if len(links) != len(names):
+        raise InputError("its joints are no tree", where=path)
+    return tuple(links), tuple(ordered)
+
+
+def _joint(node: ET.Element, path: Path) -> Joint:
+    name, kind = _attribute(node, "name", path), node.get("type", "")
+    if kind not in JOINT_KINDS:
+        raise InputError(
+            f"joint {name!r} is of the kind {kind!r}", where=path, allowed=", ".join(JOINT_KINDS)
+        )
+    ends = {}
+    for role in ("parent", "child"):
+        end = node.find(role)
+        if end is None or not end.get("link"):
+            raise InputError(f"joint {name!r} has no {role} link", where=path)
+        ends[role] = str(end.get("link"))
+    axis_node, limit = node.find("axis"), node.find("limit")
+    axis = _vector(axis_node, "xyz", (1.0, 0.0, 0.0), path)
+    length = float(np.linalg.norm(axis))
+    if kind in MOVING and length < 1e-9:
+        raise InputError(f"joint {name!r} has a zero axis", where=path)
+    values = dict.fromkeys(("lower", "upper", "velocity", "effort"), 0.0)
+    for key in values:
+        text = None if limit is None else limit.get(key)
+        values[key] = float(_numbers(text, 1, path)[0]) if text else 0.0
+    if kind == "continuous" or (kind == "revolute" and limit is None):
+        values["lower"], values["upper"] = -np.pi, np.pi
+    return Joint(
+        name=name,
+        kind=kind,
+        parent=ends["parent"],
+        child=ends["child"],
+        T_parent_joint=_origin(node, path),
+        axis=axis / max(length, 1e-9),
+        **values,
+    )
+
+
+def _shapes(link: ET.Element, path: Path) -> list[Shape]:
+    shapes = []
+    for part in link.findall("collision"):
+        geometry = part.find("geometry")
+        if geometry is None or not len(geometry):
+            raise InputError(f"link {link.get('name')!r} has a collision without shape", where=path)
+        node, pose = geometry[0], _origin(part, path)
+        if node.tag == "box":
+            shapes.append(Shape("box", tuple(_numbers(node.get("size"), 3, path)), pose))
+        elif node.tag == "cylinder":
+            size = (node.get("radius"), node.get("length"))
+            values = [float(_numbers(value, 1, path)[0]) for value in size]
+            shapes.append(Shape("cylinder", tuple(values), pose))
+        elif node.tag == "sphere":
+            shapes.append(Shape("sphere", tuple(_numbers(node.get("radius"), 1, path)), pose))
+        elif node.tag == "mesh":
+            scale = _vector(node, "scale", (1.0, 1.0, 1.0), path)
+            shapes.append(mesh_shape(_mesh_file(node.get("filename", ""), path), scale, pose))
+        else:
+            raise InputError(
+                f"link {link.get('name')!r} has the shape <{node.tag}>",
+                where=path,
+                allowed="box, cylinder, sphere, mesh",
+            )
+    return shapes
+
+
+def _mesh_file(name: str, urdf: Path) -> Path:
+    """The file that a URDF's mesh name means: relative to the URDF, or below its package."""
+    bare = name.split("://", 1)[-1]
+    candidates = [urdf.parent / bare]
+    candidates += [parent / bare for parent in urdf.parents[1:4]]
+    candidates += [parent.parent / bare for parent in urdf.parents[:3]]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    raise InputError(f"names the mesh {name!r}, which is not there", where=urdf)
+
+
+def _origin(node: ET.Element, path: Path) -> NDArray[np.float64]:
+    origin = node.find("origin")
+    roll, pitch, yaw = _vector(origin, "rpy", (0.0, 0.0, 0.0), path)
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    # Fixed axes: R = Rz(yaw) Ry(pitch) Rx(roll), the URDF convention.
+    rotation = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return transform(rotation, _vector(origin, "xyz", (0.0, 0.0, 0.0), path))
+
+
+def _vector(
+    node: ET.Element | None, key: str, default: tuple[float, ...], path: Path
+) -> NDArray[np.float64]:
+    text = None if node is None else node.get(key)
+    return np.array(default) if text is None else _numbers(text, len(default), path)
+
+
+def _numbers(text: str | None, count: int, path: Path) -> NDArray[np.float64]:
+    try:
+        values = np.array([float(word) for word in (text or "").split()])
+    except ValueError:
+        values = np.empty(0)
+    if len(values) != count or not np.isfinite(values).all():
+        raise InputError(f"{text!r} is not {count} finite numbers", where=path)
+    return values
+
+
+def _attribute(node: ET.Element, key: str, path: Path) -> str:
+    value = node.get(key)
+    if not value:
+        raise InputError(f"a <{node.tag}> has no {key}", where=path)
+    return value

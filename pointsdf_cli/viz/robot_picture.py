@@ -1,0 +1,77 @@
+"""The robot as painted meshes, and a picture of it in several poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import Kinematics, homogeneous
+from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh
+
+ARM_COLOURS = ((0.93, 0.53, 0.20), (0.72, 0.74, 0.76))
+HAND_COLOUR = (0.30, 0.33, 0.40)
+TIP_COLOUR = (0.95, 0.93, 0.86)
+
+
+class RobotMeshes:
+    """The robot's shapes as meshes, to be painted at any configuration.
+
+    Args:
+        robot: The robot.
+        sections: Facets of a cylinder.
+    """
+
+    def __init__(self, robot: RobotDescription, sections: int = 40) -> None:
+        self._kinematics = Kinematics(robot)
+        self._parts: list[tuple[int, NDArray[np.float64], NDArray[np.int64], tuple]] = []
+        hand = set(robot.hand_links)
+        for i, link in enumerate(robot.tree.links):
+            for shape in robot.tree.shapes[link]:
+                mesh = shape.as_mesh(sections)
+                if link in hand:
+                    colour = TIP_COLOUR if shape.kind == "sphere" else HAND_COLOUR
+                else:
+                    colour = ARM_COLOURS[i % 2]
+                self._parts.append((i, np.asarray(mesh.vertices), np.asarray(mesh.faces), colour))
+
+    def at(self, q: NDArray[np.float64]) -> list[Painted]:
+        """The robot at one configuration [J], in the world."""
+        with torch.no_grad():
+            poses = homogeneous(*self._kinematics(torch.from_numpy(np.array(q)))).numpy()
+        return [
+            Painted(apply_transform(poses[link], vertices), faces, colour)
+            for link, vertices, faces, colour in self._parts
+        ]
+
+
+def robot_poses_picture(
+    robot: RobotDescription, poses: Sequence[NDArray[np.float64]], height: int = 520
+) -> NDArray[np.uint8]:
+    """The robot on its table at several configurations [J], side by side."""
+    meshes = RobotMeshes(robot)
+    camera = look_at((1.9, -2.0, 1.25), (0.25, 0.0, 0.55))
+    pictures = [
+        shaded_image([*meshes.at(q), table_mesh()], camera, (height, height)) for q in poses
+    ]
+    return np.concatenate(pictures, axis=1)
+
+
+def three_poses(robot: RobotDescription) -> list[NDArray[np.float64]]:
+    """Home with an open hand, the arm stretched, and the arm turned with a half-closed hand."""
+    home = robot.home.copy()
+    home[robot.preshape_columns] = robot.preshape_ranges.mean(axis=1)
+    up, turned = home.copy(), home.copy()
+    up[robot.arm] = np.clip(0.0, robot.lower[robot.arm], robot.upper[robot.arm])
+    turned[0] = np.clip(turned[0] + 0.8, robot.lower[0], robot.upper[0])
+    ends = np.where(
+        robot.closing_speeds > 0,
+        robot.upper[robot.closing_columns],
+        robot.lower[robot.closing_columns],
+    )
+    turned[robot.closing_columns] = 0.5 * ends
+    return [home, up, turned]

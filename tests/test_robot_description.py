@@ -1,0 +1,135 @@
+"""Robot files: the bundled one holds the data sheet's numbers, wrong ones are named."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.robot.description import load_robot
+
+GRIPPER = Path(__file__).parent / "robots" / "gripper.yaml"
+
+
+def test_bundled_robot_has_the_data_sheets_numbers() -> None:
+    robot = load_robot()
+    assert len(robot.arm_joints) == 7
+    assert len(robot.hand_joints) == 16
+    assert len(robot.preshape_joints) == 8
+    degrees = np.rad2deg(robot.hard_upper[robot.arm])
+    assert degrees == pytest.approx([170, 120, 170, 120, 170, 120, 170])
+    # Planning keeps to ±2.879 (odd joints) and ±2.007 (even).
+    assert robot.upper[:7] == pytest.approx([2.879, 2.007] * 3 + [2.879], abs=1e-3)
+    assert robot.effort[:7].tolist() == [176, 176, 100, 100, 100, 38, 38]
+    thumb = robot.joint_names.index("thumb_joint_0")
+    assert (robot.lower[thumb], robot.upper[thumb]) == (0.263, 1.396)
+
+
+def test_hand_and_configuration() -> None:
+    robot = load_robot()
+    assert "allegro_palm" in robot.hand_links
+    assert "lbr4_link_7" not in robot.hand_links
+    assert len(robot.hand_links) == 17
+    arm, preshape = np.full((3, 7), 0.1), np.full((3, 8), 0.2)
+    q = robot.configuration(arm, preshape)
+    assert q.shape == (3, 23)
+    assert (q[:, :7] == 0.1).all()
+    assert (q[:, robot.preshape_columns] == 0.2).all()
+    rest = np.delete(q, [*range(7), *robot.preshape_columns], axis=1)
+    assert (rest == 0).all()
+
+
+def test_neighbours_and_listed_pairs_are_not_checked() -> None:
+    robot = load_robot(GRIPPER)
+    pairs = {frozenset(pair) for pair in robot.checked_pairs}
+    assert frozenset(("rail", "carriage")) not in pairs
+    assert frozenset(("wrist", "left")) not in pairs
+    assert frozenset(("left", "right")) in pairs
+
+
+def edit(key: str, value: Any) -> Callable[[dict[str, Any]], None]:
+    return lambda data: data.__setitem__(key, value)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda data: data.pop("palm"), "palm"),
+        (edit("colour", "red"), "colour"),
+        (edit("urdf", "missing.urdf"), "missing.urdf"),
+        (edit("arm_joints", ["slide", "twirl"]), "twirl"),
+        (edit("arm_joints", "slide"), "arm_joints"),
+        (edit("arm_joints", ["slide", "slide"]), "twice"),
+        (edit("hand_joints", ["slide"]), "slide"),
+        (edit("preshape_joints", {"left_jaw": [0.02, 0.0]}), "lower first"),
+        (edit("preshape_joints", {"left_jaw": [0.0, 9.0]}), "limits"),
+        (edit("preshape_joints", {"left_jaw": [0.0, float("nan")]}), "finite"),
+        (edit("closing_joints", {"left_jaw": 0}), "speed"),
+        (edit("closing_joints", {"left_jaw": "fast"}), "closing_joints"),
+        (edit("closing_joints", {"slide": 1.0}), "slide"),
+        (edit("palm", {"link": "thumb"}), "palm"),
+        (edit("palm", {"link": "grip", "xyz": [0, 0]}), "palm"),
+        (edit("palm", {"link": "grip", "wxyz": [2, 0, 0, 0]}), "quaternion"),
+        (edit("mount", "here"), "mount"),
+        (edit("home", [0.0]), "home"),
+        (edit("home", [9.0, 0, 0, 0]), "home"),
+        (edit("arm_limit_margin", 0.9), "arm_limit_margin"),
+        (edit("arm_limit_margin", -1), "arm_limit_margin"),
+        (edit("links_on_table", ["floor"]), "floor"),
+        (edit("may_touch", [["left", "left"]]), "may_touch"),
+    ],
+)
+def test_wrong_yaml_is_named(
+    tmp_path: Path, change: Callable[[dict[str, Any]], None], word: str
+) -> None:
+    shutil.copy(GRIPPER.with_suffix(".urdf"), tmp_path / "gripper.urdf")
+    data = yaml.safe_load(GRIPPER.read_text(encoding="utf-8"))
+    change(data)
+    path = tmp_path / "gripper.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        load_robot(path)
+    assert word in error.value.message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ("<robot", "<robit", "XML"),
+        ('type="prismatic"', 'type="planar"', "planar"),
+        ('link="carriage"', 'link="cart"', "cart"),
+        ('radius="0.03"', 'radius="-0.03"', "-0.03"),
+        ('radius="0.03"', 'radius="wide"', "wide"),
+        ('<link name="grip"/>', '<link name="grip"/><link name="grip"/>', "twice"),
+        ('<link name="grip"/>', '<link name="grip"/><link name="loose"/>', "root"),
+        ("<sphere radius=", "<cone radius=", "cone"),
+        ('<sphere radius="0.03"/>', '<mesh filename="package://x/none.stl"/>', "none.stl"),
+        ('velocity="0.5"', 'velocity="0"', "velocity"),
+    ],
+)
+def test_wrong_urdf_is_named(tmp_path: Path, old: str, new: str, word: str) -> None:
+    text = GRIPPER.with_suffix(".urdf").read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "gripper.urdf").write_text(text.replace(old, new, 1), encoding="utf-8")
+    shutil.copy(GRIPPER, tmp_path / "gripper.yaml")
+    with pytest.raises(InputError) as error:
+        load_robot(tmp_path / "gripper.yaml")
+    assert word in error.value.message
+
+
+@pytest.mark.parametrize("text", ["- a\n- b\n", "a: [", "\x00"])
+def test_no_yaml_mapping(tmp_path: Path, text: str) -> None:
+    (tmp_path / "robot.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError):
+        load_robot(tmp_path / "robot.yaml")
+
+
+def test_no_such_robot(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such robot file"):
+        load_robot(tmp_path / "robot.yaml")
