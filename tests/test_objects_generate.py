@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import open3d as o3d
@@ -201,3 +202,11 @@ def test_parameters_in_the_record_are_those_used() -> None:
             assert np.ptp(vertices, axis=0) == pytest.approx(draw.values["edge"], rel=0.02)
             return
     pytest.fail("no cube in sixty blocks")
+
+
+def test_documentation_lists_every_family_with_its_weight() -> None:
+    text = (Path(__file__).resolve().parents[1] / "docs" / "objects.md").read_text()
+    for family in FAMILIES.values():
+        row = f"| `{family.name}` | {family.weight:g} | {family.kind} | {family.summary} |"
+        assert row in text
+    assert f"{len(FAMILIES)} families" in text

@@ -26,6 +26,8 @@ INK = (40, 40, 44)
 FAINT_INK = (120, 120, 126)
 # Rays are cast on a grid this many times finer than the tile and averaged: smooth edges.
 SUPERSAMPLING = 2
+# Few hues, so that a palette of 256 colours has many shades of each.
+HUES, SHADES = 10, 24
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ def shaded_view(
     colour: tuple[float, float, float] = (0.55, 0.65, 0.8),
     azimuth: float = SheetStyle.azimuth,
     elevation: float = SheetStyle.elevation,
+    framing: np.ndarray | None = None,
 ) -> np.ndarray:
     """Orthographic picture of a mesh, lit by its face normals, filling the tile.
 
@@ -80,6 +83,7 @@ def shaded_view(
         colour: RGB in [0, 1].
         azimuth: Direction from the mesh to the camera, radians about +z from +x.
         elevation: The same, above the horizon.
+        framing: [N, 3] what fills the tile, where it is more than the mesh itself.
 
     Returns:
         uint8 [size, size, 3].
@@ -94,7 +98,7 @@ def shaded_view(
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     up = np.cross(towards_camera, right)
     basis = np.stack([right, up, towards_camera])
-    seen = vertices @ basis.T
+    seen = (vertices if framing is None else framing) @ basis.T
     low, high = seen.min(axis=0), seen.max(axis=0)
     centre = (low + high) / 2
     half = max(float((high - low)[:2].max()) / 2, 1e-9) * 1.08
@@ -173,11 +177,9 @@ def draw_sheet(items: Sequence[SheetItem], style: SheetStyle | None = None) -> I
     return sheet
 
 
-def write_sheet(
-    path: Path, items: Sequence[SheetItem], style: SheetStyle | None = None, colours: int = 200
-) -> None:
+def write_sheet(path: Path, items: Sequence[SheetItem], style: SheetStyle | None = None) -> None:
     """Draw a sheet and write it as a palette PNG (small enough to keep in a repository)."""
-    sheet = draw_sheet(items, style).quantize(colors=colours, dither=Image.Dither.NONE)
+    sheet = draw_sheet(items, style).quantize(palette=_palette(), dither=Image.Dither.NONE)
     with atomic_path(Path(path)) as temporary:
         sheet.save(temporary, format="PNG", optimize=True)
 
@@ -218,9 +220,22 @@ def _depth_jump(depth: np.ndarray) -> np.ndarray:
 
 def _group_colour(group: str) -> tuple[float, float, float]:
     """A calm colour that depends on the text alone (`hash` is salted per process)."""
-    # Ten hues only: a palette image then has enough shades of each.
-    hue = zlib.crc32(group.encode()) % 10 / 10
-    return colorsys.hls_to_rgb(hue, 0.68, 0.42)
+    return _hue_colour(zlib.crc32(group.encode()) % HUES)
+
+
+def _hue_colour(index: int) -> tuple[float, float, float]:
+    return colorsys.hls_to_rgb(index / HUES, 0.68, 0.42)
+
+
+def _palette() -> Image.Image:
+    """All 256 colours of a sheet: every hue from dark to light, and greys up to the background."""
+    light = np.linspace(0.05, 1.06, SHADES)
+    hues = np.array([_hue_colour(index) for index in range(HUES)])
+    greys = np.linspace(np.array(INK), np.array(BACKGROUND), 256 - HUES * SHADES)
+    shades = np.clip(hues[:, None] * light[:, None], 0, 1).reshape(-1, 3) * 255
+    image = Image.new("P", (1, 1))
+    image.putpalette(np.concatenate([shades, greys]).round().astype(np.uint8).ravel().tolist())
+    return image
 
 
 def _font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
