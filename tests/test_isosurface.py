@@ -68,7 +68,9 @@ def as_mesh(surface: Isosurface) -> trimesh.Trimesh:
 @pytest.mark.parametrize("name", FIELDS)
 def test_equals_the_dense_surface_and_is_closed(name: str) -> None:
     sparse = extract_isosurface(FIELDS[name], IsosurfaceConfig(64, coarse=16, smallest_part=0))
-    dense = extract_isosurface(FIELDS[name], IsosurfaceConfig(64, coarse=64, smallest_part=0))
+    dense = extract_isosurface(
+        FIELDS[name], IsosurfaceConfig(64, coarse=64, rules=SearchRules(math.inf), smallest_part=0)
+    )
     assert len(sparse.vertices) == len(dense.vertices)
     assert len(sparse.faces) == len(dense.faces)
     distance, match = cKDTree(dense.vertices).query(sparse.vertices)

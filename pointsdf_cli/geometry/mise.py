@@ -3,9 +3,10 @@
 MISE (Mescheder et al. 2019, METHOD.md section 1): a coarse grid is asked everywhere, and only the
 cells that the surface crosses are subdivided. Three rules go beyond the paper's:
 
-- A new corner is asked only where its sign is in doubt, or where it ends an edge that the surface
-  crosses. An SDF cannot change faster than its slope allows, so a neighbour's distance often
-  settles the sign; such a corner holds a lower bound with that sign until it is needed.
+- A corner, also of the coarse grid, is asked only where its sign is in doubt, or where it ends an
+  edge that the surface crosses. An SDF cannot change faster than its slope allows, so a
+  neighbour's distance often settles the sign; such a corner holds a lower bound with that sign
+  until it is needed.
 - Where an answer refutes a bound (a network's slope is not bounded by a theorem), every corner of
   the cells around it is asked.
 - Where the surface leaves the refined cells through a face, the cell beyond is searched too: a
@@ -30,6 +31,8 @@ Field = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 Cells = NDArray[np.int32]
 """[C, 3]: cells named by their lowest corner, in steps of the finest grid."""
 
+_FEWEST = 8
+"""Cells along each side of the largest cells that the search may begin with."""
 _FACES = [(np.flatnonzero(CORNERS[:, k] == s), k, 2 * s - 1) for k in range(3) for s in (0, 1)]
 # The points of a halved cell that are not corners of the whole, in half steps, and for each the
 # corners of the edge, face or cell that it is the middle of.
@@ -118,12 +121,17 @@ class SampledGrid:
             self.settle(np.concatenate(fresh))
         return rows
 
+    def values_at(self, cells: Cells, stride: int) -> NDArray[np.float32]:
+        """The values or bounds [C, 8] at the corners of cells of size `stride`."""
+        rows = self.corner_rows(cells, stride)
+        return self.values[rows]
+
     def halve(self, cells: Cells, stride: int, slope: float) -> Cells:
         """The children, of size `stride`, of cells of twice that size whose corners are known.
 
         Children's corners get bounds where the sign is certain, and are asked elsewhere.
         """
-        values = self.values[self.corner_rows(cells, 2 * stride)]
+        values = self.values_at(cells, 2 * stride)
         base = self._flat_of(cells)
         places, bounds, certainties = [], [], []
         added = len(self._flat)
@@ -182,9 +190,9 @@ def find_surface_cells(grid: SampledGrid, coarse: int, rules: SearchRules) -> ND
         rules: When to ask and where to look.
     """
     stride = (grid.side - 1) // coarse
-    axis = np.arange(coarse, dtype=np.int32) * stride
-    cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = _coarse_cells(grid, stride, rules.slope)
     rows = grid.corner_rows(cells, stride)
+    _settle_crossed_edges(grid, rows, np.arange(len(cells)))
     near = straddling(grid.values[rows])
     if stride > 1:
         near |= np.abs(grid.values[rows]).min(axis=1) < rules.reach * stride * grid.step
@@ -193,6 +201,27 @@ def find_surface_cells(grid: SampledGrid, coarse: int, rules: SearchRules) -> ND
         stride //= 2
         cells, rows = _subdivide(grid, cells, stride, rules.slope)
     return rows
+
+
+def _coarse_cells(grid: SampledGrid, stride: int, slope: float) -> Cells:
+    """The cells of the coarse grid, but for those that cannot hold any of the surface.
+
+    Most of the box is far away from it, and far away a few samples vouch for many: the search
+    begins with larger cells, and drops those with no corner near enough.
+    """
+    resolution, size = grid.side - 1, stride
+    while np.isfinite(slope) and resolution % (2 * size) == 0 and resolution // size > _FEWEST:
+        size *= 2
+    axis = np.arange(0, resolution, size, dtype=np.int32)
+    cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    while size > stride:
+        # No point of a cell is further from its nearest corner than half the diagonal.
+        change = slope * np.sqrt(0.75) * size * grid.step
+        values = grid.values_at(cells, size)
+        cells = cells[np.abs(values).min(axis=1) <= change]
+        size //= 2
+        cells = grid.halve(cells, size, slope)
+    return cells
 
 
 def _subdivide(
