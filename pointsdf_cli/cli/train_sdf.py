@@ -1,0 +1,163 @@
+"""`rgrasp train-sdf`: views and labels to the weights of a reconstruction network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+
+def train_sdf(
+    views: Annotated[Path, typer.Option(help="Views that `rgrasp render` made.")],
+    labels: Annotated[Path, typer.Option(help="Labels that `rgrasp label-sdf` made of them.")],
+    out: Annotated[Path, typer.Option(help="The checkpoint directory.")],
+    model: Annotated[str, typer.Option(help="pointsdf-ray, pointsdf or voxelcnn.")] = (
+        "pointsdf-ray"
+    ),
+    preset: Annotated[str, typer.Option(help="small, or paper (the published recipe).")] = "small",
+    steps: Annotated[int | None, typer.Option(help="Optimiser steps.")] = None,
+    minutes: Annotated[
+        float | None, typer.Option(help="Train so long instead; the schedule follows the clock.")
+    ] = None,
+    batch_size: Annotated[int | None, typer.Option(help="Clouds a step.")] = None,
+    queries: Annotated[int | None, typer.Option(help="Labelled points a cloud.")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="At its highest.")] = None,
+    held_out: Annotated[float, typer.Option(help="Share of the objects kept to validate.")] = 0.05,
+    views_per_object: Annotated[
+        list[str] | None,
+        typer.Option(metavar="N|FOLDER=N", help="Use at most N views an object; may be repeated."),
+    ] = None,
+    validate_every: Annotated[int | None, typer.Option(help="Steps between validations.")] = None,
+    precision: Annotated[str | None, typer.Option(help="auto, bfloat16 or float32.")] = None,
+    pack: Annotated[
+        Path | None, typer.Option(help="Where the packed data goes [default: OUT-pack].")
+    ] = None,
+    threads: Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Carry on from OUT.")] = False,
+    seed: common.Seed = 0,
+    device: common.Device = "cpu",
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Train a network that completes partial clouds; Ctrl-C stops it cleanly, --resume carries on.
+
+    Example: rgrasp train-sdf --views views/ --labels labels/ --out ckpt/ --minutes 60
+    """
+    from dataclasses import replace
+
+    from pointsdf_cli.cli.signals import stop_requests
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.checkpoints import has_train_state
+    from pointsdf_cli.io.provenance import git_commit
+    from pointsdf_cli.models.registry import build_model, use_threads
+    from pointsdf_cli.training import sdf_loop
+    from pointsdf_cli.training.precision import idle_processors
+    from pointsdf_cli.training.presets import preset as settings
+    from pointsdf_cli.training.sdf_data import split_views
+    from pointsdf_cli.training.sdf_pack import open_pack, pair_artifacts
+    from pointsdf_cli.viz.loss_curve import draw_loss_curve
+
+    arguments, config = settings(model, preset)
+    chosen = {
+        "steps": steps or (10_000_000 if minutes else None),
+        "minutes": minutes,
+        "batch_size": batch_size,
+        "queries": queries,
+        "learning_rate": learning_rate,
+        "validate_every": validate_every,
+        "precision": precision,
+    }
+    config = replace(
+        config, seed=common.check_seed(seed), **{k: v for k, v in chosen.items() if v is not None}
+    )
+    if not 0.0 < held_out < 1.0:
+        raise InputError(f"{held_out} is no share", where="--held-out", allowed="between 0 and 1")
+    common.torch_device(device)
+    if not resume and has_train_state(out) and not force:
+        raise InputError(
+            "holds a training run already", where=f"--out {out}", hint="add --resume, or --force"
+        )
+    use_threads(threads or idle_processors())
+
+    reporter = common.Reporter(quiet, as_json)
+    pairs = pair_artifacts(views, labels)
+    limits = _limits(views_per_object or [])
+    with reporter.progress("packing", len(pairs)) as bar:
+        data = open_pack(
+            pairs, pack or out.with_name(out.name + "-pack"), limits, lambda n, _: bar.advance("")
+        )
+    split = split_views(data, held_out, seed)
+    network = build_model(model, arguments, seed=seed)
+    reporter.say(
+        f"{model} with {sum(p.numel() for p in network.parameters()) / 1e6:.1f} M weights; "
+        f"{len(data.names)} objects, {len(split.train)} views to train on, "
+        f"{len(split.held_out_objects)} of held-out objects"
+    )
+    with stop_requests() as should_stop:
+        result = sdf_loop.train_sdf(
+            data,
+            split,
+            network,
+            config,
+            out,
+            provenance={
+                "preset": preset,
+                "data": {"objects": len(data.names), "views": len(data.scale)},
+                "git_commit": git_commit(),
+            },
+            resume=resume,
+            device=device,
+            on_progress=lambda progress: reporter.say(_line(progress)),
+            should_stop=should_stop,
+            report_every=10.0,
+        )
+    if result.history:
+        draw_loss_curve(result.history, out / "loss.png")
+    reporter.result(
+        {
+            "out": out,
+            "finished": result.finished,
+            "steps": result.step,
+            "seconds": round(result.seconds, 1),
+            "best": result.best,
+        }
+    )
+    if not result.finished:
+        reporter.say(f"stopped; the same command with --resume carries on at step {result.step}")
+
+
+def _limits(entries: list[str]) -> dict[str, int]:
+    from pointsdf_cli.errors import InputError
+
+    limits = {}
+    for entry in entries:
+        folder, _, number = entry.rpartition("=")
+        if not number.isdigit() or int(number) < 1:
+            raise InputError(
+                f"{entry!r} is no number of views",
+                where="--views-per-object",
+                allowed="N, FOLDER=N",
+            )
+        limits[folder] = int(number)
+    return limits
+
+
+def _line(progress: object) -> str:
+    from pointsdf_cli.training.sdf_loop import Progress
+
+    assert isinstance(progress, Progress)
+    if progress.validation is not None:
+        found = progress.validation
+        return (
+            f"step {progress.step}: held-out objects loss {found['object_loss']:.4f} "
+            f"IoU {found['object_iou']:.4f}, held-out views loss {found['view_loss']:.4f} "
+            f"IoU {found['view_iou']:.4f}"
+        )
+    return (
+        f"step {progress.step} ({progress.fraction:.1%}): loss {progress.loss:.4f}, "
+        f"{progress.clouds_per_second:.0f} clouds/s, {progress.seconds_left / 60:.0f} min left"
+    )

@@ -1,0 +1,204 @@
+"""Checkpoints: a directory with `model.safetensors`, `config.json` and, to resume, `train_state.pt`.
+
+Weights are safetensors and the training state is read with `weights_only=True`, so a checkpoint
+from a stranger cannot run code. A checkpoint is replaced as a whole: the new directory is complete
+and flushed beside the old one before it takes its place.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import pickle
+import shutil
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.atomic import TEMPORARY_MARK, unwritable
+
+WEIGHTS, CONFIG, TRAIN_STATE = "model.safetensors", "config.json", "train_state.pt"
+SCHEMA, VERSION = "checkpoint", 1
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """One checkpoint as read.
+
+    Attributes:
+        weights: Tensors by name, as stored (half precision where it was shipped so).
+        config: Everything in config.json: `architecture`, `model` (its arguments), provenance.
+        path: Where it was read from.
+    """
+
+    weights: dict[str, Tensor]
+    config: dict[str, Any]
+    path: Path = field(default_factory=Path)
+
+
+def write_checkpoint(
+    path: Path | str,
+    *,
+    config: Mapping[str, Any],
+    weights: Mapping[str, Tensor] | None = None,
+    train_state: Mapping[str, Any] | None = None,
+    half: bool = False,
+) -> None:
+    """Write or replace a checkpoint directory in one step.
+
+    Args:
+        path: The directory. Other files in it are kept.
+        config: Written as config.json, with schema and version added.
+        weights: By name; None keeps the weights that are there.
+        train_state: Plain types and tensors; None keeps the state that is there.
+        half: Store floating-point weights in float16.
+
+    Raises:
+        InputError: The place cannot be written, or is a file.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise InputError("is a file, and a checkpoint is a directory", where=path)
+    temporary = path.with_name(f".{path.name}{TEMPORARY_MARK}{uuid.uuid4().hex[:8]}")
+    try:
+        temporary.mkdir(parents=True)
+        if weights is not None:
+            save_file(_storable(weights, half), temporary / WEIGHTS)
+        if train_state is not None:
+            torch.save(dict(train_state), temporary / TRAIN_STATE)
+        text = json.dumps({"schema": SCHEMA, "schema_version": VERSION, **config}, indent=1)
+        (temporary / CONFIG).write_text(text + "\n", encoding="utf-8")
+        for kept in path.iterdir() if path.exists() else ():
+            if not (temporary / kept.name).exists() and kept.is_file():
+                os.link(kept, temporary / kept.name)
+        for written in temporary.iterdir():
+            with open(written, "rb") as handle:
+                os.fsync(handle.fileno())
+        _take_place(temporary, path)
+    except OSError as error:
+        raise unwritable(path, error) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def read_checkpoint(path: Path | str) -> Checkpoint:
+    """Read weights and configuration.
+
+    Raises:
+        InputError: No checkpoint is there, a file is damaged, or it is of another version.
+    """
+    path = Path(path)
+    config = read_config(path)
+    weights_file = path / WEIGHTS
+    if not weights_file.exists():
+        raise InputError(f"has no {WEIGHTS}", where=path, allowed="a finished checkpoint directory")
+    try:
+        weights = load_file(weights_file)
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputError(
+            f"is no readable safetensors file ({error})", where=weights_file
+        ) from error
+    return Checkpoint(weights, config, path)
+
+
+def read_config(path: Path | str) -> dict[str, Any]:
+    """The configuration of a checkpoint, weights unread.
+
+    Raises:
+        InputError: As `read_checkpoint`.
+    """
+    path = Path(path)
+    if path.is_file():
+        raise InputError(
+            "is a file, and a checkpoint is a directory",
+            where=path,
+            allowed=f"a directory with {WEIGHTS} and {CONFIG}; pickled weights are never opened",
+        )
+    config_file = path / CONFIG
+    if not config_file.exists():
+        raise InputError(
+            f"is no checkpoint: it has no {CONFIG}",
+            where=path,
+            allowed=f"a directory with {WEIGHTS} and {CONFIG}",
+            hint="rgrasp train-sdf --views DIR --labels DIR --out CKPT",
+        )
+    try:
+        config = json.loads(config_file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"is no readable JSON ({error})", where=config_file) from error
+    if not isinstance(config, dict) or config.get("schema") != SCHEMA:
+        raise InputError("does not describe a checkpoint", where=config_file)
+    if config.get("schema_version") != VERSION:
+        raise InputError(
+            f"is of version {config.get('schema_version')}",
+            where=config_file,
+            allowed=f"version {VERSION}",
+        )
+    return config
+
+
+def read_train_state(path: Path | str) -> dict[str, Any]:
+    """The state to resume from.
+
+    Raises:
+        InputError: There is none, or it holds more than plain types and tensors.
+    """
+    state_file = Path(path) / TRAIN_STATE
+    if not state_file.exists():
+        raise InputError(
+            f"has no {TRAIN_STATE}, so there is nothing to resume", where=path, hint="drop --resume"
+        )
+    try:
+        state = torch.load(state_file, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
+        raise InputError(
+            "is damaged, or holds more than plain types and tensors, and is not opened",
+            where=state_file,
+            hint="start again without --resume",
+        ) from error
+    if not isinstance(state, dict):
+        raise InputError("is no training state", where=state_file)
+    return state
+
+
+def has_train_state(path: Path | str) -> bool:
+    """Whether `path` holds something to resume."""
+    return (Path(path) / TRAIN_STATE).exists()
+
+
+def _storable(weights: Mapping[str, Tensor], half: bool) -> dict[str, Tensor]:
+    storable = {}
+    for name, tensor in weights.items():
+        tensor = tensor.detach().cpu()
+        if half and tensor.is_floating_point():
+            tensor = tensor.half()
+        storable[name] = tensor.contiguous().clone()
+    return storable
+
+
+def _take_place(new: Path, old: Path) -> None:
+    """Put directory `new` at `old`; where the kernel can, both names are exchanged at once."""
+    if not old.exists():
+        os.rename(new, old)
+        return
+    at_working_directory, exchange = -100, 2
+    renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if renameat2 is not None:
+        arguments = (at_working_directory, os.fsencode(new), at_working_directory, os.fsencode(old))
+        if renameat2(*arguments, exchange) == 0:
+            return
+    # A file system without the exchange: two renames, the old one kept until the new is in place.
+    aside = old.with_name(f".{old.name}{TEMPORARY_MARK}old")
+    shutil.rmtree(aside, ignore_errors=True)
+    os.rename(old, aside)
+    os.rename(new, old)
+    shutil.rmtree(aside, ignore_errors=True)

@@ -1,0 +1,171 @@
+"""Neighbourhoods in point clouds: sampling, nearest points, gathers and density, in plain PyTorch.
+
+Everything is batched over clouds and has no compiled operator, so it runs wherever PyTorch runs.
+Indices are found without gradients; distances that a loss needs are recomputed from the gathered
+points, so gradients with respect to the queries are exact wherever the neighbours do not change.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
+    """Squared distances between two sets by one matrix product.
+
+    Args:
+        queries: [B, Q, D].
+        points: [B, N, D].
+
+    Returns:
+        [B, Q, N], not below zero, float32. Good for ranking neighbours; for a value close to zero
+        subtract the points instead.
+    """
+    queries, points = queries.float(), points.float()
+    # [−2q, |q|², 1] · [p, 1, |p|²]: one product in place of a product and two broadcast sums.
+    left = torch.cat(
+        [
+            -2.0 * queries,
+            (queries * queries).sum(-1, keepdim=True),
+            torch.ones_like(queries[..., :1]),
+        ],
+        dim=-1,
+    )
+    right = torch.cat(
+        [points, torch.ones_like(points[..., :1]), (points * points).sum(-1, keepdim=True)], dim=-1
+    )
+    with torch.autocast(queries.device.type, enabled=False):
+        return torch.bmm(left, right.transpose(1, 2)).clamp_(min=0.0)
+
+
+@torch.no_grad()
+def nearest_neighbours(queries: Tensor, points: Tensor, count: int) -> Tensor:
+    """The `count` points nearest to each query, nearest first.
+
+    Args:
+        queries: [B, Q, D].
+        points: [B, N, D] with N ≥ count.
+
+    Returns:
+        int64 indices [B, Q, count] into the points.
+    """
+    distances = squared_distances(queries, points)
+    return distances.topk(count, dim=-1, largest=False, sorted=True).indices
+
+
+@torch.no_grad()
+def nearest_in_subsets(queries: Tensor, points: Tensor, subsets: int) -> Tensor:
+    """The nearest point of each of several interleaved subsets, in no particular order.
+
+    The points with index ≡ s (mod `subsets`) form subset s. The nearest of all points is always
+    among the answers, and the others surround it at about the spacing of a subset. That serves a
+    network as well as the exact K nearest, and costs a fraction: no selection, only minima.
+
+    Args:
+        queries: [B, Q, D].
+        points: [B, N, D], N a multiple of `subsets`.
+        subsets: Neighbours wanted.
+
+    Returns:
+        int64 indices [B, Q, subsets] into the points.
+    """
+    batch, count, total = len(queries), queries.shape[1], points.shape[1]
+    if total % subsets:
+        raise ValueError(f"{total} points do not part into {subsets} equal subsets")
+    # Floats that are not negative order as their bits do, so a distance whose lowest bits hold its
+    # index is minimised together with it; 2^-13 of a distance is the price of 1000 indices.
+    mask = (1 << (total - 1).bit_length()) - 1
+    index = torch.arange(total, dtype=torch.int32, device=points.device)
+    keys = squared_distances(queries, points).view(torch.int32)
+    keys.bitwise_and_(~mask).bitwise_or_(index)
+    # In two steps, because a minimum over rows of at least a vector's width is much faster.
+    width = max(w for w in range(subsets, max(64, subsets) + 1, subsets) if total % w == 0)
+    keys = keys.view(batch, count, total // width, width).amin(2)
+    keys = keys.view(batch, count, width // subsets, subsets).amin(2)
+    return (keys & mask).long()
+
+
+@torch.no_grad()
+def farthest_point_order(points: Tensor, count: int, start: int = 0) -> Tensor:
+    """Farthest point sampling: each next point is the one farthest from all before it.
+
+    The order is nested: its first m entries are the farthest point sample of size m, so one call
+    serves every level of an encoder.
+
+    Args:
+        points: [B, N, 3].
+        count: Points wanted, at most N.
+        start: Index of the first point.
+
+    Returns:
+        int64 indices [B, count].
+    """
+    batch, total, _ = points.shape
+    # Coordinates first: the inner loop then runs along contiguous memory.
+    coordinates = points.float().transpose(1, 2).contiguous()
+    order = torch.empty(batch, count, dtype=torch.int64, device=points.device)
+    nearest = torch.full((batch, total), torch.inf, device=points.device)
+    current = torch.full((batch,), start, dtype=torch.int64, device=points.device)
+    for step in range(count):
+        order[:, step] = current
+        chosen = coordinates.gather(2, current[:, None, None].expand(-1, 3, 1))
+        nearest = torch.minimum(nearest, (coordinates - chosen).square_().sum(1))
+        current = nearest.argmax(1)
+    return order
+
+
+class _GatherRows(torch.autograd.Function):
+    """Row gather whose backward pass is one `index_add_`; PyTorch's own is several times slower."""
+
+    @staticmethod
+    def forward(ctx, rows: Tensor, index: Tensor) -> Tensor:  # type: ignore[no-untyped-def,override]
+        ctx.save_for_backward(index)
+        ctx.shape = rows.shape
+        return torch.nn.functional.embedding(index, rows)
+
+    @staticmethod
+    def backward(ctx, gradient: Tensor):  # type: ignore[no-untyped-def,override]
+        (index,) = ctx.saved_tensors
+        total = gradient.new_zeros(ctx.shape)
+        total.index_add_(0, index, gradient.contiguous())
+        return total, None
+
+
+def gather(values: Tensor, index: Tensor) -> Tensor:
+    """Rows of each cloud's table: `out[b, ...] = values[b, index[b, ...]]`.
+
+    Args:
+        values: [B, N, C].
+        index: int64 [B, ...] into N.
+
+    Returns:
+        [B, ..., C], with gradients to `values`.
+    """
+    batch, total, channels = values.shape
+    offset = torch.arange(batch, device=index.device).view(-1, *[1] * (index.dim() - 1)) * total
+    flat = (index + offset).reshape(-1)
+    rows = values.reshape(batch * total, channels)
+    if rows.requires_grad:
+        picked = _GatherRows.apply(rows, flat)
+    else:
+        picked = torch.nn.functional.embedding(flat, rows)
+    return picked.view(*index.shape, channels)
+
+
+@torch.no_grad()
+def inverse_density(points: Tensor, bandwidth: float) -> Tensor:
+    """One over the Gaussian kernel density at each point, scaled to at most 1 in each cloud.
+
+    METHOD: PointConv's density compensation (Wu et al. 2018, section 3.1).
+
+    Args:
+        points: [B, N, 3].
+        bandwidth: Standard deviation of the kernel, in the points' unit.
+
+    Returns:
+        [B, N], in (0, 1]; 1 where the cloud is sparsest.
+    """
+    kernel = torch.exp(squared_distances(points, points) * (-0.5 / bandwidth**2))
+    inverse = 1.0 / kernel.mean(-1)
+    return inverse / inverse.amax(-1, keepdim=True)

@@ -1,0 +1,141 @@
+"""PointSDF as published (paper section III-A, figure 2): PointConv encoder, one embedding, FC head.
+
+Presets: `paper` has the published sizes, `small` is for a processor core. Batch norm and dropout
+are off in evaluation mode, so values and gradients then depend on one cloud and one query alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from pointsdf_cli.models.neighbours import (
+    farthest_point_order,
+    gather,
+    inverse_density,
+    nearest_neighbours,
+)
+from pointsdf_cli.models.pointconv import ChannelNorm, PointConv
+from pointsdf_cli.models.shape_model import Encoding, ShapeModel
+
+BANDWIDTHS = (0.05, 0.1, 0.2, 0.4)
+"""Of the density's Gaussian kernel in each layer, network units."""
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "small": {
+        "centres": (256, 96, 32, 12),
+        "neighbours": (24, 16, 16, 12),
+        "mlps": ((32, 64), (64, 128), (96, 192), (128, 256)),
+        "weight_channels": 8,
+        "query_width": 256,
+        "head": (256, 256, 256),
+        "tail": (256, 256, 256),
+    },
+}
+
+
+class PointSDF(ShapeModel):
+    """See the module's docstring; the default arguments are METHOD §1's numbers.
+
+    Args:
+        centres: Centres of the four PointConv layers.
+        neighbours: Neighbours in each.
+        mlps: Widths of each layer's mlp; the last is the layer after the weight product.
+        weight_channels: Output channels of the weight nets.
+        query_width: Width of the query branch.
+        head: Widths before the joint input is concatenated again.
+        tail: Widths after it.
+        dropout: In the query branch.
+    """
+
+    architecture = "pointsdf"
+
+    def __init__(
+        self,
+        centres: Sequence[int] = (512, 256, 64, 36),
+        neighbours: Sequence[int] = (32, 32, 32, 32),
+        mlps: Sequence[Sequence[int]] = (
+            (32, 32, 64),
+            (64, 64, 64),
+            (128, 128, 256),
+            (256, 256, 512),
+        ),
+        weight_channels: int = 32,
+        query_width: int = 512,
+        head: Sequence[int] = (512, 512, 256),
+        tail: Sequence[int] = (512, 512, 512, 512),
+        dropout: float = 0.2,
+    ) -> None:
+        super().__init__()
+        self._config = {
+            "centres": list(centres),
+            "neighbours": list(neighbours),
+            "mlps": [list(mlp) for mlp in mlps],
+            "weight_channels": weight_channels,
+            "query_width": query_width,
+            "head": list(head),
+            "tail": list(tail),
+            "dropout": dropout,
+        }
+        self.centres, self.neighbours = tuple(centres), tuple(neighbours)
+        inputs = (0, *(mlp[-1] for mlp in mlps[:-1]))
+        self.layers = nn.ModuleList(
+            PointConv(channels, mlp, weight_channels=weight_channels)
+            for channels, mlp in zip(inputs, mlps, strict=True)
+        )
+        self.to_embedding = nn.Sequential(
+            nn.Linear(centres[-1] * mlps[-1][-1], self.embedding_size),
+            ChannelNorm(self.embedding_size, "batch"),
+            nn.ReLU(),
+        )
+        self.query = nn.Sequential(
+            nn.Linear(3, query_width),
+            nn.ReLU(),
+            nn.Linear(query_width, self.embedding_size),
+            nn.ReLU(),
+            nn.Dropout(dropout),
+        )
+        joint = 2 * self.embedding_size
+        self.head = _dense([joint, *head])
+        self.tail = _dense([head[-1] + joint, *tail])
+        self.leave = nn.Linear(tail[-1], 1)
+
+    def config(self) -> dict[str, Any]:
+        return dict(self._config)
+
+    def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
+        points = gather(cloud, farthest_point_order(cloud, self.centres[0]))
+        below, features = cloud, None
+        for layer, count, k, bandwidth in zip(
+            self.layers, self.centres, self.neighbours, BANDWIDTHS, strict=True
+        ):
+            # Farthest point orders are nested: a coarser level is a prefix of the finer one.
+            centres = points[:, :count]
+            index = nearest_neighbours(centres, below, k)
+            features = layer(below, features, centres, index, inverse_density(below, bandwidth))
+            below = centres
+        assert features is not None
+        return Encoding(self.to_embedding(features.flatten(1)), {})
+
+    def decode(self, encoding: Encoding, x: Tensor) -> Tensor:
+        embedding = encoding.embedding.unsqueeze(1).expand(-1, x.shape[1], -1)
+        query = self.query(x)
+        joint = torch.cat([embedding.to(query.dtype), query], dim=-1)
+        h = self.tail(torch.cat([self.head(joint), joint], dim=-1))
+        return torch.tanh(self.leave(h)).squeeze(-1).float()
+
+
+def _dense(widths: Sequence[int]) -> nn.Sequential:
+    """FC + batch norm + ReLU for each pair of widths."""
+    return nn.Sequential(
+        *[
+            layer
+            for a, b in itertools.pairwise(widths)
+            for layer in (nn.Linear(a, b), ChannelNorm(b, "batch"), nn.ReLU())
+        ]
+    )

@@ -1,0 +1,254 @@
+"""`pointsdf-ray`: PointSDF whose decoder also reads the evidence of the view around each query.
+
+The paper squeezes the cloud through one 256-number embedding and asks a fully connected network
+for everything. Here the embedding is kept (the grasp network reads it), and each query also gets
+
+1. the ray evidence (`ray_evidence.py`): where it lies relative to the seen surface and silhouette;
+2. local PointConv features of the centres around it, in space and in the image;
+3. attention over the coarse centres, for what the rest of the object says about this place.
+
+Everything is normalised per sample (LayerNorm), so a value never depends on the batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from pointsdf_cli.models.neighbours import (
+    farthest_point_order,
+    gather,
+    nearest_in_subsets,
+    nearest_neighbours,
+)
+from pointsdf_cli.models.pointconv import PointConv
+from pointsdf_cli.models.ray_evidence import EVIDENCE_SIZE, image_coordinates, ray_evidence
+from pointsdf_cli.models.shape_model import Encoding, ShapeModel
+
+OCTAVES = 4
+"""Of the sines and cosines of a query's coordinates."""
+
+HEADS = 4
+"""Weighted means that a local read-out takes over the same neighbours."""
+
+
+class PointSDFRay(ShapeModel):
+    """See the module's docstring.
+
+    Args:
+        centres: Centres of the four PointConv layers.
+        neighbours: Neighbours in each.
+        hidden: Width of each layer's mlp before the weight product.
+        channels: Output width of each layer.
+        width: Width of the decoder.
+        blocks: Residual blocks of the decoder.
+        local: Width of each local feature.
+        heads: Heads of the attention over the third layer's centres; 0 leaves it out.
+    """
+
+    architecture = "pointsdf-ray"
+
+    def __init__(
+        self,
+        centres: Sequence[int] = (256, 96, 32, 12),
+        neighbours: Sequence[int] = (24, 16, 16, 16),
+        hidden: Sequence[int] = (32, 64, 96, 128),
+        channels: Sequence[int] = (64, 128, 192, 256),
+        width: int = 256,
+        blocks: int = 4,
+        local: int = 64,
+        heads: int = 4,
+    ) -> None:
+        super().__init__()
+        self.centres, self.neighbours = tuple(centres), tuple(neighbours)
+        self.hidden, self.channels = tuple(hidden), tuple(channels)
+        self.width, self.blocks, self.local, self.heads = width, blocks, local, heads
+        self.packed_neighbours = (centres[0], neighbours[0])
+
+        self.layers = nn.ModuleList(
+            PointConv(
+                in_channels,
+                (mid, out),
+                weight_channels=8,
+                weight_hidden=(16,),
+                density=False,
+                norm="layer",
+                radius=radius,
+            )
+            for in_channels, mid, out, radius in zip(
+                (0, *channels[:-1]), hidden, channels, (0.1, 0.2, 0.35, 0.5), strict=True
+            )
+        )
+        self.to_embedding = nn.Sequential(
+            nn.Linear(centres[-1] * channels[-1], self.embedding_size),
+            nn.LayerNorm(self.embedding_size),
+            nn.ReLU(),
+        )
+        self.local_fine = LocalFeatures(channels[0], local, dimensions=3, radius=0.1)
+        self.local_coarse = LocalFeatures(channels[1], local, dimensions=3, radius=0.2)
+        self.local_image = LocalFeatures(channels[1], local, dimensions=3, radius=0.2)
+        inputs = 3 + 6 * OCTAVES + EVIDENCE_SIZE + 3 * local
+        self.enter = nn.Linear(inputs, width)
+        self.embed_first = nn.Linear(self.embedding_size, width)
+        self.embed_middle = nn.Linear(self.embedding_size, width)
+        self.attention = CentreAttention(width, channels[2], heads) if heads else None
+        self.trunk = nn.ModuleList(ResidualBlock(width) for _ in range(blocks))
+        self.leave_norm = nn.LayerNorm(width)
+        self.leave = nn.Linear(width, 1)
+        frequencies = 2.0 ** torch.arange(OCTAVES) * torch.pi
+        self.register_buffer("frequencies", frequencies, persistent=False)
+
+    def config(self) -> dict[str, Any]:
+        return {
+            "centres": list(self.centres),
+            "neighbours": list(self.neighbours),
+            "hidden": list(self.hidden),
+            "channels": list(self.channels),
+            "width": self.width,
+            "blocks": self.blocks,
+            "local": self.local,
+            "heads": self.heads,
+        }
+
+    def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
+        """Read the clouds.
+
+        Args:
+            cloud: [B, P, 3].
+            camera: [B, 3].
+            neighbours: int64 [B, M, K] of the first layer, where they are known already; the
+                cloud's first M points must then be its farthest points, in order.
+        """
+        if neighbours is None:
+            order = farthest_point_order(cloud, self.centres[0])
+            points = gather(cloud, order)
+            neighbours = nearest_neighbours(points, cloud, self.neighbours[0])
+        else:
+            points = cloud[:, : self.centres[0]]
+        features = self.layers[0](cloud, None, points, neighbours)
+        levels = [(points, features)]
+        for layer, count, k in zip(
+            list(self.layers)[1:], self.centres[1:], self.neighbours[1:], strict=True
+        ):
+            # Farthest point orders are nested, so a coarser level is a prefix of the finer one.
+            coarse = points[:, :count]
+            features = layer(points, features, coarse, nearest_in_subsets(coarse, points, k))
+            points = coarse
+            levels.append((points, features))
+        (fine_at, fine), (coarse_at, coarse_features), (token_at, tokens), _ = levels
+        evidence = {
+            "cloud": cloud,
+            "camera": camera,
+            "cloud_image": image_coordinates(cloud, camera),
+            "fine_at": fine_at,
+            "coarse_at": coarse_at,
+            "coarse_image": image_coordinates(coarse_at, camera),
+            "fine": self.local_fine.table(fine, fine_at),
+            "coarse": self.local_coarse.table(coarse_features, coarse_at),
+            "image": self.local_image.table(coarse_features, coarse_at),
+        }
+        if self.attention is not None:
+            evidence |= self.attention.keys_and_values(tokens, token_at)
+        return Encoding(self.to_embedding(features.flatten(1)), evidence)
+
+    def decode(self, encoding: Encoding, x: Tensor) -> Tensor:
+        known = encoding.evidence
+        camera = known["camera"]
+        with torch.autocast(x.device.type, enabled=False):
+            seen = ray_evidence(x, known["cloud"], camera, known["cloud_image"])
+            angles = (x.unsqueeze(-1) * self.frequencies).flatten(-2)
+            x_image = image_coordinates(x, camera)
+        near_fine = nearest_in_subsets(x, known["fine_at"], 8)
+        near_coarse = nearest_in_subsets(x, known["coarse_at"], 4)
+        near_image = nearest_in_subsets(x_image[..., :2], known["coarse_image"][..., :2], 4)
+        h = self.enter(
+            torch.cat(
+                [
+                    x,
+                    torch.sin(angles),
+                    torch.cos(angles),
+                    seen,
+                    self.local_fine(x, known["fine"], near_fine).float(),
+                    self.local_coarse(x, known["coarse"], near_coarse).float(),
+                    self.local_image(x, known["image"], near_image).float(),
+                ],
+                dim=-1,
+            )
+        )
+        h = h + self.embed_first(encoding.embedding).unsqueeze(1)
+        for step, block in enumerate(self.trunk):
+            if step == self.blocks // 2:
+                h = h + self.embed_middle(encoding.embedding).unsqueeze(1)
+                if self.attention is not None:
+                    h = h + self.attention(h, known["keys"], known["values"])
+            h = block(h)
+        return self.leave(torch.nn.functional.gelu(self.leave_norm(h))).squeeze(-1).float()
+
+
+class LocalFeatures(nn.Module):
+    """A PointConv-like read-out at the queries: relu(A f_j + B (x − c_j)), weighted over j.
+
+    A f_j − B c_j is one table per cloud, made at encoding; a query only gathers rows of it.
+    """
+
+    def __init__(self, channels: int, width: int, dimensions: int, radius: float) -> None:
+        super().__init__()
+        self.inverse_radius = 1.0 / radius
+        self.from_features = nn.Linear(channels, width)
+        self.from_offset = nn.Linear(dimensions, width, bias=False)
+        self.score = nn.Linear(width, HEADS)
+        self.out = nn.Linear(HEADS * width, width)
+
+    def table(self, features: Tensor, centres: Tensor) -> Tensor:
+        """[B, M, width] from features [B, M, C] at centres [B, M, 3]."""
+        at_centres = self.from_offset(centres * self.inverse_radius)
+        return self.from_features(features) - at_centres
+
+    def forward(self, x: Tensor, table: Tensor, index: Tensor) -> Tensor:
+        """[B, Q, width] at x [B, Q, 3] from rows `index` [B, Q, K] of the table."""
+        at_queries = self.from_offset(x * self.inverse_radius)
+        hidden = torch.relu(gather(table, index) + at_queries.unsqueeze(2))
+        weights = self.score(hidden).softmax(dim=2).to(hidden.dtype)
+        read = torch.matmul(weights.transpose(-1, -2), hidden)
+        return self.out(read.flatten(-2))
+
+
+class CentreAttention(nn.Module):
+    """Multi-head attention of queries over the centres of one encoder level."""
+
+    def __init__(self, width: int, channels: int, heads: int, size: int = 32) -> None:
+        super().__init__()
+        self.heads, self.size = heads, size
+        self.norm = nn.LayerNorm(width)
+        self.query = nn.Linear(width, heads * size)
+        self.key_value = nn.Linear(channels + 3, 2 * heads * size)
+        self.out = nn.Linear(heads * size, width)
+
+    def keys_and_values(self, features: Tensor, centres: Tensor) -> dict[str, Tensor]:
+        """Keys and values [B, heads, M, size] of features [B, M, C] at centres [B, M, 3]."""
+        both = self.key_value(torch.cat([features, centres.to(features.dtype) * 4.0], dim=-1))
+        keys, values = both.unflatten(-1, (2, self.heads, self.size)).unbind(-3)
+        return {"keys": keys.transpose(1, 2), "values": values.transpose(1, 2)}
+
+    def forward(self, h: Tensor, keys: Tensor, values: Tensor) -> Tensor:
+        """[B, Q, width] from h [B, Q, width]."""
+        queries = self.query(self.norm(h)).unflatten(-1, (self.heads, self.size)).transpose(1, 2)
+        weights = torch.matmul(queries * self.size**-0.5, keys.transpose(-1, -2).to(queries.dtype))
+        read = torch.matmul(weights.softmax(-1).to(values.dtype), values)
+        return self.out(read.transpose(1, 2).flatten(-2))
+
+
+class ResidualBlock(nn.Module):
+    """h + W₂ gelu(W₁ norm(h))."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(width)
+        self.first = nn.Linear(width, width)
+        self.second = nn.Linear(width, width)
+
+    def forward(self, h: Tensor) -> Tensor:
+        return h + self.second(torch.nn.functional.gelu(self.first(self.norm(h))))

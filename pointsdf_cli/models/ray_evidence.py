@@ -1,0 +1,106 @@
+"""What a single depth view says about one query point, as numbers a decoder can read.
+
+A depth camera gives more than points: along every ray, all that lies before the surface is free,
+and all that lies outside the silhouette is free too. For a query x and the observed points p_j,
+
+    in space    offsets and distances to the nearest p_j;
+    in image    of the p_j whose pixels are nearest: how far x lies *behind* each (z_x − z_j), and
+                how far aside of them (the lateral distance, large outside the silhouette).
+
+All of it is differentiable in x; the neighbours themselves are chosen without gradients.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pointsdf_cli.models.neighbours import gather, nearest_in_subsets
+
+SPACE_NEIGHBOURS = 4
+IMAGE_NEIGHBOURS = 5
+SHARP, SOFT = 0.025, 0.1
+"""Scales of the saturating copies of each distance: about one point spacing, and a part's size."""
+
+SCALARS = 9
+EVIDENCE_SIZE = 3 * SCALARS + 8
+
+
+def image_coordinates(points: Tensor, camera: Tensor) -> Tensor:
+    """Pinhole coordinates and depth as seen from the camera.
+
+    Args:
+        points: [B, N, 3], network frame (the camera's axes).
+        camera: [B, 3], the camera's centre in that frame.
+
+    Returns:
+        [B, N, 3]: lateral x and y, scaled to lengths at the cloud's centre plane, and depth along z
+        relative to the camera. Points behind the camera are clamped to a small positive depth.
+    """
+    relative = points - camera.unsqueeze(1)
+    reference = camera[:, 2].neg().clamp(min=0.1).view(-1, 1, 1)
+    depth = relative[..., 2:]
+    lateral = relative[..., :2] * (reference / torch.maximum(depth, 0.05 * reference))
+    return torch.cat([lateral, depth], dim=-1)
+
+
+def ray_evidence(x: Tensor, cloud: Tensor, camera: Tensor, cloud_image: Tensor) -> Tensor:
+    """The evidence of each query.
+
+    Args:
+        x: [B, Q, 3], network frame.
+        cloud: [B, P, 3], network frame.
+        camera: [B, 3], network frame.
+        cloud_image: [B, P, 3], `image_coordinates` of the cloud.
+
+    Returns:
+        [B, Q, EVIDENCE_SIZE], float32.
+    """
+    near = nearest_in_subsets(x, cloud, SPACE_NEIGHBOURS)
+    offset = x.unsqueeze(2) - gather(cloud, near)
+    distance = _length(offset)
+    closest = distance.detach().argmin(-1, keepdim=True)
+
+    x_image = image_coordinates(x, camera)
+    seen = nearest_in_subsets(x_image[..., :2], cloud_image[..., :2], IMAGE_NEIGHBOURS)
+    gap = x_image.unsqueeze(2) - gather(cloud_image, seen)
+    aside, behind = gap[..., :2], gap[..., 2]
+    lateral = _length(aside)
+    in_front = lateral.detach().argmin(-1, keepdim=True)
+
+    scalars = torch.stack(
+        [
+            distance.amin(-1),
+            distance.mean(-1),
+            lateral.amin(-1),
+            lateral.mean(-1),
+            behind.gather(-1, in_front).squeeze(-1),
+            behind.mean(-1),
+            behind.amin(-1),
+            behind.amax(-1),
+            x_image[..., 2] + camera[:, 2].unsqueeze(1),
+        ],
+        dim=-1,
+    )
+    return torch.cat(
+        [
+            scalars,
+            torch.tanh(scalars / SHARP),
+            torch.tanh(scalars / SOFT),
+            _pick(offset, closest) / SOFT,
+            offset.mean(2) / SOFT,
+            aside.mean(2) / SOFT,
+        ],
+        dim=-1,
+    )
+
+
+def _pick(vectors: Tensor, index: Tensor) -> Tensor:
+    """[B, Q, D] from vectors [B, Q, K, D] and index [B, Q, 1] into K."""
+    wanted = index.unsqueeze(-1).expand(*index.shape, vectors.shape[-1])
+    return vectors.gather(2, wanted).squeeze(2)
+
+
+def _length(vectors: Tensor) -> Tensor:
+    # The small constant keeps the gradient finite where a query meets an observed point.
+    return (vectors.square().sum(-1) + 1e-10).sqrt()

@@ -1,0 +1,91 @@
+"""Which architectures exist, and how one is rebuilt from a checkpoint's config.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from pointsdf_cli.assets import asset_path
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.checkpoints import Checkpoint, read_checkpoint
+from pointsdf_cli.models.pointsdf import PointSDF
+from pointsdf_cli.models.pointsdf_ray import PointSDFRay
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.models.voxelcnn import VoxelCNN
+
+ARCHITECTURES: dict[str, type[ShapeModel]] = {
+    model.architecture: model for model in (PointSDFRay, PointSDF, VoxelCNN)
+}
+DEFAULT_ARCHITECTURE = PointSDFRay.architecture
+
+
+def default_checkpoint() -> Path:
+    """The shipped weights of the default model."""
+    return asset_path("weights/pointsdf_ray")
+
+
+def build_model(
+    architecture: str, arguments: Mapping[str, Any] | None = None, seed: int = 0
+) -> ShapeModel:
+    """A fresh model.
+
+    Args:
+        architecture: A key of `ARCHITECTURES`.
+        arguments: As its `config()` gave them; the defaults where None.
+        seed: Of its first weights.
+
+    Raises:
+        InputError: Unknown architecture or arguments that it does not take.
+    """
+    if architecture not in ARCHITECTURES:
+        raise InputError(
+            f"no architecture {architecture!r}", where="model", allowed=", ".join(ARCHITECTURES)
+        )
+    try:
+        torch.manual_seed(seed)
+        return ARCHITECTURES[architecture](**dict(arguments or {}))
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"cannot be built as {architecture}: {error}", where="model") from error
+
+
+def load_model(path: Path | str | None = None, device: str = "cpu") -> ShapeModel:
+    """The model of a checkpoint directory, in float32 and evaluation mode.
+
+    Args:
+        path: The checkpoint; the shipped default where None.
+        device: Where to put it.
+
+    Raises:
+        InputError: No such checkpoint, unknown architecture, or weights of another shape.
+    """
+    return model_from_checkpoint(read_checkpoint(path or default_checkpoint())).to(device)
+
+
+def model_from_checkpoint(checkpoint: Checkpoint) -> ShapeModel:
+    """As `load_model`, for a checkpoint that was read already."""
+    config = checkpoint.config
+    try:
+        model = build_model(str(config.get("architecture")), config.get("model"))
+        weights = {
+            name: tensor.float() if tensor.is_floating_point() else tensor
+            for name, tensor in checkpoint.weights.items()
+        }
+        model.load_state_dict(weights)
+    except InputError as error:
+        raise InputError(error.what, where=checkpoint.path, allowed=error.allowed) from error
+    except RuntimeError as error:
+        first = str(error).strip().splitlines()[1:2] or [str(error)]
+        raise InputError(
+            f"weights do not fit the architecture in config.json: {first[0].strip()}",
+            where=checkpoint.path,
+        ) from error
+    model.requires_grad_(False)
+    return model.eval()
+
+
+def use_threads(count: int) -> None:
+    """Let PyTorch use so many threads; more than are free makes it several times slower."""
+    torch.set_num_threads(max(1, count))

@@ -1,0 +1,65 @@
+"""What every reconstruction network offers, whatever its insides.
+
+    encoding = model.encode(cloud, camera)      once a cloud
+    s = model.decode(encoding, x)               for as many query points as needed
+
+All of it in the network's frame (`normalise.py`); `reconstruction.py` is the door in metres.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from torch import Tensor, nn
+
+
+class Encoding(NamedTuple):
+    """One batch of clouds as the decoder needs them.
+
+    Attributes:
+        embedding: [B, 256], the shape embedding (what the grasp network reads).
+        evidence: What else the decoder of this architecture reads; tensors whose first axis is B.
+    """
+
+    embedding: Tensor
+    evidence: dict[str, Tensor]
+
+
+class ShapeModel(nn.Module):
+    """A network f(o, x) = s: partial cloud o, query x, signed distance s, negative inside."""
+
+    architecture: str = ""
+    embedding_size: int = 256
+    cloud_size: int = 1000
+    packed_neighbours: tuple[int, int] | None = None
+    """(M, K) if `encode` takes a third argument: the first layer's neighbours, int64 [B, M, K]."""
+
+    def config(self) -> dict[str, Any]:
+        """The arguments that rebuild this architecture (plain types)."""
+        raise NotImplementedError
+
+    def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
+        """Read a batch of clouds.
+
+        Args:
+            cloud: [B, P, 3], network frame.
+            camera: [B, 3], the camera's centre in the network's frame.
+            neighbours: See `packed_neighbours`; searched for where None.
+        """
+        raise NotImplementedError
+
+    def decode(self, encoding: Encoding, x: Tensor) -> Tensor:
+        """Signed distances, differentiable in x.
+
+        Args:
+            encoding: Of B clouds.
+            x: [B, Q, 3], network frame.
+
+        Returns:
+            [B, Q] in network units, negative inside.
+        """
+        raise NotImplementedError
+
+    def forward(self, cloud: Tensor, camera: Tensor, x: Tensor) -> Tensor:
+        """`decode(encode(cloud, camera), x)`."""
+        return self.decode(self.encode(cloud, camera), x)

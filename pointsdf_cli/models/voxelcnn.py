@@ -1,0 +1,100 @@
+"""VoxelCNN, the paper's baseline: a 32³ occupancy grid in, a 32³ occupancy grid out (METHOD §2).
+
+Trained by the cross-entropy of its logits at labelled points, which is its voxel cross-entropy
+sampled where the labels are. Between voxel centres the logits are interpolated; divided by a
+constant slope they stand in for a signed distance: negative inside, zero at probability 0.5, right
+in sign but not in length.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from pointsdf_cli.models.shape_model import Encoding, ShapeModel
+
+GRID = 32
+VIEW_VOXELS = 26
+"""The partial view's largest extent spans so many voxels; the rest is room for the unseen."""
+
+EXTENT_IN_NETWORK_UNITS = 1.0 / 1.03
+VOXEL = EXTENT_IN_NETWORK_UNITS / VIEW_VOXELS
+LOGIT_SLOPE = 0.02
+"""Network units a logit: what `SdfLoss.temperature` divides by again."""
+
+
+class VoxelCNN(ShapeModel):
+    """See the module's docstring. It has no sizes to choose."""
+
+    architecture = "voxelcnn"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.encoder = nn.Sequential(
+            *_convolution(1, 8, 5),
+            *_convolution(8, 16, 3, stride=2, padding=1),
+            *_convolution(16, 32, 3),
+            *_convolution(32, 64, 3, stride=2, padding=1),
+            nn.Flatten(),
+        )
+        with torch.no_grad():
+            flat = self.encoder.eval()(torch.zeros(1, 1, GRID, GRID, GRID)).shape[1]
+        self.encoder.train()
+        self.to_embedding = nn.Sequential(
+            nn.Linear(flat, self.embedding_size), nn.BatchNorm1d(self.embedding_size), nn.ELU()
+        )
+        self.from_embedding = nn.Sequential(
+            nn.Linear(self.embedding_size, 7**3), nn.BatchNorm1d(7**3), nn.ELU()
+        )
+        self.decoder = nn.Sequential(
+            *_convolution(1, 64, 3, padding=1),
+            nn.ConvTranspose3d(64, 32, 3, stride=2),
+            nn.BatchNorm3d(32),
+            nn.ELU(),
+            *_convolution(32, 16, 3, padding=1),
+            nn.ConvTranspose3d(16, 8, 3, stride=2),
+            nn.BatchNorm3d(8),
+            nn.ELU(),
+            # 7 → 15 → 31; one more plane of padding and the last layer gives 32.
+            nn.ConstantPad3d((1, 2, 1, 2, 1, 2), 0.0),
+            nn.Conv3d(8, 1, 3),
+        )
+
+    def config(self) -> dict[str, Any]:
+        return {}
+
+    def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
+        embedding = self.to_embedding(self.encoder(occupancy(cloud).unsqueeze(1)))
+        logits = self.decoder(self.from_embedding(embedding).view(-1, 1, 7, 7, 7))
+        return Encoding(embedding, {"logits": logits.float()})
+
+    def decode(self, encoding: Encoding, x: Tensor) -> Tensor:
+        # grid_sample wants coordinates (last axis first) with ±1 at the outer voxels' centres.
+        place = x.flip(-1) / (VOXEL * (GRID - 1) / 2.0)
+        logits = nn.functional.grid_sample(
+            encoding.evidence["logits"],
+            place[:, :, None, None, :],
+            padding_mode="border",
+            align_corners=True,
+        )
+        return -LOGIT_SLOPE * logits[:, 0, :, 0, 0]
+
+
+def occupancy(cloud: Tensor) -> Tensor:
+    """[B, 32, 32, 32] ones where a voxel holds a point of the cloud [B, P, 3] (network frame)."""
+    voxel = (cloud / VOXEL + GRID / 2.0).floor().long().clamp_(0, GRID - 1)
+    flat = (voxel[..., 0] * GRID + voxel[..., 1]) * GRID + voxel[..., 2]
+    grid = torch.zeros(len(cloud), GRID**3, device=cloud.device)
+    return grid.scatter_(1, flat, 1.0).view(-1, GRID, GRID, GRID)
+
+
+def _convolution(
+    in_channels: int, out_channels: int, size: int, stride: int = 1, padding: int = 0
+) -> list[nn.Module]:
+    return [
+        nn.Conv3d(in_channels, out_channels, size, stride=stride, padding=padding),
+        nn.BatchNorm3d(out_channels),
+        nn.ELU(),
+    ]

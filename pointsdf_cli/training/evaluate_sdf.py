@@ -1,0 +1,224 @@
+"""`eval-sdf`: every method on every view, scored as Table I is (METHOD.md section 3).
+
+The networks work in the camera's frame, as always. Their meshes are then carried into the mesh's
+own frame, where the truth's samples and search trees serve all views of an object; the metrics do
+not change under rigid motion. Volumes are those of the meshes, as in Occupancy Networks, not of
+the field, so what is scored is what `rgrasp mesh` writes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.geometry.isosurface import EmptySurfaceError
+from pointsdf_cli.geometry.metrics import SAMPLES, Score, Shape, compare, failure
+from pointsdf_cli.io.batch import task_seed
+from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
+from pointsdf_cli.io.views import Views, read_views, read_views_header
+from pointsdf_cli.models.meshing import mesh_reconstruction
+from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.models.registry import load_model, use_threads
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.sdf_table import ScoredView
+from pointsdf_cli.viz.reconstruction_gallery import GalleryRow
+
+PARTIAL_HULL = "convex hull of the partial cloud"
+TRUTH_HULL = "convex hull of the truth"
+
+Surface = tuple[NDArray[np.float64], NDArray[np.integer]]
+
+
+@dataclass(frozen=True)
+class EvalConfig:
+    """What is evaluated, and how finely.
+
+    Attributes:
+        checkpoints: Label and directory of each network.
+        resolution: Of the extracted meshes.
+        views: Views of each object, the first so many; 0 takes all.
+        samples: Points that each metric counts.
+        seed: Of the resampled clouds and of the metrics' points.
+
+    Raises:
+        InputError: A number is out of its range.
+    """
+
+    checkpoints: tuple[tuple[str, Path], ...]
+    resolution: int = 128
+    views: int = 10
+    samples: int = SAMPLES
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.views < 0:
+            raise InputError(f"{self.views} views", where="--count", allowed="0 (all) or more")
+        if self.samples < 100:
+            raise InputError(
+                f"{self.samples} samples", where="--samples", allowed="at least 100 (100000)"
+            )
+
+
+class EvalTask(NamedTuple):
+    """One object for one worker process."""
+
+    name: str
+    views: Path
+    mesh: Path
+    config: EvalConfig
+
+
+def evaluate_object(task: EvalTask) -> list[ScoredView]:
+    """Scores of every network and trivial baseline on the views of one object.
+
+    Raises:
+        InputError: The mesh or the views cannot be used, or do not belong together.
+    """
+    use_threads(1)
+    views, mesh = _load(task)
+    rng = task_seed(task.config.seed, task.name)
+    samples = task.config.samples
+    truth = Shape(mesh.vertices, mesh.faces, rng, samples)
+    hull = compare(Shape(*convex_hull(mesh.vertices), rng, samples), truth, rng, samples)
+    scored = []
+    for view in range(_view_count(views, task.config)):
+        to_object = invert_transform(views.T_camera_object[view])
+        surfaces: dict[str, Surface | None] = {
+            label: reconstruct(load_cached(path), views.cloud[view], task, view)[1]
+            for label, path in task.config.checkpoints
+        }
+        surfaces[PARTIAL_HULL] = convex_hull(views.cloud[view])
+        for method, surface in surfaces.items():
+            score = _score(surface, to_object, truth, rng, samples)
+            scored.append(ScoredView(method, task.name, view, score))
+        scored.append(ScoredView(TRUTH_HULL, task.name, view, hull))
+    return scored
+
+
+def make_tasks(views: Path, meshes: Path, config: EvalConfig) -> list[EvalTask]:
+    """One task for each mesh whose views are there.
+
+    Raises:
+        InputError: A folder does not exist or is empty, or no mesh has views.
+    """
+    if not views.is_dir():
+        raise InputError(
+            "no such folder", where=views, hint=f"rgrasp render --meshes {meshes} --out {views}"
+        )
+    tasks = []
+    for mesh in find_meshes(meshes):
+        relative = mesh.relative_to(meshes) if meshes.is_dir() else Path(mesh.name)
+        artifact = views / relative.with_suffix(".h5")
+        if artifact.exists():
+            tasks.append(EvalTask(relative.with_suffix("").as_posix(), artifact, mesh, config))
+    if not tasks:
+        raise InputError(
+            f"no mesh of {meshes} has its views here",
+            where=views,
+            hint=f"rgrasp render --meshes {meshes} --out {views}",
+        )
+    return tasks
+
+
+def reconstruct(
+    model: ShapeModel, cloud: NDArray[np.floating], task: EvalTask, view: int
+) -> tuple[Reconstruction, Surface | None]:
+    """The reconstruction of one view, and its mesh in the camera's frame, if it has one."""
+    reconstruction = Reconstruction.from_cloud(
+        model, cloud.astype(np.float64), np.zeros(3), seed=task.config.seed + view
+    )
+    try:
+        mesh = mesh_reconstruction(reconstruction, task.config.resolution)
+    except EmptySurfaceError:
+        return reconstruction, None
+    return reconstruction, (mesh.vertices, mesh.faces)
+
+
+def gallery_row(task: EvalTask, scored: ScoredView, note: str) -> GalleryRow:
+    """The picture's row for one scored view of the first network, reconstructed once more."""
+    views, mesh = _load(task)
+    pose = views.T_camera_object[scored.view]
+    model = load_cached(task.config.checkpoints[0][1])
+    reconstruction, surface = reconstruct(model, views.cloud[scored.view], task, scored.view)
+    score = scored.score
+    return GalleryRow(
+        title=f"{note}\n{Path(task.name).name}\nIoU {score.iou:.2f}\n"
+        f"Chamfer {1e3 * score.chamfer:.1f} mm\nnormals {score.normals:.2f}",
+        cloud=views.cloud[scored.view],
+        prediction=surface,
+        truth=(apply_transform(pose, mesh.vertices), mesh.faces),
+        sdf=reconstruction.sdf,
+    )
+
+
+def best_median_worst(scored: Sequence[ScoredView], each: int) -> list[tuple[str, ScoredView]]:
+    """`each` views by IoU from the top, the middle and the bottom, no object twice in a group."""
+    ranked = sorted(scored, key=lambda view: -view.score.iou)
+    middle = sorted(ranked, key=lambda view: abs(ranked.index(view) - len(ranked) // 2))
+    chosen = []
+    for note, order in (("best", ranked), ("median", middle), ("worst", ranked[::-1])):
+        names: set[str] = set()
+        for view in order:
+            if view.object_name not in names and len(names) < each:
+                names.add(view.object_name)
+                chosen.append((note, view))
+    return chosen
+
+
+def convex_hull(points: NDArray[np.floating]) -> Surface | None:
+    """The convex hull of points [N, 3] as a closed mesh; None where they lie in a plane."""
+    try:
+        hull = ConvexHull(points.astype(np.float64))
+    except QhullError:
+        return None
+    faces = hull.simplices.copy()
+    corners = hull.points[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return hull.points, faces
+
+
+@lru_cache(maxsize=4)
+def load_cached(checkpoint: Path) -> ShapeModel:
+    """`load_model`, once a process."""
+    return load_model(checkpoint)
+
+
+def _load(task: EvalTask) -> tuple[Views, LoadedMesh]:
+    mesh = load_mesh(task.mesh, read_views_header(task.views).unit)
+    views = read_views(task.views)
+    if views.mesh_hash != mesh.sha256:
+        raise InputError(
+            f"shows another version of {task.mesh.name} than the one in {task.mesh.parent}",
+            where=task.views,
+            hint=f"rgrasp render --meshes {task.mesh.parent} --out {task.views.parent} --force",
+        )
+    return views, mesh
+
+
+def _view_count(views: Views, config: EvalConfig) -> int:
+    return min(len(views.cloud), config.views or len(views.cloud))
+
+
+def _score(
+    surface: Surface | None,
+    to_object: NDArray[np.float64],
+    truth: Shape,
+    rng: np.random.Generator,
+    samples: int,
+) -> Score:
+    if surface is None:
+        return failure(truth.diagonal)
+    vertices, faces = surface
+    prediction = Shape(apply_transform(to_object, vertices), faces, rng, samples)
+    return compare(prediction, truth, rng, samples)

@@ -1,0 +1,65 @@
+"""What makes one processor core train fast: bfloat16 where it has the instructions, calm memory."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from functools import cache
+from pathlib import Path
+
+import torch
+
+from pointsdf_cli.errors import InputError
+
+
+@cache
+def processor_has_bfloat16() -> bool:
+    """Whether matrix products in bfloat16 run on instructions of their own (AVX512-BF16, AMX)."""
+    try:
+        flags = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return False
+    return "avx512_bf16" in flags or "amx_bf16" in flags
+
+
+def autocast_dtype(precision: str, device: torch.device) -> torch.dtype | None:
+    """The type for autocast, None for plain float32.
+
+    Raises:
+        InputError: No such precision.
+    """
+    if precision not in ("auto", "bfloat16", "float32"):
+        raise InputError(
+            f"no precision {precision!r}", where="--precision", allowed="auto, bfloat16, float32"
+        )
+    if precision == "float32":
+        return None
+    if precision == "bfloat16":
+        return torch.bfloat16
+    if device.type == "cuda":
+        return torch.bfloat16 if torch.cuda.is_bf16_supported() else None
+    return torch.bfloat16 if processor_has_bfloat16() else None
+
+
+def keep_large_allocations() -> None:
+    """Ask the C library to keep freed memory: each step frees and takes the same large blocks.
+
+    Otherwise every block is given back and its pages are faulted in again, thousands a step.
+    Does nothing where the C library has no `mallopt`.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is None:
+        return
+    trim_threshold, mmap_max = -1, -4
+    mallopt(trim_threshold, 2**31 - 1)
+    mallopt(mmap_max, 0)
+
+
+def idle_processors() -> int:
+    """How many processors nobody uses now, at least 1.
+
+    Two threads that share a processor with another process are several times slower than one that
+    does not, so this errs on the side of fewer.
+    """
+    busy = os.getloadavg()[0]
+    return max(1, int(len(os.sched_getaffinity(0)) - busy + 0.25))

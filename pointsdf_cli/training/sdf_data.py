@@ -1,0 +1,166 @@
+"""Batches for `train-sdf`: packed views, random queries, mirrored and rotated on the fly.
+
+`sdf_pack.py` turns the view and label artifacts into memory-mapped arrays once; here they are read
+a batch at a time. The batch of a step is a pure function of (seed, step), so a resumed run sees
+exactly the batches that an uninterrupted one would have seen.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.models.normalise import MARGIN
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.sdf_pack import Pack
+
+
+class Batch(NamedTuple):
+    """B clouds with Q labelled queries each, all in the network's frame.
+
+    Attributes:
+        cloud: f4 [B, P, 3], farthest points first.
+        camera: f4 [B, 3].
+        neighbours: int64 [B, M, K] of the first encoder layer.
+        x: f4 [B, Q, 3].
+        sdf: f4 [B, Q], network units, negative inside.
+    """
+
+    cloud: Tensor
+    camera: Tensor
+    neighbours: Tensor
+    x: Tensor
+    sdf: Tensor
+
+    def to(self, device: torch.device) -> Batch:
+        """The same batch on a device."""
+        return Batch(*(t.to(device, non_blocking=True) for t in self))
+
+
+class Split(NamedTuple):
+    """Which views of a pack do what; indices into the pack's views.
+
+    Attributes:
+        train: Trained on.
+        held_out_objects: All views of objects that are never trained on.
+        held_out_views: The last view of some training objects.
+    """
+
+    train: NDArray[np.int64]
+    held_out_objects: NDArray[np.int64]
+    held_out_views: NDArray[np.int64]
+
+
+def split_views(pack: Pack, share: float, seed: int, most: int = 512) -> Split:
+    """Hold out a share of the objects, and one view of as many training objects.
+
+    Args:
+        pack: The data.
+        share: Of the objects, in (0, 1); at least one is held out.
+        seed: Which ones.
+        most: At most so many views validate, spread over all held-out objects.
+
+    Raises:
+        InputError: Fewer than two objects.
+    """
+    total = len(pack.names)
+    if total < 2:
+        raise InputError(
+            f"{total} object: one is needed to train and another to validate",
+            where="--views",
+            hint="render more meshes",
+        )
+    rng = np.random.default_rng([seed, 0])
+    order = rng.permutation(total)
+    held_out = min(total - 1, max(1, round(share * total)))
+    is_held_out = np.isin(pack.object_of_view, order[:held_out])
+    validating = np.flatnonzero(is_held_out)
+    if len(validating) > most:
+        validating = validating[np.linspace(0, len(validating) - 1, most).astype(int)]
+    known = np.flatnonzero(~is_held_out)
+    objects = pack.object_of_view[known]
+    is_last = np.append(objects[1:] != objects[:-1], True)
+    is_only = is_last & np.insert(objects[1:] != objects[:-1], 0, True)
+    last = known[is_last & ~is_only]
+    other_views = np.sort(rng.permutation(last)[: max(1, min(most // 2, round(len(last) * 0.5)))])
+    return Split(np.setdiff1d(known, other_views), validating, other_views)
+
+
+def read_batch(
+    pack: Pack, views: NDArray[np.int64], queries: int, rng: np.random.Generator
+) -> Batch:
+    """The views `views` of the pack, each with `queries` labelled points drawn from its object."""
+    objects = pack.object_of_view[views]
+    first, last = pack.label_start[objects, None], pack.label_start[objects + 1, None]
+    picked = rng.integers(first, last, size=(len(views), queries))
+    points = pack.points[picked]
+    to_network = pack.to_network[views]
+    x = points @ to_network[:, :, :3].transpose(0, 2, 1) + to_network[:, None, :, 3]
+    sdf = pack.sdf[picked] * pack.scale[views][:, None]
+    return Batch(
+        torch.from_numpy(pack.clouds[views].astype(np.float32)),
+        torch.from_numpy(pack.cameras[views]),
+        torch.from_numpy(pack.neighbours[views].astype(np.int64)),
+        torch.from_numpy(x.astype(np.float32)),
+        torch.from_numpy(sdf.astype(np.float32)),
+    )
+
+
+def augment(batch: Batch, rng: np.random.Generator) -> Batch:
+    """Mirror and turn each view about the optical axis, camera and labels with it.
+
+    A turned partial cloud has another bounding box, so it is centred and scaled anew.
+    """
+    count = len(batch.cloud)
+    angle = rng.uniform(0.0, 2.0 * np.pi, count)
+    mirror = rng.choice([-1.0, 1.0], count)
+    turn = np.zeros((count, 3, 3), np.float32)
+    turn[:, 0, 0], turn[:, 0, 1] = np.cos(angle) * mirror, -np.sin(angle)
+    turn[:, 1, 0], turn[:, 1, 1] = np.sin(angle) * mirror, np.cos(angle)
+    turn[:, 2, 2] = 1.0
+    rotation = torch.from_numpy(turn).transpose(1, 2)
+    cloud = torch.bmm(batch.cloud, rotation)
+    low, high = cloud.amin(1, keepdim=True), cloud.amax(1, keepdim=True)
+    centre = (low + high) / 2.0
+    scale = 1.0 / (MARGIN * (high - low).amax(-1, keepdim=True))
+    return batch._replace(
+        cloud=(cloud - centre) * scale,
+        camera=((torch.bmm(batch.camera.unsqueeze(1), rotation) - centre) * scale).squeeze(1),
+        x=(torch.bmm(batch.x, rotation) - centre) * scale,
+        sdf=batch.sdf * scale.squeeze(-1),
+    )
+
+
+def training_views(
+    views: NDArray[np.int64], batch_size: int, step: int, seed: int
+) -> NDArray[np.int64]:
+    """The views of one step: every epoch goes once through all of them, in its own order."""
+    per_epoch = max(1, len(views) // batch_size)
+    epoch, place = divmod(step, per_epoch)
+    order = _epoch_order(len(views), epoch, seed)
+    return np.sort(views[order[place * batch_size : (place + 1) * batch_size]])
+
+
+_order_cache: dict[tuple[int, int, int], NDArray[np.int64]] = {}
+
+
+def _epoch_order(count: int, epoch: int, seed: int) -> NDArray[np.int64]:
+    key = (count, epoch, seed)
+    if key not in _order_cache:
+        _order_cache.clear()
+        _order_cache[key] = np.random.default_rng([seed, 1, epoch]).permutation(count)
+    return _order_cache[key]
+
+
+def predict(model: ShapeModel, batch: Batch) -> Tensor:
+    """Signed distances [B, Q] of a batch, with the packed neighbours where the model takes them."""
+    if model.packed_neighbours is None:
+        return model(batch.cloud, batch.camera, batch.x)
+    centres, count = model.packed_neighbours
+    encoding = model.encode(batch.cloud, batch.camera, batch.neighbours[:, :centres, :count])
+    return model.decode(encoding, batch.x)

@@ -1,0 +1,305 @@
+"""Training a reconstruction network (`rgrasp train-sdf`): config, data, model, optimiser, loop."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.io.checkpoints import read_train_state, write_checkpoint
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.ema import WeightAverage
+from pointsdf_cli.training.precision import autocast_dtype, keep_large_allocations
+from pointsdf_cli.training.sdf_data import Split, augment, predict, read_batch, training_views
+from pointsdf_cli.training.sdf_loss import SdfLoss
+from pointsdf_cli.training.sdf_pack import Pack
+from pointsdf_cli.training.sdf_validation import Validation, validate
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Everything that decides a run, besides data and architecture.
+
+    Attributes:
+        steps: Optimiser steps.
+        minutes: If given, the schedule follows the clock instead: it ends after so many minutes of
+            training, wherever the step count then stands (`steps` is only an upper limit). Such a
+            run resumes, but how far it gets depends on the machine.
+        batch_size: Clouds a step.
+        queries: Labelled points a cloud.
+        learning_rate: At its highest.
+        schedule: `cosine` to 2% of it, or `constant` (the paper).
+        warmup: Steps of linear warm-up.
+        weight_decay: AdamW's; 0 makes it Adam (the paper).
+        clip: Largest gradient norm; 0 for none.
+        average: Decay of the exponential moving average of the weights a step; 0 for none.
+        augmentation: Mirror and turn the views.
+        loss: See `SdfLoss`.
+        validate_every: Steps between validations, each followed by a checkpoint.
+        precision: `auto` (bfloat16 where the processor has it), `bfloat16` or `float32`.
+        seed: Of the weights, the order and the queries.
+    """
+
+    steps: int = 20_000
+    minutes: float | None = None
+    batch_size: int = 32
+    queries: int = 256
+    learning_rate: float = 1e-3
+    schedule: str = "cosine"
+    warmup: int = 200
+    weight_decay: float = 0.01
+    clip: float = 1.0
+    average: float = 0.999
+    augmentation: bool = True
+    loss: SdfLoss = field(default_factory=SdfLoss)
+    validate_every: int = 1000
+    precision: str = "auto"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        positive = ("steps", "batch_size", "queries", "learning_rate", "validate_every")
+        for name in positive:
+            if getattr(self, name) <= 0:
+                raise InputError(
+                    f"{getattr(self, name)} is not positive", where="--" + name.replace("_", "-")
+                )
+        if self.minutes is not None and self.minutes <= 0:
+            raise InputError(f"{self.minutes} is not positive", where="--minutes")
+        if self.schedule not in ("cosine", "constant"):
+            raise InputError(
+                f"no schedule {self.schedule!r}", where="--schedule", allowed="cosine, constant"
+            )
+        if not 0.0 <= self.average < 1.0:
+            raise InputError(f"{self.average} is no decay", where="average", allowed="0 to below 1")
+
+    def rate(self, step: int, progress: float) -> float:
+        """The learning rate at a step, `progress` ∈ [0, 1] of the way."""
+        warm = min(1.0, (step + 1) / max(1, self.warmup))
+        if self.schedule == "constant":
+            return self.learning_rate * warm
+        return self.learning_rate * warm * (0.02 + 0.49 * (1.0 + math.cos(math.pi * progress)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain types for config.json."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What is known after a step.
+
+    Attributes:
+        step: Steps done.
+        fraction: Of the whole run.
+        loss: Mean training loss since the last report.
+        clouds_per_second: Since the last report.
+        seconds_left: Estimate.
+        validation: Set right after a validation.
+    """
+
+    step: int
+    fraction: float
+    loss: float
+    clouds_per_second: float
+    seconds_left: float
+    validation: dict[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """How a run ended.
+
+    Attributes:
+        finished: False if it was stopped; `--resume` then carries on.
+        step: Steps done.
+        seconds: Of training, over all resumed parts.
+        history: One entry a validation: step, seconds, train_loss, and the validation's numbers.
+        best: The entry whose weights were kept.
+    """
+
+    finished: bool
+    step: int
+    seconds: float
+    history: list[dict[str, float]]
+    best: dict[str, float] | None
+
+
+def train_sdf(
+    pack: Pack,
+    split: Split,
+    model: ShapeModel,
+    config: TrainConfig,
+    out: Path | str,
+    *,
+    provenance: Mapping[str, Any] | None = None,
+    resume: bool = False,
+    device: str = "cpu",
+    on_progress: Callable[[Progress], None] = lambda progress: None,
+    should_stop: Callable[[], bool] = lambda: False,
+    report_every: float = 2.0,
+) -> TrainResult:
+    """Train `model` and keep the weights with the lowest loss on held-out objects.
+
+    A stopped and resumed run gives bit for bit the weights of an uninterrupted one (with `steps`,
+    on the same machine).
+
+    Args:
+        pack: The data.
+        split: Which views train and which validate.
+        model: Freshly built; its weights are overwritten when resuming.
+        config: See `TrainConfig`.
+        out: Checkpoint directory: best weights, and the state to resume from.
+        provenance: Goes into config.json.
+        resume: Carry on from the state in `out`.
+        device: Where to compute.
+        on_progress: Called every `report_every` seconds and after each validation.
+        should_stop: Asked before each step; True writes the state and returns.
+
+    Raises:
+        InputError: Nothing to resume, or it was another configuration.
+        RgraspError: The loss is no longer finite.
+    """
+    keep_large_allocations()
+    target = torch.device(device)
+    model.to(target).train()
+    optimiser = torch.optim.AdamW(
+        model.parameters(),
+        lr=config.learning_rate,
+        weight_decay=config.weight_decay,
+        betas=(0.9, 0.98) if config.schedule == "cosine" else (0.9, 0.999),
+        fused=True,
+    )
+    average = WeightAverage(model, config.average)
+    low_precision = autocast_dtype(config.precision, target)
+    step, seconds, history = 0, 0.0, list[dict[str, float]]()
+    torch.manual_seed(config.seed)
+    if resume:
+        state = read_train_state(out)
+        _check_same_run(state, model, config, out)
+        model.load_state_dict(state["model"])
+        optimiser.load_state_dict(state["optimiser"])
+        average.load(state["average"])
+        torch.set_rng_state(state["rng"])
+        step, seconds, history = state["step"], state["seconds"], list(state["history"])
+
+    def save(weights: dict[str, torch.Tensor] | None) -> None:
+        write_checkpoint(
+            out,
+            config={
+                "architecture": model.architecture,
+                "model": model.config(),
+                "training": config.as_dict(),
+                "progress": {"step": step, "seconds": round(seconds, 1)},
+                "best": _best(history),
+                **(provenance or {}),
+            },
+            weights=weights,
+            train_state={
+                "architecture": model.architecture,
+                "arguments": model.config(),
+                "config": config.as_dict(),
+                "model": model.state_dict(),
+                "optimiser": optimiser.state_dict(),
+                "average": average.state(),
+                "rng": torch.get_rng_state(),
+                "step": step,
+                "seconds": seconds,
+                "history": history,
+            },
+        )
+
+    def fraction_done() -> float:
+        if config.minutes is None:
+            return step / config.steps
+        return min(1.0, max(step / config.steps, seconds / (60.0 * config.minutes)))
+
+    losses = torch.zeros((), device=target)
+    since_report, since_validation, total = 0, 0, 0.0
+    clock = reported = time.monotonic()
+    while fraction_done() < 1.0:
+        if should_stop():
+            save(None if history else average.weights())
+            return TrainResult(False, step, seconds, history, _best(history))
+
+        # The batch, the queries and their turn are a function of (seed, step) alone.
+        rng = np.random.default_rng([config.seed, 2, step])
+        views = training_views(split.train, config.batch_size, step, config.seed)
+        batch = read_batch(pack, views, config.queries, rng)
+        batch = (augment(batch, rng) if config.augmentation else batch).to(target)
+
+        for group in optimiser.param_groups:
+            group["lr"] = config.rate(step, fraction_done())
+        with torch.autocast(target.type, low_precision, enabled=low_precision is not None):
+            predicted = predict(model, batch)
+        loss = config.loss(predicted, batch.sdf)
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        if config.clip:
+            torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
+        optimiser.step()
+        average.update(model, step)
+
+        step += 1
+        since_report += 1
+        since_validation += 1
+        losses += loss.detach()
+        now = time.monotonic()
+        seconds, clock = seconds + now - clock, now
+        if now - reported >= report_every:
+            mean = float(losses) / since_report
+            if not math.isfinite(mean):
+                raise RgraspError(
+                    f"the loss is {mean} at step {step}", hint="lower --learning-rate"
+                )
+            total += float(losses)
+            speed = since_report * config.batch_size / (now - reported)
+            left = seconds * (1.0 / max(fraction_done(), 1e-9) - 1.0)
+            on_progress(Progress(step, fraction_done(), mean, speed, left))
+            losses.zero_()
+            since_report, reported = 0, now
+        if step % config.validate_every == 0 or fraction_done() >= 1.0:
+            total += float(losses)
+            result = validate(pack, split, average.model, config, low_precision, target)
+            history.append(_entry(step, seconds, total / since_validation, result))
+            is_best = _best(history) is history[-1]
+            save(average.weights() if is_best else None)
+            on_progress(
+                Progress(step, fraction_done(), history[-1]["train_loss"], 0.0, 0.0, history[-1])
+            )
+            losses.zero_()
+            since_report, since_validation, total = 0, 0, 0.0
+            clock = reported = time.monotonic()
+    return TrainResult(True, step, seconds, history, _best(history))
+
+
+def _entry(step: int, seconds: float, loss: float, result: Validation) -> dict[str, float]:
+    return {"step": step, "seconds": seconds, "train_loss": loss, **result._asdict()}
+
+
+def _best(history: list[dict[str, float]]) -> dict[str, float] | None:
+    return min(history, key=lambda entry: entry["object_loss"], default=None)
+
+
+def _check_same_run(
+    state: Mapping[str, Any], model: ShapeModel, config: TrainConfig, out: Path | str
+) -> None:
+    """Refuse to carry on a run with another model or other numbers."""
+    found = {"model": state.get("architecture"), **state.get("arguments", {}), **state["config"]}
+    wanted = {"model": model.architecture, **model.config(), **config.as_dict()}
+    differing = [name for name in wanted if found.get(name) != wanted[name]]
+    # A longer run of the same kind may be wanted; it changes the schedule from here on only.
+    differing = [name for name in differing if name not in ("steps", "minutes", "validate_every")]
+    if differing:
+        changes = ", ".join(f"{n}: {found.get(n)} → {wanted[n]}" for n in differing)
+        raise InputError(
+            f"was trained with other settings ({changes})",
+            where=out,
+            hint="give the same options as before, or choose another --out",
+        )

@@ -1,0 +1,70 @@
+"""The loss of `train-sdf`, and what is measured while it falls."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pointsdf_cli.errors import InputError
+
+KINDS = ("mse", "relative", "sign")
+
+
+@dataclass(frozen=True)
+class SdfLoss:
+    """The error of predicted distances.
+
+    `mse` is the paper's loss. `relative` is
+
+        |p − s| / (|s| + near)  +  sign_weight · BCE(−p / temperature, [s < 0])
+
+    whose first part asks for the same relative accuracy at every distance, and whose second
+    asks for the right *sign*: a squared error does not care where the zero is, but the zero is the shape.
+    `sign` is that second part alone: occupancy, for VoxelCNN.
+
+    Attributes:
+        kind: `mse`, `relative` or `sign`.
+        near: Distance under which the relative error becomes absolute, network units.
+        sign_weight: Weight of the sign's cross-entropy.
+        temperature: Distance at which a sign counts as certain, network units.
+    """
+
+    kind: str = "relative"
+    near: float = 0.05
+    sign_weight: float = 0.1
+    temperature: float = 0.02
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError(f"no loss {self.kind!r}", where="loss", allowed=", ".join(KINDS))
+        if self.near <= 0 or self.temperature <= 0 or self.sign_weight < 0:
+            raise InputError("a scale of the loss is not positive", where="loss")
+
+    def __call__(self, predicted: Tensor, sdf: Tensor) -> Tensor:
+        """Mean over everything of predicted [B, Q] against sdf [B, Q], network units."""
+        if self.kind == "mse":
+            return torch.nn.functional.mse_loss(predicted, sdf)
+        sign = torch.nn.functional.binary_cross_entropy_with_logits(
+            predicted / -self.temperature, (sdf < 0).float()
+        )
+        if self.kind == "sign":
+            return self.sign_weight * sign
+        distance = ((predicted - sdf).abs() / (sdf.abs() + self.near)).mean()
+        return distance + self.sign_weight * sign
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain types for config.json."""
+        return asdict(self)
+
+
+def label_iou(predicted: Tensor, sdf: Tensor) -> Tensor:
+    """[B] intersection over union of the two insides, counted on the labelled points.
+
+    Labels lie mostly near the surface, so this is harsher than a volume's IoU.
+    """
+    inside, truth = predicted < 0, sdf < 0
+    union = (inside | truth).sum(-1).clamp(min=1)
+    return (inside & truth).sum(-1) / union

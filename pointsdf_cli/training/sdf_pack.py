@@ -1,0 +1,245 @@
+"""View and label artifacts packed once into memory-mapped arrays, ready to be batched.
+
+What does not change from epoch to epoch is computed here: the network's frame of each view, its
+farthest points (moved to the front) and the neighbours of the first encoder layer. Rotations about
+the optical axis and mirrorings leave all of these valid. The operating system pages the arrays in
+and out, so a data set larger than memory trains too and nothing is held twice.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.lib.format import open_memmap
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.atomic import write_text_atomic
+from pointsdf_cli.io.labels import read_labels
+from pointsdf_cli.io.views import read_views
+from pointsdf_cli.models.neighbours import farthest_point_order
+from pointsdf_cli.models.normalise import network_frame
+
+CENTRES, NEIGHBOURS = 256, 24
+"""What is stored for the first encoder layer; a smaller layer reads a prefix of both."""
+FORMAT = 2
+
+
+@dataclass(frozen=True)
+class Pack:
+    """V views of O objects with L labels altogether.
+
+    Attributes:
+        clouds: f2 [V, P, 3], network frame, farthest points first.
+        neighbours: u2 [V, CENTRES, NEIGHBOURS], of the first CENTRES points, nearest first.
+        cameras: f4 [V, 3], network frame.
+        to_network: f4 [V, 3, 4], mesh frame [m] → network frame.
+        scale: f4 [V], network units per metre.
+        object_of_view: i4 [V].
+        points: f4 [L, 3], mesh frame, m.
+        sdf: f4 [L], m.
+        label_start: i8 [O + 1]; object o has the labels label_start[o] to label_start[o + 1].
+        names: O names, with their folders.
+    """
+
+    clouds: NDArray[np.float16]
+    neighbours: NDArray[np.uint16]
+    cameras: NDArray[np.float32]
+    to_network: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    object_of_view: NDArray[np.int32]
+    points: NDArray[np.float32]
+    sdf: NDArray[np.float32]
+    label_start: NDArray[np.int64]
+    names: tuple[str, ...]
+
+
+ARRAYS = ("clouds", "neighbours", "cameras", "to_network", "scale", "object_of_view")
+LABEL_ARRAYS = ("points", "sdf", "label_start")
+
+
+def pair_artifacts(views: Path | str, labels: Path | str) -> list[tuple[Path, Path]]:
+    """View files with the label files of the same name, sorted.
+
+    Raises:
+        InputError: A folder is missing, nothing is in it, or no names agree.
+    """
+    found: dict[str, dict[str, Path]] = {}
+    for option, folder in (("--views", Path(views)), ("--labels", Path(labels))):
+        if not folder.is_dir():
+            raise InputError("is not a folder", where=f"{option} {folder}")
+        paths = {
+            str(path.relative_to(folder)): path
+            for path in folder.rglob("*.h5")
+            if not path.name.startswith(".")
+        }
+        if not paths:
+            raise InputError("holds no .h5 artifacts", where=f"{option} {folder}")
+        found[option] = paths
+    common = sorted(found["--views"].keys() & found["--labels"].keys())
+    if not common:
+        raise InputError(
+            "no view file has a label file of the same name",
+            where=f"--views {views}, --labels {labels}",
+            hint=f"rgrasp label-sdf --views {views} --meshes DIR --out {labels}",
+        )
+    return [(found["--views"][name], found["--labels"][name]) for name in common]
+
+
+def open_pack(
+    pairs: Sequence[tuple[Path, Path]],
+    folder: Path | str,
+    views_per_object: Mapping[str, int] | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Pack:
+    """The pack of these artifacts, built in `folder` unless it is there already.
+
+    Args:
+        pairs: View and label files of each object.
+        folder: Where the arrays lie; a finished pack of other files is replaced.
+        views_per_object: Keep only the first so many views of each; by folder, "" for the rest.
+        on_progress: Called with (objects done, objects).
+
+    Raises:
+        InputError: An artifact is unreadable, or views and labels are of different meshes.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    limits = dict(views_per_object or {})
+    fingerprint = _fingerprint(pairs, limits)
+    index_file = folder / "index.json"
+    if index_file.exists():
+        index = json.loads(index_file.read_text(encoding="utf-8"))
+        if index.get("fingerprint") == fingerprint:
+            return _load(folder, tuple(index["names"]))
+        index_file.unlink()
+    names, label_start = _build(pairs, folder, limits, on_progress)
+    np.save(folder / "label_start.npy", label_start)
+    # Written last: a pack without its index is unfinished and is built again.
+    write_text_atomic(index_file, json.dumps({"fingerprint": fingerprint, "names": names}))
+    return _load(folder, tuple(names))
+
+
+def pack_views(
+    cloud: NDArray[np.float32], T_camera_object: NDArray[np.float64]
+) -> dict[str, NDArray]:
+    """One object's per-view arrays (all of `ARRAYS` but `object_of_view`)."""
+    frames = [network_frame(c) for c in cloud]
+    centre = np.stack([f.centre for f in frames])
+    scale = np.array([f.scale for f in frames])
+    network = (cloud - centre[:, None]) * scale[:, None, None]
+    count = min(CENTRES, network.shape[1])
+    order = farthest_point_order(torch.from_numpy(network), count).numpy()
+    packed, neighbours = [], []
+    for points, first in zip(network, order, strict=True):
+        rest = np.setdiff1d(np.arange(len(points)), first, assume_unique=False)
+        repeats = count - len(np.unique(first))
+        # A cloud with repeated points can run out of distinct farthest points.
+        tail = rest if repeats == 0 else rest[: len(points) - count]
+        points = points[np.concatenate([first, tail])].astype(np.float16)
+        packed.append(points)
+        exact = points.astype(np.float32)
+        neighbours.append(cKDTree(exact).query(exact[:count], k=min(NEIGHBOURS, len(points)))[1])
+    rotation, translation = T_camera_object[:, :3, :3], T_camera_object[:, :3, 3]
+    to_network = np.concatenate([rotation, (translation - centre)[:, :, None]], axis=2)
+    return {
+        "clouds": np.stack(packed),
+        "neighbours": np.stack(neighbours).astype(np.uint16),
+        "cameras": (-centre * scale[:, None]).astype(np.float32),
+        "to_network": (to_network * scale[:, None, None]).astype(np.float32),
+        "scale": scale.astype(np.float32),
+    }
+
+
+def _build(
+    pairs: Sequence[tuple[Path, Path]],
+    folder: Path,
+    limits: Mapping[str, int],
+    on_progress: Callable[[int, int], None] | None,
+) -> tuple[list[str], NDArray[np.int64]]:
+    writers: dict[str, _Appender] = {}
+    names, starts = list[str](), [0]
+    root = Path(os.path.commonpath([view_file.parent for view_file, _ in pairs]))
+    for done, (view_file, label_file) in enumerate(pairs):
+        views, labels = read_views(view_file), read_labels(label_file)
+        if views.mesh_hash != labels.mesh_hash:
+            raise InputError(
+                f"was made from another mesh than {label_file}",
+                where=view_file,
+                hint="render and label the same meshes again with --force",
+            )
+        name = str(view_file.relative_to(root).with_suffix(""))
+        kept = slice(None, _limit(name, limits))
+        arrays: dict[str, NDArray] = pack_views(views.cloud[kept], views.T_camera_object[kept])
+        arrays["object_of_view"] = np.full(len(arrays["scale"]), done, np.int32)
+        arrays["points"], arrays["sdf"] = labels.points, labels.sdf
+        for key, array in arrays.items():
+            if key not in writers:
+                writers[key] = _Appender(folder / f"{key}.bin", array)
+            writers[key].append(array, view_file)
+        names.append(name)
+        starts.append(starts[-1] + len(labels.sdf))
+        if on_progress is not None:
+            on_progress(done + 1, len(pairs))
+    for key, writer in writers.items():
+        writer.finish(folder / f"{key}.npy")
+    return names, np.array(starts, np.int64)
+
+
+def _limit(name: str, limits: Mapping[str, int]) -> int | None:
+    """How many views an object may give: the limit of the longest folder that it lies in."""
+    fitting = [
+        prefix for prefix in limits if not prefix or name.startswith(prefix.rstrip("/") + "/")
+    ]
+    return limits[max(fitting, key=len)] if fitting else None
+
+
+class _Appender:
+    """Raw rows appended to a file, then copied behind a .npy header once their number is known."""
+
+    def __init__(self, path: Path, first: NDArray) -> None:
+        self.path, self.dtype, self.row = path, first.dtype, first.shape[1:]
+        self.rows = 0
+        self.handle = open(path, "wb")
+
+    def append(self, array: NDArray, where: Path) -> None:
+        if array.shape[1:] != self.row:
+            raise InputError(
+                f"has arrays of shape {array.shape[1:]} where the others have {self.row}",
+                where=where,
+                hint="make all artifacts of one data set with the same options",
+            )
+        self.handle.write(np.ascontiguousarray(array, dtype=self.dtype).tobytes())
+        self.rows += len(array)
+
+    def finish(self, target: Path) -> None:
+        self.handle.close()
+        shape = (self.rows, *self.row)
+        source = np.memmap(self.path, dtype=self.dtype, mode="r", shape=shape)
+        array = open_memmap(target, mode="w+", dtype=self.dtype, shape=shape)
+        for start in range(0, self.rows, 4096):
+            array[start : start + 4096] = source[start : start + 4096]
+        array.flush()
+        self.path.unlink()
+
+
+def _load(folder: Path, names: tuple[str, ...]) -> Pack:
+    arrays = {n: np.load(folder / f"{n}.npy", mmap_mode="r") for n in (*ARRAYS, *LABEL_ARRAYS)}
+    return Pack(**arrays, names=names)
+
+
+def _fingerprint(pairs: Sequence[tuple[Path, Path]], limits: Mapping[str, int]) -> str:
+    digest = hashlib.sha256(f"{FORMAT} {sorted(limits.items())} {CENTRES} {NEIGHBOURS}".encode())
+    for pair in pairs:
+        for path in pair:
+            stat = path.stat()
+            digest.update(f"{path.resolve()} {stat.st_size} {stat.st_mtime_ns}\n".encode())
+    return digest.hexdigest()

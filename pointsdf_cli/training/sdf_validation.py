@@ -1,0 +1,71 @@
+"""How well a network does on views it was not trained on: of known objects, and of new ones."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.sdf_data import Split, predict, read_batch
+from pointsdf_cli.training.sdf_loss import label_iou
+from pointsdf_cli.training.sdf_pack import Pack
+
+if TYPE_CHECKING:
+    from pointsdf_cli.training.sdf_loop import TrainConfig
+
+QUERIES = 1024
+
+
+class Validation(NamedTuple):
+    """Means over held-out objects, and over held-out views of training objects.
+
+    Attributes:
+        object_loss, object_iou: Loss and label IoU on objects never trained on.
+        view_loss, view_iou: The same on other views of the training objects.
+    """
+
+    object_loss: float
+    object_iou: float
+    view_loss: float
+    view_iou: float
+
+
+def validate(
+    pack: Pack,
+    split: Split,
+    model: ShapeModel,
+    config: TrainConfig,
+    low_precision: torch.dtype | None,
+    device: torch.device,
+) -> Validation:
+    """Loss and label IoU on both held-out sets, with the same queries every time."""
+    numbers = []
+    for views in (split.held_out_objects, split.held_out_views):
+        numbers += _mean(pack, views, model, config, low_precision, device)
+    return Validation(*numbers)
+
+
+@torch.no_grad()
+def _mean(
+    pack: Pack,
+    views: NDArray[np.int64],
+    model: ShapeModel,
+    config: TrainConfig,
+    low_precision: torch.dtype | None,
+    device: torch.device,
+) -> tuple[float, float]:
+    losses, ious = [], []
+    for start in range(0, len(views), config.batch_size):
+        chosen = views[start : start + config.batch_size]
+        rng = np.random.default_rng([config.seed, 3, start])
+        batch = read_batch(pack, chosen, QUERIES, rng).to(device)
+        with torch.autocast(device.type, low_precision, enabled=low_precision is not None):
+            predicted = predict(model, batch)
+        losses += [float(config.loss(predicted, batch.sdf))] * len(chosen)
+        ious += label_iou(predicted, batch.sdf).tolist()
+    if not losses:
+        return float("nan"), float("nan")
+    return float(np.mean(losses)), float(np.mean(ious))
