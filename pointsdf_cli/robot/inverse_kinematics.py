@@ -117,6 +117,36 @@ class InverseKinematics:
             reached[active[done]] = True
         return IkSolutions(q.reshape(count, starts, -1), reached.reshape(count, starts))
 
+    def track(self, arm: Array, poses: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Follow palm poses one after the other without changing the elbow's branch.
+
+        Args:
+            arm: [B, A], where the paths begin.
+            poses: [B, K, 4, 4], T_world_palm along each path, each near the one before.
+
+        Returns:
+            Paths [B, K, A], and bool [B]: every pose of the path was reached.
+        """
+        q = np.array(arm, dtype=np.float64)
+        path = np.empty((len(q), poses.shape[1], q.shape[1]))
+        fine = np.ones(len(q), dtype=bool)
+        everyone = np.arange(len(q))
+        for k in range(poses.shape[1]):
+            reached = np.zeros(len(q), dtype=bool)
+            for _ in range(8):
+                error, jacobian, reached = self._error(
+                    q, poses[:, k, :3, :3], poses[:, k, :3, 3], everyone
+                )
+                if reached.all():
+                    break
+                moved = self._step(q, error, jacobian)
+                q = np.where(reached[:, None], q, moved)
+            fine &= reached
+            path[:, k] = q
+        # A path that jumps is no path, even if every pose is reached.
+        steps = np.abs(np.diff(path, axis=1, prepend=arm[:, None])).max(axis=(1, 2))
+        return path, fine & (steps < 0.5)
+
     def palm(self, q: Array, with_jacobian: bool = True) -> tuple[Array, Array, Array]:
         """Palm rotation [B, 3, 3], position [B, 3] and Jacobian [B, 6, A] of arm joints [B, A].
 

@@ -1,0 +1,186 @@
+"""The object out of a cloud that also saw the table, the robot and whatever else stands there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from pointsdf_cli.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SegmentationConfig:
+    """What counts as the object.
+
+    Attributes:
+        low, high: Corners of the workspace in the world [m]; the table top is near z = 0.
+        plane_search: The table's plane is looked for within this height [m] of z = 0.
+        plane_tilt: It leans by no more than this [rad]; a pose calibrated by hand is off by less.
+        plane_share: At least this share of the points near z = 0 must lie on it to be a table.
+        plane_band: Points nearer to the plane than this [m] belong to the table.
+        gap: Points of one object are nearer to each other than about this [m].
+        fewest: Fewer points than this are no object.
+    """
+
+    low: tuple[float, float, float] = (0.25, -0.6, -0.05)
+    high: tuple[float, float, float] = (1.1, 0.6, 0.5)
+    plane_search: float = 0.04
+    plane_tilt: float = 0.15
+    plane_share: float = 0.4
+    plane_band: float = 0.006
+    gap: float = 0.012
+    fewest: int = 50
+
+    def __post_init__(self) -> None:
+        corners = np.array([self.low, self.high])
+        if corners.shape != (2, 3) or not np.isfinite(corners).all() or (self.low >= self.high):
+            raise InputError(
+                f"a workspace from {self.low} to {self.high}",
+                allowed="two corners of finite numbers [m], the lower one first",
+            )
+        for name in ("plane_search", "plane_band", "gap"):
+            if not 0 < getattr(self, name) < 1:
+                raise InputError(f"{name} = {getattr(self, name)} m", allowed="above 0, below 1 m")
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """What was kept of a cloud of N points, and what became of the others.
+
+    Attributes:
+        kept: bool [N], the object.
+        outside: bool [N], beyond the workspace, or not finite.
+        table: bool [N], on or below the table's plane.
+        other: bool [N], in the workspace and above the table, but not of the largest cluster.
+        plane: [4], (unit normal, offset) of the table: n·x = offset; None where none was seen.
+        clusters: Sizes of all clusters, the largest first.
+    """
+
+    kept: NDArray[np.bool_]
+    outside: NDArray[np.bool_]
+    table: NDArray[np.bool_]
+    other: NDArray[np.bool_]
+    plane: Array | None
+    clusters: tuple[int, ...]
+
+    def report(self) -> str:
+        """One sentence for the user."""
+        plane = "no table seen" if self.plane is None else f"{int(self.table.sum())} on the table"
+        return (
+            f"kept {int(self.kept.sum())} of {len(self.kept)} points as the object; dropped "
+            f"{int(self.outside.sum())} outside the workspace, {plane}, {int(self.other.sum())} "
+            f"in {max(0, len(self.clusters) - 1)} smaller clusters"
+        )
+
+
+def segment_object(
+    points: ArrayLike,
+    config: SegmentationConfig | None = None,
+    target: ArrayLike | None = None,
+) -> Segmentation:
+    """Crop to the workspace, remove the table, keep the largest cluster.
+
+    Nothing but the points is used, so that a simulated and a real cloud are treated alike.
+
+    Args:
+        points: [N, 3], world, m; rows that are not finite are dropped.
+        config: Workspace and thresholds.
+        target: [3], a place in the world: the cluster nearest to it is kept instead of the
+            largest.
+
+    Raises:
+        InputError: Nothing is left; the message says where the points went.
+    """
+    config = config or SegmentationConfig()
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"a cloud of shape {points.shape}", allowed="[N, 3]")
+    inside = ((points > config.low) & (points < config.high)).all(axis=1)  # False for NaN
+    kept = np.zeros(len(points), dtype=bool)
+    table, other = kept.copy(), kept.copy()
+    index = np.flatnonzero(inside)
+    plane = find_table(points[index], config)
+    above = np.ones(len(index), dtype=bool)
+    if plane is not None:
+        above = points[index] @ plane[:3] - plane[3] > config.plane_band
+        table[index[~above]] = True
+    candidates = index[above]
+    sizes: tuple[int, ...] = ()
+    if len(candidates):
+        label, counts = _clusters(points[candidates], config.gap)
+        order = np.argsort(-counts, kind="stable")
+        sizes = tuple(int(counts[i]) for i in order)
+        chosen = int(order[0])
+        if target is not None:
+            away = np.linalg.norm(points[candidates] - np.asarray(target, float), axis=1)
+            big = counts[label] >= config.fewest
+            if big.any():
+                chosen = int(label[big][away[big].argmin()])
+        kept[candidates[label == chosen]] = True
+        other[candidates[label != chosen]] = True
+    found = Segmentation(kept, ~inside, table, other, plane, sizes)
+    if kept.sum() < config.fewest:
+        raise InputError(
+            f"no object in the cloud: {found.report()}",
+            allowed=f"at least {config.fewest} points of an object above the table, between "
+            f"{config.low} and {config.high} m in the world",
+            hint="check the camera's pose (--camera-pose) and the cloud's unit",
+        )
+    return found
+
+
+def find_table(points: Array, config: SegmentationConfig) -> Array | None:
+    """The plane [4] that most points near z = 0 lie on; None if there is no such plane.
+
+    Random sampling of triples, then two rounds of least squares. The seed is fixed: the same
+    cloud gives the same plane.
+    """
+    near = points[np.abs(points[:, 2]) < config.plane_search]
+    if len(near) < 100:
+        return None
+    rng = np.random.default_rng(0)
+    sample = near[rng.choice(len(near), min(len(near), 2000), replace=False)]
+    triples = sample[rng.integers(len(sample), size=(200, 3))]
+    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    usable = length > 1e-6  # not in a line
+    normals = normals[usable] / length[usable, None]
+    normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
+    offsets = (normals * triples[usable, 0]).sum(axis=1)
+    level = normals[:, 2] > np.cos(config.plane_tilt)
+    normals, offsets = normals[level], offsets[level]
+    if not len(normals):
+        return None
+    distance = np.abs(sample @ normals.T - offsets)
+    best = int((distance < config.plane_band).sum(axis=0).argmax())
+    normal, offset = normals[best], float(offsets[best])
+    for _ in range(2):
+        on_plane = near[np.abs(near @ normal - offset) < config.plane_band]
+        if len(on_plane) < 3:
+            return None
+        centre = on_plane.mean(axis=0)
+        _, axes = np.linalg.eigh(np.cov((on_plane - centre).T))
+        normal = axes[:, 0] * np.sign(axes[2, 0])
+        offset = float(normal @ centre)
+    share = float((np.abs(near @ normal - offset) < config.plane_band).mean())
+    # The top of a flat object can be a plane near z = 0 too, but a table reaches far.
+    spread = np.ptp(near[np.abs(near @ normal - offset) < config.plane_band][:, :2], axis=0)
+    if share < config.plane_share or normal[2] < np.cos(config.plane_tilt) or spread.max() < 0.3:
+        return None
+    return np.array([*normal, offset])
+
+
+def _clusters(points: Array, gap: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """A label for each point and the size of each cluster: neighbouring cells of a grid."""
+    low = points.min(axis=0)
+    cells = np.floor((points - low) / gap).astype(np.int64)
+    grid = np.zeros(cells.max(axis=0) + 1, dtype=bool)
+    grid[tuple(cells.T)] = True
+    labels, count = ndimage.label(grid, structure=np.ones((3, 3, 3)))
+    label = labels[tuple(cells.T)] - 1
+    return label, np.bincount(label, minlength=count)

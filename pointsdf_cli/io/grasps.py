@@ -1,0 +1,177 @@
+"""The `grasps` artifact: attempts to grasp one object, with what became of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+
+SCHEMA, VERSION = "grasps", 1
+
+HELD, LOST, NO_MOTION, NO_CONFIGURATION, INVALID = 1, 0, -1, -2, -3
+"""Labels. A grasp counts as executed if it is held or lost; INVALID is a simulation that failed."""
+KINDS = ("side", "top")
+CAUSES = (
+    "held",
+    "missed",
+    "slipped",
+    "dropped",
+    "flung",
+    "penetration",
+    "no_ik",
+    "start_in_table",
+    "start_in_object",
+    "start_in_self",
+    "no_lift",
+    "no_path",
+)
+
+
+@dataclass(frozen=True)
+class Grasps:
+    """G attempts with one object. `kind` and `cause` are indices into `KINDS` and `CAUSES`.
+
+    Attributes:
+        cloud: f4 [G, 1000, 3], camera frame, m: the object as segmented from the view.
+        T_world_camera, T_world_object, T_world_palm: f8 [G, 4, 4].
+        q: f8 [G, J], the preshape; NaN for the arm where there is no inverse kinematics.
+        label: i1 [G]: 1 held, 0 lost, -1 no motion plan, -2 no inverse kinematics or start in
+            collision, -3 the simulation failed.
+        kind: i1 [G].
+        cause: i1 [G].
+        lift_height: f4 [G], how much the object rose [m]; NaN where nothing was executed.
+        slip: f4 [G], its motion in the palm's frame from grip to end [m]; NaN likewise.
+        attempt, scene: i4 [G], counters within the object; attempts of a scene share pose and
+            camera.
+    """
+
+    cloud: NDArray[np.float32]
+    T_world_camera: NDArray[np.float64]
+    T_world_object: NDArray[np.float64]
+    T_world_palm: NDArray[np.float64]
+    q: NDArray[np.float64]
+    label: NDArray[np.int8]
+    kind: NDArray[np.int8]
+    cause: NDArray[np.int8]
+    lift_height: NDArray[np.float32]
+    slip: NDArray[np.float32]
+    attempt: NDArray[np.int32]
+    scene: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.label)
+
+    @property
+    def executed(self) -> NDArray[np.bool_]:
+        """bool [G]: held or lost."""
+        return np.asarray(self.label >= LOST)
+
+    def count(self) -> dict[str, int]:
+        """How many attempts ended in each cause, and how many there are."""
+        by_cause = np.bincount(self.cause, minlength=len(CAUSES))
+        return {cause: int(n) for cause, n in zip(CAUSES, by_cause, strict=True)}
+
+
+@dataclass(frozen=True)
+class GraspsMeta:
+    """What a grasps file says about its object.
+
+    Attributes:
+        mesh_file, mesh_hash: The mesh.
+        split: "train" or "test".
+        robot: Name of the robot.
+        joint_names: The order of q.
+        preshape_joints: The joints that a grasp chooses.
+        complete: Whether the object has given all the attempts that it was asked for.
+    """
+
+    mesh_file: str
+    mesh_hash: str
+    split: str
+    robot: str
+    joint_names: tuple[str, ...]
+    preshape_joints: tuple[str, ...]
+    complete: bool = True
+
+
+_UNITS = {
+    "cloud": ("m", "camera"),
+    "T_world_camera": ("m", "world"),
+    "T_world_object": ("m", "world"),
+    "T_world_palm": ("m", "world"),
+    "q": ("rad", "joints"),
+    "lift_height": ("m", "world"),
+    "slip": ("m", "palm"),
+}
+
+
+def write_grasps(
+    path: Path | str,
+    grasps: Grasps,
+    meta: GraspsMeta,
+    *,
+    seed: int,
+    config: Mapping[str, Any] | None = None,
+) -> None:
+    """Write all attempts with one object as one HDF5 file."""
+    attributes: dict[str, Any] = {
+        "mesh_file": meta.mesh_file,
+        "mesh_hash": meta.mesh_hash,
+        "split": meta.split,
+        "robot": meta.robot,
+        "joint_names": list(meta.joint_names),
+        "preshape_joints": list(meta.preshape_joints),
+        "complete": meta.complete,
+        "kinds": list(KINDS),
+        "causes": list(CAUSES),
+    }
+    datasets = {
+        field.name: Dataset(getattr(grasps, field.name), *_UNITS.get(field.name, ("", "")))
+        for field in fields(grasps)
+    }
+    write_artifact(
+        path,
+        schema=SCHEMA,
+        version=VERSION,
+        datasets=datasets,
+        attributes=attributes,
+        seed=seed,
+        config=config,
+    )
+
+
+def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:
+    """Read a grasps file.
+
+    Raises:
+        InputError: Not a grasps file of this version.
+    """
+    names = [field.name for field in fields(Grasps)]
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=names)
+    attributes = artifact.attributes
+    meta = GraspsMeta(
+        mesh_file=str(attributes["mesh_file"]),
+        mesh_hash=str(attributes["mesh_hash"]),
+        split=str(attributes["split"]),
+        robot=str(attributes["robot"]),
+        joint_names=tuple(str(name) for name in attributes["joint_names"]),
+        preshape_joints=tuple(str(name) for name in attributes["preshape_joints"]),
+        complete=bool(attributes["complete"]),
+    )
+    return Grasps(**{name: artifact.datasets[name] for name in names}), meta
+
+
+def join_grasps(parts: list[Grasps]) -> Grasps:
+    """Several runs of attempts as one."""
+    return Grasps(
+        **{
+            field.name: np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(Grasps)
+        }
+    )

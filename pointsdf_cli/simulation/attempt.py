@@ -1,0 +1,277 @@
+"""One attempt: a scene, a view of it, a heuristic preshape, a way to it, and its execution."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform, transform
+from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, KINDS, LOST, Grasps
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.simulation.executor import Executor, ExecutorConfig, Outcome
+from pointsdf_cli.simulation.heuristic import HeuristicConfig, draw_preshape
+from pointsdf_cli.simulation.observe import CameraPlacement, Observer, resample
+from pointsdf_cli.simulation.reach import Reach, Reacher, ReachConfig
+from pointsdf_cli.simulation.settle import SettleConfig, settle
+from pointsdf_cli.simulation.sim_object import SimObject
+from pointsdf_cli.simulation.stable_poses import StandingConfig, draw_pose
+from pointsdf_cli.simulation.world import PhysicsConfig, World
+
+Array = NDArray[np.float64]
+CLOUD_SIZE = 1000
+SCENE_TRIES = 12
+
+
+@dataclass(frozen=True)
+class AttemptConfig:
+    """Everything that decides the outcome of an attempt.
+
+    Attributes:
+        scene_attempts: Attempts that share one pose of the object and one view of it.
+        low, high: Corners of where on the table the object is put [m].
+        widest: An object whose narrowest side is wider than this [m] does not fit the hand.
+    """
+
+    scene_attempts: int = 4
+    low: tuple[float, float] = (0.52, -0.15)
+    high: tuple[float, float] = (0.68, 0.15)
+    widest: float = 0.14
+    standing: StandingConfig = field(default_factory=StandingConfig)
+    settling: SettleConfig = field(default_factory=SettleConfig)
+    placement: CameraPlacement = field(default_factory=CameraPlacement)
+    heuristic: HeuristicConfig = field(default_factory=HeuristicConfig)
+    reach: ReachConfig = field(default_factory=ReachConfig)
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+    execution: ExecutorConfig = field(default_factory=ExecutorConfig)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For `config_json`."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """An object on the table, and what the camera found of it.
+
+    Attributes:
+        T_world_object, T_world_camera: [4, 4].
+        cloud: [N, 3], the segmented object, camera frame, m.
+    """
+
+    T_world_object: Array
+    T_world_camera: Array
+    cloud: Array
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One attempt with one object; see `Grasps` for what is kept of it."""
+
+    index: int
+    scene: Scene
+    cloud: NDArray[np.float32]
+    kind: str
+    T_world_palm: Array
+    reach: Reach
+    outcome: Outcome | None
+
+    @property
+    def label(self) -> int:
+        """As in `Grasps`."""
+        if self.outcome is None:
+            return self.reach.label
+        if not self.outcome.valid:
+            return INVALID
+        return HELD if self.outcome.held else LOST
+
+    @property
+    def cause(self) -> str:
+        """One of `CAUSES`."""
+        return self.reach.cause if self.outcome is None else self.outcome.cause
+
+
+class Attempter:
+    """Makes attempts; attempt i of an object is the same whoever makes it, in whatever order.
+
+    Args:
+        robot: The robot.
+        config: Everything that decides the outcome.
+        seed: Of all draws.
+        gui: Open PyBullet's window.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        config: AttemptConfig | None = None,
+        seed: int = 0,
+        gui: bool = False,
+    ) -> None:
+        self.robot = robot
+        self.config = config or AttemptConfig()
+        self.seed = seed
+        self.world = World(robot, self.config.physics, gui)
+        self._observer = Observer(robot, self.config.placement)
+        self._reacher = Reacher(self.world, InverseKinematics(robot), self.config.reach)
+        self._kinematics = Kinematics(robot)
+        self._settled: dict[tuple[str, int], Array | None] = {}
+        self._last_scene: tuple[tuple[str, int], Scene] | None = None
+
+    def close(self) -> None:
+        """Leave the physics client."""
+        self.world.close()
+
+    def check(self, item: SimObject) -> None:
+        """Refuse what cannot be simulated or grasped at all.
+
+        Raises:
+            InputError: It is wider than the hand opens in every direction.
+        """
+        from trimesh.bounds import oriented_bounds
+
+        _, sides = oriented_bounds(item.mesh.vertices)
+        if min(sides) > self.config.widest:
+            raise InputError(
+                f"is too large for the hand: {min(sides):.3f} m at its narrowest",
+                where=item.mesh.name,
+                allowed=f"one side below {self.config.widest:g} m",
+            )
+
+    def attempt(
+        self,
+        item: SimObject,
+        index: int,
+        watch: Callable[[World, str], None] | None = None,
+    ) -> Attempt:
+        """Attempt `index` with an object.
+
+        Raises:
+            InputError: The object never comes to rest, or no view shows it.
+        """
+        config = self.config
+        scene = self.scene(item, index // config.scene_attempts)
+        rng = self._rng(item, 2, index)
+        points = apply_transform(scene.T_world_camera, scene.cloud)
+        preshape = draw_preshape(
+            points,
+            scene.T_world_camera[:3, 3],
+            self.robot.T_world_base[:3, 3],
+            self.robot.preshape_ranges,
+            config.heuristic,
+            rng,
+        )
+        cloud = resample(scene.cloud, CLOUD_SIZE, rng)
+        self.world.reset(item, scene.T_world_object)
+        reach = self._reacher(preshape.T_world_palm, preshape.joints)
+        outcome = None
+        if reach.label == 0:
+            outcome = self.execute(item, scene.T_world_object, reach.q, reach.lift, watch)
+        return Attempt(index, scene, cloud, preshape.kind, preshape.T_world_palm, reach, outcome)
+
+    def execute(
+        self,
+        item: SimObject,
+        T_world_object: Array,
+        q: Array,
+        lift: Array,
+        watch: Callable[[World, str], None] | None = None,
+    ) -> Outcome:
+        """Carry out a grasp in a world built anew, so that equal inputs give equal outcomes."""
+        self.world.reset(item, T_world_object, q)
+        return Executor(self.world, self.config.execution, self.palm, watch).run(q, lift)
+
+    def palm(self, q: Array) -> Array:
+        """T_world_palm [4, 4] of a configuration [J]."""
+        with torch.no_grad():
+            return np.asarray(self._kinematics.palm(torch.from_numpy(q)).numpy())
+
+    def scene(self, item: SimObject, index: int) -> Scene:
+        """Scene `index` of an object.
+
+        Raises:
+            InputError: The object never comes to rest, or no view shows it.
+        """
+        key = (item.mesh.sha256, index)
+        if self._last_scene is not None and self._last_scene[0] == key:
+            return self._last_scene[1]
+        scene = self._draw_scene(item, self._rng(item, 1, index))
+        self._last_scene = (key, scene)
+        return scene
+
+    def _draw_scene(self, item: SimObject, rng: np.random.Generator) -> Scene:
+        problem = InputError("never comes to rest on a table", where=item.mesh.name)
+        for _ in range(SCENE_TRIES):
+            which, _ = draw_pose(item.poses, self.config.standing, rng)
+            resting = self._resting(item, which)
+            yaw, place = rng.uniform(-np.pi, np.pi), rng.uniform(self.config.low, self.config.high)
+            T_world_camera = self.config.placement.draw(np.array([*place, 0.08]), rng)
+            if resting is None:
+                continue
+            pose = _placed(resting, item, float(yaw), place)
+            try:
+                cloud = self._observer.object_cloud(item, pose, T_world_camera, rng)
+            except InputError as error:
+                problem = InputError(
+                    f"is not seen by the camera: {error.what}", where=item.mesh.name
+                )
+                continue
+            return Scene(pose, T_world_camera, cloud)
+        raise problem
+
+    def _resting(self, item: SimObject, which: int) -> Array | None:
+        """The settled pose of one stable pose, found once."""
+        key = (item.mesh.sha256, which)
+        if key not in self._settled:
+            if len(self._settled) > 256:
+                self._settled.clear()  # objects come one after the other
+            self._settled[key] = settle(self.world, item, item.poses[which], self.config.settling)
+        return self._settled[key]
+
+    def _rng(self, item: SimObject, stream: int, index: int) -> np.random.Generator:
+        name = zlib.crc32(item.mesh.name.encode())
+        return np.random.default_rng([self.seed, name, stream, index])
+
+
+def _placed(resting: Array, item: SimObject, yaw: float, place: Array) -> Array:
+    """A settled pose turned about the vertical, the middle of its outline at `place` [2]."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    turned = transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [0, 0, 0]) @ resting
+    outline = apply_transform(turned, item.mesh.vertices)[:, :2]
+    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+    turned[:2, 3] += place - middle
+    return turned
+
+
+def as_grasps(attempts: list[Attempt], scene_attempts: int) -> Grasps:
+    """Attempts with one object as the arrays that are stored."""
+
+    def column(values: list[Any], dtype: type) -> NDArray[Any]:
+        return np.array(values, dtype=dtype)
+
+    def measured(name: str) -> NDArray[np.float32]:
+        values = [np.nan if a.outcome is None else getattr(a.outcome, name) for a in attempts]
+        return np.array(values, dtype=np.float32)
+
+    return Grasps(
+        cloud=column([a.cloud for a in attempts], np.float32),
+        T_world_camera=column([a.scene.T_world_camera for a in attempts], np.float64),
+        T_world_object=column([a.scene.T_world_object for a in attempts], np.float64),
+        T_world_palm=column([a.T_world_palm for a in attempts], np.float64),
+        q=column([a.reach.q for a in attempts], np.float64),
+        label=column([a.label for a in attempts], np.int8),
+        kind=column([KINDS.index(a.kind) for a in attempts], np.int8),
+        cause=column([CAUSES.index(a.cause) for a in attempts], np.int8),
+        lift_height=measured("lift_height"),
+        slip=measured("slip"),
+        attempt=column([a.index for a in attempts], np.int32),
+        scene=column([a.index // scene_attempts for a in attempts], np.int32),
+    )

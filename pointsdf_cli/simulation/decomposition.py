@@ -1,0 +1,150 @@
+"""Convex pieces of a mesh for collision, cached by the mesh's content."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.atomic import atomic_path
+from pointsdf_cli.io.meshes import LoadedMesh
+
+Pieces = list[tuple[NDArray[np.float64], NDArray[np.int64]]]
+
+
+@dataclass(frozen=True)
+class DecompositionConfig:
+    """How finely a mesh is cut.
+
+    Attributes:
+        convex_enough: A mesh that fills this much of its convex hull is that hull.
+        concavity: coacd's threshold: what concavity may stay in a piece.
+        most_pieces: No more pieces than this.
+        most_corners: No more corners a piece than this.
+        most_faces: The mesh is simplified to this many faces before it is cut.
+    """
+
+    convex_enough: float = 0.93
+    concavity: float = 0.06
+    most_pieces: int = 16
+    most_corners: int = 48
+    most_faces: int = 3000
+
+
+def cache_folder() -> Path:
+    """Where decompositions are kept: `$RGRASP_CACHE`, else `$XDG_CACHE_HOME/rgrasp`."""
+    named = os.environ.get("RGRASP_CACHE")
+    if named:
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "rgrasp"
+
+
+def convex_pieces(
+    mesh: LoadedMesh, config: DecompositionConfig | None = None, cache: Path | None = None
+) -> Pieces:
+    """The mesh as a union of convex pieces, mesh frame.
+
+    Args:
+        mesh: A closed mesh.
+        config: How finely to cut.
+        cache: Folder of earlier results; `cache_folder()` if None.
+
+    Returns:
+        For each piece its corners [V, 3] and faces [F, 3].
+
+    Raises:
+        InputError: The mesh encloses no volume.
+    """
+    config = config or DecompositionConfig()
+    key = hashlib.sha256(f"{mesh.sha256} {sorted(asdict(config).items())}".encode()).hexdigest()
+    path = (cache or cache_folder()) / "decompositions" / f"{key[:32]}.npz"
+    if path.is_file():
+        try:
+            return _read(path)
+        except (OSError, ValueError, KeyError):
+            path.unlink(missing_ok=True)  # cut short by a crash of the machine: make it again
+    pieces = decompose(mesh.vertices, mesh.faces, config)
+    with atomic_path(path) as temporary:
+        arrays = {f"v{i}": v for i, (v, _) in enumerate(pieces)}
+        arrays |= {f"f{i}": f for i, (_, f) in enumerate(pieces)}
+        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
+    return _read(path)
+
+
+def decompose(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], config: DecompositionConfig
+) -> Pieces:
+    """Cut a closed mesh into convex pieces (Wei et al. 2022, "CoACD"); the same every time.
+
+    Raises:
+        InputError: The mesh encloses no volume.
+    """
+    solid = trimesh.Trimesh(vertices, faces, process=True)
+    hull = trimesh.convex.convex_hull(solid.vertices)
+    if solid.volume <= 0.0 or hull.volume <= 0.0:
+        raise InputError("encloses no volume", allowed="a closed mesh that faces outwards")
+    if solid.volume >= config.convex_enough * hull.volume:
+        return [_with_few_corners(hull, config.most_corners)]
+    import coacd
+
+    if len(solid.faces) > config.most_faces:
+        solid = solid.simplify_quadric_decimation(face_count=config.most_faces)
+    coacd.set_log_level("error")
+    parts = coacd.run_coacd(
+        coacd.Mesh(solid.vertices, solid.faces),
+        threshold=config.concavity,
+        max_convex_hull=config.most_pieces,
+        preprocess_mode="auto",
+        preprocess_resolution=40,
+        resolution=1000,
+        mcts_nodes=10,
+        mcts_iterations=40,
+        mcts_max_depth=2,
+        decimate=True,
+        max_ch_vertex=config.most_corners,
+        seed=1,
+    )
+    pieces = []
+    for corners, _ in parts:
+        try:
+            piece = trimesh.convex.convex_hull(corners)
+        except ValueError:  # flat: nothing to collide with
+            continue
+        pieces.append((np.asarray(piece.vertices), np.asarray(piece.faces)))
+    if not pieces:
+        raise InputError("has no convex piece of any volume")
+    return pieces
+
+
+def _with_few_corners(
+    hull: trimesh.Trimesh, most: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """A hull of few corners that lies within a convex one and keeps its extremes."""
+    if len(hull.vertices) > most:
+        chosen = _spread(np.asarray(hull.vertices), most)
+        hull = trimesh.convex.convex_hull(hull.vertices[chosen])
+    return np.asarray(hull.vertices), np.asarray(hull.faces)
+
+
+def _spread(points: NDArray[np.float64], count: int) -> NDArray[np.int64]:
+    """Farthest-point sampling that starts from the six axis extremes."""
+    chosen = sorted({int(i) for i in [*points.argmin(axis=0), *points.argmax(axis=0)]})
+    distance = np.full(len(points), np.inf)
+    for i in chosen:
+        distance = np.minimum(distance, ((points - points[i]) ** 2).sum(axis=1))
+    while len(chosen) < count:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
+    return np.array(chosen)
+
+
+def _read(path: Path) -> Pieces:
+    with np.load(path) as arrays:
+        count = sum(name.startswith("v") for name in arrays.files)
+        return [(arrays[f"v{i}"], arrays[f"f{i}"]) for i in range(count)]

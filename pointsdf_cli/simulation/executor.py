@@ -1,0 +1,246 @@
+"""Closing the hand, gripping, lifting, settling: one executor for data collection and for trials."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import invert_transform
+from pointsdf_cli.simulation.world import World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ExecutorConfig:
+    """How a grasp is carried out (METHOD §4, "Execution").
+
+    Attributes:
+        speed_up: Closing speed over the real robot's; the simulated hand may close faster.
+        closing_effort: Fraction of a joint's effort while it closes.
+        grip_effort: Fraction of a joint's effort while it holds.
+        stall_speed: A joint slower than this fraction of its commanded speed has stalled.
+        stall_time: ... for this long [s].
+        longest_closing: The closing ends after this [s] whatever moves.
+        grip_time: Time to build up the grip [s].
+        lift_height: [m], along the world's z.
+        lift_time: [s].
+        settle_time: Hold still after the lift [s].
+        shake: Amplitude of a lateral shake after the lift [m/s²]; 0 for none.
+        shake_time: [s].
+    """
+
+    speed_up: float = 8.0
+    closing_effort: float = 0.3
+    grip_effort: float = 1.0
+    stall_speed: float = 0.1
+    stall_time: float = 0.05
+    longest_closing: float = 1.5
+    grip_time: float = 0.2
+    lift_height: float = 0.15
+    lift_time: float = 0.8
+    settle_time: float = 0.5
+    shake: float = 0.0
+    shake_time: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("speed_up", "closing_effort", "grip_effort", "lift_height", "lift_time"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"{name} = {getattr(self, name)}", allowed="above 0")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of an executed grasp.
+
+    Attributes:
+        held: The object rose with the hand and is still held.
+        valid: The simulation can be believed; if not, `held` is False.
+        cause: "held", or why not: "missed" (nothing touched when the lift began), "slipped",
+            "dropped", "flung", "penetration".
+        lift_height: How much the object's centre of mass rose [m].
+        slip: How far it moved in the palm's frame from the grip to the end [m].
+        links: Links of the hand that touch the object at the end.
+        duration: Simulated time [s].
+    """
+
+    held: bool
+    valid: bool
+    cause: str
+    lift_height: float
+    slip: float
+    links: int
+    duration: float
+
+
+FLUNG_SPEED = 3.0
+"""An object faster than this [m/s] was shot out by the contact solver, not moved by a hand."""
+DEEPEST = 0.008
+"""A robot link deeper in the object than this [m] at the end means that contacts failed."""
+HELD_FRACTION = 0.7
+"""Of the lift's height that a held object must have risen."""
+FASTEST_HELD = 0.1
+"""An object that still moves faster than this [m/s] at the end is on its way out of the hand."""
+
+
+class Executor:
+    """Carries out grasps in a world.
+
+    Args:
+        world: Built with the robot and the object by `World.reset`.
+        config: Times, speeds, efforts.
+        palm: T_world_palm [4, 4] of a configuration, for the slip.
+        watch: Called after every step, to draw or record.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        config: ExecutorConfig,
+        palm: Callable[[Array], Array],
+        watch: Callable[[World, str], None] | None = None,
+    ) -> None:
+        self._world = world
+        self._config = config
+        self._palm = palm
+        self._watch = watch
+        robot = world.robot
+        self._arm = np.arange(len(robot.arm_joints))
+        self._hand = np.arange(len(robot.arm_joints), len(robot.joint_names))
+        self._closing = robot.closing_columns
+        self._still = np.setdiff1d(self._hand, self._closing)
+        self._fastest = 0.0
+
+    def run(self, q: ArrayLike, lift: Array) -> Outcome:
+        """Close, grip, lift along a path, settle, judge.
+
+        Args:
+            q: [J], where the hand begins to close; the world's robot is there.
+            lift: [K, A], arm joints from there to the end of the lift.
+        """
+        world, config = self._world, self._config
+        q = np.asarray(q, dtype=float)
+        start_height = self._object_height()
+        self._fastest = 0.0
+        world.drive_to(q, self._arm, world.robot.effort[self._arm])
+        world.drive_to(q, self._still, world.robot.effort[self._still])
+        self._close()
+        self._grip(q)
+        touched = world.hand_contact().links > 0
+        gripped = self._object_in_palm()
+        self._follow(lift, config.lift_time, "lift")
+        self._hold(config.settle_time, "settle")
+        if config.shake > 0:
+            self._shake()
+        rise = self._object_height() - start_height
+        slip = float(np.linalg.norm(self._object_in_palm() - gripped))
+        return self._judge(touched, rise, slip)
+
+    def _judge(self, touched: bool, rise: float, slip: float) -> Outcome:
+        world, config = self._world, self._config
+        contact = world.hand_contact()
+        risen = rise >= HELD_FRACTION * config.lift_height
+        steady = world.object_speed()[0] < FASTEST_HELD
+        in_hand = contact.links > 0 and not world.object_on_table()
+        held, valid, cause = False, True, "dropped"
+        if self._fastest > FLUNG_SPEED or not np.isfinite(rise) or rise > 0.5:
+            valid, cause = False, "flung"
+        elif contact.depth > DEEPEST:
+            valid, cause = False, "penetration"
+        elif risen and in_hand and steady:
+            held, cause = True, "held"
+        elif not touched:
+            cause = "missed"
+        elif contact.links > 0:
+            cause = "slipped"
+        return Outcome(held, valid, cause, rise, slip, contact.links, world.time)
+
+    def _close(self) -> None:
+        """Ramp the closing joints; each freezes once it stalls."""
+        world, config, robot = self._world, self._config, self._world.robot
+        speeds = robot.closing_speeds * config.speed_up
+        efforts = robot.effort[self._closing] * config.closing_effort
+        open_ends = np.where(speeds > 0, robot.hard_upper[self._closing], 0.0)
+        open_ends = np.where(speeds < 0, robot.hard_lower[self._closing], open_ends)
+        moving = np.ones(len(self._closing), dtype=bool)
+        slow = np.zeros(len(self._closing))
+        world.drive_at(speeds, self._closing, efforts)
+        check = max(1, round(0.0125 / world.physics.step))
+        began = world.time
+        self._advance(round(0.05 / world.physics.step), "close")  # let the joints get going
+        while moving.any() and world.time - began < config.longest_closing:
+            self._advance(check, "close")
+            velocity = world.velocities()[self._closing]
+            position = world.configuration()[self._closing]
+            stalled = velocity * np.sign(speeds) < config.stall_speed * np.abs(speeds)
+            slow = np.where(stalled, slow + check * world.physics.step, 0.0)
+            ended = np.abs(position - open_ends) < 0.02
+            stop = moving & ((slow >= config.stall_time) | ended)
+            if stop.any():
+                moving &= ~stop
+                q = np.zeros(len(robot.joint_names))
+                q[self._closing] = position
+                world.drive_to(q, self._closing[stop], efforts[stop])
+
+    def _grip(self, q: Array) -> None:
+        """Every closing joint presses on with its full effort."""
+        world, config, robot = self._world, self._config, self._world.robot
+        speeds = robot.closing_speeds * config.speed_up * 0.25
+        efforts = robot.effort[self._closing] * config.grip_effort
+        world.drive_at(speeds, self._closing, efforts)
+        self._hold(config.grip_time, "grip")
+
+    def _follow(self, path: Array, duration: float, phase: str) -> None:
+        """Move the arm along a path in joint space, slowly at both ends."""
+        world, robot = self._world, self._world.robot
+        steps = max(1, round(duration / world.physics.step))
+        q = np.zeros(len(robot.joint_names))
+        knots = np.linspace(0.0, 1.0, len(path))
+        for k in range(steps):
+            s = (k + 1) / steps
+            s = s * s * (3 - 2 * s)
+            q[self._arm] = [np.interp(s, knots, path[:, a]) for a in range(path.shape[1])]
+            world.drive_to(q, self._arm, robot.effort[self._arm])
+            self._advance(1, phase)
+
+    def _hold(self, duration: float, phase: str) -> None:
+        self._advance(round(duration / self._world.physics.step), phase)
+
+    def _shake(self) -> None:
+        """Lateral accelerations back and forth, first along x, then along y, at 4 Hz."""
+        world, config = self._world, self._config
+        down = -world.physics.gravity
+        for axis in (0, 1):
+            steps = round(config.shake_time / 2 / world.physics.step)
+            for k in range(steps):
+                pull = config.shake * np.sin(2 * np.pi * 4.0 * k * world.physics.step)
+                gravity = [0.0, 0.0, down]
+                gravity[axis] = float(pull)
+                world.set_gravity(gravity)
+                self._advance(1, "shake")
+        world.set_gravity([0, 0, down])
+        self._hold(0.25, "shake")
+
+    def _advance(self, steps: int, phase: str) -> None:
+        world = self._world
+        every = 8
+        done = 0
+        while done < steps:
+            count = 1 if self._watch else min(every, steps - done)
+            world.step(count)
+            done += count
+            self._fastest = max(self._fastest, world.object_speed()[0])
+            if self._watch:
+                self._watch(world, phase)
+
+    def _object_height(self) -> float:
+        return float(self._world.object_centre()[2])
+
+    def _object_in_palm(self) -> Array:
+        """The object's centre of mass [3] in the palm's frame."""
+        T_palm_world = invert_transform(self._palm(self._world.configuration()))
+        return T_palm_world[:3, :3] @ self._world.object_centre() + T_palm_world[:3, 3]

@@ -1,0 +1,221 @@
+"""Preshapes around the faces of a partial cloud's bounding box (METHOD §4; Lu et al. 2020).
+
+Only the partial cloud, the camera's place and the robot's are used, as on the real robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import transform
+
+Array = NDArray[np.float64]
+SIDE, TOP = "side", "top"
+
+
+@dataclass(frozen=True)
+class HeuristicConfig:
+    """Numbers of the heuristic planner.
+
+    Attributes:
+        top_standoff, side_standoff: From the face to the palm [m].
+        standoff_noise: Standard deviation [m].
+        position_noise: ... along the face [m].
+        turn_noise: ... of the orientation, about each axis [rad].
+        low_object: An object lower than this [m] is grasped from the top only.
+        finger_reach: How far along the fingers from the palm's origin the object's middle is
+            put [m]: between the fingers and the thumb rather than at the fingers' roots.
+        palm_half_width: Half the palm's width across the fingers [m]; side grasps keep this, and
+            `table_gap`, above the table.
+        table_gap: [m].
+    """
+
+    top_standoff: float = 0.10
+    side_standoff: float = 0.07
+    standoff_noise: float = 0.03
+    position_noise: float = 0.005
+    turn_noise: float = 0.005
+    low_object: float = 0.03
+    finger_reach: float = 0.03
+    palm_half_width: float = 0.06
+    table_gap: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in ("standoff_noise", "position_noise", "turn_noise", "low_object"):
+            if not 0 <= getattr(self, name) < 1:
+                raise InputError(f"{name} = {getattr(self, name)}", allowed="0 to 1")
+
+
+@dataclass(frozen=True)
+class Face:
+    """One face of the bounding box.
+
+    Attributes:
+        kind: "side" or "top".
+        centre: [3], world.
+        normal: [3], outwards, unit.
+    """
+
+    kind: str
+    centre: Array
+    normal: Array
+
+
+@dataclass(frozen=True)
+class Box:
+    """An upright bounding box.
+
+    Attributes:
+        centre: [3], world.
+        axes: [3, 3], rows are its two level axes and the vertical.
+        half: [3], half its extent along each.
+    """
+
+    centre: Array
+    axes: Array
+    half: Array
+
+
+@dataclass(frozen=True)
+class Preshape:
+    """Where the palm should be and how the hand is opened.
+
+    Attributes:
+        kind: "side" or "top".
+        T_world_palm: [4, 4].
+        joints: [K], the robot's preshape joints.
+    """
+
+    kind: str
+    T_world_palm: Array
+    joints: Array
+
+
+def upright_box(points: Array) -> Box:
+    """The box along the principal axes of the cloud [N, 3] seen from above, upright.
+
+    A full three-dimensional analysis would lean with the camera's view of the half that it sees;
+    the object stands on a table, so one axis is the vertical.
+    """
+    level = points[:, :2]
+    centred = level - level.mean(axis=0)
+    _, vectors = np.linalg.eigh(centred.T @ centred)
+    first = np.array([*vectors[:, 1], 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    axes = np.stack([first, np.cross(up, first), up])
+    along = points @ axes.T
+    low, high = along.min(axis=0), along.max(axis=0)
+    low[2] = min(low[2], 0.0) if low[2] < 0.02 else low[2]  # it stands on the table
+    return Box(((low + high) / 2) @ axes, axes, (high - low) / 2)
+
+
+def graspable_faces(
+    box: Box, camera: Array, base: Array, config: HeuristicConfig
+) -> list[Face]:
+    """The top, and the side faces that look away from neither the camera nor the robot.
+
+    Args:
+        box: Of the partial cloud.
+        camera, base: [3], places of the camera and of the robot's base in the world.
+        config: `low_object` decides whether there are sides at all.
+    """
+    up = box.axes[2]
+    faces = [Face(TOP, box.centre + box.half[2] * up, up)]
+    if 2 * box.half[2] < config.low_object:
+        return faces
+    sides = [
+        Face(SIDE, box.centre + sign * box.half[k] * box.axes[k], sign * box.axes[k])
+        for k in range(2)
+        for sign in (1.0, -1.0)
+    ]
+    hidden = set()
+    for place in (camera, base):
+        toward = place - box.centre
+        hidden.add(int(np.argmin([face.normal @ toward for face in sides])))
+    return faces + [face for i, face in enumerate(sides) if i not in hidden]
+
+
+def draw_preshape(
+    points: Array,
+    camera: Array,
+    base: Array,
+    ranges: Array,
+    config: HeuristicConfig,
+    rng: np.random.Generator,
+    kind: str | None = None,
+) -> Preshape:
+    """One random preshape for a cloud.
+
+    Args:
+        points: [N, 3], the object's partial cloud, world.
+        camera, base: [3], world.
+        ranges: [K, 2], of the preshape joints.
+        config: Stand-offs and noise.
+        rng: Source of the noise.
+        kind: "side" or "top" to insist on one; the face is drawn among all otherwise.
+    """
+    box = upright_box(points)
+    faces = graspable_faces(box, camera, base, config)
+    wanted = [face for face in faces if kind in (None, face.kind)] or faces
+    face = wanted[int(rng.integers(len(wanted)))]
+    if face.kind == TOP:
+        palm = _top_palm(box, face, base, config, rng)
+    else:
+        palm = _side_palm(face, config, rng)
+    joints = rng.uniform(ranges[:, 0], ranges[:, 1])
+    return Preshape(face.kind, palm, joints)
+
+
+def _top_palm(
+    box: Box, face: Face, base: Array, config: HeuristicConfig, rng: np.random.Generator
+) -> Array:
+    """Palm down, fingers along a diagonal of the box that leads away from the robot."""
+    diagonals = [a * box.axes[0] + b * box.axes[1] for a in (1, -1) for b in (1, -1)]
+    away = face.centre - base
+    outward = sorted(diagonals, key=lambda d: -float(d[:2] @ away[:2]))[:2]
+    fingers = outward[int(rng.integers(2))] / np.sqrt(2)
+    inward = -face.normal
+    rotation = np.stack([inward, np.cross(fingers, inward), fingers], axis=1)
+    return _noisy(face, rotation, config.top_standoff, config, rng)
+
+
+def _side_palm(face: Face, config: HeuristicConfig, rng: np.random.Generator) -> Array:
+    """Palm towards the face, thumb up, as high as the palm needs above the table."""
+    inward, up = -face.normal, np.array([0.0, 0.0, 1.0])
+    rotation = np.stack([inward, up, np.cross(inward, up)], axis=1)
+    lowest = config.palm_half_width + config.table_gap
+    centre = face.centre.copy()
+    centre[2] = max(centre[2], lowest)
+    return _noisy(Face(face.kind, centre, face.normal), rotation, config.side_standoff, config, rng)
+
+
+def _noisy(
+    face: Face,
+    rotation: Array,
+    standoff: float,
+    config: HeuristicConfig,
+    rng: np.random.Generator,
+) -> Array:
+    """The palm at its stand-off from a face, with noise on distance, place and orientation."""
+    distance = max(0.0, standoff + config.standoff_noise * rng.standard_normal())
+    place = config.position_noise * rng.standard_normal(3)
+    place[0] = 0.0  # the stand-off has its own
+    turn = config.turn_noise * rng.standard_normal(3)
+    local = np.array([-distance, 0.0, -config.finger_reach]) + place
+    position = face.centre + rotation @ local
+    return transform(rotation @ _small_rotation(turn), position)
+
+
+def _small_rotation(vector: Array) -> Array:
+    """The rotation [3, 3] about `vector` [3] by its length."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    turned: Array = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return turned

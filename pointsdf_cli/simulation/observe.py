@@ -1,0 +1,127 @@
+"""What a depth camera over the table sees: object, table and robot, with the sensor's noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.noise import DepthNoise
+from pointsdf_cli.camera.pinhole import CAMERAS, Camera
+from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.camera.segmentation import SegmentationConfig, segment_object
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.simulation.sim_object import SimObject
+from pointsdf_cli.simulation.world import TABLE_HIGH, TABLE_LOW
+from pointsdf_cli.viz.robot_picture import RobotMeshes
+from pointsdf_cli.viz.shading import look_at
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CameraPlacement:
+    """Where the camera stands, drawn anew for every scene.
+
+    Attributes:
+        camera: Intrinsics.
+        noise: Of the depth.
+        azimuth: Directions [rad] from the object to the camera, 0 away from the robot.
+        elevation: Angles [rad] above the table.
+        distance: To the object [m].
+    """
+
+    camera: Camera = CAMERAS["kinect2"]
+    noise: DepthNoise = field(default_factory=DepthNoise)
+    azimuth: tuple[float, float] = (-1.0, 1.0)
+    elevation: tuple[float, float] = (0.45, 0.95)
+    distance: tuple[float, float] = (0.9, 1.2)
+
+    def draw(self, target: Array, rng: np.random.Generator) -> Array:
+        """T_world_camera [4, 4] of a camera that looks at `target` [3]."""
+        azimuth, elevation = rng.uniform(*self.azimuth), rng.uniform(*self.elevation)
+        level = np.cos(elevation)
+        toward = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+        return look_at(target + rng.uniform(*self.distance) * toward, target)
+
+
+class Observer:
+    """Renders scenes of one robot.
+
+    Args:
+        robot: The robot, seen at the configuration that it waits in.
+        placement: The camera.
+        segmentation: How the object is found in the cloud.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        placement: CameraPlacement | None = None,
+        segmentation: SegmentationConfig | None = None,
+    ) -> None:
+        self.placement = placement or CameraPlacement()
+        self._segmentation = segmentation
+        self._robot = RobotMeshes(robot, sections=16)
+        self._home = robot.home
+
+    def depth_cloud(
+        self,
+        item: SimObject,
+        T_world_object: Array,
+        T_world_camera: Array,
+        rng: np.random.Generator,
+        q: Array | None = None,
+    ) -> Array:
+        """The whole noisy cloud [N, 3] of the scene, camera frame, m."""
+        parts = [(apply_transform(T_world_object, item.mesh.vertices), item.mesh.faces)]
+        parts += [(p.vertices, p.faces) for p in self._robot.at(self._home if q is None else q)]
+        parts.append(_table())
+        vertices = np.concatenate([vertices for vertices, _ in parts])
+        starts = np.cumsum([0] + [len(vertices) for vertices, _ in parts[:-1]])
+        faces = np.concatenate([f + start for (_, f), start in zip(parts, starts, strict=True)])
+        camera = self.placement.camera
+        patch = MeshCaster(vertices, faces, camera).cast(invert_transform(T_world_camera))
+        depth = self.placement.noise.apply(patch.depth, rng)
+        return camera.back_project(patch.u, patch.v, depth)
+
+    def object_cloud(
+        self,
+        item: SimObject,
+        T_world_object: Array,
+        T_world_camera: Array,
+        rng: np.random.Generator,
+    ) -> Array:
+        """The object's points [N, 3] found in a view of the scene, camera frame, m.
+
+        Raises:
+            InputError: The camera sees no object: it is hidden, or too flat to tell from the
+                table.
+        """
+        cloud = self.depth_cloud(item, T_world_object, T_world_camera, rng)
+        found = segment_object(apply_transform(T_world_camera, cloud), self._segmentation)
+        return cloud[found.kept]
+
+
+def resample(points: Array, count: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """`count` points [count, 3] of a cloud, each once before any twice.
+
+    Raises:
+        InputError: The cloud is empty.
+    """
+    if not len(points):
+        raise InputError("an empty cloud", allowed="one point or more")
+    chosen = rng.permutation(len(points))[:count]
+    if len(chosen) < count:
+        chosen = np.concatenate([chosen, rng.integers(len(points), size=count - len(chosen))])
+    return points[chosen].astype(np.float32)
+
+
+def _table() -> tuple[Array, NDArray[np.int64]]:
+    """The table top as two triangles at z = 0."""
+    (x0, y0), (x1, y1) = TABLE_LOW, TABLE_HIGH
+    vertices = np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]], dtype=float)
+    return vertices, np.array([[0, 1, 2], [0, 2, 3]])

@@ -1,0 +1,209 @@
+"""How the arm gets to a preshape: inverse kinematics, a checked path, and room to lift.
+
+The path is home → retreat → preshape, straight in joint space to the retreat and straight in
+space from there; it is checked against table, object and the robot itself, so executing it moves
+nothing. A motion planner can find more than these; what has no straight path is labelled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.grasps import NO_CONFIGURATION, NO_MOTION
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.simulation.world import World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ReachConfig:
+    """How a preshape is reached.
+
+    Attributes:
+        candidates: Arm configurations that are tried for a palm pose, the nearest to home first.
+        retreat: The last stretch [m], straight, backwards out of the palm's direction.
+        over: Height [m] above the retreat of a point to pass if the direct path is blocked.
+        resolution: Largest joint motion [rad] between two checked configurations.
+        lift_height: [m], for which the arm must have room.
+        waypoints: Of the straight stretches.
+    """
+
+    candidates: int = 6
+    retreat: float = 0.12
+    over: float = 0.2
+    resolution: float = 0.05
+    lift_height: float = 0.15
+    waypoints: int = 8
+
+    def __post_init__(self) -> None:
+        if self.candidates < 1 or self.waypoints < 2 or not 0 < self.resolution < 1:
+            raise InputError(
+                f"{self.candidates} candidates, {self.waypoints} waypoints, a resolution of "
+                f"{self.resolution} rad",
+                allowed="1 or more, 2 or more, 0 to 1 rad",
+            )
+
+
+@dataclass(frozen=True)
+class Reach:
+    """A way to a preshape, or why there is none.
+
+    Attributes:
+        label: 0 if there is one; else `NO_MOTION` or `NO_CONFIGURATION`.
+        cause: Empty, or "no_ik", "start_in_table", "start_in_object", "start_in_self",
+            "no_lift", "no_path".
+        q: [J], the preshape; the last one tried if there is no way, NaN for the arm if none was
+            found at all.
+        approach: [T, J], from home to the preshape; empty if there is none.
+        lift: [K, A], arm joints along the lift; empty if there is none.
+    """
+
+    label: int
+    cause: str
+    q: Array
+    approach: Array
+    lift: Array
+
+
+class Reacher:
+    """Finds ways in one world.
+
+    Args:
+        world: Holds the scene that paths are checked in.
+        solver: Inverse kinematics of the world's robot.
+        config: How.
+    """
+
+    def __init__(
+        self, world: World, solver: InverseKinematics, config: ReachConfig | None = None
+    ) -> None:
+        self._world = world
+        self._solver = solver
+        self._robot = world.robot
+        self.config = config or ReachConfig()
+
+    def __call__(self, T_world_palm: Array, joints: Array) -> Reach:
+        """A way to the palm pose [4, 4] with preshape joints [K]; the world's robot is moved."""
+        robot, config = self._robot, self.config
+        solutions = self._solver.solve(T_world_palm)
+        arms = solutions.arm[0][solutions.reached[0]]
+        if not len(arms):
+            q = robot.configuration(np.full(len(robot.arm_joints), np.nan), joints)
+            return self._none(NO_CONFIGURATION, "no_ik", q)
+        home = robot.home[robot.arm]
+        arms = _different(arms[np.argsort(np.abs(arms - home).max(axis=1), kind="stable")])
+        arms = arms[: config.candidates]
+        free, touched = [], "self"
+        for arm in arms:
+            hits = self._world.collisions(robot.configuration(arm, joints))
+            if not hits:
+                free.append(arm)
+            else:
+                touched = next(kind for kind in ("object", "table", "self") if kind in hits)
+        if not free:
+            q = robot.configuration(arms[-1], joints)
+            return self._none(NO_CONFIGURATION, f"start_in_{touched}", q)
+        return self._way(T_world_palm, np.array(free), joints)
+
+    def _way(self, T_world_palm: Array, arms: Array, joints: Array) -> Reach:
+        """The first of the arm configurations [B, A] that can be reached and can lift."""
+        robot, config = self._robot, self.config
+        lifts, can_lift = self._straight(arms, T_world_palm, [0, 0, config.lift_height])
+        back = -config.retreat * T_world_palm[:3, 0]
+        retreats, can_retreat = self._straight(arms, T_world_palm, back)
+        cause = "no_lift"
+        for k in np.flatnonzero(can_lift):
+            cause = "no_path"
+            if not can_retreat[k]:
+                continue
+            approach = self._approach(retreats[k], T_world_palm, back, joints)
+            if approach is not None:
+                q = robot.configuration(arms[k], joints)
+                return Reach(0, "", q, approach, lifts[k])
+        return self._none(NO_MOTION, cause, robot.configuration(arms[0], joints))
+
+    def _approach(
+        self, retreat: Array, T_world_palm: Array, back: Array, joints: Array
+    ) -> Array | None:
+        """Home to preshape [T, J] by way of a retreat path [K, A] that begins at the preshape."""
+        robot, config = self._robot, self.config
+        last = robot.configuration(retreat[::-1], joints)
+        home = robot.configuration(robot.home[robot.arm], joints)
+        if not self._free(last):
+            return None
+        direct = np.stack([home, last[0]])
+        if self._free(direct):
+            return np.concatenate([direct[:1], last])
+        start = T_world_palm.copy()
+        start[:3, 3] += back
+        over, fine = self._straight(retreat[-1:], start, [0, 0, config.over])
+        if not fine[0]:
+            return None
+        descent = robot.configuration(over[0][::-1], joints)
+        if self._free(np.concatenate([home[None], descent])):
+            return np.concatenate([home[None], descent, last])
+        return None
+
+    def _straight(
+        self, arms: Array, T_world_palm: Array, way: object
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Paths [B, K + 1, A] that move the palm straight along `way` [3], from each of `arms`."""
+        poses = np.repeat(T_world_palm[None], self.config.waypoints, axis=0)
+        share = np.linspace(0, 1, self.config.waypoints + 1)[1:, None]
+        poses[:, :3, 3] += share * np.asarray(way, dtype=float)
+        poses = np.broadcast_to(poses, (len(arms), *poses.shape))
+        paths, fine = self._solver.track(arms, poses)
+        return np.concatenate([arms[:, None], paths], axis=1), fine
+
+    def _free(self, path: Array) -> bool:
+        """Whether nothing is touched along straight lines between configurations [K, J].
+
+        Checked at both ends and then at ever finer steps: what blocks is mostly wide.
+        """
+        dense = interpolate(path, self.config.resolution)
+        return not any(self._world.collisions(dense[i]) for i in _coarse_first(len(dense)))
+
+    def _none(self, label: int, cause: str, q: Array) -> Reach:
+        joints = len(self._robot.joint_names)
+        arm = len(self._robot.arm_joints)
+        return Reach(label, cause, q, np.empty((0, joints)), np.empty((0, arm)))
+
+
+def interpolate(path: Array, resolution: float) -> Array:
+    """Configurations [T, J] along straight lines between those of `path` [K, J].
+
+    No joint moves by more than `resolution` [rad] between two of them.
+    """
+    pieces = [path[:1]]
+    for first, second in zip(path[:-1], path[1:], strict=True):
+        count = max(1, int(np.ceil(np.abs(second - first).max() / resolution)))
+        share = np.linspace(0, 1, count + 1)[1:, None]
+        pieces.append(first + share * (second - first))
+    return np.concatenate(pieces)
+
+
+def _coarse_first(count: int) -> list[int]:
+    """0 … count - 1, the ends first, then halves, quarters, …"""
+    order, seen = [], set()
+    stride = 1 << max(count - 1, 1).bit_length()
+    while stride >= 1:
+        for i in range(count - 1, -1, -stride):
+            if i not in seen:
+                seen.add(i)
+                order.append(i)
+        stride //= 2
+    return order
+
+
+def _different(arms: Array) -> Array:
+    """Configurations [B', A] without those that repeat an earlier one."""
+    kept: list[Array] = []
+    for arm in arms:
+        if all(np.abs(arm - other).max() > 0.1 for other in kept):
+            kept.append(arm)
+    return np.array(kept)

@@ -1,0 +1,53 @@
+"""Letting an object come to rest on the table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.simulation.sim_object import SimObject
+from pointsdf_cli.simulation.stable_poses import StablePose
+from pointsdf_cli.simulation.world import World
+
+
+@dataclass(frozen=True)
+class SettleConfig:
+    """When an object counts as at rest.
+
+    Attributes:
+        drop: Height [m] above the table from which it is let go.
+        longest: It must rest before this [s].
+        speed: Below this [m/s] and
+        turn_speed: below this [rad/s] it rests,
+        rest_time: if for this long [s].
+    """
+
+    drop: float = 0.002
+    longest: float = 4.0
+    speed: float = 0.004
+    turn_speed: float = 0.05
+    rest_time: float = 0.25
+
+
+def settle(
+    world: World, item: SimObject, pose: StablePose, config: SettleConfig
+) -> NDArray[np.float64] | None:
+    """The pose T_table_object [4, 4] in which an object comes to rest; None if it does not.
+
+    An object that topples on the way rests all the same: it is where it ends that counts.
+    """
+    place = transform(np.eye(3), [0.5, 0.0, config.drop])
+    world.reset(item, place @ pose.T_table_object, with_robot=False)
+    check = max(1, round(0.05 / world.physics.step))
+    quiet = 0.0
+    while world.time < config.longest:
+        world.step(check)
+        speed, turning = world.object_speed()
+        still = speed < config.speed and turning < config.turn_speed
+        quiet = quiet + check * world.physics.step if still else 0.0
+        if quiet >= config.rest_time and world.object_on_table():
+            return world.object_pose()
+    return None

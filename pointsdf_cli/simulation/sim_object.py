@@ -1,0 +1,75 @@
+"""An object as the simulator needs it: convex pieces, mass, inertia, and how it can rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.simulation.decomposition import Pieces, convex_pieces
+from pointsdf_cli.simulation.stable_poses import StablePose, stable_poses
+
+DENSITY = 400.0
+"""Household things [kg/m³], counted over their volume: between a filled bottle and a toy."""
+LIGHTEST, HEAVIEST = 0.05, 0.6
+"""Bounds of the mass [kg]: a hollow scan weighs something, a solid one is no brick of lead."""
+
+
+@dataclass(frozen=True)
+class SimObject:
+    """One object to simulate.
+
+    Attributes:
+        mesh: Its surface, mesh frame.
+        pieces: Convex pieces in the body frame: origin at the centre of mass, principal axes.
+        T_mesh_body: [4, 4], the body frame in the mesh frame.
+        mass: [kg].
+        inertia: [3], principal moments [kg m²].
+        poses: How it can rest on a table.
+    """
+
+    mesh: LoadedMesh
+    pieces: Pieces
+    T_mesh_body: NDArray[np.float64]
+    mass: float
+    inertia: NDArray[np.float64]
+    poses: list[StablePose]
+
+
+def prepare_object(mesh: LoadedMesh, cache: Path | None = None) -> SimObject:
+    """Everything that does not change between attempts with a mesh.
+
+    Raises:
+        InputError: It encloses no volume or has no resting pose.
+    """
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
+    if not np.isfinite(solid.volume) or solid.volume <= 1e-9:
+        raise InputError(
+            f"encloses {solid.volume:.3g} m³",
+            where=mesh.name,
+            allowed="a closed mesh that faces outwards, above 1e-9 m³",
+        )
+    pieces = convex_pieces(mesh, cache=cache)
+    mass = float(np.clip(DENSITY * solid.volume, LIGHTEST, HEAVIEST))
+    solid.density = mass / solid.volume
+    centre = np.asarray(solid.center_mass)
+    moments, axes = np.linalg.eigh(np.asarray(solid.moment_inertia))
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    # Flat things have moments near 0 about one axis, which no contact solver likes.
+    moments = np.maximum(moments, 1e-6)
+    body = [((corners - centre) @ axes, faces) for corners, faces in pieces]
+    return SimObject(
+        mesh=mesh,
+        pieces=body,
+        T_mesh_body=transform(axes, centre),
+        mass=mass,
+        inertia=moments,
+        poses=stable_poses(mesh.vertices, centre),
+    )

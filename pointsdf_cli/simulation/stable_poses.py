@@ -1,0 +1,126 @@
+"""How an object stands on a table, drawn so that what is made to stand, stands.
+
+The most probable resting pose of a thing that falls is lying; people put cans and bottles upright,
+and a hand can then reach around them. So the tallest pose that is firm is preferred.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import transform
+
+
+@dataclass(frozen=True)
+class StandingConfig:
+    """How a pose is drawn.
+
+    Attributes:
+        firm: A pose is firm if the object must be tilted by more than this [rad] to fall over.
+        standing: Probability to take the tallest firm pose; else by the pose's own probability.
+        equal_height: Firm poses within this fraction of the tallest count as tallest too.
+    """
+
+    firm: float = 0.17
+    standing: float = 0.75
+    equal_height: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.standing <= 1 or not 0 <= self.firm < np.pi / 2:
+            raise InputError(
+                f"standing = {self.standing}, firm = {self.firm}",
+                allowed="a probability and an angle below π/2",
+            )
+
+
+@dataclass(frozen=True)
+class StablePose:
+    """One way to rest on the table.
+
+    Attributes:
+        T_table_object: [4, 4], the mesh on a table whose top is z = 0.
+        probability: That a falling object comes to rest so.
+        height: Of the object's top above the table [m].
+        margin: By how much it must be tilted to fall over [rad].
+    """
+
+    T_table_object: NDArray[np.float64]
+    probability: float
+    height: float
+    margin: float
+
+
+def stable_poses(
+    vertices: NDArray[np.float64], centre_of_mass: NDArray[np.float64]
+) -> list[StablePose]:
+    """All resting poses of a mesh [V, 3], the most probable first (quasi-static: Goldberg 1999).
+
+    Raises:
+        InputError: It has none (degenerate geometry).
+    """
+    try:
+        hull = trimesh.convex.convex_hull(vertices)
+        if len(hull.vertices) > 400:
+            # Scans have thousands of hull faces; a few hundred describe how they rest.
+            hull = hull.simplify_quadric_decimation(face_count=600).convex_hull
+        transforms, probabilities = trimesh.poses.compute_stable_poses(
+            hull, center_mass=centre_of_mass, sigma=0.0, n_samples=1, threshold=0.0
+        )
+    except (QhullError, ValueError, IndexError) as error:
+        raise InputError(f"has no stable pose ({type(error).__name__})") from error
+    if not len(transforms):
+        raise InputError("has no stable pose")
+    poses = []
+    for matrix, probability in zip(transforms, probabilities, strict=True):
+        rotation = matrix[:3, :3]
+        placed = np.asarray(hull.vertices) @ rotation.T
+        mass = rotation @ centre_of_mass
+        floor = placed[:, 2].min()
+        pose = transform(rotation, [-mass[0], -mass[1], -floor])
+        poses.append(
+            StablePose(
+                pose,
+                float(probability),
+                float(np.ptp(placed[:, 2])),
+                tilt_margin(placed - [0, 0, floor], mass - [0, 0, floor]),
+            )
+        )
+    return sorted(poses, key=lambda pose: -pose.probability)
+
+
+def tilt_margin(placed: NDArray[np.float64], mass: NDArray[np.float64]) -> float:
+    """The angle [rad] of tilt at which a body falls over its nearest support edge; 0 if at once.
+
+    Args:
+        placed: [V, 3], corners of the body's hull, standing on z = 0.
+        mass: [3], its centre of mass.
+    """
+    foot = placed[placed[:, 2] < 0.02 * placed[:, 2].max() + 2e-4, :2]
+    if len(foot) < 3:
+        return 0.0
+    try:
+        edges = ConvexHull(foot).equations
+    except QhullError:
+        return 0.0
+    reach = float(-(edges[:, :2] @ mass[:2] + edges[:, 2]).max())
+    return float(np.arctan2(max(reach, 0.0), mass[2]))
+
+
+def draw_pose(
+    poses: list[StablePose], config: StandingConfig, rng: np.random.Generator
+) -> tuple[int, bool]:
+    """An index into `poses`, and whether it was drawn as standing."""
+    firm = [i for i, pose in enumerate(poses) if pose.margin >= config.firm]
+    wants_standing = rng.random() < config.standing
+    if firm and wants_standing:
+        tallest = max(poses[i].height for i in firm)
+        candidates = [i for i in firm if poses[i].height >= (1 - config.equal_height) * tallest]
+        return int(rng.choice(candidates)), True
+    weights = np.array([pose.probability for pose in poses])
+    return int(rng.choice(len(poses), p=weights / weights.sum())), False

@@ -1,0 +1,400 @@
+"""A table, the robot and one object in PyBullet, rebuilt for every attempt so that it replays."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.geometry.frames import (
+    invert_transform,
+    rotation_from_wxyz,
+    transform,
+    wxyz_from_rotation,
+)
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.simulation.sim_object import SimObject
+
+Array = NDArray[np.float64]
+
+TABLE_LOW, TABLE_HIGH = (-0.35, -0.75), (1.25, 0.75)
+"""Corners of the table top in the world [m]."""
+
+
+@dataclass(frozen=True)
+class PhysicsConfig:
+    """Numbers of the contact simulation, chosen by the convergence study in docs/grasps.md.
+
+    Attributes:
+        step: Time step [s].
+        iterations: Of the contact solver, a step.
+        hand_friction, object_friction, table_friction: Lateral; two bodies' values multiply.
+        rolling_friction, spinning_friction: Of the object, small: soft contacts resist a little.
+        gravity: [m/s²].
+    """
+
+    step: float = 1 / 240
+    iterations: int = 60
+    hand_friction: float = 1.0
+    object_friction: float = 0.6
+    table_friction: float = 0.8
+    rolling_friction: float = 1e-4
+    spinning_friction: float = 1e-3
+    gravity: float = 9.81
+
+    def __post_init__(self) -> None:
+        if not 1e-5 <= self.step <= 0.02 or not 1 <= self.iterations <= 10_000:
+            raise InputError(
+                f"a step of {self.step} s with {self.iterations} iterations",
+                allowed="1e-5 to 0.02 s, 1 to 10000",
+            )
+
+
+@dataclass(frozen=True)
+class HandContact:
+    """How the hand and the object touch.
+
+    Attributes:
+        links: Number of the hand's links that touch the object.
+        depth: Deepest overlap of any robot link with the object [m], 0 if none.
+        force: Sum of normal forces [N].
+    """
+
+    links: int
+    depth: float
+    force: float
+
+
+class World:
+    """One physics client; not to be shared between processes.
+
+    Args:
+        robot: The robot.
+        physics: Step, iterations, friction.
+        gui: Open PyBullet's window to watch.
+
+    Raises:
+        RgraspError: PyBullet is not installed.
+    """
+
+    def __init__(
+        self, robot: RobotDescription, physics: PhysicsConfig | None = None, gui: bool = False
+    ) -> None:
+        self.robot = robot
+        self.physics = physics or PhysicsConfig()
+        self._bullet = _import_bullet()
+        self._client = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
+        self._folder = Path(tempfile.mkdtemp(prefix="rgrasp-world-"))
+        self._object_file: tuple[str, Path] | None = None
+        self._time = 0.0
+
+    def close(self) -> None:
+        """Disconnect and remove temporary files."""
+        if self._client >= 0:
+            self._bullet.disconnect(self._client)
+            self._client = -1
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def __enter__(self) -> World:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def reset(
+        self,
+        item: SimObject | None = None,
+        T_world_object: Array | None = None,
+        q: ArrayLike | None = None,
+        with_robot: bool = True,
+    ) -> None:
+        """Build the scene anew: nothing of an earlier attempt remains, so attempts replay.
+
+        Args:
+            item: The object, if there is one.
+            T_world_object: [4, 4], its mesh frame in the world.
+            q: [J], the robot's configuration; home if None.
+            with_robot: Whether the robot is there.
+        """
+        b, c = self._bullet, self._client
+        b.resetSimulation(physicsClientId=c)
+        b.setPhysicsEngineParameter(
+            fixedTimeStep=self.physics.step,
+            numSolverIterations=self.physics.iterations,
+            deterministicOverlappingPairs=1,
+            enableFileCaching=0,
+            physicsClientId=c,
+        )
+        b.setGravity(0, 0, -self.physics.gravity, physicsClientId=c)
+        self._time = 0.0
+        self._add_table()
+        self._object = -1
+        if with_robot:
+            self._add_robot(self.robot.home if q is None else np.asarray(q))
+        if item is not None:
+            self._add_object(item, np.eye(4) if T_world_object is None else T_world_object)
+
+    def step(self, count: int = 1) -> None:
+        """Advance by `count` steps."""
+        for _ in range(count):
+            self._bullet.stepSimulation(physicsClientId=self._client)
+        self._time += count * self.physics.step
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds since `reset`."""
+        return self._time
+
+    # --- the robot ---
+
+    def place(self, q: ArrayLike) -> None:
+        """Put the robot at a configuration [J] at rest, without physics."""
+        b, c = self._bullet, self._client
+        values = [[float(value)] for value in np.asarray(q)]
+        b.resetJointStatesMultiDof(
+            self._body, self._joints, values, [[0.0]] * len(values), physicsClientId=c
+        )
+
+    def configuration(self) -> Array:
+        """Where the joints are, [J]."""
+        states = self._bullet.getJointStates(
+            self._body, self._joints, physicsClientId=self._client
+        )
+        return np.array([state[0] for state in states])
+
+    def velocities(self) -> Array:
+        """How fast the joints move, [J]."""
+        states = self._bullet.getJointStates(
+            self._body, self._joints, physicsClientId=self._client
+        )
+        return np.array([state[1] for state in states])
+
+    def drive_to(self, q: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
+        """Position targets for the joints at `columns` of q, with the largest efforts to use."""
+        columns = np.asarray(columns)
+        self._bullet.setJointMotorControlArray(
+            self._body,
+            [self._joints[i] for i in columns],
+            self._bullet.POSITION_CONTROL,
+            targetPositions=np.asarray(q, float)[columns].tolist(),
+            targetVelocities=[0.0] * len(columns),
+            positionGains=[0.2] * len(columns),
+            velocityGains=[1.0] * len(columns),
+            forces=np.asarray(forces, float).tolist(),
+            physicsClientId=self._client,
+        )
+
+    def drive_at(self, speeds: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
+        """Speed targets for the joints at `columns` of q, with the largest efforts to use."""
+        columns = np.asarray(columns)
+        self._bullet.setJointMotorControlArray(
+            self._body,
+            [self._joints[i] for i in columns],
+            self._bullet.VELOCITY_CONTROL,
+            targetVelocities=np.asarray(speeds, float).tolist(),
+            forces=np.asarray(forces, float).tolist(),
+            physicsClientId=self._client,
+        )
+
+    def collisions(self, q: ArrayLike, clearance: float = 0.0) -> set[str]:
+        """What the robot would touch at a configuration: of "table", "object", "self".
+
+        Args:
+            q: [J]; the robot is left there.
+            clearance: Distances below this [m] count as touching.
+        """
+        b, c = self._bullet, self._client
+        self.place(q)
+        b.performCollisionDetection(physicsClientId=c)
+        touched = set()
+        for contact in b.getContactPoints(bodyA=self._body, physicsClientId=c):
+            if contact[8] >= clearance:
+                continue
+            first, second = contact[1], contact[2]
+            other = second if first == self._body else first
+            if other == self._object:
+                touched.add("object")
+            elif other == self._table:
+                touched.add("table")
+            elif first == second == self._body:
+                touched.add("self")
+        return touched
+
+    # --- the object ---
+
+    def object_pose(self) -> Array:
+        """T_world_object [4, 4], the mesh frame in the world."""
+        position, xyzw = self._bullet.getBasePositionAndOrientation(
+            self._object, physicsClientId=self._client
+        )
+        rotation = rotation_from_wxyz(np.array([xyzw[3], *xyzw[:3]]))
+        return transform(rotation, np.array(position)) @ self._T_body_mesh
+
+    def object_centre(self) -> Array:
+        """The object's centre of mass [3] in the world."""
+        position, _ = self._bullet.getBasePositionAndOrientation(
+            self._object, physicsClientId=self._client
+        )
+        return np.array(position)
+
+    def object_speed(self) -> tuple[float, float]:
+        """Speed of the object's centre of mass [m/s], and of its turning [rad/s]."""
+        linear, angular = self._bullet.getBaseVelocity(self._object, physicsClientId=self._client)
+        return float(np.linalg.norm(linear)), float(np.linalg.norm(angular))
+
+    def hand_contact(self) -> HandContact:
+        """How the robot touches the object now."""
+        points = self._bullet.getContactPoints(
+            bodyA=self._body, bodyB=self._object, physicsClientId=self._client
+        )
+        touching = [point for point in points if point[9] > 0.0 or point[8] < 0.0]
+        return HandContact(
+            links=len({point[3] for point in touching}),
+            depth=max((max(0.0, -point[8]) for point in points), default=0.0),
+            force=float(sum(point[9] for point in points)),
+        )
+
+    def object_on_table(self) -> bool:
+        """Whether the object touches the table."""
+        points = self._bullet.getContactPoints(
+            bodyA=self._table, bodyB=self._object, physicsClientId=self._client
+        )
+        return any(point[8] < 1e-3 for point in points)
+
+    def set_gravity(self, gravity: ArrayLike) -> None:
+        """Change gravity [3] [m/s²]; shaking a frame is the same as shaking gravity in it."""
+        self._bullet.setGravity(*np.asarray(gravity, float), physicsClientId=self._client)
+
+    # --- building ---
+
+    def _add_table(self) -> None:
+        b, c = self._bullet, self._client
+        size = np.array([*np.subtract(TABLE_HIGH, TABLE_LOW), 0.1])
+        shape = b.createCollisionShape(
+            b.GEOM_BOX, halfExtents=(size / 2).tolist(), physicsClientId=c
+        )
+        centre = [*(np.add(TABLE_HIGH, TABLE_LOW) / 2), -0.05]
+        self._table = b.createMultiBody(0, shape, basePosition=centre, physicsClientId=c)
+        b.changeDynamics(
+            self._table, -1, lateralFriction=self.physics.table_friction, physicsClientId=c
+        )
+
+    def _add_robot(self, q: Array) -> None:
+        b, c, robot = self._bullet, self._client, self.robot
+        wxyz = wxyz_from_rotation(robot.T_world_base[:3, :3])
+        with _silence():
+            self._body = b.loadURDF(
+                str(robot.urdf),
+                basePosition=robot.T_world_base[:3, 3].tolist(),
+                baseOrientation=wxyz[[1, 2, 3, 0]].tolist(),
+                useFixedBase=True,
+                flags=b.URDF_USE_SELF_COLLISION | b.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT,
+                physicsClientId=c,
+            )
+        index = {robot.tree.links[0]: -1}
+        by_name = {}
+        for i in range(b.getNumJoints(self._body, physicsClientId=c)):
+            info = b.getJointInfo(self._body, i, physicsClientId=c)
+            by_name[info[1].decode()], index[info[12].decode()] = i, i
+        self._joints = [by_name[name] for name in robot.joint_names]
+        for link in robot.links_on_table:
+            b.setCollisionFilterPair(
+                self._body, self._table, index[link], -1, 0, physicsClientId=c
+            )
+        for first, second in robot.may_touch | robot.tree.neighbours():
+            b.setCollisionFilterPair(
+                self._body, self._body, index[first], index[second], 0, physicsClientId=c
+            )
+        for link in robot.hand_links:
+            b.changeDynamics(
+                self._body,
+                index[link],
+                lateralFriction=self.physics.hand_friction,
+                physicsClientId=c,
+            )
+        self.place(q)
+        columns = np.arange(len(robot.joint_names))
+        self.drive_to(q, columns, robot.effort)
+
+    def _add_object(self, item: SimObject, T_world_object: Array) -> None:
+        b, c = self._bullet, self._client
+        shape = b.createCollisionShape(
+            b.GEOM_MESH, fileName=str(self._write_pieces(item)), physicsClientId=c
+        )
+        if shape < 0:
+            raise RgraspError("PyBullet cannot read the object's convex pieces", where=item.mesh.name)
+        pose = T_world_object @ item.T_mesh_body
+        wxyz = wxyz_from_rotation(pose[:3, :3])
+        self._T_body_mesh = invert_transform(item.T_mesh_body)
+        self._object = b.createMultiBody(
+            item.mass,
+            shape,
+            basePosition=pose[:3, 3].tolist(),
+            baseOrientation=wxyz[[1, 2, 3, 0]].tolist(),
+            physicsClientId=c,
+        )
+        b.changeDynamics(
+            self._object,
+            -1,
+            localInertiaDiagonal=item.inertia.tolist(),
+            lateralFriction=self.physics.object_friction,
+            rollingFriction=self.physics.rolling_friction,
+            spinningFriction=self.physics.spinning_friction,
+            linearDamping=0.02,
+            angularDamping=0.02,
+            physicsClientId=c,
+        )
+
+    def _write_pieces(self, item: SimObject) -> Path:
+        """The object's pieces as one OBJ file, which PyBullet takes as a union of hulls."""
+        key = f"{item.mesh.sha256}-{len(item.pieces)}"
+        if self._object_file is None or self._object_file[0] != key:
+            path = self._folder / "object.obj"
+            text, start = io.StringIO(), 1
+            for i, (corners, faces) in enumerate(item.pieces):
+                text.write(f"o piece{i}\n")
+                text.writelines("v {:.7f} {:.7f} {:.7f}\n".format(*v) for v in corners)
+                text.writelines("f {} {} {}\n".format(*(f + start)) for f in faces)
+                start += len(corners)
+            path.write_text(text.getvalue(), encoding="ascii")
+            self._object_file = (key, path)
+        return self._object_file[1]
+
+
+def _import_bullet() -> Any:
+    try:
+        with _silence():
+            import pybullet
+    except ImportError as error:
+        raise RgraspError(
+            "the simulator needs PyBullet, which is not installed",
+            hint="pip install 'rgrasp[sim]' with Python 3.11 or older (PyBullet has wheels up to "
+            "3.11; newer Pythons compile it)",
+        ) from error
+    return pybullet
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """Keep PyBullet's C code from writing to this process's stdout, which carries results."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    sink = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(sink, 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(sink)
