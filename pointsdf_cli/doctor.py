@@ -38,6 +38,7 @@ def examine() -> list[Check]:
         ("winding signs of overlapping boxes", _overlap),
         ("depth of a sphere", _sphere_depth),
         ("artifact round trip", _round_trip),
+        ("kinematics of the stretched arm", _stretched_arm),
     ]
     results = []
     for name, check in checks:
@@ -140,3 +141,19 @@ def _round_trip() -> tuple[bool, str]:
         write_artifact(path, schema="check", version=1, datasets={"a": Dataset(array, "m")})
         same = np.array_equal(read_artifact(path, schema="check", version=1).datasets["a"], array)
     return same, "written and read back"
+
+
+def _stretched_arm() -> tuple[bool, str]:
+    import torch
+
+    from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.robot.kinematics import Kinematics
+
+    robot = load_robot()
+    kinematics = Kinematics(robot)
+    zero = torch.zeros(1, len(robot.joint_names), dtype=torch.float64)
+    _, position = kinematics(zero)
+    wrist = float(position[0, kinematics.index("lbr4_link_7"), 2])
+    # The sum of the LBR4's joint offsets along z when every joint is at zero.
+    expected = 0.11 + 0.2005 + 3 * 0.20 + 0.19 + 0.078
+    return abs(wrist - expected) < 1e-9, f"last joint at {wrist:.4f} m, expected {expected:.4f} m"

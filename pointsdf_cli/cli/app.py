@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from pointsdf_cli import __version__
-from pointsdf_cli.cli import doctor, info, label_sdf, objects, render, report
+from pointsdf_cli.cli import doctor, info, label_sdf, objects, render, report, train_sdf
 
 app = typer.Typer(
     name="rgrasp",
@@ -40,6 +40,7 @@ def _root(
 app.add_typer(objects.app, name="objects")
 app.command("render")(render.render)
 app.command("label-sdf")(label_sdf.label_sdf)
+app.command("train-sdf")(train_sdf.train_sdf)
 app.command("info")(info.info)
 app.command("doctor")(doctor.doctor)
 app.command("report")(report.report)
