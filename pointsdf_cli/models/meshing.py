@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.isosurface import IsosurfaceConfig, extract_isosurface
-from pointsdf_cli.geometry.mise import SearchRules
+from pointsdf_cli.geometry.mise import Field, SearchRules
 from pointsdf_cli.models.reconstruction import Reconstruction
 
 
@@ -49,15 +49,30 @@ def mesh_reconstruction(
     model = reconstruction.model
     config = IsosurfaceConfig(
         resolution,
-        half_width=model.half_width,
-        # Interpolated logits say on which side a point lies, but not how far from the surface.
-        rules=SearchRules() if model.is_distance else SearchRules(slope=np.inf),
+        half_width=model.box,
+        rules=SearchRules() if model.gives_distances else SearchRules(slope=np.inf),
         smallest_part=smallest_part,
     )
-    surface = extract_isosurface(reconstruction.sdf_network, config)
+    surface = extract_isosurface(network_field(reconstruction), config)
     return ReconstructedMesh(
-        vertices=reconstruction.frame.to_metres(surface.vertices),
+        vertices=_in_cloud_frame(reconstruction, surface.vertices),
         faces=surface.faces,
         queries=surface.queries,
         parts_dropped=surface.parts_dropped,
     )
+
+
+def network_field(reconstruction: Reconstruction) -> Field:
+    """The signed distance as a function of points [N, 3] of the network's frame, in its units."""
+
+    def sdf(x: NDArray[np.float32]) -> NDArray[np.float32]:
+        metres = reconstruction.sdf(_in_cloud_frame(reconstruction, x))
+        return metres * np.float32(reconstruction.scale)
+
+    return sdf
+
+
+def _in_cloud_frame(reconstruction: Reconstruction, x: NDArray[np.floating]) -> NDArray[np.float64]:
+    # In float64: a metre away, float32 would move the points by a ten-thousandth of a fine cell.
+    turned = x.astype(np.float64) @ reconstruction.R_frame_camera.T
+    return turned / reconstruction.scale + reconstruction.centre

@@ -29,8 +29,16 @@ class ShapeModel(nn.Module):
     """A network f(o, x) = s: partial cloud o, query x, signed distance s, negative inside."""
 
     architecture: str = ""
+    box: float = 0.8
+    """Half the side of the box about the origin that the surface is looked for in (METHOD §1)."""
+    gives_distances: bool = True
+    """Whether the values bound how far the surface is, or are right in their sign only."""
     embedding_size: int = 256
     cloud_size: int = 1000
+    box: float = 0.8
+    """Half-width of the cube, in network units, that holds all of the object."""
+    gives_distances: bool = True
+    """False if only the sign of what `decode` returns has a meaning."""
     packed_neighbours: tuple[int, int] | None = None
     """(M, K) if `encode` takes a third argument: the first layer's neighbours, int64 [B, M, K]."""
 

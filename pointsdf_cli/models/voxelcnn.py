@@ -29,6 +29,10 @@ class VoxelCNN(ShapeModel):
     """See the module's docstring. It has no sizes to choose."""
 
     architecture = "voxelcnn"
+    box = VOXEL * (GRID - 1) / 2.0
+    gives_distances = False
+    box = VOXEL * GRID / 2.0
+    gives_distances = False
 
     def __init__(self) -> None:
         super().__init__()

@@ -88,7 +88,7 @@ def evaluate_object(task: EvalTask) -> list[ScoredView]:
     rng = task_seed(task.config.seed, task.name)
     samples = task.config.samples
     truth = Shape(mesh.vertices, mesh.faces, rng, samples)
-    hull = compare(Shape(*convex_hull(mesh.vertices), rng, samples), truth, rng, samples)
+    hull = _score(convex_hull(mesh.vertices), np.eye(4), truth, rng, samples)
     scored = []
     for view in range(_view_count(views, task.config)):
         to_object = invert_transform(views.T_camera_object[view])

@@ -1,0 +1,212 @@
+"""`mesh`: seconds, queries, memory; against the dense grid and against a literal MISE.
+
+    python benchmarks/bench_mesh.py [--cloud FILE] [--checkpoint DIR] [--threads 2]
+        [--resolutions 128 512] [--literal 64] [--dense 128] [--json FILE]
+
+Each resolution is timed in a process of its own, so that its peak memory is its own. The literal
+MISE is the algorithm as it is told: a dictionary of points, each asked by itself. It is run whole,
+at a resolution that ends in a minute or two, and its time a point is then also applied to the
+points that it would need at the other resolutions. CPU seconds stand beside wall seconds, because
+a busy machine slows the wall clock only. About five minutes on two cores; `--literal 0` and
+`--dense 0` leave the slow parts out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pointsdf_cli.geometry.isosurface import Isosurface, IsosurfaceConfig, extract_isosurface
+from pointsdf_cli.geometry.mise import SearchRules
+from pointsdf_cli.io.clouds import read_cloud
+from pointsdf_cli.models.meshing import mesh_reconstruction, network_field
+from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.models.registry import load_model, use_threads
+
+REPEATS = 3
+
+
+def mug_view() -> np.ndarray:
+    """A view of a mug of 8 × 9 cm at 0.8 m, made here: no file is needed."""
+    import trimesh
+
+    from pointsdf_cli.camera.pinhole import CAMERAS
+    from pointsdf_cli.camera.raycast import MeshCaster
+    from pointsdf_cli.camera.views import sample_cloud
+    from pointsdf_cli.geometry.frames import transform
+
+    profile = [(0, 0), (0.04, 0), (0.04, 0.09), (0.036, 0.09), (0.036, 0.005), (0, 0.005)]
+    mug = trimesh.creation.revolve(np.array(profile), sections=64)
+    tilt = trimesh.transformations.rotation_matrix(-2.3, [1, 0, 0])[:3, :3]
+    caster = MeshCaster(mug.vertices, mug.faces, CAMERAS["reference"])
+    patch = caster.cast(transform(tilt, [0, 0, 0.8]))
+    return sample_cloud(patch, CAMERAS["reference"], np.random.default_rng(0))
+
+
+def reconstruct(options: argparse.Namespace) -> Reconstruction:
+    use_threads(options.threads)
+    points = read_cloud(options.cloud).points if options.cloud else mug_view()
+    return Reconstruction.from_cloud(load_model(options.checkpoint), points, np.zeros(3), seed=0)
+
+
+def time_mesh(job: tuple[argparse.Namespace, int]) -> dict[str, float]:
+    """Best of a few runs at one resolution, and the peak memory of the process."""
+    options, resolution = job
+    reconstruct(options)  # weights read, threads started
+    runs = []
+    for _ in range(REPEATS):
+        wall, cpu = time.perf_counter(), time.process_time()
+        reconstruction = reconstruct(options)
+        encoded = time.perf_counter()
+        mesh = mesh_reconstruction(reconstruction, resolution)
+        done = time.perf_counter()
+        runs.append((done - wall, encoded - wall, time.process_time() - cpu))
+    seconds, encoding, cpu = min(runs)
+    return {
+        "resolution": resolution,
+        "seconds": seconds,
+        "of_which_loading_and_encoding": encoding,
+        "cpu_seconds": cpu,
+        "queries": mesh.queries,
+        "share_of_dense": mesh.queries / (resolution + 1) ** 3,
+        "vertices": len(mesh.vertices),
+        "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+    }
+
+
+def literal_mise(
+    ask: Callable[[tuple[float, float, float]], float], resolution: int, coarse: int, half: float
+) -> tuple[int, int]:
+    """MISE as told, point by point: the number of points asked and of cells crossed."""
+    values: dict[tuple[int, int, int], float] = {}
+    step = 2 * half / resolution
+
+    def crossed(cell: tuple[int, ...], size: int) -> bool:
+        inside = []
+        for offset in product((0, size), repeat=3):
+            corner = (cell[0] + offset[0], cell[1] + offset[1], cell[2] + offset[2])
+            if corner not in values:
+                x, y, z = (index * step - half for index in corner)
+                values[corner] = ask((x, y, z))
+            inside.append(values[corner] < 0)
+        return any(inside) and not all(inside)
+
+    size = resolution // coarse
+    cells = [c for c in product(range(0, resolution, size), repeat=3) if crossed(c, size)]
+    while size > 1:
+        size //= 2
+        children = (
+            (c[0] + o[0], c[1] + o[1], c[2] + o[2])
+            for c in cells
+            for o in product((0, size), repeat=3)
+        )
+        cells = [c for c in children if crossed(c, size)]
+    return len(values), len(cells)
+
+
+def time_literal(options: argparse.Namespace) -> dict[str, float]:
+    """The literal MISE, run whole at one resolution."""
+    reconstruction = reconstruct(options)
+    field = network_field(reconstruction)
+
+    def ask(point: tuple[float, float, float]) -> float:
+        return float(field(np.array([point], np.float32))[0])
+
+    ask((0, 0, 0))
+    started = time.perf_counter()
+    points, cells = literal_mise(ask, options.literal, 32, reconstruction.model.box)
+    seconds = time.perf_counter() - started
+    return {
+        "resolution": options.literal,
+        "seconds": seconds,
+        "points": points,
+        "cells": cells,
+        "ms_a_point": 1e3 * seconds / points,
+    }
+
+
+def points_of_literal(options: argparse.Namespace, resolution: int) -> int:
+    """How many points the literal MISE asks: the same field, answered in batches."""
+    config = IsosurfaceConfig(resolution, rules=SearchRules(np.inf, reach=0), newton=False)
+    return extract_isosurface(network_field(reconstruct(options)), config).queries
+
+
+def against_dense(options: argparse.Namespace) -> dict[str, Any]:
+    """How far the surface lies from the dense grid's, in network units, both ways."""
+    field = network_field(reconstruct(options))
+    config = IsosurfaceConfig(options.dense, smallest_part=0)
+    sparse = extract_isosurface(field, config)
+    dense = extract_isosurface(
+        field, replace(config, coarse=options.dense, rules=SearchRules(np.inf))
+    )
+    residual = np.abs(field(sparse.vertices.astype(np.float32)))
+    return {
+        "resolution": options.dense,
+        "furthest": max(_furthest(sparse, dense), _furthest(dense, sparse)),
+        "vertices": [len(sparse.vertices), len(dense.vertices)],
+        "residual_median_and_99%": np.percentile(residual, [50, 99]).tolist(),
+    }
+
+
+def _furthest(one: Isosurface, other: Isosurface) -> float:
+    return float(cKDTree(other.vertices).query(one.vertices)[0].max())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cloud", type=Path)
+    parser.add_argument("--checkpoint", type=Path)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--resolutions", type=int, nargs="*", default=[128, 512])
+    parser.add_argument("--literal", type=int, default=64)
+    parser.add_argument("--dense", type=int, default=128)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+
+    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
+        timed = pool.map(time_mesh, [(options, r) for r in options.resolutions], chunksize=1)
+    result: dict[str, Any] = {"threads": options.threads, "mesh": timed}
+    for row in timed:
+        print(
+            f"{row['resolution']}³: {row['seconds']:.2f} s ({row['cpu_seconds']:.2f} CPU s), "
+            f"{row['queries']} queries = {row['share_of_dense']:.2%} of the dense grid's, "
+            f"{row['vertices']} vertices, {row['peak_MB']:.0f} MB"
+        )
+    if options.literal:
+        result["literal"] = literal = time_literal(options)
+        print(
+            f"literal MISE at {literal['resolution']}³: {literal['seconds']:.1f} s, "
+            f"{literal['points']} points, {literal['ms_a_point']:.2f} ms each"
+        )
+        for row in timed:
+            points = points_of_literal(options, int(row["resolution"]))
+            row["literal_seconds"] = points * literal["ms_a_point"] / 1e3
+            row["times_faster"] = row["literal_seconds"] / row["seconds"]
+            print(
+                f"  at {row['resolution']}³ it asks {points} points: "
+                f"{row['literal_seconds']:.0f} s, {row['times_faster']:.0f} times as long"
+            )
+    if options.dense:
+        result["dense"] = dense = against_dense(options)
+        print(
+            f"against the dense {dense['resolution']}³ grid: {dense['furthest']:.1e} apart at most,"
+            f" {dense['vertices'][0]} and {dense['vertices'][1]} vertices; |f| at the vertices: "
+            "median {:.1e}, 99% {:.1e}".format(*dense["residual_median_and_99%"])
+        )
+    if options.json:
+        options.json.write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

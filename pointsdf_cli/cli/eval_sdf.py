@@ -1,0 +1,135 @@
+"""`rgrasp eval-sdf`: trained networks to Table I."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+
+def eval_sdf(
+    checkpoint: Annotated[
+        list[Path], typer.Option(help="Weights; may be repeated, one row of the table each.")
+    ],
+    views: Annotated[Path, typer.Option(help="Views that `rgrasp render` made of the meshes.")],
+    meshes: Annotated[Path, typer.Option(help="The true meshes.")],
+    out: Annotated[
+        Path, typer.Option(help="The table; OUT's name with .csv and .png goes beside it.")
+    ] = Path("table.json"),
+    count: Annotated[int, typer.Option(help="Views of each object; 0 takes all.")] = 10,
+    resolution: Annotated[int, typer.Option(help="Of the meshes that are scored.")] = 128,
+    samples: Annotated[int, typer.Option(help="Points that each metric counts.")] = 100_000,
+    apart: Annotated[
+        list[str] | None,
+        typer.Option(help="An object to report apart, such as a poor scan; may be repeated."),
+    ] = None,
+    beside: Annotated[
+        str | None, typer.Option(help="Print the published rows too: ycb or graspdb.")
+    ] = None,
+    gallery: Annotated[
+        int, typer.Option(help="Best, median and worst views in the picture, so many each.")
+    ] = 3,
+    seed: common.Seed = 0,
+    jobs: common.Jobs = 0,
+    skip_bad: common.SkipBad = False,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Score reconstructions: IoU, Chamfer-L1 and normal consistency, beside trivial baselines.
+
+    Example: rgrasp eval-sdf --checkpoint ckpt/ --views views/ --meshes ycb/ --out table.json
+    """
+    import json
+
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.geometry.isosurface import IsosurfaceConfig
+    from pointsdf_cli.io.atomic import require_new, write_text_atomic
+    from pointsdf_cli.io.batch import run_stage
+    from pointsdf_cli.io.provenance import git_commit
+    from pointsdf_cli.models.registry import load_model
+    from pointsdf_cli.training import evaluate_sdf as evaluation
+    from pointsdf_cli.training.sdf_table import PUBLISHED, objects_csv, summarise, table_lines
+    from pointsdf_cli.viz.reconstruction_gallery import draw_gallery
+
+    IsosurfaceConfig(resolution)
+    if beside not in (None, *PUBLISHED):
+        raise InputError(
+            f"no published table {beside!r}", where="--beside", allowed=", ".join(PUBLISHED)
+        )
+    table_path, csv_path, picture = (
+        require_new(path, force) for path in (out, out.with_suffix(".csv"), out.with_suffix(".png"))
+    )
+    for path in checkpoint:
+        load_model(path)  # a bad checkpoint is known before the processes start
+    config = evaluation.EvalConfig(
+        checkpoints=tuple(zip(labels_of(checkpoint), checkpoint, strict=True)),
+        resolution=resolution,
+        views=count,
+        samples=samples,
+        seed=common.check_seed(seed),
+    )
+    tasks = evaluation.make_tasks(views, meshes, config)
+    aside = set(apart or [])
+    if unknown := aside - {Path(task.name).name for task in tasks}:
+        raise InputError(
+            f"no object {', '.join(sorted(unknown))}",
+            where="--apart",
+            allowed=", ".join(Path(task.name).name for task in tasks[:60]),
+        )
+    reporter = common.Reporter(quiet, as_json)
+    with reporter.progress("eval-sdf", len(tasks)) as progress:
+        report = run_stage(
+            [(task.name, task) for task in tasks],
+            evaluation.evaluate_object,
+            jobs=common.job_count(jobs),
+            on_done=progress.advance,
+        )
+    if not report.made:
+        report.raise_if_refused()
+    scored = [row for rows in report.made.values() for row in rows]
+    main = [row for row in scored if Path(row.object_name).name not in aside]
+    poor = [row for row in scored if Path(row.object_name).name in aside]
+    tables = {"table": summarise(main, seed), "apart": summarise(poor, seed)}
+    result = {
+        **tables,
+        "published": PUBLISHED.get(beside or "", {}),
+        "checkpoints": {label: str(path) for label, path in config.checkpoints},
+        "views_folder": str(views),
+        "meshes_folder": str(meshes),
+        "apart_objects": sorted(aside),
+        "refused": {name: error.what for name, error in report.refused},
+        "resolution": resolution,
+        "samples": samples,
+        "seed": seed,
+        "git_commit": git_commit(),
+        "seconds": round(report.seconds, 1),
+    }
+    write_text_atomic(table_path, json.dumps(result, indent=1, ensure_ascii=False) + "\n")
+    write_text_atomic(csv_path, objects_csv(scored))
+    if gallery:
+        by_name = {task.name: task for task in tasks}
+        first = [row for row in main if row.method == config.checkpoints[0][0]]
+        chosen = evaluation.best_median_worst(first, gallery)
+        draw_gallery(
+            picture,
+            [evaluation.gallery_row(by_name[v.object_name], v, note) for note, v in chosen],
+        )
+    lines = table_lines(tables["table"], beside)
+    if poor:
+        lines += ["", f"apart: {', '.join(sorted(aside))}", *table_lines(tables["apart"])]
+    reporter.result(result, [*lines, "", f"{table_path}, {csv_path.name}; {report.seconds:.0f} s"])
+    if not skip_bad:
+        report.raise_if_refused()
+
+
+def labels_of(checkpoints: list[Path]) -> list[str]:
+    """Short names: each directory's own, with its parent's where two would be the same."""
+    names = [path.resolve().name for path in checkpoints]
+    return [
+        name if names.count(name) == 1 else f"{path.resolve().parent.name}/{name}"
+        for name, path in zip(names, checkpoints, strict=True)
+    ]

@@ -1,0 +1,150 @@
+"""`rgrasp mesh`: one partial cloud to a closed mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+FORMATS = ("ply", "obj", "stl", "glb")
+
+
+def mesh(
+    cloud: Annotated[Path, typer.Argument(help="A partial cloud: PLY, PCD, XYZ, TXT, CSV or NPY.")],
+    out: Annotated[
+        Path | None, typer.Option(help="The mesh [default: mesh.ply, here].", show_default=False)
+    ] = None,
+    resolution: Annotated[
+        int, typer.Option(help="Cells along the box: 32, 64, 128, 256 or 512.")
+    ] = 128,
+    form: Annotated[
+        str | None,
+        typer.Option("--format", help="ply, obj, stl or glb [default: by the name of --out]."),
+    ] = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(help="Weights [default: the bundled ones].", show_default=False)
+    ] = None,
+    unit: Annotated[
+        str, typer.Option(help="Unit of the cloud, and so of the mesh: m, cm, mm or inch.")
+    ] = "m",
+    frame: Annotated[
+        str | None, typer.Option(help="camera or world [default: as the file says, else camera].")
+    ] = None,
+    camera_pose: Annotated[
+        str | None,
+        typer.Option(metavar="POSE", help="Camera in the world: X,Y,Z,QW,QX,QY,QZ, or a file."),
+    ] = None,
+    drop_invalid: Annotated[
+        bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
+    ] = False,
+    all_parts: Annotated[
+        bool, typer.Option("--all-parts", help="Keep small loose parts too.")
+    ] = False,
+    threads: Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")] = 0,
+    seed: common.Seed = 0,
+    device: common.Device = "cpu",
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Complete one partial cloud of an object to a closed mesh, in the cloud's frame and unit.
+
+    Example: rgrasp mesh cloud.ply --out mesh.ply
+    """
+    import time
+    from dataclasses import replace
+
+    import numpy as np
+
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.geometry.frames import apply_transform
+    from pointsdf_cli.geometry.isosurface import EmptySurfaceError, IsosurfaceConfig
+    from pointsdf_cli.io.atomic import require_new
+    from pointsdf_cli.io.clouds import check_object_cloud, read_cloud
+    from pointsdf_cli.io.meshes import UNITS, save_mesh
+    from pointsdf_cli.io.poses import camera_pose as parse_pose
+    from pointsdf_cli.models.meshing import mesh_reconstruction
+    from pointsdf_cli.models.reconstruction import Reconstruction
+    from pointsdf_cli.models.registry import load_model, use_threads
+    from pointsdf_cli.training.precision import idle_processors
+
+    reporter = common.Reporter(quiet, as_json)
+    IsosurfaceConfig(resolution)  # a wrong resolution is known before anything is read
+    out = require_new(mesh_path(out, form), force)
+    if frame not in (None, "camera", "world"):
+        raise InputError(f"no frame {frame!r}", where="--frame", allowed="camera, world")
+    seed, device = common.check_seed(seed), common.torch_device(device)
+    use_threads(threads or idle_processors())
+
+    view = read_cloud(cloud, unit, drop_invalid)
+    view = replace(
+        view,
+        frame=frame or view.frame,
+        T_world_camera=parse_pose(camera_pose) if camera_pose else view.T_world_camera,
+    )
+    points, T_frame_camera = check_object_cloud(view, cloud).in_camera_frame()
+    model = load_model(checkpoint, device)
+    started = time.perf_counter()
+    reconstruction = Reconstruction.from_cloud(model, points, np.zeros(3), seed=seed)
+    try:
+        made = mesh_reconstruction(reconstruction, resolution, 0.0 if all_parts else 0.05)
+    except EmptySurfaceError as error:
+        raise EmptySurfaceError(
+            "the network sees nothing solid in this cloud, so there is no mesh",
+            where=cloud,
+            hint="check that the cloud shows one object, in metres, in the camera's frame",
+        ) from error
+    seconds = time.perf_counter() - started
+    vertices = apply_transform(T_frame_camera, made.vertices) / UNITS[unit]
+    save_mesh(out, vertices, made.faces)
+    extent = np.ptp(vertices, axis=0)
+    reporter.result(
+        {
+            "out": out,
+            "vertices": len(vertices),
+            "faces": len(made.faces),
+            "extent": extent,
+            "unit": unit,
+            "frame": view.frame,
+            "points": len(points),
+            "resolution": resolution,
+            "parts_dropped": made.parts_dropped,
+            "queries": made.queries,
+            "seconds": seconds,
+        },
+        [
+            f"{out}: {len(vertices)} vertices, {len(made.faces)} faces, "
+            f"{' × '.join(f'{side:.4g}' for side in extent)} {unit}, in the {view.frame} frame",
+            f"{made.queries} queries, {seconds:.2f} s at {resolution}³"
+            + (f"; {made.parts_dropped} loose parts dropped" if made.parts_dropped else ""),
+        ],
+    )
+
+
+def mesh_path(out: Path | None, form: str | None) -> Path:
+    """Where the mesh goes, in which format: both options agree, and one of them may be missing.
+
+    Raises:
+        InputError: An unknown format, or two different ones.
+    """
+    from pointsdf_cli.errors import InputError
+
+    out = out or Path(f"mesh.{form or 'ply'}")
+    suffix = out.suffix.lower().lstrip(".")
+    form = (form or suffix).lower()
+    if form not in FORMATS:
+        raise InputError(
+            f"no mesh format {form!r}",
+            where="--format" if suffix != form else "--out",
+            allowed=", ".join(FORMATS),
+        )
+    if not suffix:
+        return out.with_suffix(f".{form}")
+    if suffix != form:
+        raise InputError(
+            f"--format {form} and --out {out.name} disagree", where="--format", allowed=suffix
+        )
+    return out
