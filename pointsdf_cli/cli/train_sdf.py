@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -62,7 +62,7 @@ def train_sdf(
     from pointsdf_cli.viz.loss_curve import draw_loss_curve
 
     arguments, config = settings(model, preset)
-    chosen = {
+    chosen: dict[str, Any] = {
         "steps": steps or (10_000_000 if minutes else None),
         "minutes": minutes,
         "batch_size": batch_size,

@@ -7,6 +7,8 @@ points, so gradients with respect to the queries are exact wherever the neighbou
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -86,6 +88,13 @@ def nearest_in_subsets(queries: Tensor, points: Tensor, subsets: int) -> Tensor:
     return (keys & mask).long()
 
 
+SEARCHES: dict[str, Callable[[Tensor, Tensor, int], Tensor]] = {
+    "exact": nearest_neighbours,
+    "subsets": nearest_in_subsets,
+}
+"""Ways to choose neighbours, by the name that an architecture's config gives."""
+
+
 @torch.no_grad()
 def farthest_point_order(points: Tensor, count: int, start: int = 0) -> Tensor:
     """Farthest point sampling: each next point is the one farthest from all before it.
@@ -119,13 +128,13 @@ class _GatherRows(torch.autograd.Function):
     """Row gather whose backward pass is one `index_add_`; PyTorch's own is several times slower."""
 
     @staticmethod
-    def forward(ctx, rows: Tensor, index: Tensor) -> Tensor:  # type: ignore[no-untyped-def,override]
+    def forward(ctx, rows: Tensor, index: Tensor) -> Tensor:  # type: ignore[no-untyped-def]
         ctx.save_for_backward(index)
         ctx.shape = rows.shape
         return torch.nn.functional.embedding(index, rows)
 
     @staticmethod
-    def backward(ctx, gradient: Tensor):  # type: ignore[no-untyped-def,override]
+    def backward(ctx, gradient: Tensor):  # type: ignore[no-untyped-def]
         (index,) = ctx.saved_tensors
         total = gradient.new_zeros(ctx.shape)
         total.index_add_(0, index, gradient.contiguous())

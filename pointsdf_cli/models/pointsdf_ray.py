@@ -19,9 +19,9 @@ import torch
 from torch import Tensor, nn
 
 from pointsdf_cli.models.neighbours import (
+    SEARCHES,
     farthest_point_order,
     gather,
-    nearest_in_subsets,
     nearest_neighbours,
 )
 from pointsdf_cli.models.pointconv import PointConv
@@ -47,9 +47,11 @@ class PointSDFRay(ShapeModel):
         blocks: Residual blocks of the decoder.
         local: Width of each local feature.
         heads: Heads of the attention over the third layer's centres; 0 leaves it out.
+        search: How neighbours are chosen: `exact`, or `subsets`, which is faster and about as good.
     """
 
     architecture = "pointsdf-ray"
+    frequencies: Tensor
 
     def __init__(
         self,
@@ -61,11 +63,15 @@ class PointSDFRay(ShapeModel):
         blocks: int = 4,
         local: int = 64,
         heads: int = 4,
+        search: str = "exact",
     ) -> None:
         super().__init__()
         self.centres, self.neighbours = tuple(centres), tuple(neighbours)
         self.hidden, self.channels = tuple(hidden), tuple(channels)
         self.width, self.blocks, self.local, self.heads = width, blocks, local, heads
+        if search not in SEARCHES:
+            raise ValueError(f"no neighbour search {search!r}")
+        self.search = search
         self.packed_neighbours = (centres[0], neighbours[0])
 
         self.layers = nn.ModuleList(
@@ -111,6 +117,7 @@ class PointSDFRay(ShapeModel):
             "blocks": self.blocks,
             "local": self.local,
             "heads": self.heads,
+            "search": self.search,
         }
 
     def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
@@ -128,6 +135,7 @@ class PointSDFRay(ShapeModel):
             neighbours = nearest_neighbours(points, cloud, self.neighbours[0])
         else:
             points = cloud[:, : self.centres[0]]
+        search = SEARCHES[self.search]
         features = self.layers[0](cloud, None, points, neighbours)
         levels = [(points, features)]
         for layer, count, k in zip(
@@ -135,7 +143,7 @@ class PointSDFRay(ShapeModel):
         ):
             # Farthest point orders are nested, so a coarser level is a prefix of the finer one.
             coarse = points[:, :count]
-            features = layer(points, features, coarse, nearest_in_subsets(coarse, points, k))
+            features = layer(points, features, coarse, search(coarse, points, k))
             points = coarse
             levels.append((points, features))
         (fine_at, fine), (coarse_at, coarse_features), (token_at, tokens), _ = levels
@@ -158,12 +166,13 @@ class PointSDFRay(ShapeModel):
         known = encoding.evidence
         camera = known["camera"]
         with torch.autocast(x.device.type, enabled=False):
-            seen = ray_evidence(x, known["cloud"], camera, known["cloud_image"])
+            seen = ray_evidence(x, known["cloud"], camera, known["cloud_image"], self.search)
             angles = (x.unsqueeze(-1) * self.frequencies).flatten(-2)
             x_image = image_coordinates(x, camera)
-        near_fine = nearest_in_subsets(x, known["fine_at"], 8)
-        near_coarse = nearest_in_subsets(x, known["coarse_at"], 4)
-        near_image = nearest_in_subsets(x_image[..., :2], known["coarse_image"][..., :2], 4)
+        search = SEARCHES[self.search]
+        near_fine = search(x, known["fine_at"], 8)
+        near_coarse = search(x, known["coarse_at"], 4)
+        near_image = search(x_image[..., :2], known["coarse_image"][..., :2], 4)
         h = self.enter(
             torch.cat(
                 [

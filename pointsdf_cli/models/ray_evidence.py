@@ -15,10 +15,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pointsdf_cli.models.neighbours import gather, nearest_in_subsets
+from pointsdf_cli.models.neighbours import SEARCHES, gather
 
 SPACE_NEIGHBOURS = 4
-IMAGE_NEIGHBOURS = 5
+IMAGE_NEIGHBOURS = {"exact": 6, "subsets": 5}
 SHARP, SOFT = 0.025, 0.1
 """Scales of the saturating copies of each distance: about one point spacing, and a part's size."""
 
@@ -44,7 +44,9 @@ def image_coordinates(points: Tensor, camera: Tensor) -> Tensor:
     return torch.cat([lateral, depth], dim=-1)
 
 
-def ray_evidence(x: Tensor, cloud: Tensor, camera: Tensor, cloud_image: Tensor) -> Tensor:
+def ray_evidence(
+    x: Tensor, cloud: Tensor, camera: Tensor, cloud_image: Tensor, search: str = "exact"
+) -> Tensor:
     """The evidence of each query.
 
     Args:
@@ -52,17 +54,18 @@ def ray_evidence(x: Tensor, cloud: Tensor, camera: Tensor, cloud_image: Tensor) 
         cloud: [B, P, 3], network frame.
         camera: [B, 3], network frame.
         cloud_image: [B, P, 3], `image_coordinates` of the cloud.
+        search: How neighbours are chosen, a key of `SEARCHES`.
 
     Returns:
         [B, Q, EVIDENCE_SIZE], float32.
     """
-    near = nearest_in_subsets(x, cloud, SPACE_NEIGHBOURS)
+    near = SEARCHES[search](x, cloud, SPACE_NEIGHBOURS)
     offset = x.unsqueeze(2) - gather(cloud, near)
     distance = _length(offset)
     closest = distance.detach().argmin(-1, keepdim=True)
 
     x_image = image_coordinates(x, camera)
-    seen = nearest_in_subsets(x_image[..., :2], cloud_image[..., :2], IMAGE_NEIGHBOURS)
+    seen = SEARCHES[search](x_image[..., :2], cloud_image[..., :2], IMAGE_NEIGHBOURS[search])
     gap = x_image.unsqueeze(2) - gather(cloud_image, seen)
     aside, behind = gap[..., :2], gap[..., 2]
     lateral = _length(aside)

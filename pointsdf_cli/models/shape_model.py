@@ -35,10 +35,6 @@ class ShapeModel(nn.Module):
     """Whether the values bound how far the surface is, or are right in their sign only."""
     embedding_size: int = 256
     cloud_size: int = 1000
-    box: float = 0.8
-    """Half-width of the cube, in network units, that holds all of the object."""
-    gives_distances: bool = True
-    """False if only the sign of what `decode` returns has a meaning."""
     packed_neighbours: tuple[int, int] | None = None
     """(M, K) if `encode` takes a third argument: the first layer's neighbours, int64 [B, M, K]."""
 

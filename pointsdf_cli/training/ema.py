@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import copy
+from typing import Generic, TypeVar
 
 import torch
 from torch import Tensor, nn
 
 
-class WeightAverage:
+Model = TypeVar("Model", bound=nn.Module)
+
+
+class WeightAverage(Generic[Model]):
     """Average of the weights over about 1 / (1 − decay) steps; shorter in the beginning.
 
     Buffers (running statistics of batch norm) are averages already and are copied.
     """
 
-    def __init__(self, model: nn.Module, decay: float, every: int = 4) -> None:
+    def __init__(self, model: Model, decay: float, every: int = 4) -> None:
         self.decay, self.every = decay, every if decay else 1
-        self.model = copy.deepcopy(model).requires_grad_(False).eval()
+        self.model: Model = copy.deepcopy(model).requires_grad_(False).eval()
 
     @torch.no_grad()
     def update(self, model: nn.Module, step: int) -> None:

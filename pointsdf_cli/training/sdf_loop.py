@@ -293,7 +293,7 @@ def _check_same_run(
     """Refuse to carry on a run with another model or other numbers."""
     found = {"model": state.get("architecture"), **state.get("arguments", {}), **state["config"]}
     wanted = {"model": model.architecture, **model.config(), **config.as_dict()}
-    differing = [name for name in wanted if found.get(name) != wanted[name]]
+    differing = [name for name in wanted if name in found and found[name] != wanted[name]]
     # A longer run of the same kind may be wanted; it changes the schedule from here on only.
     differing = [name for name in differing if name not in ("steps", "minutes", "validate_every")]
     if differing:

@@ -21,8 +21,8 @@ class SdfLoss:
 
         |p − s| / (|s| + near)  +  sign_weight · BCE(−p / temperature, [s < 0])
 
-    whose first part asks for the same relative accuracy at every distance, and whose second
-    asks for the right *sign*: a squared error does not care where the zero is, but the zero is the shape.
+    whose first part asks for the same relative accuracy at every distance, and whose second asks
+    for the right *sign*: a squared error does not care where the zero is, but that is the shape.
     `sign` is that second part alone: occupancy, for VoxelCNN.
 
     Attributes:

@@ -140,11 +140,9 @@ def pack_views(
     order = farthest_point_order(torch.from_numpy(network), count).numpy()
     packed, neighbours = [], []
     for points, first in zip(network, order, strict=True):
-        rest = np.setdiff1d(np.arange(len(points)), first, assume_unique=False)
-        repeats = count - len(np.unique(first))
-        # A cloud with repeated points can run out of distinct farthest points.
-        tail = rest if repeats == 0 else rest[: len(points) - count]
-        points = points[np.concatenate([first, tail])].astype(np.float16)
+        # A cloud of few distinct points repeats some in its farthest point order; cut to size.
+        rest = np.setdiff1d(np.arange(len(points)), first)[: len(points) - count]
+        points = points[np.concatenate([first, rest])].astype(np.float16)
         packed.append(points)
         exact = points.astype(np.float32)
         neighbours.append(cKDTree(exact).query(exact[:count], k=min(NEIGHBOURS, len(points)))[1])
@@ -208,7 +206,7 @@ class _Appender:
     def __init__(self, path: Path, first: NDArray) -> None:
         self.path, self.dtype, self.row = path, first.dtype, first.shape[1:]
         self.rows = 0
-        self.handle = open(path, "wb")
+        path.write_bytes(b"")
 
     def append(self, array: NDArray, where: Path) -> None:
         if array.shape[1:] != self.row:
@@ -217,11 +215,11 @@ class _Appender:
                 where=where,
                 hint="make all artifacts of one data set with the same options",
             )
-        self.handle.write(np.ascontiguousarray(array, dtype=self.dtype).tobytes())
+        with open(self.path, "ab") as handle:
+            handle.write(np.ascontiguousarray(array, dtype=self.dtype).tobytes())
         self.rows += len(array)
 
     def finish(self, target: Path) -> None:
-        self.handle.close()
         shape = (self.rows, *self.row)
         source = np.memmap(self.path, dtype=self.dtype, mode="r", shape=shape)
         array = open_memmap(target, mode="w+", dtype=self.dtype, shape=shape)

@@ -42,7 +42,7 @@ def validate(
     device: torch.device,
 ) -> Validation:
     """Loss and label IoU on both held-out sets, with the same queries every time."""
-    numbers = []
+    numbers: list[float] = []
     for views in (split.held_out_objects, split.held_out_views):
         numbers += _mean(pack, views, model, config, low_precision, device)
     return Validation(*numbers)

@@ -1,0 +1,169 @@
+"""One reconstructed object in metres: the door through which everything else uses a shape network.
+
+    shape = Reconstruction.from_cloud(load_model(), points, camera_position, R_frame_camera)
+    s = shape.sdf(x)                        # [Q] metres, negative inside
+    s, gradient = shape.sdf_and_gradient(x)
+
+The cloud is read once; after that every value is a pure function of x. Points go in and distances
+come out in the cloud's own frame and in metres; the network's frame stays inside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.models.normalise import network_frame, resample
+from pointsdf_cli.models.shape_model import Encoding, ShapeModel
+
+CHUNK = 4096
+"""Queries decoded at once: few enough that what is between two layers stays in the cache."""
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """See the module's docstring.
+
+    Attributes:
+        model: In evaluation mode.
+        encoding: Of the one cloud (batch of 1).
+        centre: f8 [3], the network frame's origin in the cloud's frame, m.
+        scale: Network units per metre.
+        R_frame_camera: f8 [3, 3], the camera's axes in the cloud's frame.
+        size: f8 [3], extents of the partial cloud along the camera's axes, m.
+    """
+
+    model: ShapeModel
+    encoding: Encoding
+    centre: NDArray[np.float64]
+    scale: float
+    R_frame_camera: NDArray[np.float64]
+    size: NDArray[np.float64]
+
+    @classmethod
+    def from_cloud(
+        cls,
+        model: ShapeModel,
+        points: ArrayLike,
+        camera_position: ArrayLike,
+        R_frame_camera: ArrayLike | None = None,
+        seed: int = 0,
+    ) -> Reconstruction:
+        """Read one partial cloud.
+
+        Args:
+            model: A network; it is put into evaluation mode.
+            points: [N, 3], m, in any frame; N ≥ 1, resampled to the network's size.
+            camera_position: [3], the camera's centre in that frame, m.
+            R_frame_camera: [3, 3], the camera's axes (OpenCV: z forward, y down) in that frame;
+                None if the frame already has the camera's axes.
+            seed: Of the resampling.
+
+        Raises:
+            InputError: The points are no cloud, or the rotation is none.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        position = np.asarray(camera_position, dtype=np.float64)
+        rotation = np.eye(3) if R_frame_camera is None else np.asarray(R_frame_camera, float)
+        _check(points, position, rotation)
+
+        in_camera = (points - position) @ rotation
+        frame = network_frame(in_camera)
+        cloud = resample(in_camera, model.cloud_size, np.random.default_rng(seed))
+        device = next(model.parameters()).device
+        model.eval()
+        with torch.no_grad():
+            encoding = model.encode(
+                _tensor(frame.to_network(cloud), device)[None],
+                _tensor(frame.to_network(np.zeros(3)), device)[None],
+            )
+        return cls(
+            model=model,
+            encoding=encoding,
+            centre=rotation @ frame.centre + position,
+            scale=frame.scale,
+            R_frame_camera=rotation,
+            size=np.ptp(in_camera, axis=0),
+        )
+
+    @property
+    def embedding(self) -> NDArray[np.float32]:
+        """f4 [256], the shape embedding."""
+        return self.encoding.embedding[0].cpu().numpy()
+
+    def sdf_torch(self, x: Tensor) -> Tensor:
+        """Signed distances [...] m at x [..., 3] m, differentiable in x (dtype and device kept)."""
+        here = self.encoding.embedding
+        centre = torch.as_tensor(self.centre, dtype=x.dtype, device=x.device)
+        axes = torch.as_tensor(self.R_frame_camera, dtype=x.dtype, device=x.device)
+        network = ((x - centre) @ axes * self.scale).reshape(1, -1, 3).to(here.dtype)
+        values = self.model.decode(self.encoding, network.to(here.device))
+        return (values / self.scale).to(x).reshape(x.shape[:-1])
+
+    @torch.no_grad()
+    def sdf(self, x: ArrayLike, chunk: int = CHUNK) -> NDArray[np.float32]:
+        """Signed distances, m.
+
+        Args:
+            x: [..., 3], m, in the cloud's frame.
+            chunk: Queries at once; bounds the memory.
+
+        Returns:
+            f4 [...].
+        """
+        network = self._to_network(x)
+        values = [self.model.decode(self.encoding, part[None])[0] for part in network.split(chunk)]
+        return self._distances(values, np.shape(x)[:-1])
+
+    def sdf_and_gradient(
+        self, x: ArrayLike, chunk: int = CHUNK
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Signed distances [...] m and their gradients [..., 3] at x [..., 3] m, in one pass."""
+        values, gradients = [], []
+        for part in self._to_network(x).split(chunk):
+            place = part[None].requires_grad_(True)
+            with torch.enable_grad():
+                value = self.model.decode(self.encoding, place)
+                (gradient,) = torch.autograd.grad(value.sum(), place)
+            values.append(value[0].detach())
+            gradients.append(gradient[0])
+        shape = np.shape(x)
+        in_camera = torch.cat(gradients).cpu().numpy() if gradients else np.zeros((0, 3))
+        # Distance and place scale alike, so the gradient only turns.
+        turned = in_camera @ self.R_frame_camera.T
+        return self._distances(values, shape[:-1]), turned.astype(np.float32).reshape(shape)
+
+    def _to_network(self, x: ArrayLike) -> Tensor:
+        places = np.asarray(x, dtype=np.float64).reshape(-1, 3)
+        network = (places - self.centre) @ self.R_frame_camera * self.scale
+        return _tensor(network, self.encoding.embedding.device)
+
+    def _distances(self, values: list[Tensor], shape: tuple[int, ...]) -> NDArray[np.float32]:
+        if not values:
+            return np.zeros(shape, np.float32)
+        metres = torch.cat(values).cpu().numpy() / np.float32(self.scale)
+        return metres.astype(np.float32).reshape(shape)
+
+
+def _tensor(array: NDArray[Any], device: torch.device) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)).to(device)
+
+
+def _check(
+    points: NDArray[np.float64], position: NDArray[np.float64], rotation: NDArray[np.float64]
+) -> None:
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"a cloud of shape {points.shape}", allowed="[N, 3]")
+    if position.shape != (3,) or not np.isfinite(position).all():
+        raise InputError("the camera position is not three finite numbers", where="camera pose")
+    is_rotation = rotation.shape == (3, 3) and np.allclose(
+        rotation @ rotation.T, np.eye(3), atol=1e-4
+    )
+    if not is_rotation or np.linalg.det(rotation) < 0:
+        raise InputError("the camera's axes are not a rotation matrix", where="camera pose")
