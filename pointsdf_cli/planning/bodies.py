@@ -1,0 +1,200 @@
+"""Exact distances of the robot's shapes to each other, to the table and to obstacles (coal).
+
+METHOD: a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. What lies
+farther apart than `reach`, by the balls around it, is given that gap: a lower bound, and no
+constraint that could be active.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.geometry.signed_distance import SignedDistance
+from pointsdf_cli.planning.contacts import WORLD, Array, Contacts, Indices, Poses
+from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.shapes import Shape
+
+
+@dataclass(frozen=True)
+class _Body:
+    """One shape: what it moves with, where it is in that, and the ball around it."""
+
+    link: int
+    name: str
+    geometry: coal.CollisionGeometry
+    pose: Array
+    centre: Array
+    radius: float
+    inside: SignedDistance | None = None
+
+
+class BodyDistances:
+    """Distances between all pairs of shapes of the robot that may not touch, and to the world.
+
+    One column of the result is one pair of shapes, so a link has several where it has several
+    shapes.
+
+    Args:
+        kinematics: Of the robot.
+        environment: What stands around.
+        reach: Distances up to here [m] are exact.
+
+    Attributes:
+        names: Each column's two bodies, as ("link", "link") or ("link", "obstacle").
+    """
+
+    def __init__(
+        self, kinematics: Kinematics, environment: Environment, reach: float = 0.05
+    ) -> None:
+        robot, self.reach = kinematics.robot, reach
+        self._bodies = [
+            _link_body(kinematics.index(link), link, shape)
+            for link in robot.tree.links
+            for shape in robot.tree.shapes[link]
+        ]
+        moving = len(self._bodies)
+        if environment.table:
+            below = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+            self._bodies.append(_Body(WORLD, "table", below, np.eye(4), np.zeros(3), 0.0))
+        self._bodies += [_obstacle_body(obstacle) for obstacle in environment.obstacles]
+        checked = {frozenset(pair) for pair in robot.checked_pairs}
+        pairs = []
+        for i, a in enumerate(self._bodies[:moving]):
+            for j in range(i + 1, len(self._bodies)):
+                b = self._bodies[j]
+                if j < moving and frozenset((a.name, b.name)) not in checked:
+                    continue
+                if b.name == "table" and a.name in robot.links_on_table:
+                    continue
+                pairs.append((i, j))
+        self._pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        self.names = tuple((self._bodies[i].name, self._bodies[j].name) for i, j in pairs)
+        links = np.array([body.link for body in self._bodies])
+        self.link: Indices = links[self._pairs[:, 0]]
+        self.other_link: Indices = links[self._pairs[:, 1]]
+        self._links, self._moving = links, moving
+        self._centres = np.array([body.centre for body in self._bodies])
+        self._local = np.array([body.pose for body in self._bodies])
+        self._radii = np.array([body.radius for body in self._bodies])
+        self._table = np.array([b.name == "table" for b in self._bodies])
+        self._request = coal.DistanceRequest()
+        self._request.enable_signed_distance = True
+
+    def __call__(self, poses: Poses, wanted: NDArray[np.bool_] | None = None) -> Contacts:
+        """Distances [B, M] of all pairs, with witness points.
+
+        Args:
+            poses: Of B configurations.
+            wanted: bool [M], the pairs that are wanted exactly; the others only by their balls.
+        """
+        count, pairs = len(poses.rotation), len(self._pairs)
+        rotation = np.concatenate([poses.rotation, np.broadcast_to(np.eye(3), (count, 1, 3, 3))], 1)
+        position = np.concatenate([poses.position, np.zeros((count, 1, 3))], 1)
+        turn, at = rotation[:, self._links], position[:, self._links]  # WORLD is the last row
+        centre = (turn @ self._centres[:, :, None])[..., 0] + at
+        first, second = self._pairs.T
+        between = centre[:, first] - centre[:, second]
+        length = np.sqrt((between**2).sum(-1)) + 1e-300
+        normal = between / length[..., None]
+        gap = length - self._radii[first] - self._radii[second]
+        low = self._table[second]
+        gap[:, low] = centre[:, first[low], 2] - self._radii[first[low]]
+        normal[:, low] = (0.0, 0.0, 1.0)
+        contacts = Contacts(
+            gap, self.link, centre[:, first], normal, self.other_link, centre[:, second]
+        )
+        near = gap < self.reach
+        if wanted is not None:
+            near &= wanted
+        shape_turn = turn @ self._local[:, :3, :3]
+        shape_at = (turn @ self._local[:, :3, 3, None])[..., 0] + at
+        for b in np.flatnonzero(near.any(axis=1)):
+            self._measure(contacts, int(b), np.flatnonzero(near[b]), shape_turn[b], shape_at[b])
+        assert contacts.distance.shape == (count, pairs)
+        return contacts
+
+    def _measure(self, out: Contacts, b: int, columns: Indices, turn: Array, at: Array) -> None:
+        """Fill in exact distances of one configuration."""
+        places: dict[int, coal.Transform3s] = {}
+        for body in np.unique(self._pairs[columns]):
+            places[int(body)] = coal.Transform3s(turn[body], at[body])
+        result = coal.DistanceResult()
+        for m in columns:
+            i, j = (int(k) for k in self._pairs[m])
+            result.clear()
+            one, two = self._bodies[i], self._bodies[j]
+            distance = coal.distance(
+                one.geometry, places[i], two.geometry, places[j], self._request, result
+            )
+            out.distance[b, m] = distance
+            out.point[b, m] = result.getNearestPoint1()
+            out.other_point[b, m] = result.getNearestPoint2()
+            out.normal[b, m] = -result.normal  # coal's points from the first to the second
+            if two.inside is not None and distance > 0:
+                self._swallowed(out, b, int(m), two, turn[j], at[j])
+
+    def _swallowed(
+        self, out: Contacts, b: int, m: int, mesh: _Body, turn: Array, at: Array
+    ) -> None:
+        """A shape that is wholly inside of a closed mesh does not touch its triangles."""
+        assert mesh.inside is not None
+        point = (out.point[b, m] - at) @ turn
+        if mesh.inside(point[None].astype(np.float32))[0] < 0:
+            # From here the way out begins where the triangles are nearest, and goes past them.
+            out.distance[b, m] = -out.distance[b, m] - self._radii[self._pairs[m, 0]]
+            out.normal[b, m] = -out.normal[b, m]
+
+
+def _link_body(link: int, name: str, shape: Shape) -> _Body:
+    vertices = np.asarray(shape.as_mesh().vertices)
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    if shape.kind == "box":
+        geometry = coal.Box(*map(float, shape.size))
+        radius = float(np.linalg.norm(shape.size)) / 2
+    elif shape.kind == "cylinder":
+        geometry = coal.Cylinder(*map(float, shape.size))
+        radius = float(np.hypot(shape.size[0], shape.size[1] / 2))
+    elif shape.kind == "sphere":
+        geometry, radius = coal.Sphere(float(shape.size[0])), float(shape.size[0])
+    else:
+        geometry = _convex(*shape.triangles())
+        radius = float(np.linalg.norm(vertices - centre, axis=1).max())
+    return _Body(link, name, geometry, np.asarray(shape.pose), centre, radius)
+
+
+def _obstacle_body(obstacle: Obstacle) -> _Body:
+    if obstacle.vertices is None or obstacle.faces is None:
+        shape = Shape(obstacle.kind, obstacle.size, obstacle.pose)
+        return _link_body(WORLD, obstacle.name, shape)
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(obstacle.faces), len(obstacle.vertices))
+    mesh.addSubModel(_points(obstacle.vertices), _triangles(obstacle.faces))
+    mesh.endModel()
+    middle = (obstacle.vertices.min(axis=0) + obstacle.vertices.max(axis=0)) / 2
+    radius = float(np.linalg.norm(obstacle.vertices - middle, axis=1).max())
+    centre = obstacle.pose[:3, :3] @ middle + obstacle.pose[:3, 3]
+    inside = SignedDistance(obstacle.vertices, obstacle.faces)
+    return _Body(WORLD, obstacle.name, mesh, obstacle.pose, centre, radius, inside)
+
+
+def _convex(vertices: Array, faces: NDArray[np.int64]) -> coal.CollisionGeometry:
+    return coal.Convex(_points(vertices), _triangles(faces))
+
+
+def _points(vertices: Array) -> coal.StdVec_Vec3s:
+    points = coal.StdVec_Vec3s()
+    for vertex in vertices:
+        points.append(np.asarray(vertex, dtype=np.float64))
+    return points
+
+
+def _triangles(faces: NDArray[np.integer]) -> coal.StdVec_Triangle:
+    triangles = coal.StdVec_Triangle()
+    for a, b, c in faces:
+        triangles.append(coal.Triangle(int(a), int(b), int(c)))
+    return triangles

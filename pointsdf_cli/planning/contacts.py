@@ -1,0 +1,126 @@
+"""Signed distances of the robot to something, with the points where they are measured.
+
+Every constraint of the plan is a distance d between a point that moves with a link and a point of
+something else. Its derivative needs no differentiation of the distance itself: at the nearest
+points, ∂d/∂q = n · (∂a/∂q − ∂b/∂q), with a, b the witness points as fixed to their bodies and n the
+direction in which d grows when a moves (the envelope theorem).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.robot.kinematics import Kinematics
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+WORLD = -1
+"""The link index of what does not move."""
+
+FAR = 1.0
+"""The distance [m] that stands for "nothing near"."""
+
+
+class Poses(NamedTuple):
+    """All links of B configurations: rotation [B, L, 3, 3], position [B, L, 3], in the world."""
+
+    rotation: Array
+    position: Array
+
+
+def link_poses(kinematics: Kinematics, q: Array) -> Poses:
+    """The poses of all links at q [B, J]."""
+    with torch.no_grad():
+        rotation, position = kinematics(torch.tensor(q))
+    return Poses(rotation.numpy(), position.numpy())
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """M distances at B configurations.
+
+    Attributes:
+        distance: [B, M], m, negative where bodies overlap.
+        link: [M], the link that the first point moves with.
+        point: [B, M, 3], that point in the world.
+        normal: [B, M, 3], the gradient of the distance by the first point.
+        other_link: [M], the link that the second point moves with, or WORLD.
+        other_point: [B, M, 3]; without meaning where the other link is WORLD.
+    """
+
+    distance: Array
+    link: Indices
+    point: Array
+    normal: Array
+    other_link: Indices
+    other_point: Array
+
+
+def join(contacts: list[Contacts]) -> Contacts:
+    """All of them side by side."""
+    return Contacts(
+        np.concatenate([c.distance for c in contacts], axis=1),
+        np.concatenate([c.link for c in contacts]),
+        np.concatenate([c.point for c in contacts], axis=1),
+        np.concatenate([c.normal for c in contacts], axis=1),
+        np.concatenate([c.other_link for c in contacts]),
+        np.concatenate([c.other_point for c in contacts], axis=1),
+    )
+
+
+class ContactJacobian:
+    """Derivatives of contact distances by the joints, from the geometry of the chain.
+
+    A turning joint with world axis a through o moves a point x by a × (x − o); a sliding one by a.
+    """
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        tree, robot = kinematics.robot.tree, kinematics.robot
+        by_name = {joint.name: joint for joint in tree.joints}
+        joints = [by_name[name] for name in robot.joint_names]
+        self._child = np.array([kinematics.index(joint.child) for joint in joints])
+        self._axis = np.array([joint.axis for joint in joints])
+        self._slides = np.array([joint.kind == "prismatic" for joint in joints])
+        # moved[l, j]: joint j moves link l. The last row, index WORLD, is moved by none.
+        self.moved = np.zeros((len(tree.links) + 1, len(joints)), dtype=bool)
+        parent = {joint.child: joint for joint in tree.joints}
+        columns = {name: j for j, name in enumerate(robot.joint_names)}
+        for link in tree.links:
+            at = link
+            while at in parent:
+                if parent[at].name in columns:
+                    self.moved[kinematics.index(link), columns[parent[at].name]] = True
+                at = parent[at].parent
+
+    def __call__(self, poses: Poses, contacts: Contacts, chosen: Indices) -> Array:
+        """∂d/∂q [B, K, J] of the contacts `chosen` [B, K] (columns of `contacts`)."""
+        normal = _pick(contacts.normal, chosen)
+        axis = (poses.rotation[:, self._child] @ self._axis[:, :, None])[..., 0]
+        origin = poses.position[:, self._child]
+        first = self._moves(axis, origin, _pick(contacts.point, chosen), normal)
+        result = np.where(self.moved[contacts.link[chosen]], first, 0.0)
+        if (contacts.other_link[chosen] != WORLD).any():
+            second = self._moves(axis, origin, _pick(contacts.other_point, chosen), normal)
+            result -= np.where(self.moved[contacts.other_link[chosen]], second, 0.0)
+        return result
+
+    def _moves(self, axis: Array, origin: Array, point: Array, normal: Array) -> Array:
+        """n · ∂x/∂q_j [B, K, J] of points x [B, K, 3], joint axes and origins [B, J, 3]."""
+        # n · (a × (x − o)) = a · (x × n) − n · (a × o): no array of [B, K, J, 3] is needed.
+        turning = np.cross(point, normal) @ axis.transpose(0, 2, 1)
+        turning -= normal @ np.cross(axis, origin).transpose(0, 2, 1)
+        if not self._slides.any():
+            return turning
+        sliding = normal @ axis.transpose(0, 2, 1)
+        return np.where(self._slides, sliding, turning)
+
+
+def _pick(array: Array, chosen: Indices) -> Array:
+    """[B, K, 3] from [B, M, 3] and [B, K]."""
+    return np.take_along_axis(array, chosen[..., None], axis=1)

@@ -1,0 +1,142 @@
+"""What stands around the object: the table and further obstacles, from a YAML file or by hand.
+
+table: true                      # the half space below z = 0; true if left out
+obstacles:
+  - {name: shelf, box: [0.6, 0.3, 0.02], xyz: [0.6, 0, 0.4]}          # m; wxyz optional
+  - {name: post, cylinder: [0.03, 0.5], xyz: [0.4, 0.3, 0.25]}        # radius, length along z
+  - {name: lamp, sphere: [0.1], xyz: [0.5, -0.3, 0.6]}
+  - {name: bin, mesh: bin.stl, scale: 1.0, xyz: [0.5, 0.3, 0]}        # beside the YAML file
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import rotation_from_wxyz, transform
+from pointsdf_cli.io.meshes import load_mesh
+
+Array = NDArray[np.float64]
+
+SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
+KEYS = ("name", *SIZES, "mesh", "scale", "xyz", "wxyz")
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """One body that does not move.
+
+    Attributes:
+        name: What messages call it.
+        kind: "box", "cylinder", "sphere" or "mesh".
+        size: [m]: box (x, y, z), cylinder (radius, length along z), sphere (radius,), mesh ().
+        pose: [4, 4], in the world.
+        vertices: [V, 3], m, of a mesh in its own frame.
+        faces: [F, 3], its triangles.
+    """
+
+    name: str
+    kind: str
+    size: tuple[float, ...]
+    pose: Array
+    vertices: Array | None = None
+    faces: NDArray[np.int32] | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in (*SIZES, "mesh"):
+            raise InputError(f"no obstacle {self.kind!r}", allowed=", ".join((*SIZES, "mesh")))
+        if len(self.size) != SIZES.get(self.kind, 0) or any(v <= 0 for v in self.size):
+            raise InputError(
+                f"a {self.kind} of size {self.size}",
+                where=self.name,
+                allowed=f"{SIZES.get(self.kind, 0)} sizes above 0 m",
+            )
+        if (self.kind == "mesh") == (self.vertices is None or self.faces is None):
+            raise InputError("a mesh, and nothing else, has triangles", where=self.name)
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Everything known but the robot and the object.
+
+    Attributes:
+        obstacles: Bodies that the robot may not touch.
+        table: Whether the half space below z = 0 is one of them.
+    """
+
+    obstacles: tuple[Obstacle, ...] = ()
+    table: bool = True
+
+    def __post_init__(self) -> None:
+        names = [obstacle.name for obstacle in self.obstacles]
+        if len(set(names)) != len(names) or "table" in names:
+            raise InputError(
+                "two obstacles have one name", where=", ".join(names), allowed="one name each"
+            )
+
+
+def read_environment(path: Path | str) -> Environment:
+    """Read an environment file.
+
+    Raises:
+        InputError: No such file, no YAML, or an entry that makes no sense; the message names it.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError("no such environment file", where=path, allowed="a YAML file")
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"is not YAML ({str(error).splitlines()[0]})", where=path) from error
+    if not isinstance(data, Mapping) or set(data) - {"table", "obstacles"}:
+        raise InputError("has unknown keys", where=path, allowed="table, obstacles")
+    table, entries = data.get("table", True), data.get("obstacles") or []
+    if not isinstance(table, bool):
+        raise InputError(f"`table` is {table!r}", where=path, allowed="true, false")
+    if not isinstance(entries, list):
+        raise InputError("`obstacles` is no list", where=path, allowed="a list of obstacles")
+    return Environment(tuple(_obstacle(e, i, path) for i, e in enumerate(entries)), table)
+
+
+def _obstacle(entry: Any, place: int, path: Path) -> Obstacle:
+    where = f"{path}: obstacles[{place}]"
+    if not isinstance(entry, Mapping) or set(entry) - set(KEYS):
+        raise InputError("is no obstacle", where=where, allowed="keys " + ", ".join(KEYS))
+    kinds = [kind for kind in (*SIZES, "mesh") if kind in entry]
+    if len(kinds) != 1:
+        raise InputError(
+            f"has {len(kinds)} shapes", where=where, allowed="one of " + ", ".join((*SIZES, "mesh"))
+        )
+    kind, name = kinds[0], str(entry.get("name", f"obstacle_{place}"))
+    wxyz = _vector(entry, "wxyz", (1.0, 0.0, 0.0, 0.0), where)
+    if abs(np.linalg.norm(wxyz) - 1) > 1e-3:
+        raise InputError(f"has wxyz {wxyz.tolist()}", where=where, allowed="a unit quaternion")
+    pose = transform(rotation_from_wxyz(wxyz), _vector(entry, "xyz", (0.0, 0.0, 0.0), where))
+    if kind != "mesh":
+        size = _vector(entry, kind, (1.0,) * SIZES[kind], where)
+        return Obstacle(name, kind, tuple(float(v) for v in size), pose)
+    scale = _vector({"scale": [entry.get("scale", 1.0)]}, "scale", (1.0,), where)[0]
+    if scale <= 0:
+        raise InputError(f"has the scale {scale}", where=where, allowed="above 0")
+    mesh = load_mesh(path.parent / str(entry["mesh"]))
+    return Obstacle(name, "mesh", (), pose, np.asarray(mesh.vertices) * scale, mesh.faces)
+
+
+def _vector(entry: Mapping[str, Any], key: str, default: tuple[float, ...], where: str) -> Array:
+    value = entry.get(key, default)
+    try:
+        numbers = np.array([float(v) for v in value])
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if len(numbers) != len(default) or not np.isfinite(numbers).all():
+        raise InputError(
+            f"`{key}` is {value!r}", where=where, allowed=f"{len(default)} finite number(s)"
+        )
+    return numbers

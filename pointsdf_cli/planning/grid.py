@@ -1,0 +1,211 @@
+"""A signed distance field kept on a grid: one look-up instead of one pass through the network.
+
+The grid is fine near the surface, where constraints are decided, and coarse elsewhere. Trilinear
+interpolation is a weighted mean of the cell's corners x_i, so for a field of slope at most L
+
+    |Σ w_i f(x_i) − f(x)| ≤ L Σ w_i |x_i − x| ≤ L √(Σ w_i |x_i − x|²)
+                         = L √(Σ_k t_k (1 − t_k)) h ≤ (√3 / 2) L h
+
+(Jensen; t_k in [0, 1] is the place in the cell along axis k, h the cell's side). A corner that was
+itself interpolated on a coarser level adds its own bound, with the same weights. So the error is
+bounded everywhere, and the bound is part of every answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.fields import Field
+
+Array = NDArray[np.float64]
+
+_CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+
+
+@dataclass(frozen=True)
+class GridConfig:
+    """How fine the grid is.
+
+    Attributes:
+        step: Side of the finest cells [m].
+        levels: Each level halves the cells of the one before; the first has step · 2^(levels − 1).
+        band: The field is known on the finest level wherever its absolute value is below this [m].
+        slope: L, the largest slope of the field: 1 for a distance. A network's is measured.
+    """
+
+    step: float = 0.004
+    levels: int = 4
+    band: float = 0.004
+    slope: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.step > 0 and 1 <= self.levels <= 8 and self.band >= 0 and self.slope > 0):
+            raise InputError(
+                f"the grid {self}", allowed="step > 0, 1 to 8 levels, band ≥ 0, slope > 0"
+            )
+
+
+class GridField:
+    """A `Field` from look-ups, with `bound` telling how far each value can be off.
+
+    Outside of its box the value is √(|x − p|² + f(p)²) with p the nearest point of the box: for a
+    surface that lies within the box this never exceeds the true distance.
+
+    Args:
+        field: What to keep; asked only here.
+        low, high: [3], the box [m]; it must enclose the surface.
+        config: How fine.
+
+    Attributes:
+        queries: How often the field was asked.
+        measured_slope: The steepest change between asked corners of the finest cells. The field's
+            true slope is no less: where this exceeds `config.slope`, the bound does not hold.
+    """
+
+    def __init__(
+        self, field: Field, low: Array, high: Array, config: GridConfig | None = None
+    ) -> None:
+        self.config = config or GridConfig()
+        self._low = np.asarray(low, dtype=np.float64)
+        coarse = self.config.step * 2 ** (self.config.levels - 1)
+        wide = np.asarray(high, dtype=np.float64) - self._low
+        cells = np.maximum(1, np.ceil(wide / coarse - 1e-9)).astype(np.int64)
+        if (cells > 256).any():
+            raise InputError(f"a grid of {cells.tolist()} coarse cells", allowed="256 along a side")
+        self.queries = 0
+        self._build(field, cells, coarse)
+        self._nodes = np.array(self._values.shape)
+        self._high = self._low + self.config.step * (self._nodes - 1)
+        self._strides = np.array([self._nodes[1] * self._nodes[2], self._nodes[2], 1])
+        self._corner_offsets = _CORNERS @ self._strides
+        self._flat = self._values.ravel()
+        self._flat_error = self._error.ravel()
+
+    def __call__(self, points: Array) -> Array:
+        return self._look_up(points)[0]
+
+    def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        value, gradient, _ = self._look_up(points, gradient=True)
+        return value, gradient
+
+    def bound(self, points: Array) -> Array:
+        """The largest possible |grid − field| [N] at points [N, 3] inside the box [m]."""
+        return self._look_up(points, bound=True)[2]
+
+    def _build(self, field: Field, cells: NDArray[np.int64], step: float) -> None:
+        slope, band = self.config.slope, self.config.band
+        exact = np.ones(cells + 1, dtype=bool)
+        values = self._ask(field, np.argwhere(exact), step).reshape(exact.shape)
+        error = np.zeros(exact.shape)
+        refined = np.ones(cells, dtype=bool)  # cells whose corners are all exact
+        for _ in range(self.config.levels - 1):
+            # Some point of a cell is within the band only if a corner is at most this far off it.
+            near = np.abs(values) <= band + slope * np.sqrt(3) / 2 * step
+            wanted = refined & _any_corner(near)
+            values, error = _halve(values), _halve(error)
+            inherited = np.zeros(values.shape, dtype=bool)
+            inherited[::2, ::2, ::2] = exact
+            error = np.where(inherited, 0.0, error + slope * np.sqrt(3) / 2 * step)
+            refined = wanted.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+            step /= 2
+            exact = inherited | _corners_of(refined)
+            new = np.argwhere(exact & ~inherited)
+            values[tuple(new.T)] = self._ask(field, new, step)
+            error[exact] = 0.0
+        self._values, self._error = values, error
+        self.measured_slope = _steepest(values, refined) / step
+
+    def _ask(self, field: Field, nodes: NDArray[np.int64], step: float) -> Array:
+        self.queries += len(nodes)
+        return field(self._low + nodes * step)
+
+    def _look_up(
+        self, points: Array, gradient: bool = False, bound: bool = False
+    ) -> tuple[Array, Array, Array]:
+        points = np.asarray(points, dtype=np.float64)
+        inside = np.clip(points, self._low, self._high)
+        place = (inside - self._low) / self.config.step
+        cell = np.minimum(place.astype(np.int64), self._nodes - 2)
+        t = place - cell
+        first = cell @ self._strides
+        corners = self._flat[first[:, None] + self._corner_offsets]
+        x, y, z = t[:, 0], t[:, 1], t[:, 2]
+        # Corners are ordered by (x, y, z) bits; each axis is folded in turn.
+        along_z = corners[:, 0::2] + (corners[:, 1::2] - corners[:, 0::2]) * z[:, None]
+        along_y = along_z[:, 0::2] + (along_z[:, 1::2] - along_z[:, 0::2]) * y[:, None]
+        value = along_y[:, 0] + (along_y[:, 1] - along_y[:, 0]) * x
+        slope, error = np.zeros((0, 3)), np.zeros(0)
+        if gradient:
+            slope_z = corners[:, 1::2] - corners[:, 0::2]
+            slope_z = slope_z[:, 0::2] + (slope_z[:, 1::2] - slope_z[:, 0::2]) * y[:, None]
+            slope_y = along_z[:, 1::2] - along_z[:, 0::2]
+            slope = np.stack(
+                [
+                    along_y[:, 1] - along_y[:, 0],
+                    slope_y[:, 0] + (slope_y[:, 1] - slope_y[:, 0]) * x,
+                    slope_z[:, 0] + (slope_z[:, 1] - slope_z[:, 0]) * x,
+                ],
+                axis=1,
+            )
+            slope /= self.config.step
+        if bound:
+            errors = self._flat_error[first[:, None] + self._corner_offsets]
+            weights = np.where(_CORNERS[None] == 1, t[:, None], 1 - t[:, None]).prod(axis=2)
+            spread = np.sqrt((t * (1 - t)).sum(axis=1)) * self.config.step * self.config.slope
+            error = (weights * errors).sum(axis=1) + spread
+        beyond = points - inside
+        gap = np.sqrt((beyond**2).sum(axis=1))
+        out = gap > 0
+        if out.any():
+            whole = np.hypot(gap[out], value[out])
+            if gradient:
+                # Along clamped axes the nearest point of the box does not move.
+                along = np.where(beyond[out] == 0, slope[out], 0.0)
+                slope[out] = (beyond[out] + value[out, None] * along) / whole[:, None]
+            value[out] = whole
+        return value, slope, error
+
+
+def _halve(values: Array) -> Array:
+    """Values on nodes of halved cells, interpolated; nodes [n, ...] → [2 n − 1, ...]."""
+    fine = [2 * n - 1 for n in values.shape]
+    tensor = torch.from_numpy(np.ascontiguousarray(values))[None, None]
+    halved = torch.nn.functional.interpolate(
+        tensor, size=fine, mode="trilinear", align_corners=True
+    )
+    return halved[0, 0].numpy()
+
+
+def _any_corner(nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """For each cell, whether one of its corners is marked."""
+    cells = np.zeros(np.array(nodes.shape) - 1, dtype=bool)
+    for corner in _CORNERS:
+        cells |= nodes[tuple(slice(c, n - 1 + c) for c, n in zip(corner, nodes.shape, strict=True))]
+    return cells
+
+
+def _corners_of(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The nodes that are corners of marked cells."""
+    nodes = np.zeros(np.array(cells.shape) + 1, dtype=bool)
+    for corner in _CORNERS:
+        nodes[tuple(slice(c, n + c) for c, n in zip(corner, cells.shape, strict=True))] |= cells
+    return nodes
+
+
+def _steepest(values: Array, cells: NDArray[np.bool_]) -> float:
+    """The largest change per length (in nodes) from each marked cell's first corner to another."""
+    if not cells.any():
+        return 0.0
+    shape = cells.shape
+    here = values[: shape[0], : shape[1], : shape[2]][cells]
+    steepest = 0.0
+    for corner in _CORNERS[1:]:
+        there = values[tuple(slice(c, n + c) for c, n in zip(corner, shape, strict=True))][cells]
+        change = float(np.abs(there - here).max()) / float(np.sqrt(corner.sum()))
+        steepest = max(steepest, change)
+    return steepest

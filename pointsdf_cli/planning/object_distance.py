@@ -1,0 +1,97 @@
+"""The paper's learned constraint: f_SDF(o, FK_l(q)) > 0 at points of every link's surface.
+
+A link's surface is covered by samples (`robot.surface`), grouped into patches a few centimetres
+wide. A patch whose middle is farther from the object than its radius and `reach` gets that lower
+bound; of the others each gives its lowest sample. So a link that two fingertips' width of surface
+comes near with counts with several points, and the minimum over a link's patches is the paper's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.planning.contacts import WORLD, Array, Contacts, Indices, Poses
+from pointsdf_cli.planning.fields import Field
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.surface import SPACING, robot_surface
+
+PATCH = 16
+"""Samples in a patch, at most."""
+
+
+class ObjectDistances:
+    """Signed distances of the robot's surface patches to one object.
+
+    Args:
+        kinematics: Of the robot.
+        field: Of the object, world frame.
+        spacing: No surface point is farther than this [m] from a sample.
+        reach: Patches whose lower bound exceeds this [m] are not looked at closely.
+        slope: The largest slope of the field: 1 for a distance.
+
+    Attributes:
+        link: [M], each patch's link.
+        names: Each patch's (link, "object").
+    """
+
+    def __init__(
+        self,
+        kinematics: Kinematics,
+        field: Field,
+        spacing: float = SPACING,
+        reach: float = 0.05,
+        slope: float = 1.0,
+    ) -> None:
+        self.field, self._reach, self._slope = field, reach, slope
+        links, patches = [], []
+        for link, points in robot_surface(kinematics.robot, spacing).items():
+            for patch in _split(points):
+                links.append(kinematics.index(link))
+                # Repeats make all patches equally long; they change no minimum.
+                patches.append(patch[np.arange(PATCH) % len(patch)])
+        self.link: Indices = np.array(links)
+        self.names = tuple((kinematics.links[i], "object") for i in links)
+        self._points = np.array(patches)
+        self._centre = (self._points.min(axis=1) + self._points.max(axis=1)) / 2
+        offsets = np.linalg.norm(self._points - self._centre[:, None], axis=2)
+        self._radius = offsets.max(axis=1)
+
+    def __call__(self, poses: Poses, gradients: bool = True) -> Contacts:
+        """Distances [B, M] of all patches, with the samples where they are lowest."""
+        rotation, position = poses.rotation[:, self.link], poses.position[:, self.link]
+        count, patches = rotation.shape[:2]
+        point = (rotation @ self._centre[:, :, None])[..., 0] + position
+        distance = self.field(point.reshape(-1, 3)).reshape(count, patches)
+        distance = distance - self._slope * self._radius
+        normal = np.zeros_like(point)
+        rows, columns = np.nonzero(distance < self._reach)
+        if len(rows):
+            world = self._points[columns] @ rotation[rows, columns].transpose(0, 2, 1)
+            world += position[rows, columns][:, None]
+            values = self.field(world.reshape(-1, 3)).reshape(len(rows), PATCH)
+            lowest = values.argmin(axis=1)
+            each = np.arange(len(rows))
+            point[rows, columns] = world[each, lowest]
+            distance[rows, columns] = values[each, lowest]
+            if gradients:
+                _, normal[rows, columns] = self.field.with_gradient(world[each, lowest])
+        none = np.full(patches, WORLD)
+        return Contacts(distance, self.link, point, normal, none, point)
+
+    def per_link(self, contacts: Contacts, link_count: int) -> Array:
+        """The minimum over each link's patches [B, L]; infinity for links without a surface."""
+        lowest = np.full((len(contacts.distance), link_count), np.inf)
+        for link in np.unique(self.link):
+            lowest[:, link] = contacts.distance[:, self.link == link].min(axis=1)
+        return lowest
+
+
+def _split(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Compact groups of at most PATCH points, by halving the longest side."""
+    if len(points) <= PATCH:
+        return [points]
+    axis = int(np.ptp(points, axis=0).argmax())
+    order = np.argsort(points[:, axis], kind="stable")
+    half = len(points) // 2
+    return _split(points[order[:half]]) + _split(points[order[half:]])

@@ -1,0 +1,105 @@
+"""The objective of the paper's section IV: a learned score of the grasp, as one cost.
+
+    s = −log h(q_g, o) − α log g(q_g)          cost = max(s − β, 0)²
+
+h is the predicted probability of success, g the prior's density of the grasp configuration. The
+paper prints max(β − s, 0)², which is zero for bad grasps; s is a cost: it must be max(s − β, 0)².
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.variables import Variables
+from pointsdf_cli.robot.kinematics import Kinematics
+
+Array = NDArray[np.float64]
+
+
+class GraspScore(Protocol):
+    """What planning asks of the success network and its prior; both are differentiable.
+
+    One score belongs to one object: the cloud, its size and its frame are inside.
+    """
+
+    def log_success(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        """log h [B] of preshape joints [B, K] and palm poses [B, 4, 4] in the world."""
+
+    def log_prior(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        """log g [B] of the same."""
+
+
+@dataclass(frozen=True)
+class ObjectiveConfig:
+    """The two numbers of the objective.
+
+    Attributes:
+        alpha: Weight of the prior.
+        beta: Below this s a grasp is good enough: the cost is zero there.
+    """
+
+    alpha: float = 0.5
+    beta: float = -2.0
+
+    def __post_init__(self) -> None:
+        if not (self.alpha >= 0 and np.isfinite(self.beta)):
+            raise InputError(
+                f"alpha = {self.alpha}, beta = {self.beta}", allowed="alpha ≥ 0, finite beta"
+            )
+
+
+class Cost(NamedTuple):
+    """The objective at B configurations.
+
+    Attributes:
+        value: [B], max(s − β, 0)².
+        residual: [B], max(s − β, 0).
+        residual_gradient: [B, n], of the residual by x; zero where the residual is.
+        log_success: [B], log h.
+        log_prior: [B], log g.
+    """
+
+    value: Array
+    residual: Array
+    residual_gradient: Array
+    log_success: Array
+    log_prior: Array
+
+    @property
+    def gradient(self) -> Array:
+        """[B, n], of the value."""
+        return 2 * self.residual[:, None] * self.residual_gradient
+
+
+class Objective:
+    """Evaluates the cost and its gradient for a batch of x at once."""
+
+    def __init__(
+        self,
+        kinematics: Kinematics,
+        variables: Variables,
+        score: GraspScore,
+        config: ObjectiveConfig | None = None,
+    ) -> None:
+        self.config = config or ObjectiveConfig()
+        self._kinematics, self._variables, self._score = kinematics, variables, score
+
+    def __call__(self, x: Array) -> Cost:
+        """The cost of x [B, n]."""
+        leaf = torch.tensor(x, requires_grad=True)
+        with torch.enable_grad():
+            palm = self._kinematics.palm(self._variables.configuration_tensor(leaf))
+            preshape = self._variables.preshape(leaf)
+            success = self._score.log_success(preshape, palm).to(leaf.dtype)
+            prior = self._score.log_prior(preshape, palm).to(leaf.dtype)
+            residual = (-success - self.config.alpha * prior - self.config.beta).clamp(min=0)
+            (gradient,) = torch.autograd.grad(residual.sum(), leaf)
+        r = residual.detach().numpy()
+        return Cost(r**2, r, gradient.numpy(), success.detach().numpy(), prior.detach().numpy())

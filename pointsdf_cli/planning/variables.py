@@ -1,0 +1,58 @@
+"""What planning moves: the arm and the preshape (7 + 8 joints); the hand's other joints rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pointsdf_cli.robot.description import RobotDescription
+
+Array = NDArray[np.float64]
+
+
+class Variables:
+    """The map between decision variables x [..., n] and configurations q [..., J].
+
+    Attributes:
+        columns: [n], where each variable stands in q: the arm's joints, then the preshape's.
+        lower, upper: [n], q_min ≤ q ≤ q_max of the paper.
+        arm_count: How many of the variables are the arm's.
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        arm = np.arange(len(robot.joint_names))[robot.arm]
+        self.columns = np.concatenate([arm, robot.preshape_columns])
+        self.arm_count = len(arm)
+        self.lower: Array = robot.lower[self.columns]
+        self.upper: Array = robot.upper[self.columns]
+        rest = robot.configuration(np.zeros(len(arm)), np.zeros(len(robot.preshape_columns)))
+        rest[self.columns] = 0.0
+        self._rest = rest
+        spread = np.zeros((len(self.columns), len(rest)))
+        spread[np.arange(len(self.columns)), self.columns] = 1.0
+        self._spread = torch.from_numpy(spread)
+
+    @property
+    def count(self) -> int:
+        """n."""
+        return len(self.columns)
+
+    def configuration(self, x: Array) -> Array:
+        """q [..., J] of x [..., n]."""
+        q = np.broadcast_to(self._rest, (*x.shape[:-1], len(self._rest))).copy()
+        q[..., self.columns] = x
+        return q
+
+    def configuration_tensor(self, x: Tensor) -> Tensor:
+        """As `configuration`, with gradients."""
+        return x @ self._spread.to(x.dtype) + torch.as_tensor(self._rest, dtype=x.dtype)
+
+    def of(self, q: Array) -> Array:
+        """x [..., n] of q [..., J]; also turns derivatives by q into derivatives by x."""
+        return np.ascontiguousarray(q[..., self.columns])
+
+    def preshape(self, x: Tensor) -> Tensor:
+        """The hand's part [..., K] of x."""
+        return x[..., self.arm_count :]

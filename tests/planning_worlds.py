@@ -1,0 +1,72 @@
+"""Small worlds with known answers that the planning tests share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class _Differences:
+    """Gradients by central differences: the fields below are exact, and so is this to 1e-6."""
+
+    def __call__(self, points: Array) -> Array:
+        raise NotImplementedError
+
+    def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        step = 1e-6
+        shifts = np.eye(3) * step
+        gradient = [(self(points + s) - self(points - s)) / (2 * step) for s in shifts]
+        return self(points), np.stack(gradient, axis=1)
+
+
+class SphereField(_Differences):
+    """The distance to a ball."""
+
+    def __init__(self, radius: float, centre: tuple[float, float, float] = (0, 0, 0)) -> None:
+        self.radius, self.centre = radius, np.array(centre, dtype=float)
+
+    def __call__(self, points: Array) -> Array:
+        return np.linalg.norm(points - self.centre, axis=1) - self.radius
+
+    def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        offset = points - self.centre
+        length = np.linalg.norm(offset, axis=1)
+        return length - self.radius, offset / length[:, None]
+
+
+class BoxField(_Differences):
+    """The distance to an upright box."""
+
+    def __init__(
+        self,
+        size: tuple[float, float, float],
+        centre: tuple[float, float, float] = (0, 0, 0),
+    ) -> None:
+        self.half, self.centre = np.array(size) / 2, np.array(centre, dtype=float)
+
+    def __call__(self, points: Array) -> Array:
+        excess = np.abs(points - self.centre) - self.half
+        outside = np.linalg.norm(np.maximum(excess, 0), axis=1)
+        return outside + np.minimum(excess.max(axis=1), 0)
+
+
+class CylinderField(_Differences):
+    """The distance to an upright cylinder."""
+
+    def __init__(
+        self, radius: float, height: float, centre: tuple[float, float, float] = (0, 0, 0)
+    ) -> None:
+        self.radius, self.half, self.centre = radius, height / 2, np.array(centre, dtype=float)
+
+    def __call__(self, points: Array) -> Array:
+        offset = points - self.centre
+        excess = np.stack(
+            [
+                np.linalg.norm(offset[:, :2], axis=1) - self.radius,
+                np.abs(offset[:, 2]) - self.half,
+            ],
+            axis=1,
+        )
+        return np.linalg.norm(np.maximum(excess, 0), axis=1) + np.minimum(excess.max(axis=1), 0)

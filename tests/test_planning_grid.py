@@ -1,0 +1,85 @@
+"""The cached grid against fields with known distances: its bound holds, its gradient is its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from planning_worlds import BoxField, SphereField
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.grid import GridConfig, GridField
+
+LOW, HIGH = np.full(3, -0.1), np.full(3, 0.1)
+
+
+@pytest.fixture
+def points() -> NDArray[np.float64]:
+    return np.random.default_rng(0).uniform(-0.1, 0.1, (20_000, 3))
+
+
+@pytest.mark.parametrize("field", [SphereField(0.05), BoxField((0.08, 0.05, 0.12))])
+def test_no_value_is_farther_off_than_its_bound(field, points) -> None:
+    grid = GridField(field, LOW, HIGH, GridConfig(step=0.004))
+    off = np.abs(grid(points) - field(points))
+    assert (off <= grid.bound(points) + 1e-12).all()
+
+
+def test_near_the_surface_the_bound_is_that_of_the_finest_cells(points) -> None:
+    config = GridConfig(step=0.004, band=0.005)
+    field = SphereField(0.05)
+    grid = GridField(field, LOW, HIGH, config)
+    near = np.abs(field(points)) < config.band
+    assert near.sum() > 500
+    assert grid.bound(points[near]).max() <= np.sqrt(3) / 2 * config.step + 1e-12
+
+
+def test_a_plane_is_kept_exactly_and_a_sphere_to_curvature(points) -> None:
+    field = SphereField(0.05)
+    grid = GridField(field, LOW, HIGH, GridConfig(step=0.004, band=0.005))
+    near = np.abs(field(points)) < 0.005
+    # Second derivatives of |x| are at most 1/|x|: the interpolation error is 3/8 h²/|x| at most.
+    assert np.abs(grid(points[near]) - field(points[near])).max() < 3 / 8 * 0.004**2 / 0.04
+
+
+def test_the_field_is_asked_less_often_than_the_finest_grid_has_nodes() -> None:
+    grid = GridField(SphereField(0.05), LOW, HIGH, GridConfig(step=0.004))
+    assert grid.queries < 0.25 * 51**3
+
+
+def test_gradients_agree_with_differences_of_the_grid_itself(points) -> None:
+    grid = GridField(BoxField((0.08, 0.05, 0.12)), LOW, HIGH)
+    # Also outside of the box, but not so near to a cell's side that the difference crosses it.
+    x = points[:2000] * 1.8
+    place = ((x + 0.1) / 0.004) % 1
+    x = x[((place > 0.01) & (place < 0.99)).all(axis=1)]
+    _, gradient = grid.with_gradient(x)
+    step = 1e-6
+    for axis in range(3):
+        shift = np.eye(3)[axis] * step
+        difference = (grid(x + shift) - grid(x - shift)) / (2 * step)
+        np.testing.assert_allclose(gradient[:, axis], difference, atol=1e-5)
+
+
+def test_outside_of_the_box_the_distance_is_never_overstated(points) -> None:
+    field = SphereField(0.05)
+    grid = GridField(field, LOW, HIGH)
+    far = points * 4
+    far = far[(np.abs(far) > 0.1).any(axis=1)]
+    edge = grid.bound(np.clip(far, -0.1, 0.1))
+    assert (grid(far) <= field(far) + edge).all()
+
+
+def test_a_field_steeper_than_allowed_is_measured() -> None:
+    def steep(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return 2.0 * (np.linalg.norm(x, axis=1) - 0.05)
+
+    assert GridField(steep, LOW, HIGH).measured_slope == pytest.approx(2.0, abs=0.05)
+    assert GridField(SphereField(0.05), LOW, HIGH).measured_slope <= 1 + 1e-9
+
+
+def test_an_impossible_grid_is_refused() -> None:
+    with pytest.raises(InputError, match="step"):
+        GridConfig(step=0.0)
+    with pytest.raises(InputError, match="256"):
+        GridField(SphereField(0.05), LOW * 100, HIGH * 100, GridConfig(levels=1))
