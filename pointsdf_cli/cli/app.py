@@ -7,7 +7,17 @@ from typing import Annotated
 import typer
 
 from pointsdf_cli import __version__
-from pointsdf_cli.cli import doctor, info, label_sdf, objects, render, report, train_sdf
+from pointsdf_cli.cli import (
+    doctor,
+    eval_sdf,
+    info,
+    label_sdf,
+    mesh,
+    objects,
+    render,
+    report,
+    train_sdf,
+)
 
 app = typer.Typer(
     name="rgrasp",
@@ -41,6 +51,8 @@ app.add_typer(objects.app, name="objects")
 app.command("render")(render.render)
 app.command("label-sdf")(label_sdf.label_sdf)
 app.command("train-sdf")(train_sdf.train_sdf)
+app.command("eval-sdf")(eval_sdf.eval_sdf)
+app.command("mesh")(mesh.mesh)
 app.command("info")(info.info)
 app.command("doctor")(doctor.doctor)
 app.command("report")(report.report)
