@@ -1,0 +1,80 @@
+"""What a solver is given and what it gives back, whatever the problem.
+
+min f(x)   subject to   c(x) ≥ 0,   lower ≤ x ≤ upper,   from many starts x [B, n]
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Evaluation(NamedTuple):
+    """A problem at B points.
+
+    Attributes:
+        objective: [B], f.
+        gradient: [B, n].
+        curvature: [B, n, n], positive semidefinite, what is known of f's Hessian (Gauss-Newton);
+            zeros if nothing is.
+        constraints: [B, K], the values c that are nearest to being violated.
+        jacobian: [B, K, n], their derivatives.
+    """
+
+    objective: Array
+    gradient: Array
+    curvature: Array
+    constraints: Array
+    jacobian: Array
+
+    @property
+    def violation(self) -> Array:
+        """[B], the largest violation; 0 where there is none."""
+        return np.maximum(0.0, -self.constraints.min(axis=1, initial=0.0))
+
+
+class Problem(Protocol):
+    """A batched nonlinear problem."""
+
+    lower: Array
+    upper: Array
+
+    def evaluate(self, x: Array) -> Evaluation:
+        """All at x [B, n]; which constraints are reported may change from point to point.
+
+        Any constraint that is not reported must be farther from violation than those that are.
+        """
+
+    def evaluate_grouped(self, x: Array) -> Evaluation:
+        """The same, with constraints that keep their meaning and number from point to point."""
+
+
+@dataclass(frozen=True)
+class Solutions:
+    """What came of B starts.
+
+    Attributes:
+        x: [B, n].
+        objective: [B].
+        violation: [B], the largest, in the constraints' unit.
+        converged: bool [B]; the solver's own tolerances were met.
+        evaluations: How often the problem was evaluated, summed over starts.
+    """
+
+    x: Array
+    objective: Array
+    violation: Array
+    converged: NDArray[np.bool_]
+    evaluations: int
+
+
+class Solver(Protocol):
+    """One way to solve such problems."""
+
+    def solve(self, problem: Problem, starts: Array) -> Solutions:
+        """Solve from all starts [B, n]; equal input gives equal output."""

@@ -1,0 +1,81 @@
+"""The paper's solver: SciPy's sequential least squares programming, one start after the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.nonlinear import Array, Evaluation, Problem, Solutions
+
+
+@dataclass(frozen=True)
+class SlsqpConfig:
+    """Attributes:
+    iterations: At most so many a start.
+    tolerance: SciPy's `ftol`.
+    feasible: Violations up to here count as none.
+    """
+
+    iterations: int = 100
+    tolerance: float = 1e-6
+    feasible: float = 1e-4
+
+    def __post_init__(self) -> None:
+        if self.iterations < 1 or self.tolerance <= 0 or self.feasible < 0:
+            raise InputError(f"{self}", allowed="iterations ≥ 1, tolerance > 0, feasible ≥ 0")
+
+
+class Slsqp:
+    """SLSQP with the constraints' minimum over each link (METHOD.md section 6)."""
+
+    def __init__(self, config: SlsqpConfig | None = None) -> None:
+        self.config = config or SlsqpConfig()
+
+    def solve(self, problem: Problem, starts: Array) -> Solutions:
+        """See `nonlinear.Solver`."""
+        results = [self._one(problem, start) for start in starts]
+        x = np.array([r[0] for r in results]).reshape(starts.shape)
+        final = problem.evaluate_grouped(x)
+        return Solutions(
+            x=x,
+            objective=final.objective,
+            violation=final.violation,
+            converged=np.array([r[1] for r in results]) & (final.violation <= self.config.feasible),
+            evaluations=sum(r[2] for r in results),
+        )
+
+    def _one(self, problem: Problem, start: Array) -> tuple[Array, bool, int]:
+        memory = _Memory(problem)
+        result = minimize(
+            lambda x: float(memory(x).objective[0]),
+            start,
+            jac=lambda x: memory(x).gradient[0],
+            bounds=np.column_stack([problem.lower, problem.upper]),
+            constraints={
+                "type": "ineq",
+                "fun": lambda x: memory(x).constraints[0],
+                "jac": lambda x: memory(x).jacobian[0],
+            },
+            method="SLSQP",
+            options={"maxiter": self.config.iterations, "ftol": self.config.tolerance},
+        )
+        x = np.clip(result.x, problem.lower, problem.upper)
+        return x, bool(result.success), memory.count
+
+
+class _Memory:
+    """SciPy asks for value, gradient and constraints in turn; one evaluation answers all."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._x: Array | None = None
+        self.count = 0
+
+    def __call__(self, x: Array) -> Evaluation:
+        if self._x is None or not np.array_equal(x, self._x):
+            self._x, self.count = x.copy(), self.count + 1
+            self._last = self._problem.evaluate_grouped(x[None])
+        return self._last

@@ -1,0 +1,250 @@
+"""Sequential quadratic programming for many starts in lockstep.
+
+Each iteration evaluates all starts as one batch and solves one small quadratic program a start
+(`step_qp.py`), within a trust region and with slack on the constraints: the ℓ1 penalty function
+
+    φ(x) = f(x) + μ Σ max(0, −c_i(x))
+
+decides what step is taken (Nocedal & Wright 2006, section 18.5). The Hessian model is what the
+problem knows (Gauss-Newton) plus a damped BFGS estimate of the rest of the objective. Constraints
+may change from iteration to iteration, so their curvature is left to the trust region.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.nonlinear import Array, Evaluation, Problem, Solutions
+from pointsdf_cli.planning.step_qp import StepQp
+
+
+@dataclass(frozen=True)
+class SqpConfig:
+    """How long and how far.
+
+    Attributes:
+        iterations: At most so many.
+        radius: First trust region: no variable moves farther in one step.
+        smallest_radius: A start whose trust region is smaller has converged.
+        largest_radius: Steps grow up to here.
+        penalty: μ, cost per unit of violation; raised tenfold (twice at most) where a start
+            converges to an infeasible point.
+        tolerance: A start has converged when the model promises no more than this improvement.
+        feasible: Violations up to here count as none.
+        damping: Added to the Hessian model's diagonal.
+    """
+
+    iterations: int = 40
+    radius: float = 0.2
+    smallest_radius: float = 1e-4
+    largest_radius: float = 0.5
+    penalty: float = 1e3
+    tolerance: float = 1e-4
+    feasible: float = 1e-4
+    damping: float = 1e-3
+
+    def __post_init__(self) -> None:
+        radii = 0 < self.smallest_radius < self.radius <= self.largest_radius
+        positive = min(self.penalty, self.tolerance, self.damping) > 0 and self.feasible >= 0
+        if self.iterations < 1 or not radii or not positive:
+            raise InputError(
+                f"{self}",
+                allowed="iterations ≥ 1, 0 < smallest_radius < radius ≤ largest_radius, others > 0",
+            )
+
+
+class Sqp:
+    """See the module's docstring. One instance may solve many problems; programs are kept."""
+
+    def __init__(self, config: SqpConfig | None = None) -> None:
+        self.config = config or SqpConfig()
+        self._programs: dict[tuple[int, int], StepQp] = {}
+
+    def solve(self, problem: Problem, starts: Array) -> Solutions:
+        """See `nonlinear.Solver`."""
+        config = self.config
+        x = np.clip(np.asarray(starts, dtype=np.float64), problem.lower, problem.upper)
+        count, n = x.shape
+        now = _copy(problem.evaluate(x))
+        evaluations = count
+        rest = np.tile(config.damping * np.eye(n), (count, 1, 1))
+        radius = np.full(count, config.radius)
+        penalty = np.full(count, config.penalty)
+        done = np.zeros(count, dtype=bool)
+        for _ in range(config.iterations):
+            live = np.flatnonzero(~done)
+            if not len(live):
+                break
+            step, promised = self._steps(problem, x, now, rest, radius, penalty, live)
+            trial = np.clip(x[live] + step, problem.lower, problem.upper)
+            new = _copy(problem.evaluate(trial))
+            evaluations += len(live)
+            before = _penalised(now, penalty[live], live)
+            after = _penalised(new, penalty[live])
+            self._learn(rest, live, x, trial, now, new)
+            gain = (before - after) / np.maximum(promised, 1e-300)
+            back = np.flatnonzero((gain < 0.25) & (new.violation > 0))
+            if len(back):
+                evaluations += len(back)
+                after[back] = self._correct(problem, trial, new, back, radius, penalty, live, after)
+            gain = (before - after) / np.maximum(promised, 1e-300)
+            better = (gain > 1e-3) & (after < before)
+            length = np.abs(trial - x[live]).max(axis=1)
+            grown = np.minimum(2 * radius[live], config.largest_radius)
+            radius[live] = np.where(
+                gain < 0.25,
+                0.4 * np.minimum(radius[live], np.maximum(length, config.smallest_radius)),
+                np.where((gain > 0.75) & (length > 0.8 * radius[live]), grown, radius[live]),
+            )
+            taken = live[better]
+            x[taken] = trial[better]
+            for kept, fresh in zip(now, new, strict=True):
+                kept[taken] = fresh[better]
+            settled = (promised < config.tolerance) | (radius[live] < config.smallest_radius)
+            self._settle(live[settled], now, radius, penalty, done)
+        return Solutions(
+            x=x,
+            objective=now.objective,
+            violation=now.violation,
+            converged=done & (now.violation <= config.feasible),
+            evaluations=evaluations,
+        )
+
+    def _settle(
+        self,
+        rows: np.ndarray,
+        now: Evaluation,
+        radius: Array,
+        penalty: Array,
+        done: np.ndarray,
+    ) -> None:
+        """Starts that can improve no more are done, or go on with a higher penalty."""
+        config = self.config
+        violated = now.violation[rows] > config.feasible
+        raise_more = violated & (penalty[rows] < 50 * config.penalty)
+        again = rows[raise_more]
+        penalty[again] *= 10
+        radius[again] = config.radius
+        done[rows[~raise_more]] = True
+
+    def _steps(
+        self,
+        problem: Problem,
+        x: Array,
+        now: Evaluation,
+        rest: Array,
+        radius: Array,
+        penalty: Array,
+        live: np.ndarray,
+    ) -> tuple[Array, Array]:
+        """Steps [A, n] of the live starts and the improvement of φ that the model promises [A]."""
+        n, k = x.shape[1], now.constraints.shape[1]
+        program = self._program(n, k)
+        steps, promised = np.empty((len(live), n)), np.empty(len(live))
+        hessian = now.curvature[live] + rest[live]
+        factor = np.linalg.cholesky(hessian).transpose(0, 2, 1)
+        for i, b in enumerate(live):
+            low = np.maximum(-radius[b], problem.lower - x[b])
+            high = np.minimum(radius[b], problem.upper - x[b])
+            step = program.solve(
+                factor[i],
+                now.gradient[b],
+                now.jacobian[b],
+                now.constraints[b],
+                low,
+                high,
+                float(penalty[b]),
+            )
+            steps[i] = step
+            linear = now.constraints[b] + now.jacobian[b] @ step
+            model = now.gradient[b] @ step + 0.5 * step @ hessian[i] @ step
+            saved = np.maximum(0, -now.constraints[b]).sum() - np.maximum(0, -linear).sum()
+            promised[i] = penalty[b] * saved - model
+        return steps, promised
+
+    def _correct(
+        self,
+        problem: Problem,
+        trial: Array,
+        new: Evaluation,
+        back: np.ndarray,
+        radius: Array,
+        penalty: Array,
+        live: np.ndarray,
+        after: Array,
+    ) -> Array:
+        """Pull trials that left a curved constraint back onto it; their φ after that [C].
+
+        The second-order correction: without it a step along a curved boundary is refused because
+        it leaves the boundary, however good it is (the Maratos effect). Here the correction is the
+        smallest step that meets the constraints as linearised at the trial itself.
+        """
+        n, k = trial.shape[1], new.constraints.shape[1]
+        program = self._program(n, k)
+        corrected = trial[back].copy()
+        for i, a in enumerate(back):
+            low = np.maximum(-radius[live[a]], problem.lower - trial[a])
+            high = np.minimum(radius[live[a]], problem.upper - trial[a])
+            corrected[i] += program.solve(
+                np.eye(n), np.zeros(n), new.jacobian[a], new.constraints[a], low, high, 1e3
+            )
+        corrected = np.clip(corrected, problem.lower, problem.upper)
+        there = problem.evaluate(corrected)
+        phi = _penalised(there, penalty[live[back]])
+        kept = phi < after[back]
+        rows = back[kept]
+        trial[rows] = corrected[kept]
+        for old, fresh in zip(new, there, strict=True):
+            old[rows] = fresh[kept]
+        return np.minimum(phi, after[back])
+
+    def _program(self, n: int, k: int) -> StepQp:
+        program = self._programs.get((n, k))
+        if program is None:
+            program = self._programs[(n, k)] = StepQp(n, k)
+        return program
+
+    def _learn(
+        self,
+        rest: Array,
+        live: np.ndarray,
+        x: Array,
+        trial: Array,
+        now: Evaluation,
+        new: Evaluation,
+    ) -> None:
+        """Damped BFGS of what the given curvature does not explain (Powell 1978)."""
+        s = trial - x[live]
+        y = new.gradient - now.gradient[live]
+        y = y - (new.curvature @ s[..., None])[..., 0]
+        B = rest[live]
+        Bs = (B @ s[..., None])[..., 0]
+        sBs = (s * Bs).sum(axis=1)
+        sy = (s * y).sum(axis=1)
+        slack = np.maximum(sBs - sy, 1e-300)
+        theta = np.where(sy >= 0.2 * sBs, 1.0, 0.8 * sBs / slack)[:, None]
+        y = theta * y + (1 - theta) * Bs
+        sy = (s * y).sum(axis=1)
+        sound = (sBs > 1e-14) & (sy > 1e-14)
+        row = live[sound]
+        s, y, Bs, sBs, sy = s[sound], y[sound], Bs[sound], sBs[sound], sy[sound]
+        rest[row] += (
+            y[:, :, None] * y[:, None, :] / sy[:, None, None]
+            - Bs[:, :, None] * Bs[:, None, :] / sBs[:, None, None]
+        )
+        # Rounding must not take positive definiteness away.
+        rest[row] += 1e-9 * np.eye(rest.shape[1])
+
+
+def _copy(evaluation: Evaluation) -> Evaluation:
+    return Evaluation(*(np.array(part) for part in evaluation))
+
+
+def _penalised(at: Evaluation, penalty: Array, rows: np.ndarray | slice = slice(None)) -> Array:
+    """φ [A] of some starts, with their penalties [A]."""
+    violation = np.maximum(0.0, -at.constraints[rows]).sum(axis=1)
+    total: Array = at.objective[rows] + penalty * violation
+    return total
