@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 Array = NDArray[np.float64]
 
@@ -70,3 +72,31 @@ class CylinderField(_Differences):
             axis=1,
         )
         return np.linalg.norm(np.maximum(excess, 0), axis=1) + np.minimum(excess.max(axis=1), 0)
+
+
+class NearPalm:
+    """A score with a known optimum: the palm at one place, its x axis along one direction.
+
+    log h = −(‖p − place‖ / width)² − (1 − x · direction) − …, log g of the preshape about `rest`.
+    """
+
+    def __init__(
+        self,
+        place: tuple[float, float, float],
+        direction: tuple[float, float, float],
+        rest: Array,
+        width: float = 0.05,
+    ) -> None:
+        self.place = torch.tensor(place, dtype=torch.float64)
+        self.direction = torch.tensor(direction, dtype=torch.float64)
+        self.rest, self.width = torch.tensor(rest), width
+
+    def log_success(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        way = (T_world_palm[:, :3, 3] - self.place).square().sum(dim=1)
+        turn = 1 - T_world_palm[:, :3, 0] @ self.direction
+        return -way / self.width**2 - turn
+
+    def log_prior(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        # Fingers level: the z axis of the palm has no height.
+        level = T_world_palm[:, 2, 2].square()
+        return 1.0 - (preshape - self.rest).square().sum(dim=1) - level

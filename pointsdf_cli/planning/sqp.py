@@ -32,17 +32,18 @@ class SqpConfig:
         largest_radius: Steps grow up to here.
         penalty: μ, cost per unit of violation; raised tenfold (twice at most) where a start
             converges to an infeasible point.
-        tolerance: A start has converged when the model promises no more than this improvement.
+        tolerance: A start has converged when the model promises no more than this improvement of φ.
+            A plan is accepted below an objective of 5, so hundredths do not matter.
         feasible: Violations up to here count as none.
         damping: Added to the Hessian model's diagonal.
     """
 
-    iterations: int = 40
+    iterations: int = 30
     radius: float = 0.2
     smallest_radius: float = 1e-4
     largest_radius: float = 0.5
     penalty: float = 1e3
-    tolerance: float = 1e-4
+    tolerance: float = 1e-2
     feasible: float = 1e-4
     damping: float = 1e-3
 
@@ -220,6 +221,11 @@ class Sqp:
         s = trial - x[live]
         y = new.gradient - now.gradient[live]
         y = y - (new.curvature @ s[..., None])[..., 0]
+        # The first estimate takes its scale from the first change of slope (Nocedal & Wright 6.20).
+        sy, yy = (s * y).sum(axis=1), (y * y).sum(axis=1)
+        fresh = (rest[live] == self.config.damping * np.eye(x.shape[1])).all(axis=(1, 2)) & (sy > 0)
+        scale = np.clip(yy[fresh] / sy[fresh], self.config.damping, 1e6)
+        rest[live[fresh]] *= scale[:, None, None] / self.config.damping
         B = rest[live]
         Bs = (B @ s[..., None])[..., 0]
         sBs = (s * Bs).sum(axis=1)

@@ -1,0 +1,189 @@
+"""The paper's problem (section IV): the best grasp that the whole arm and hand can take.
+
+    min_q  max(s − β, 0)²
+    s.t.   q_min ≤ q ≤ q_max
+           a_SDF(M_e, FK_l(q)) > 0     links l, table and obstacles e      (bodies.py)
+           f_SDF(o, FK_l(q)) > 0       links l                             (object_distance.py)
+
+Beyond the paper: the robot may not touch itself, and all distances keep a margin in metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.bodies import BodyDistances
+from pointsdf_cli.planning.contacts import (
+    WORLD,
+    Array,
+    ContactJacobian,
+    Contacts,
+    Poses,
+    join,
+    link_poses,
+)
+from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.fields import Field
+from pointsdf_cli.planning.nonlinear import Evaluation
+from pointsdf_cli.planning.object_distance import ObjectDistances
+from pointsdf_cli.planning.objective import Cost, GraspScore, Objective, ObjectiveConfig
+from pointsdf_cli.planning.variables import Variables
+from pointsdf_cli.robot.kinematics import Kinematics
+
+
+@dataclass(frozen=True)
+class Clearances:
+    """The least distances that a plan keeps [m].
+
+    Attributes:
+        object: Between the hand or arm and the object.
+        environment: To the table and the obstacles.
+        self: Between the robot's own links.
+    """
+
+    object: float = 0.001
+    environment: float = 0.002
+    self: float = 0.001
+
+    def __post_init__(self) -> None:
+        if min(self.object, self.environment, self.self) < 0:
+            raise InputError("a clearance is negative", where="--clearance", allowed="0 m or more")
+
+
+class Residuals(NamedTuple):
+    """Smallest distances at B configurations, less the clearance asked for [m]: ≥ 0 is met."""
+
+    object: Array
+    table: Array
+    obstacles: Array
+    self_collision: Array
+
+    @property
+    def worst(self) -> Array:
+        """[B], the smallest of all."""
+        return np.min(np.stack(list(self)), axis=0)
+
+
+class GraspProblem:
+    """The problem for one object; `nonlinear.Problem` for the solvers.
+
+    Args:
+        kinematics: Of the robot.
+        score: Of grasps of the object.
+        field: Of the object, as the solver shall ask it (the network, or a grid of it).
+        environment: What stands around.
+        clearances: Margins.
+        objective: α and β.
+        critical: How many constraints `evaluate` reports of each configuration.
+        slope: The largest slope of the field.
+    """
+
+    def __init__(
+        self,
+        kinematics: Kinematics,
+        score: GraspScore,
+        field: Field,
+        environment: Environment | None = None,
+        clearances: Clearances | None = None,
+        objective: ObjectiveConfig | None = None,
+        critical: int = 32,
+        slope: float = 1.0,
+    ) -> None:
+        self.kinematics = kinematics
+        self.variables = Variables(kinematics.robot)
+        self.lower, self.upper = self.variables.lower, self.variables.upper
+        self.clearances = clearances or Clearances()
+        self.objective = Objective(kinematics, self.variables, score, objective)
+        self.bodies = BodyDistances(kinematics, environment or Environment())
+        self.object = ObjectDistances(kinematics, field, slope=slope)
+        self._jacobian = ContactJacobian(kinematics)
+        self.names = self.object.names + self.bodies.names
+        other = [name for _, name in self.names]
+        links = set(kinematics.links)
+        self._is_object = np.array([name == "object" for name in other])
+        self._is_table = np.array([name == "table" for name in other])
+        self._is_self = np.array([name in links for name in other])
+        self._margin = np.select(
+            [self._is_object, self._is_self],
+            [self.clearances.object, self.clearances.self],
+            self.clearances.environment,
+        )
+        self._relevant = self._movable()
+        self._critical = min(critical, int(self._relevant.sum()))
+        self._groups = self._make_groups()
+
+    def cost(self, x: Array) -> Cost:
+        """The objective at x [B, n]."""
+        return self.objective(x)
+
+    def contacts(self, x: Array, gradients: bool = True) -> tuple[Poses, Contacts]:
+        """All distances at x [B, n], in the order of `names`."""
+        poses = link_poses(self.kinematics, self.variables.configuration(x))
+        return poses, join([self.object(poses, gradients), self.bodies(poses)])
+
+    def residuals(self, x: Array) -> Residuals:
+        """How far x [B, n] is from violating each kind of constraint."""
+        _, contacts = self.contacts(x, gradients=False)
+        room = contacts.distance - self._margin
+        relevant, fixed = self._relevant, ~(self._is_object | self._is_table | self._is_self)
+        return Residuals(
+            *(
+                room[:, kind & relevant].min(axis=1, initial=np.inf)
+                for kind in (self._is_object, self._is_table, fixed, self._is_self)
+            )
+        )
+
+    def evaluate(self, x: Array) -> Evaluation:
+        """The `critical` constraints that are nearest to being violated, each point its own."""
+        poses, contacts = self.contacts(x)
+        room = np.where(self._relevant, contacts.distance - self._margin, np.inf)
+        chosen = np.argpartition(room, self._critical - 1, axis=1)[:, : self._critical]
+        return self._evaluation(x, poses, contacts, room, np.sort(chosen, axis=1))
+
+    def evaluate_grouped(self, x: Array) -> Evaluation:
+        """The paper's constraints: for each link the minimum to the object, to each obstacle, to
+        the robot itself."""
+        poses, contacts = self.contacts(x)
+        room = np.where(self._relevant, contacts.distance - self._margin, np.inf)
+        chosen = np.stack([group[room[:, group].argmin(axis=1)] for group in self._groups], axis=1)
+        return self._evaluation(x, poses, contacts, room, chosen)
+
+    def _evaluation(
+        self,
+        x: Array,
+        poses: Poses,
+        contacts: Contacts,
+        room: Array,
+        chosen: NDArray[np.int64],
+    ) -> Evaluation:
+        cost = self.objective(x)
+        slope = cost.residual_gradient
+        return Evaluation(
+            cost.value,
+            cost.gradient,
+            2 * slope[:, :, None] * slope[:, None, :],
+            np.take_along_axis(room, chosen, axis=1),
+            self.variables.of(self._jacobian(poses, contacts, chosen)),
+        )
+
+    def _movable(self) -> NDArray[np.bool_]:
+        """Which distances the variables can change at all."""
+        moved = self._jacobian.moved[:, self.variables.columns]
+        link = np.concatenate([self.object.link, self.bodies.link])
+        none = np.full(len(self.object.link), WORLD)
+        other = np.concatenate([none, self.bodies.other_link])
+        return np.asarray((moved[link] != moved[other]).any(axis=1))
+
+    def _make_groups(self) -> list[NDArray[np.int64]]:
+        """Columns by link and what they are distances to; the robot itself counts as one."""
+        groups: dict[tuple[str, str], list[int]] = {}
+        for m in np.flatnonzero(self._relevant):
+            link, other = self.names[m]
+            key = (link, "self" if self._is_self[m] else other)
+            groups.setdefault(key, []).append(int(m))
+        return [np.array(columns) for columns in groups.values()]
