@@ -177,4 +177,4 @@ def inverse_density(points: Tensor, bandwidth: float) -> Tensor:
     """
     kernel = torch.exp(squared_distances(points, points) * (-0.5 / bandwidth**2))
     inverse = 1.0 / kernel.mean(-1)
-    return inverse / inverse.amax(-1, keepdim=True)
+    return (inverse / inverse.amax(-1, keepdim=True)).to(points.dtype)

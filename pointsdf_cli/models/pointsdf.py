@@ -127,7 +127,7 @@ class PointSDF(ShapeModel):
         query = self.query(x)
         joint = torch.cat([embedding.to(query.dtype), query], dim=-1)
         h = self.tail(torch.cat([self.head(joint), joint], dim=-1))
-        return torch.tanh(self.leave(h)).squeeze(-1).float()
+        return torch.tanh(self.leave(h)).squeeze(-1).to(x.dtype)
 
 
 def _dense(widths: Sequence[int]) -> nn.Sequential:

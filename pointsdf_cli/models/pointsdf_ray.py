@@ -180,9 +180,9 @@ class PointSDFRay(ShapeModel):
                     torch.sin(angles),
                     torch.cos(angles),
                     seen,
-                    self.local_fine(x, known["fine"], near_fine).float(),
-                    self.local_coarse(x, known["coarse"], near_coarse).float(),
-                    self.local_image(x, known["image"], near_image).float(),
+                    self.local_fine(x, known["fine"], near_fine).to(x.dtype),
+                    self.local_coarse(x, known["coarse"], near_coarse).to(x.dtype),
+                    self.local_image(x, known["image"], near_image).to(x.dtype),
                 ],
                 dim=-1,
             )
@@ -194,7 +194,7 @@ class PointSDFRay(ShapeModel):
                 if self.attention is not None:
                     h = h + self.attention(h, known["keys"], known["values"])
             h = block(h)
-        return self.leave(torch.nn.functional.gelu(self.leave_norm(h))).squeeze(-1).float()
+        return self.leave(torch.nn.functional.gelu(self.leave_norm(h))).squeeze(-1).to(x.dtype)
 
 
 class LocalFeatures(nn.Module):

@@ -160,6 +160,8 @@ def _check(
 ) -> None:
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"a cloud of shape {points.shape}", allowed="[N, 3]")
+    if not np.isfinite(points).all():
+        raise InputError("the cloud holds values that are not finite", allowed="finite coordinates")
     if position.shape != (3,) or not np.isfinite(position).all():
         raise InputError("the camera position is not three finite numbers", where="camera pose")
     is_rotation = rotation.shape == (3, 3) and np.allclose(

@@ -29,8 +29,6 @@ class VoxelCNN(ShapeModel):
     """See the module's docstring. It has no sizes to choose."""
 
     architecture = "voxelcnn"
-    box = VOXEL * (GRID - 1) / 2.0
-    gives_distances = False
     box = VOXEL * GRID / 2.0
     gives_distances = False
 
@@ -72,13 +70,13 @@ class VoxelCNN(ShapeModel):
     def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
         embedding = self.to_embedding(self.encoder(occupancy(cloud).unsqueeze(1)))
         logits = self.decoder(self.from_embedding(embedding).view(-1, 1, 7, 7, 7))
-        return Encoding(embedding, {"logits": logits.float()})
+        return Encoding(embedding, {"logits": logits})
 
     def decode(self, encoding: Encoding, x: Tensor) -> Tensor:
         # grid_sample wants coordinates (last axis first) with ±1 at the outer voxels' centres.
         place = x.flip(-1) / (VOXEL * (GRID - 1) / 2.0)
         logits = nn.functional.grid_sample(
-            encoding.evidence["logits"],
+            encoding.evidence["logits"].to(x.dtype),
             place[:, :, None, None, :],
             padding_mode="border",
             align_corners=True,
@@ -90,7 +88,7 @@ def occupancy(cloud: Tensor) -> Tensor:
     """[B, 32, 32, 32] ones where a voxel holds a point of the cloud [B, P, 3] (network frame)."""
     voxel = (cloud / VOXEL + GRID / 2.0).floor().long().clamp_(0, GRID - 1)
     flat = (voxel[..., 0] * GRID + voxel[..., 1]) * GRID + voxel[..., 2]
-    grid = torch.zeros(len(cloud), GRID**3, device=cloud.device)
+    grid = torch.zeros(len(cloud), GRID**3, device=cloud.device, dtype=cloud.dtype)
     return grid.scatter_(1, flat, 1.0).view(-1, GRID, GRID, GRID)
 
 

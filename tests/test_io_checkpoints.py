@@ -1,0 +1,118 @@
+"""Checkpoints: whole or not there, rebuilt from config.json, and safe to open from a stranger."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import pytest
+import torch
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.checkpoints import (
+    has_train_state,
+    read_checkpoint,
+    read_train_state,
+    write_checkpoint,
+)
+from pointsdf_cli.models.registry import build_model, load_model
+
+
+@pytest.fixture
+def checkpoint(tmp_path: Path) -> Path:
+    model = build_model("pointsdf-ray", seed=2)
+    path = tmp_path / "ckpt"
+    write_checkpoint(
+        path,
+        config={"architecture": model.architecture, "model": model.config()},
+        weights=model.state_dict(),
+        train_state={"step": 7},
+    )
+    return path
+
+
+def test_a_model_comes_back_as_it_was(checkpoint: Path) -> None:
+    model = build_model("pointsdf-ray", seed=2)
+    again = load_model(checkpoint)
+    assert not again.training
+    for name, tensor in model.state_dict().items():
+        assert torch.equal(again.state_dict()[name], tensor)
+
+
+def test_weights_and_state_are_replaced_one_without_the_other(checkpoint: Path) -> None:
+    weights = read_checkpoint(checkpoint).weights
+    config = read_checkpoint(checkpoint).config
+    write_checkpoint(checkpoint, config=config, train_state={"step": 8})
+    assert read_train_state(checkpoint) == {"step": 8}
+    assert all(torch.equal(weights[n], t) for n, t in read_checkpoint(checkpoint).weights.items())
+    assert [p.name for p in checkpoint.parent.iterdir()] == [checkpoint.name]
+
+
+def test_half_precision_is_half_the_size_and_loads_as_float32(tmp_path: Path) -> None:
+    model = build_model("pointsdf-ray")
+    write_checkpoint(
+        tmp_path / "half",
+        config={"architecture": model.architecture, "model": model.config()},
+        weights=model.state_dict(),
+        half=True,
+    )
+    size = (tmp_path / "half" / "model.safetensors").stat().st_size
+    count = sum(p.numel() for p in model.parameters())
+    assert size == pytest.approx(2 * count, rel=0.02)
+    assert next(load_model(tmp_path / "half").parameters()).dtype == torch.float32
+    assert not has_train_state(tmp_path / "half")
+
+
+class _Bomb:
+    def __reduce__(self) -> tuple[object, ...]:
+        return (open, ("bomb-went-off", "w"))
+
+
+def test_a_pickled_training_state_is_not_run(
+    checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(checkpoint.parent)
+    for writer in (pickle.dump, torch.save):
+        with open(checkpoint / "train_state.pt", "wb") as handle:
+            writer(_Bomb(), handle)
+        with pytest.raises(InputError, match="not opened"):
+            read_train_state(checkpoint)
+    assert not (checkpoint.parent / "bomb-went-off").exists()
+
+
+def test_damage_and_strangers_are_refused(checkpoint: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no checkpoint"):
+        load_model(tmp_path / "nothing")
+    pickled = tmp_path / "weights.pt"
+    torch.save({}, pickled)
+    with pytest.raises(InputError, match="directory"):
+        load_model(pickled)
+
+    config_file = checkpoint / "config.json"
+    config = json.loads(config_file.read_text())
+    config_file.write_text(json.dumps(config | {"architecture": "__import__('os')"}))
+    with pytest.raises(InputError, match="no architecture"):
+        load_model(checkpoint)
+    config_file.write_text(json.dumps(config | {"schema_version": 99}))
+    with pytest.raises(InputError, match="version 99"):
+        load_model(checkpoint)
+    config_file.write_text(json.dumps(config | {"model": config["model"] | {"width": 64}}))
+    with pytest.raises(InputError, match="do not fit"):
+        load_model(checkpoint)
+    config_file.write_text("{")
+    with pytest.raises(InputError, match="JSON"):
+        load_model(checkpoint)
+
+    config_file.write_text(json.dumps(config))
+    weights = checkpoint / "model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:1000])
+    with pytest.raises(InputError, match="safetensors"):
+        load_model(checkpoint)
+
+
+def test_a_file_is_never_overwritten_by_a_checkpoint(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("mine")
+    with pytest.raises(InputError, match="is a file"):
+        write_checkpoint(tmp_path / "taken", config={})
+    assert (tmp_path / "taken").read_text() == "mine"

@@ -1,0 +1,85 @@
+"""Neighbour searches against brute force and geometry that is known by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from pointsdf_cli.models.neighbours import (
+    farthest_point_order,
+    gather,
+    inverse_density,
+    nearest_in_subsets,
+    nearest_neighbours,
+    squared_distances,
+)
+
+
+def _cloud(seed: int, batch: int, count: int) -> torch.Tensor:
+    return torch.rand(batch, count, 3, generator=torch.Generator().manual_seed(seed)) - 0.5
+
+
+def test_neighbours_on_a_line_are_the_adjacent_ones() -> None:
+    line = torch.stack([torch.arange(10.0), torch.zeros(10), torch.zeros(10)], -1)[None]
+    index = nearest_neighbours(torch.tensor([[[3.2, 0.0, 0.0]]]), line, 4)
+    assert index[0, 0].tolist() == [3, 4, 2, 5]
+
+
+def test_squared_distances_of_a_3_4_5_triangle() -> None:
+    a = torch.tensor([[[0.0, 0.0, 0.0]]])
+    b = torch.tensor([[[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]])
+    torch.testing.assert_close(squared_distances(a, b), torch.tensor([[[25.0, 0.0]]]))
+
+
+def test_farthest_points_of_a_line_are_its_ends_then_its_middle() -> None:
+    line = torch.stack([torch.linspace(0, 1, 101), torch.zeros(101), torch.zeros(101)], -1)[None]
+    assert farthest_point_order(line, 3)[0].tolist() == [0, 100, 50]
+
+
+def test_farthest_points_are_nested_and_distinct() -> None:
+    cloud = _cloud(0, 2, 300)
+    long, short = farthest_point_order(cloud, 64), farthest_point_order(cloud, 16)
+    assert torch.equal(long[:, :16], short)
+    assert all(len(set(row.tolist())) == 64 for row in long)
+
+
+def test_farthest_points_cover_what_random_ones_leave_out() -> None:
+    cloud = _cloud(1, 1, 1000)
+    chosen = gather(cloud, farthest_point_order(cloud, 64))
+    radius = squared_distances(cloud, chosen).amin(-1).amax().sqrt()
+    random_radius = squared_distances(cloud, cloud[:, :64]).amin(-1).amax().sqrt()
+    assert radius < 0.8 * random_radius
+
+
+def test_the_subset_search_always_holds_the_nearest_and_one_of_each_subset() -> None:
+    queries, cloud = _cloud(2, 2, 50), _cloud(3, 2, 1000)
+    index = nearest_in_subsets(queries, cloud, 5)
+    assert torch.equal((index % 5).sort(-1).values, torch.arange(5).expand(2, 50, 5))
+    found = (gather(cloud, index) - queries.unsqueeze(2)).norm(dim=-1).amin(-1)
+    best = torch.cdist(queries, cloud).amin(-1)
+    torch.testing.assert_close(found, best, rtol=2e-3, atol=1e-5)
+
+
+def test_the_subset_search_refuses_unequal_subsets() -> None:
+    with pytest.raises(ValueError, match="equal subsets"):
+        nearest_in_subsets(_cloud(0, 1, 4), _cloud(1, 1, 10), 3)
+
+
+def test_gather_takes_rows_of_its_own_cloud_and_sends_gradients_back() -> None:
+    values = torch.arange(12.0).view(2, 3, 2).requires_grad_(True)
+    index = torch.tensor([[[0, 2]], [[1, 1]]])
+    picked = gather(values, index)
+    assert picked[0, 0].tolist() == [[0.0, 1.0], [4.0, 5.0]]
+    assert picked[1, 0].tolist() == [[8.0, 9.0], [8.0, 9.0]]
+    picked.sum().backward()
+    assert values.grad is not None
+    assert values.grad[..., 0].tolist() == [[1.0, 0.0, 1.0], [0.0, 2.0, 0.0]]
+
+
+def test_density_of_two_clusters_is_as_their_sizes() -> None:
+    # Two far clusters of 30 and 10 equal points: densities stand as 3 to 1, inverses as 1 to 3.
+    cloud = torch.cat([torch.zeros(30, 3), torch.full((10, 3), 9.0)])[None]
+    inverse = inverse_density(cloud, bandwidth=0.1)[0]
+    np.testing.assert_allclose(inverse[:30], 1.0 / 3.0, rtol=1e-5)
+    np.testing.assert_allclose(inverse[30:], 1.0, rtol=1e-5)

@@ -1,0 +1,275 @@
+"""Training: the loss by hand, batches in the right frame, exact resume, a sphere learned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.checkpoints import read_checkpoint, read_train_state
+from pointsdf_cli.io.labels import Labels, write_labels
+from pointsdf_cli.io.views import Views, write_views
+from pointsdf_cli.models.pointsdf_ray import PointSDFRay
+from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.models.registry import build_model, load_model
+from pointsdf_cli.training.sdf_data import augment, read_batch, split_views, training_views
+from pointsdf_cli.training.sdf_loop import Progress, TrainConfig, TrainResult, train_sdf
+from pointsdf_cli.training.sdf_loss import SdfLoss, label_iou
+from pointsdf_cli.training.sdf_pack import Pack, open_pack, pair_artifacts
+
+VIEWS, LABELS = 4, 3000
+
+
+def _front(radius: float, rng: np.random.Generator) -> np.ndarray:
+    """1000 points of the half of a sphere that a camera at the origin sees, 1.5 m before it."""
+    directions = rng.normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    centre = np.array([0.02, -0.01, 1.5])
+    seen = directions[(directions * (centre + radius * directions)).sum(1) < 0][:1000]
+    return centre + radius * seen
+
+
+@pytest.fixture(scope="module")
+def artifacts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Views and labels of three spheres, with distances in closed form."""
+    folder = tmp_path_factory.mktemp("spheres")
+    rng = np.random.default_rng(0)
+    for number, radius in enumerate((0.03, 0.05, 0.08)):
+        T = np.tile(np.eye(4), (VIEWS, 1, 1))
+        T[:, :3, 3] = [0.02, -0.01, 1.5]
+        clouds = np.stack([_front(radius, rng) for _ in range(VIEWS)]).astype(np.float32)
+        points = rng.uniform(-2.0 * radius, 2.0 * radius, (LABELS, 3))
+        sdf = np.linalg.norm(points, axis=1) - radius
+        name, digest = f"sphere{number}.ply", f"{number:064d}"
+        views = Views(clouds, T, np.eye(3), (640, 480), 0.0, name, digest)
+        write_views(folder / "views" / "balls" / f"{number}.h5", views, seed=0)
+        labels = Labels(points.astype(np.float32), sdf.astype(np.float32), name, digest)
+        write_labels(folder / "labels" / "balls" / f"{number}.h5", labels, seed=0)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pack(artifacts: Path, tmp_path_factory: pytest.TempPathFactory) -> Pack:
+    pairs = pair_artifacts(artifacts / "views", artifacts / "labels")
+    return open_pack(pairs, tmp_path_factory.mktemp("pack"))
+
+
+def _small() -> PointSDFRay:
+    torch.manual_seed(0)
+    return PointSDFRay(
+        centres=(32, 16, 8, 4),
+        neighbours=(8, 4, 4, 4),
+        hidden=(8, 8, 8, 8),
+        channels=(16, 16, 16, 16),
+        width=32,
+        blocks=2,
+        local=16,
+    )
+
+
+CONFIG = TrainConfig(
+    steps=8, batch_size=4, queries=64, warmup=2, validate_every=4, precision="float32"
+)
+
+
+def _run(
+    pack: Pack, out: Path, config: TrainConfig = CONFIG, stop_at: int | None = None, **more: object
+) -> TrainResult:
+    calls = iter(range(10**9))
+    return train_sdf(
+        pack,
+        split_views(pack, 0.34, 0),
+        _small(),
+        config,
+        out,
+        should_stop=lambda: stop_at is not None and next(calls) >= stop_at,
+        **more,  # type: ignore[arg-type]
+    )
+
+
+def test_the_loss_by_hand() -> None:
+    predicted, sdf = torch.tensor([[0.1, -0.2]]), torch.tensor([[0.15, -0.05]])
+    # |0.1 − 0.15| / 0.2 = 0.25 and |−0.2 + 0.05| / 0.1 = 1.5; both signs are right.
+    assert SdfLoss(sign_weight=0.0)(predicted, sdf) == pytest.approx(0.875)
+    cross_entropy = (np.log1p(np.exp(-0.1 / 0.02)) + np.log1p(np.exp(-0.2 / 0.02))) / 2
+    assert SdfLoss("sign", sign_weight=1.0)(predicted, sdf) == pytest.approx(
+        cross_entropy, rel=1e-4
+    )
+    assert SdfLoss("mse")(predicted, sdf) == pytest.approx((0.05**2 + 0.15**2) / 2)
+    wrong_side = SdfLoss()(torch.tensor([[-0.01]]), torch.tensor([[0.01]]))
+    right_side = SdfLoss()(torch.tensor([[0.03]]), torch.tensor([[0.01]]))
+    assert wrong_side > right_side
+
+
+def test_label_iou_counts_insides() -> None:
+    truth = torch.tensor([[-1.0, -1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])
+    predicted = torch.tensor([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])
+    assert label_iou(predicted, truth).tolist() == [pytest.approx(1 / 3), 0.0]
+
+
+def test_a_pack_holds_the_artifacts_in_the_network_frame(pack: Pack) -> None:
+    assert pack.names == ("0", "1", "2")
+    assert pack.clouds.shape == (3 * VIEWS, 1000, 3)
+    extents = np.ptp(pack.clouds.astype(np.float32), axis=1).max(axis=1)
+    np.testing.assert_allclose(extents, 1 / 1.03, atol=2e-3)
+    # A batch's labels are a sphere's distances about its centre, in network units.
+    batch = read_batch(pack, np.array([0, 5, 11]), 200, np.random.default_rng(0))
+    for radius, view, x, sdf in zip(
+        (0.03, 0.05, 0.08), (0, 5, 11), batch.x, batch.sdf, strict=True
+    ):
+        centre = pack.to_network[view, :, 3]
+        expected = np.linalg.norm(x.numpy() - centre, axis=1) - radius * pack.scale[view]
+        np.testing.assert_allclose(sdf, expected, atol=1e-5)
+
+
+def test_the_packed_neighbours_are_the_nearest(pack: Pack) -> None:
+    cloud = torch.from_numpy(pack.clouds[2].astype(np.float32))
+    distances = torch.cdist(cloud[:20], cloud)
+    packed = distances.gather(1, torch.from_numpy(pack.neighbours[2, :20].astype(np.int64)))
+    best = distances.sort(dim=1).values[:, : packed.shape[1]]
+    torch.testing.assert_close(packed, best, atol=1e-6, rtol=0.0)
+
+
+def test_a_pack_is_built_once_and_again_for_other_files(artifacts: Path, tmp_path: Path) -> None:
+    pairs = pair_artifacts(artifacts / "views", artifacts / "labels")
+    built: list[int] = []
+    open_pack(pairs, tmp_path, None, lambda n, _: built.append(n))
+    open_pack(pairs, tmp_path, None, lambda n, _: built.append(n))
+    assert built == [1, 2, 3]
+    two = open_pack(pairs[:2], tmp_path, {"": 3})
+    assert two.clouds.shape[0] == 6
+    assert not list(tmp_path.glob("*.bin"))
+
+
+def test_augmentation_keeps_distances_true_and_the_camera_with_its_cloud(pack: Pack) -> None:
+    batch = read_batch(pack, np.array([3, 7]), 100, np.random.default_rng(0))
+    turned = augment(batch, np.random.default_rng(1))
+    assert not torch.allclose(turned.cloud, batch.cloud)
+    assert np.ptp(turned.cloud.numpy(), axis=1).max(axis=1) == pytest.approx(1 / 1.03, abs=1e-3)
+    # One similarity moves everything: distances between cloud, camera and labels scale alike.
+    for k in range(2):
+        before = torch.cdist(batch.x[k], torch.cat([batch.cloud[k], batch.camera[k : k + 1]]))
+        after = torch.cdist(turned.x[k], torch.cat([turned.cloud[k], turned.camera[k : k + 1]]))
+        scale = (after / before).median()
+        torch.testing.assert_close(after, before * scale, rtol=2e-3, atol=2e-3)
+        torch.testing.assert_close(turned.sdf[k], batch.sdf[k] * scale, rtol=2e-3, atol=2e-3)
+
+
+def test_objects_are_held_out_whole(pack: Pack) -> None:
+    split = split_views(pack, 0.34, 0)
+    training = set(pack.object_of_view[split.train].tolist())
+    held_out = set(pack.object_of_view[split.held_out_objects].tolist())
+    assert training.isdisjoint(held_out)
+    assert len(training) == 2
+    assert set(split.held_out_views.tolist()).isdisjoint(split.train.tolist())
+    assert set(pack.object_of_view[split.held_out_views].tolist()) <= training
+
+
+def test_an_epoch_meets_every_view_once() -> None:
+    views = np.arange(100, 124)
+    epoch = np.concatenate([training_views(views, 4, step, seed=3) for step in range(6)])
+    assert sorted(epoch) == sorted(views)
+    other = np.concatenate([training_views(views, 4, step, seed=3) for step in range(6, 12)])
+    assert sorted(other) == sorted(views)
+    assert epoch.tolist() != other.tolist()
+
+
+def test_a_stopped_and_resumed_run_equals_an_uninterrupted_one(pack: Pack, tmp_path: Path) -> None:
+    whole = _run(pack, tmp_path / "whole")
+    stopped = _run(pack, tmp_path / "parts", stop_at=5)
+    assert whole.finished
+    assert not stopped.finished
+    assert stopped.step == 5
+    resumed = _run(pack, tmp_path / "parts", resume=True)
+    assert resumed.step == whole.step == 8
+    for key in ("model", "average"):
+        first = read_train_state(tmp_path / "whole")[key]
+        second = read_train_state(tmp_path / "parts")[key]
+        assert all(torch.equal(first[name], second[name]) for name in first)
+    strip = [{k: v for k, v in entry.items() if k != "seconds"} for entry in whole.history]
+    again = [{k: v for k, v in entry.items() if k != "seconds"} for entry in resumed.history]
+    assert [e["object_loss"] for e in strip] == [e["object_loss"] for e in again]
+
+
+def test_other_settings_are_not_resumed(pack: Pack, tmp_path: Path) -> None:
+    _run(pack, tmp_path / "run", stop_at=2)
+    with pytest.raises(InputError, match="queries: 64 → 32"):
+        _run(pack, tmp_path / "run", replace(CONFIG, queries=32), resume=True)
+    with pytest.raises(InputError, match="nothing to resume"):
+        _run(pack, tmp_path / "other", resume=True)
+
+
+def test_the_kept_weights_are_those_of_the_best_validation(pack: Pack, tmp_path: Path) -> None:
+    seen: list[Progress] = []
+    config = replace(CONFIG, steps=12, validate_every=2)
+    result = _run(pack, tmp_path / "run", config, on_progress=seen.append)
+    assert result.best is not None
+    assert result.best["object_loss"] == min(e["object_loss"] for e in result.history)
+    assert read_checkpoint(tmp_path / "run").config["best"]["step"] == result.best["step"]
+    assert len([p for p in seen if p.validation]) == 6
+
+
+def test_a_sphere_is_learned_and_its_unseen_half_found(pack: Pack, tmp_path: Path) -> None:
+    config = TrainConfig(
+        steps=160, batch_size=4, queries=128, warmup=10, average=0.9, validate_every=160,
+        learning_rate=3e-3, precision="float32",
+    )  # fmt: skip
+    _run(pack, tmp_path / "run", config)
+    cloud = _front(0.06, np.random.default_rng(9))
+    shape = Reconstruction.from_cloud(load_model(tmp_path / "run"), cloud, np.zeros(3))
+    x = np.array([0.02, -0.01, 1.5]) + np.random.default_rng(1).uniform(-0.1, 0.1, (4000, 3))
+    truth = np.linalg.norm(x - [0.02, -0.01, 1.5], axis=1) < 0.06
+    inside = shape.sdf(x) < 0
+    assert (inside & truth).sum() / (inside | truth).sum() > 0.8
+
+
+@pytest.mark.parametrize("architecture", ["pointsdf", "voxelcnn"])
+def test_the_other_networks_train_too(architecture: str, pack: Pack, tmp_path: Path) -> None:
+    from pointsdf_cli.training.presets import preset
+
+    arguments, config = preset(architecture, "small")
+    model = build_model(architecture, arguments)
+    config = replace(config, steps=2, batch_size=2, queries=16, precision="float32")
+    result = train_sdf(pack, split_views(pack, 0.34, 0), model, config, tmp_path / "run")
+    assert result.finished
+    assert np.isfinite(result.history[-1]["object_loss"])
+    assert load_model(tmp_path / "run").architecture == architecture
+
+
+def test_nonsense_settings_are_refused() -> None:
+    for wrong in ({"steps": 0}, {"schedule": "exponential"}, {"minutes": -1.0}, {"average": 1.0}):
+        with pytest.raises(InputError):
+            TrainConfig(**wrong)  # type: ignore[arg-type]
+    with pytest.raises(InputError):
+        SdfLoss("huber")
+
+
+def test_the_command_trains_stops_and_resumes(cli, artifacts: Path, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    arguments = [
+        "train-sdf", "--views", artifacts / "views", "--labels", artifacts / "labels",
+        "--out", tmp_path / "ckpt", "--batch-size", 2, "--queries", 16, "--validate-every", 2,
+        "--held-out", 0.34, "--threads", 1,
+    ]  # fmt: skip
+    done = cli(*arguments, "--steps", 2, "--json")
+    assert done.code == 0, done.err
+    assert '"finished": true' in done.out
+    assert (tmp_path / "ckpt" / "loss.png").stat().st_size > 1000
+    again = cli(*arguments, "--steps", 3)
+    assert again.code == 2
+    assert "--resume" in again.err
+    carried_on = cli(*arguments, "--steps", 3, "--resume", "--json")
+    assert carried_on.code == 0, carried_on.err
+    assert '"steps": 3' in carried_on.out
+    for wrong, told in (
+        (["--views", tmp_path / "none"], "not a folder"),
+        (["--model", "resnet"], "pointsdf-ray"),
+        (["--views-per-object", "many"], "FOLDER=N"),
+        (["--held-out", "2"], "between 0 and 1"),
+    ):
+        refused = cli(*arguments, *wrong, "--resume")
+        assert refused.code == 2
+        assert told in refused.err
