@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.isosurface import IsosurfaceConfig, extract_isosurface
 from pointsdf_cli.geometry.mise import Field, SearchRules
+from pointsdf_cli.geometry.smoothing import taubin_smooth
 from pointsdf_cli.models.reconstruction import Reconstruction
+
+SMOOTHING = 25
+"""Chosen on held-out training objects: it raises normal consistency by 0.07 and moves the other
+two metrics of Table I by less than their noise, for the better (docs/results.md)."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,10 @@ class ReconstructedMesh:
 
 
 def mesh_reconstruction(
-    reconstruction: Reconstruction, resolution: int = 128, smallest_part: float = 0.05
+    reconstruction: Reconstruction,
+    resolution: int = 128,
+    smallest_part: float = 0.05,
+    smoothing: int = SMOOTHING,
 ) -> ReconstructedMesh:
     """The zero level of a reconstruction.
 
@@ -41,6 +49,7 @@ def mesh_reconstruction(
         reconstruction: Of one cloud.
         resolution: Cells along the box: 32 times a power of two, up to 512.
         smallest_part: Parts smaller than this share of the largest one's volume are dropped.
+        smoothing: Passes that take the field's ripples off the surface (see `SMOOTHING`).
 
     Raises:
         EmptySurfaceError: The network sees no inside.
@@ -55,7 +64,9 @@ def mesh_reconstruction(
     )
     surface = extract_isosurface(network_field(reconstruction), config)
     return ReconstructedMesh(
-        vertices=_in_cloud_frame(reconstruction, surface.vertices),
+        vertices=_in_cloud_frame(
+            reconstruction, taubin_smooth(surface.vertices, surface.faces, smoothing)
+        ),
         faces=surface.faces,
         queries=surface.queries,
         parts_dropped=surface.parts_dropped,

@@ -1,0 +1,41 @@
+"""Smoothing of a surface that keeps its volume (Taubin 1995, "A signal processing approach to fair
+surface design").
+
+A network that reads a noisy cloud gives a field with ripples of about a cell. They do not move the
+surface much, but they turn its normals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+SHRINK, GROW = 0.5, -0.53
+"""Weights of the two passes: 1/λ + 1/μ ≈ 0.11 passes features a few edges wide and wider."""
+
+
+def taubin_smooth(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], iterations: int
+) -> NDArray[np.float64]:
+    """The vertices [V, 3] after so many shrinking and growing passes; the faces stay.
+
+    Args:
+        vertices: [V, 3].
+        faces: [F, 3], of a closed surface.
+        iterations: Pairs of passes; 0 changes nothing.
+    """
+    if iterations == 0 or len(faces) == 0:
+        return vertices
+    one, other = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
+    count = len(vertices)
+    # Every edge of a closed surface comes once in each direction, so this is symmetric.
+    adjacency = sparse.csr_matrix((np.ones(len(one)), (one, other)), shape=(count, count))
+    adjacency.data[:] = 1.0
+    neighbours = np.maximum(np.asarray(adjacency.sum(axis=1)).ravel(), 1.0)
+    mean = sparse.diags(1.0 / neighbours) @ adjacency
+    smoothed = np.asarray(vertices, dtype=np.float64)
+    for _ in range(iterations):
+        for weight in (SHRINK, GROW):
+            smoothed = smoothed + weight * (mean @ smoothed - smoothed)
+    return smoothed
