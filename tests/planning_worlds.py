@@ -100,3 +100,33 @@ class NearPalm:
         # Fingers level: the z axis of the palm has no height.
         level = T_world_palm[:, 2, 2].square()
         return 1.0 - (preshape - self.rest).square().sum(dim=1) - level
+
+
+class AroundObject:
+    """Side grasps of an upright thing: palms about its axis, facing it, thumb up or fingers down.
+
+    Implements the prior's protocol with draws that a hand can work out.
+    """
+
+    def __init__(
+        self, centre: tuple[float, float, float], distance: float, rest: Array, spread: float = 0.6
+    ) -> None:
+        self.centre, self.distance = np.array(centre), distance
+        self.rest, self.spread = rest, spread
+
+    def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        angle = rng.uniform(-self.spread, self.spread, count)
+        palm = np.tile(np.eye(4), (count, 1, 1))
+        if kind == "side":
+            x = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+            y = np.tile([0.0, 0.0, 1.0], (count, 1))
+            z = np.cross(x, y)
+        else:
+            x = np.tile([0.0, 0.0, -1.0], (count, 1))
+            z = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+            y = np.cross(z, x)
+        palm[:, :3, :3] = np.stack([x, y, z], axis=2)
+        palm[:, :3, 3] = self.centre - self.distance * x
+        palm[:, :3, 3] += rng.normal(0, 0.01, (count, 3))
+        preshape = self.rest + rng.normal(0, 0.05, (count, len(self.rest)))
+        return preshape, palm

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
+
+from pointsdf_cli.geometry.signed_distance import SignedDistance
+from pointsdf_cli.models.reconstruction import Reconstruction
 
 Array = NDArray[np.float64]
 
@@ -23,41 +23,80 @@ class Field(Protocol):
         """Values [N] and gradients [N, 3]."""
 
 
-class TorchField:
-    """A field from a differentiable function, as a network with its frame is.
+class BoundedField(Field, Protocol):
+    """A field that knows how far its values can be off."""
 
-    Args:
-        function: World points [N, 3] → signed distances [N], m; differentiable in the points.
-        batch: Points asked at once.
-        dtype: What the function computes in.
-    """
+    def bound(self, points: Array) -> Array:
+        """The largest possible error [N] in m at points [N, 3]."""
 
-    def __init__(
-        self,
-        function: Callable[[Tensor], Tensor],
-        batch: int = 1 << 14,
-        dtype: torch.dtype = torch.float32,
-    ) -> None:
-        self._function, self._batch, self._dtype = function, batch, dtype
+
+class ReconstructionField:
+    """f_SDF(o, x): the network itself. The reconstruction's cloud must be in the world's frame."""
+
+    def __init__(self, reconstruction: Reconstruction) -> None:
+        self._reconstruction = reconstruction
 
     def __call__(self, points: Array) -> Array:
-        parts = []
-        with torch.no_grad():
-            for piece in self._pieces(points):
-                parts.append(self._function(piece).double().numpy())
-        return np.concatenate(parts) if parts else np.zeros(0)
+        return self._reconstruction.sdf(points).astype(np.float64)
 
     def with_gradient(self, points: Array) -> tuple[Array, Array]:
-        values, gradients = [np.zeros(0)], [np.zeros((0, 3))]
-        for piece in self._pieces(points):
-            piece.requires_grad_()
-            with torch.enable_grad():
-                value = self._function(piece)
-                (gradient,) = torch.autograd.grad(value.sum(), piece)
-            values.append(value.detach().double().numpy())
-            gradients.append(gradient.double().numpy())
-        return np.concatenate(values), np.concatenate(gradients)
+        values, gradients = self._reconstruction.sdf_and_gradient(points)
+        return values.astype(np.float64), gradients.astype(np.float64)
 
-    def _pieces(self, points: Array) -> list[Tensor]:
-        tensor = torch.tensor(np.asarray(points), dtype=self._dtype)
-        return list(tensor.split(self._batch)) if len(tensor) else []
+
+class MeshField:
+    """The exact distance to a closed mesh: for partial-view grasping, and for the truth in trials.
+
+    Args:
+        vertices: [V, 3], world frame, m.
+        faces: [F, 3].
+    """
+
+    STEP = 1e-4
+    """Of the central differences [m]: far above float32 rounding, far below any curvature."""
+
+    def __init__(self, vertices: Array, faces: NDArray[np.integer]) -> None:
+        self._distance = SignedDistance(vertices, faces, threads=1)
+
+    def __call__(self, points: Array) -> Array:
+        return self._distance(points).astype(np.float64)
+
+    def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        shifts = self.STEP * np.eye(3)
+        both = [points + s for s in shifts] + [points - s for s in shifts]
+        around = self(np.concatenate(both)).reshape(2, 3, len(points))
+        return self(points), ((around[0] - around[1]) / (2 * self.STEP)).T
+
+
+class RefinedField:
+    """A quick field that asks the exact one where its own answer could matter.
+
+    Where the quick value less its bound exceeds `beyond`, the true value does too, and the quick
+    one is returned. Everywhere else the exact field answers. So what is below `beyond` is exact.
+
+    Attributes:
+        queries: How often the exact field was asked.
+    """
+
+    def __init__(self, quick: BoundedField, exact: Field, beyond: float) -> None:
+        self._quick, self._exact, self._beyond = quick, exact, beyond
+        self.queries = 0
+
+    def __call__(self, points: Array) -> Array:
+        values = self._quick(points)
+        near = self._near(points, values)
+        if near.any():
+            values[near] = self._exact(points[near])
+        return values
+
+    def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        values, gradients = self._quick.with_gradient(points)
+        near = self._near(points, values)
+        if near.any():
+            values[near], gradients[near] = self._exact.with_gradient(points[near])
+        return values, gradients
+
+    def _near(self, points: Array, values: Array) -> NDArray[np.bool_]:
+        near: NDArray[np.bool_] = values - self._quick.bound(points) <= self._beyond
+        self.queries += int(near.sum())
+        return near

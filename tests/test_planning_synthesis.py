@@ -1,0 +1,181 @@
+"""From an object to a configuration: seeds, acceptance, reasons; on objects with exact fields."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from planning_worlds import AroundObject, BoxField, CylinderField, NearPalm
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.acceptance import AcceptanceConfig, explain, judge
+from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.fields import Field, MeshField, RefinedField
+from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
+from pointsdf_cli.planning.grid import GridConfig, GridField
+from pointsdf_cli.planning.objective import GraspScore
+from pointsdf_cli.planning.seeds import SeedConfig, draw_seeds
+from pointsdf_cli.planning.sqp import Sqp
+from pointsdf_cli.planning.synthesis import Problems, Synthesis, SynthesisConfig, synthesise
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
+from pointsdf_cli.robot.kinematics import Kinematics
+
+ROBOT = load_robot()
+KINEMATICS = Kinematics(ROBOT)
+IK = InverseKinematics(ROBOT, IkConfig(library=4000))
+REST = np.array([0.0] * 6 + [1.3, 0.5])
+RADIUS = 0.035
+
+
+def problems(
+    field: Field,
+    score: GraspScore,
+    environment: Environment,
+    at: tuple[float, float, float],
+    around: float = 0.2,
+) -> Problems:
+    low, high = np.array(at) - around, np.array(at) + around
+    grid = GridField(field, low, high, GridConfig(step=0.005))
+    asked, inside = Clearances(), Clearances(0.0015, 0.0025, 0.0015)
+    refined = RefinedField(grid, field, beyond=0.01)
+
+    def problem(which: Field, clearances: Clearances) -> GraspProblem:
+        return GraspProblem(KINEMATICS, score, which, environment, clearances)
+
+    return Problems(problem(grid, inside), problem(field, asked), problem(refined, inside))
+
+
+def plan(
+    field: Field,
+    at: tuple[float, float, float],
+    distance: float,
+    environment: Environment | None = None,
+    best: float | None = None,
+    rounds: int = 1,
+    width: float = 0.08,
+) -> Synthesis:
+    best = distance if best is None else best
+    place = (at[0] - best, at[1], at[2])
+    score = NearPalm(place, (1.0, 0.0, 0.0), REST, width=width)
+    return synthesise(
+        problems(field, score, environment or Environment(), at),
+        AroundObject(at, distance, REST),
+        IK,
+        Sqp(),
+        np.random.default_rng(0),
+        SynthesisConfig(rounds=rounds, seeds=SeedConfig(palms=16, seeds=4)),
+    )
+
+
+CAN = (0.6, 0.0, 0.12)
+
+
+@pytest.fixture(scope="module")
+def can_plan() -> Synthesis:
+    return plan(CylinderField(RADIUS, 0.24, CAN), CAN, 0.09)
+
+
+def test_a_can_in_reach_is_planned_and_touches_nothing(can_plan: Synthesis) -> None:
+    result = can_plan
+    assert result.best is not None
+    assert result.reason == ""
+    assert result.best.success > 0.6
+    assert result.best.objective < 5
+    assert result.best.worst_room >= 0
+    assert result.best.limit_room >= 0
+    # The same from a mesh of the can, at surface points of the robot.
+    can = trimesh.creation.cylinder(RADIUS, 0.24, sections=96)
+    can.apply_translation(CAN)
+    check = GraspProblem(
+        KINEMATICS,
+        NearPalm(CAN, (1.0, 0, 0), REST),
+        MeshField(np.array(can.vertices), np.array(can.faces)),
+    )
+    assert check.residuals(result.best.x[None]).worst[0] > -1e-4
+
+
+def test_the_same_seed_gives_the_same_plan(can_plan: Synthesis) -> None:
+    one, two = can_plan.best, plan(CylinderField(RADIUS, 0.24, CAN), CAN, 0.09).best
+    assert one is not None
+    assert two is not None
+    np.testing.assert_array_equal(one.x, two.x)
+
+
+def test_out_of_reach_is_said_to_be_so() -> None:
+    at = (1.6, 0.0, 0.12)
+    result = plan(CylinderField(RADIUS, 0.24, at), at, 0.09)
+    assert result.best is None
+    assert result.reason == "inverse_kinematics"
+    assert "nearer" in result.sentence
+
+
+def test_in_a_narrow_bin_there_is_no_plan() -> None:
+    # The can stands in a bin whose walls leave no room for a hand.
+    walls = []
+    for k, (x, y) in enumerate(((0.06, 0), (-0.06, 0), (0, 0.06), (0, -0.06))):
+        pose = np.eye(4)
+        pose[:3, 3] = (CAN[0] + x, CAN[1] + y, 0.2)
+        size = (0.02, 0.14, 0.4) if x else (0.14, 0.02, 0.4)
+        walls.append(Obstacle(f"wall_{k}", "box", size, pose))
+    # Good grasps have the palm within the walls; from outside they are unlikely to hold.
+    field, bin_ = CylinderField(RADIUS, 0.24, CAN), Environment(tuple(walls))
+    result = plan(field, CAN, 0.05, bin_, width=0.02)
+    assert result.best is None
+    assert result.reason in ("table_collision", "object_collision", "low_success_probability")
+    assert all(c.worst_room < 0 or c.success <= 0.6 for c in result.rejected)
+    assert result.rejected
+
+
+def test_a_grasp_that_must_be_inside_of_a_block_is_unlikely_or_in_collision() -> None:
+    at = (0.6, 0.0, 0.15)
+    result = plan(BoxField((0.3, 0.5, 0.3), at), at, 0.2, best=0.0)
+    assert result.best is None
+    assert result.reason in ("object_collision", "low_success_probability", "objective")
+
+
+def test_seeds_are_the_best_of_what_is_reached() -> None:
+    field = CylinderField(RADIUS, 0.24, CAN)
+    score = NearPalm((CAN[0] - 0.09, 0, CAN[2]), (1.0, 0, 0), REST)
+    problem = problems(field, score, Environment(), CAN).quick
+    prior = AroundObject(CAN, 0.09, REST)
+    few = draw_seeds(problem, prior, IK, "side", np.random.default_rng(1), SeedConfig(16, 2))
+    many = draw_seeds(problem, prior, IK, "side", np.random.default_rng(1), SeedConfig(16, 16))
+    assert len(few.x) == 2
+    np.testing.assert_array_equal(few.x, many.x[:2])
+    assert few.reached <= few.above_table <= few.drawn
+    with pytest.raises(InputError, match="side, top"):
+        draw_seeds(problem, prior, IK, "below", np.random.default_rng(1))
+
+
+def test_every_reason_is_told_apart(can_plan: Synthesis) -> None:
+    field = CylinderField(RADIUS, 0.24, CAN)
+    place = (CAN[0] - 0.09, 0.0, CAN[2])
+    score = NearPalm(place, (1.0, 0, 0), REST)
+    exact = problems(field, score, Environment(), CAN).exact
+    assert can_plan.best is not None
+    good = can_plan.best.x
+    into_table = good.copy()
+    into_table[1] += 0.5  # the shoulder leans forward
+    beyond = good.copy()
+    beyond[0] = exact.upper[0] + 0.1
+    reasons = [c.reason for c in judge(exact, np.stack([into_table, beyond]))]
+    assert reasons[0] in ("table_collision", "object_collision")
+    assert reasons[1] == "solver"
+    strict = judge(exact, good[None], AcceptanceConfig(success=0.999))[0]
+    assert strict.reason == "low_success_probability"
+    picky = judge(exact, good[None], AcceptanceConfig(success=0.0, objective=1e-3))[0]
+    assert picky.reason == "objective"
+    assert f"{picky.objective:.2f}" in explain("objective", picky, 4)
+
+
+def test_the_refined_field_is_exact_where_it_matters() -> None:
+    field = CylinderField(RADIUS, 0.24)
+    grid = GridField(field, np.full(3, -0.2), np.full(3, 0.2), GridConfig(step=0.01, band=0.0))
+    refined = RefinedField(grid, field, beyond=0.005)
+    points = np.random.default_rng(0).uniform(-0.2, 0.2, (5000, 3))
+    true = field(points)
+    near = true < 0.005
+    np.testing.assert_array_equal(refined(points)[near], true[near])
+    assert (refined(points)[~near] > 0.005 - 1e-12).all()
+    assert refined.queries < len(points)
