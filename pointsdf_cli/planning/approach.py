@@ -1,0 +1,122 @@
+"""The last stretch: straight, with the preshape kept, so that fingers slide past the object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.contacts import Array
+from pointsdf_cli.planning.path_check import PathChecker
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+
+
+@dataclass(frozen=True)
+class ApproachConfig:
+    """How the last stretch runs.
+
+    Attributes:
+        length: Of the straight stretch [m].
+        shortest: Shorter ones are no approach [m].
+        step: Between inverse kinematics solutions on the way [m].
+        deviation: Between them the palm may leave the straight line by this [m], at most.
+    """
+
+    length: float = 0.08
+    shortest: float = 0.03
+    step: float = 0.01
+    deviation: float = 0.001
+
+    def __post_init__(self) -> None:
+        if not 0 < self.step <= self.shortest <= self.length or self.deviation <= 0:
+            raise InputError(f"{self}", allowed="0 < step ≤ shortest ≤ length, deviation > 0")
+
+
+def retreat(
+    checker: PathChecker,
+    kinematics: InverseKinematics,
+    q: Array,
+    config: ApproachConfig | None = None,
+) -> Array | None:
+    """The straight way back from a grasp: configurations [T, J], the grasp first.
+
+    Directions are tried in turn until one is free for its full length: against the palm's normal,
+    back along the fingers, between both, and upwards. Otherwise the longest free one is taken.
+
+    Args:
+        q: [J], the grasp.
+
+    Returns:
+        None where no direction is free for `config.shortest`.
+    """
+    config = config or ApproachConfig()
+    robot = checker.kinematics.robot
+    rotation, _, _ = kinematics.palm(q[None, robot.arm])
+    x, z = rotation[0, :, 0], rotation[0, :, 2]
+    up = np.array([0.0, 0.0, 1.0])
+    best: Array | None = None
+    for way in (-x, -x - z, -z, up - x, up):
+        length = np.linalg.norm(way)
+        if length < 0.3:  # the terms cancel: another direction says the same
+            continue
+        path = _straight(checker, kinematics, q, way / length, config)
+        if best is None or len(path) > len(best):
+            best = path
+        if len(path) > config.length / config.step:
+            break
+    if best is None or (len(best) - 1) * config.step < config.shortest - 1e-9:
+        return None
+    return best
+
+
+def _straight(
+    checker: PathChecker,
+    kinematics: InverseKinematics,
+    q: Array,
+    way: Array,
+    config: ApproachConfig,
+) -> Array:
+    """The free beginning of a straight way [T, J], in steps of the same length."""
+    robot = checker.kinematics.robot
+    arm = q[robot.arm]
+    rotation, position, _ = kinematics.palm(arm[None])
+    path = [arm]
+    for k in range(1, round(config.length / config.step) + 1):
+        goal = position[0] + k * config.step * way
+        solved = _follow(kinematics, path[-1], rotation[0], goal)
+        if (
+            solved is None
+            or ((solved < robot.lower[robot.arm]) | (solved > robot.upper[robot.arm])).any()
+        ):
+            break
+        _, middle, _ = kinematics.palm((path[-1] + solved)[None] / 2)
+        if np.linalg.norm(middle[0] - (goal - config.step / 2 * way)) > config.deviation:
+            break
+        path.append(solved)
+    whole = np.tile(q, (len(path), 1))
+    whole[:, robot.arm] = path
+    free = 1
+    while free < len(whole) and checker.is_free(whole[free - 1 : free + 1]):
+        free += 1
+    return whole[:free]
+
+
+def _follow(
+    kinematics: InverseKinematics, arm: Array, rotation: Array, position: Array
+) -> Array | None:
+    """The arm configuration next to `arm` with the palm at a pose near its own, by Newton."""
+    q = arm.copy()
+    for _ in range(8):
+        turned, at, jacobian = kinematics.palm(q[None])
+        relative = rotation @ turned[0].T
+        skew = (relative - relative.T) / 2
+        turn = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+        error = np.concatenate([position - at[0], turn])
+        if np.linalg.norm(error[:3]) < 1e-6 and np.linalg.norm(turn) < 1e-5:
+            return q
+        normal = jacobian[0] @ jacobian[0].T + 1e-8 * np.eye(6)
+        q = q + jacobian[0].T @ np.linalg.solve(normal, error)
+        if np.abs(q - arm).max() > 0.3:  # near a singularity: no small step leads there
+            return None
+    return None

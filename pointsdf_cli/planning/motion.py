@@ -1,0 +1,178 @@
+"""From where the robot is to the grasp: preshape, free way (OMPL's RRT-Connect), straight approach.
+
+METHOD section 6: up to three attempts at a collision-free joint-space path. All ways are checked
+all along (`path_check.py`), by one validator for planning, shortcutting and the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.approach import ApproachConfig, retreat
+from pointsdf_cli.planning.contacts import Array
+from pointsdf_cli.planning.path_check import PathChecker
+from pointsdf_cli.planning.timing import TimingConfig, Trajectory, time_path
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """How hard to try.
+
+    Attributes:
+        attempts: Searches with another seed each (METHOD: three).
+        seconds: Of each search, at most.
+        range: Longest edge of the tree [rad].
+        shortcuts: Rounds of shortcutting.
+        approach: The last stretch.
+        timing: Speeds.
+    """
+
+    attempts: int = 3
+    seconds: float = 5.0
+    range: float = 0.8
+    shortcuts: int = 30
+    approach: ApproachConfig = field(default_factory=ApproachConfig)
+    timing: TimingConfig = field(default_factory=TimingConfig)
+
+    def __post_init__(self) -> None:
+        if self.attempts < 1 or min(self.seconds, self.range) <= 0 or self.shortcuts < 0:
+            raise InputError(f"{self}", allowed="attempts ≥ 1, seconds and range above 0")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion, or why there is none.
+
+    Attributes:
+        trajectory: None if there is none.
+        corners: [T, J], the path before it was timed; empty if there is none.
+        approach_start: Index in `corners` where the straight stretch begins.
+        failure: Empty, or what could not be done.
+        attempts: Searches made.
+    """
+
+    trajectory: Trajectory | None
+    corners: Array
+    approach_start: int
+    failure: str
+    attempts: int
+
+
+def plan_motion(
+    checker: PathChecker,
+    kinematics: InverseKinematics,
+    start: Array,
+    goal: Array,
+    seed: int = 0,
+    config: MotionConfig | None = None,
+) -> Motion:
+    """Plan from start to goal [J].
+
+    Equal seeds give equal motions, as long as no search is cut off by its time limit.
+
+    Raises:
+        InputError: The start is not within the joint limits.
+    """
+    config = config or MotionConfig()
+    robot = checker.kinematics.robot
+    if ((start < robot.hard_lower - 1e-6) | (start > robot.hard_upper + 1e-6)).any():
+        raise InputError("the start is outside of the joint limits", where="--start")
+    if checker.room(start[None])[0] < 0:
+        return _failed("the robot touches something where it starts", 0)
+    back = retreat(checker, kinematics, goal, config.approach)
+    if back is None:
+        return _failed("no straight way leads out of the grasp", 0)
+    shaped = goal.copy()
+    shaped[robot.arm] = start[robot.arm]
+    if not checker.is_free(np.stack([start, shaped])):
+        return _failed("the hand cannot take its preshape where the robot starts", 0)
+    for attempt in range(config.attempts):
+        middle = _connect(checker, shaped, back[-1], 1 + seed + 7919 * attempt, config)
+        if middle is None:
+            continue
+        corners = np.concatenate([start[None], middle, back[::-1][1:]])
+        return Motion(
+            trajectory=time_path(corners, robot.velocity, config.timing),
+            corners=corners,
+            approach_start=len(middle),
+            failure="",
+            attempts=attempt + 1,
+        )
+    return _failed("no free way was found to where the approach begins", config.attempts)
+
+
+def _failed(why: str, attempts: int) -> Motion:
+    return Motion(None, np.zeros((0, 0)), 0, why, attempts)
+
+
+def _connect(
+    checker: PathChecker, start: Array, goal: Array, seed: int, config: MotionConfig
+) -> Array | None:
+    """A free arm path [T, J] between two configurations with the same hand, shortened."""
+    robot = checker.kinematics.robot
+    arm = np.arange(len(start))[robot.arm]
+    if checker.is_free(np.stack([start, goal])):
+        return np.stack([start, goal])
+    ou.setLogLevel(ou.LogLevel.LOG_NONE)  # it writes to stdout, which belongs to --json
+    ou.RNG.setSeed(seed)  # 0 would become 1
+    space = ob.RealVectorStateSpace(len(arm))
+    bounds = ob.RealVectorBounds(len(arm))
+    # The start may be nearer to a hard stop than plans go.
+    for j, column in enumerate(arm):
+        bounds.setLow(j, float(min(robot.lower[column], start[column])))
+        bounds.setHigh(j, float(max(robot.upper[column], start[column])))
+    space.setBounds(bounds)
+    information = ob.SpaceInformation(space)
+
+    def whole(state: ob.State) -> Array:
+        q = goal.copy()
+        q[arm] = [state[j] for j in range(len(arm))]
+        return q
+
+    moving = np.zeros(len(start), dtype=bool)
+    moving[arm] = True
+    information.setStateValidityChecker(
+        lambda state: bool(checker.room(whole(state)[None], moving)[0] >= 0)
+    )
+    information.setMotionValidator(_Validator(information, checker, whole))
+    information.setup()
+    problem = ob.ProblemDefinition(information)
+    first, last = space.allocState(), space.allocState()
+    for j, column in enumerate(arm):
+        first[j], last[j] = float(start[column]), float(goal[column])
+    problem.setStartAndGoalStates(first, last)
+    planner = og.RRTConnect(information)
+    planner.setRange(config.range)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    if not planner.solve(ob.timedPlannerTerminationCondition(config.seconds)):
+        return None
+    if not problem.hasExactSolution():
+        return None
+    path = problem.getSolutionPath()
+    simplifier = og.PathSimplifier(information)
+    if config.shortcuts:
+        simplifier.reduceVertices(path)
+        simplifier.partialShortcutPath(path, config.shortcuts, config.shortcuts, 0.33, 0.005)
+    corners = np.array([whole(path.getState(i)) for i in range(path.getStateCount())])
+    corners[0], corners[-1] = start, goal
+    return corners if checker.is_free(corners) else None
+
+
+class _Validator(ob.MotionValidator):
+    """A whole edge at once, proven free or not."""
+
+    def __init__(self, information: ob.SpaceInformation, checker: PathChecker, whole) -> None:  # type: ignore[no-untyped-def]
+        super().__init__(information)
+        self._checker, self._whole = checker, whole
+
+    def checkMotion(self, first: ob.State, second: ob.State, last: object = None) -> bool:
+        ways = np.stack([self._whole(first), self._whole(second)])
+        return bool(self._checker.is_free(ways))

@@ -1,0 +1,96 @@
+"""When each configuration of a path is reached, within the joints' speed limits.
+
+The path is a polyline and is kept exactly: the result only adds points on it and times. Let τ be
+the time that the path would take with the fastest joint always at its limit. The speed u = dτ/dt is
+at most 1, changes by at most 1/ramp per second, and is so low at a corner that no joint's speed
+jumps by more than `jump` of its limit there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TimingConfig:
+    """How briskly to move.
+
+    Attributes:
+        share: Of the joints' speed limits that is used.
+        ramp: Time from rest to full speed [s].
+        jump: Largest jump of a joint's speed at a corner, as a share of its limit.
+        step: Longest piece of the path between two points of the result, as time at full
+            speed [s].
+    """
+
+    share: float = 0.5
+    ramp: float = 0.5
+    jump: float = 0.1
+    step: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not (0 < self.share <= 1 and self.ramp > 0 and 0 < self.jump <= 1 and self.step > 0):
+            raise InputError(f"{self}", allowed="share and jump in (0, 1], ramp and step above 0 s")
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Configurations with their times.
+
+    Attributes:
+        times: [T] s, from 0, increasing.
+        positions: [T, J].
+    """
+
+    times: Array
+    positions: Array
+
+    def at(self, time: Array) -> Array:
+        """Positions [N, J] at times [N], along straight ways between the points."""
+        columns = [np.interp(time, self.times, column) for column in self.positions.T]
+        return np.stack(columns, axis=-1)
+
+
+def time_path(path: Array, velocity: Array, config: TimingConfig | None = None) -> Trajectory:
+    """Give a path its times.
+
+    Args:
+        path: [T, J], corners in joint space; it begins and ends at rest.
+        velocity: [J], speed limits.
+    """
+    config = config or TimingConfig()
+    path = np.asarray(path, dtype=np.float64)
+    limit = velocity * config.share
+    moves = (np.abs(np.diff(path, axis=0)) > 1e-12).any(axis=1)
+    path = path[np.concatenate([[True], moves])]
+    if len(path) == 1:
+        return Trajectory(np.zeros(1), path)
+    legs = np.diff(path, axis=0)
+    full = (np.abs(legs) / limit).max(axis=1)
+    pieces = np.maximum(2, np.ceil(full / config.step)).astype(int)
+    points, tau, top = [path[:1]], [np.zeros(1)], [np.zeros(1)]
+    for i, (leg, count) in enumerate(zip(legs, pieces, strict=True)):
+        share = np.arange(1, count + 1)[:, None] / count
+        points.append(path[i] + share * leg)
+        tau.append(np.full(count, full[i] / count))
+        corner = 0.0
+        if i + 1 < len(legs):
+            change = np.abs(legs[i + 1] / full[i + 1] - leg / full[i]) / limit
+            corner = min(1.0, config.jump / max(float(change.max()), 1e-12))
+        top.append(np.concatenate([np.ones(count - 1), [corner]]))
+    positions, gap = np.concatenate(points), np.concatenate(tau)[1:]
+    positions[-1] = path[-1]
+    speed = np.concatenate(top)
+    for k in range(len(gap)):
+        speed[k + 1] = min(speed[k + 1], np.sqrt(speed[k] ** 2 + 2 * gap[k] / config.ramp))
+    for k in reversed(range(len(gap))):
+        speed[k] = min(speed[k], np.sqrt(speed[k + 1] ** 2 + 2 * gap[k] / config.ramp))
+    duration = 2 * gap / np.maximum(speed[:-1] + speed[1:], 1e-9)
+    return Trajectory(np.concatenate([[0.0], np.cumsum(duration)]), positions)

@@ -1,0 +1,159 @@
+"""Motions: bounds on what moves how far, straight approaches, free ways, times within limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from planning_worlds import CylinderField, SphereField
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.approach import ApproachConfig, retreat
+from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.motion import MotionConfig, plan_motion
+from pointsdf_cli.planning.path_check import PathChecker, joint_radii
+from pointsdf_cli.planning.timing import TimingConfig, time_path
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.surface import robot_surface
+
+ROBOT = load_robot()
+KINEMATICS = Kinematics(ROBOT)
+IK = InverseKinematics(ROBOT, IkConfig(library=4000))
+CAN = (0.6, 0.1, 0.12)
+FIELD = CylinderField(0.035, 0.24, CAN)
+
+
+def grasp(distance: float = 0.075, start: int = 0) -> np.ndarray:
+    """The palm in front of the can, facing it, thumb up."""
+    palm = np.eye(4)
+    palm[:3, :3] = np.column_stack([(1, 0, 0), (0, 0, 1), (0, -1, 0)])
+    palm[:3, 3] = np.array(CAN) - [distance, -0.03, 0]
+    found = IK.solve(palm)
+    arms = found.arm[0][found.reached[0]]
+    q = np.array([ROBOT.configuration(arm, np.array([0.0] * 6 + [1.3, 0.5])) for arm in arms])
+    room = PathChecker(KINEMATICS, FIELD).room(q)
+    return q[np.argsort(-room)[start]]
+
+
+def test_no_point_moves_farther_than_the_bound_says() -> None:
+    rng = np.random.default_rng(0)
+    radii = joint_radii(KINEMATICS)
+    surface = [(link, torch.tensor(p)) for link, p in robot_surface(ROBOT, 0.03).items()]
+    for _ in range(30):
+        a = rng.uniform(ROBOT.lower, ROBOT.upper)
+        b = a + rng.normal(0, 0.3, len(a)) * (rng.random(len(a)) < 0.4)
+        both = KINEMATICS.points(torch.tensor(np.stack([a, b])), surface)
+        moved = max(float((p[1] - p[0]).norm(dim=-1).max()) for p in both)
+        assert moved <= np.abs(b - a) @ radii
+
+
+def test_a_thin_wall_between_two_free_ends_is_not_jumped() -> None:
+    # A wire of 2 mm that the stretched hand sweeps through while the shoulder turns.
+    pose = np.eye(4)
+    q = ROBOT.home.copy()
+    _, position = (t.numpy() for t in KINEMATICS(torch.tensor(q)))
+    palm = position[KINEMATICS.index("allegro_palm")]
+    radius = np.hypot(palm[0], palm[1])
+    angle = np.arctan2(palm[1], palm[0]) + 0.45
+    pose[:3, 3] = (radius * np.cos(angle), radius * np.sin(angle), palm[2])
+    wire = Obstacle("wire", "box", (0.002, 0.002, 0.3), pose)
+    far = SphereField(0.01, (0, 0, 5.0))
+    checker = PathChecker(KINEMATICS, far, Environment((wire,)))
+    ends = np.stack([q, q])
+    ends[1, 0] += 0.9
+    assert (checker.room(ends) > 0).all()
+    assert not checker.is_free(ends)
+    assert PathChecker(KINEMATICS, far).is_free(ends)
+
+
+def test_the_retreat_is_straight_and_keeps_turn_and_hand() -> None:
+    q = grasp()
+    checker = PathChecker(KINEMATICS, FIELD)
+    assert checker.room(q[None])[0] >= 0
+    config = ApproachConfig(length=0.06, step=0.01)
+    path = retreat(checker, IK, q, config)
+    assert path is not None
+    np.testing.assert_array_equal(path[0], q)
+    np.testing.assert_array_equal(path[:, 7:], np.tile(q[7:], (len(path), 1)))
+    rotation, position, _ = IK.palm(path[:, :7])
+    assert len(path) == 7
+    gone = position - position[0]
+    way = gone[-1] / np.linalg.norm(gone[-1])
+    np.testing.assert_allclose(np.linalg.norm(gone[-1]), 0.06, atol=1e-4)
+    np.testing.assert_allclose(gone, np.outer(gone @ way, way), atol=1e-4)
+    np.testing.assert_allclose(rotation, np.tile(rotation[0], (7, 1, 1)), atol=1e-4)
+
+
+def test_a_motion_ends_in_the_grasp_and_is_free_at_every_millimetre() -> None:
+    q = grasp()
+    checker = PathChecker(KINEMATICS, FIELD)
+    motion = plan_motion(checker, IK, ROBOT.home, q, seed=3)
+    assert motion.failure == ""
+    assert motion.trajectory is not None
+    trajectory = motion.trajectory
+    np.testing.assert_array_equal(trajectory.positions[0], ROBOT.home)
+    np.testing.assert_array_equal(trajectory.positions[-1], q)
+    assert ((trajectory.positions >= ROBOT.lower - 1e-9).all(axis=0)).all()
+    assert ((trajectory.positions <= ROBOT.upper + 1e-9).all(axis=0)).all()
+    # An independent look: dense samples, every distance, no shortcuts by bounds.
+    dense = trajectory.at(np.linspace(0, trajectory.times[-1], 600))
+    assert checker.room(dense).min() >= -5e-4
+    # The preshape is taken first and kept.
+    after = motion.corners[1:, 7:]
+    np.testing.assert_array_equal(after, np.tile(q[7:], (len(after), 1)))
+
+
+def test_a_wall_is_driven_around_and_equal_seeds_give_equal_motions() -> None:
+    q = grasp()
+    pose = np.eye(4)
+    pose[:3, 3] = (0.42, -0.16, 0.25)
+    wall = Obstacle("wall", "box", (0.3, 0.02, 0.5), pose)
+    start = ROBOT.home.copy()
+    start[0] = -1.2
+    motions = []
+    for _ in range(2):
+        checker = PathChecker(KINEMATICS, FIELD, Environment((wall,)))
+        if checker.room(q[None])[0] < 0:
+            pytest.fail("the grasp itself must be free of the wall")
+        assert not checker.is_free(np.stack([start, q]))
+        motions.append(plan_motion(checker, IK, start, q, seed=1))
+    assert motions[0].failure == ""
+    assert checker.is_free(motions[0].corners)
+    np.testing.assert_array_equal(motions[0].corners, motions[1].corners)
+
+
+def test_why_there_is_no_motion() -> None:
+    q = grasp()
+    here = CylinderField(0.2, 1.0, (0.0, 0.0, 0.9))
+    inside = plan_motion(PathChecker(KINEMATICS, here), IK, ROBOT.home, q)
+    assert "where it starts" in inside.failure
+    checker = PathChecker(KINEMATICS, FIELD)
+    with pytest.raises(InputError, match="joint limits"):
+        plan_motion(checker, IK, ROBOT.home + 10, q)
+    with pytest.raises(InputError, match="attempts"):
+        MotionConfig(attempts=0)
+
+
+def test_times_keep_speed_limits_and_the_path() -> None:
+    rng = np.random.default_rng(0)
+    path = np.cumsum(rng.normal(0, 0.4, (8, 5)), axis=0)
+    velocity = rng.uniform(0.5, 2.0, 5)
+    config = TimingConfig(share=0.8)
+    trajectory = time_path(path, velocity, config)
+    speed = np.diff(trajectory.positions, axis=0) / np.diff(trajectory.times)[:, None]
+    assert (np.abs(speed) <= 0.8 * velocity + 1e-9).all()
+    # Every corner is passed, and every point lies on a leg.
+    for corner in path:
+        assert np.abs(trajectory.positions - corner).max(axis=1).min() < 1e-12
+    # From rest to rest.
+    assert (np.abs(speed[[0, -1]]) <= 0.8 * velocity * 0.5).all()
+
+
+def test_one_joint_over_a_long_way_takes_as_long_as_a_ramp_says() -> None:
+    # 1 rad/s, ramp 0.5 s up and down, 4 rad: 4 s at full speed plus half a ramp at each end.
+    config = TimingConfig(share=1.0, ramp=0.5, step=0.001)
+    trajectory = time_path(np.array([[0.0], [4.0]]), np.array([1.0]), config)
+    assert trajectory.times[-1] == pytest.approx(4.5, abs=0.01)
+    assert time_path(np.array([[1.0], [1.0]]), np.array([1.0])).times.tolist() == [0.0]
