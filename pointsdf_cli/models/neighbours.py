@@ -175,6 +175,8 @@ def inverse_density(points: Tensor, bandwidth: float) -> Tensor:
     Returns:
         [B, N], in (0, 1]; 1 where the cloud is sparsest.
     """
-    kernel = torch.exp(squared_distances(points, points) * (-0.5 / bandwidth**2))
+    exponent = squared_distances(points, points).mul_(-0.5 / bandwidth**2)
+    # What is further weighs nothing, but its exponential would be a denormal number: slow to make.
+    kernel = exponent.clamp_(min=-40.0).exp_()
     inverse = 1.0 / kernel.mean(-1)
     return (inverse / inverse.amax(-1, keepdim=True)).to(points.dtype)

@@ -20,7 +20,12 @@ from pointsdf_cli.models.neighbours import (
     nearest_neighbours,
 )
 from pointsdf_cli.models.pointconv import ChannelNorm, PointConv
-from pointsdf_cli.models.shape_model import Encoding, ShapeModel
+from pointsdf_cli.models.shape_model import (
+    PACKED_CENTRES,
+    PACKED_NEIGHBOURS,
+    Encoding,
+    ShapeModel,
+)
 
 BANDWIDTHS = (0.05, 0.1, 0.2, 0.4)
 """Of the density's Gaussian kernel in each layer, network units."""
@@ -83,6 +88,8 @@ class PointSDF(ShapeModel):
             "dropout": dropout,
         }
         self.centres, self.neighbours = tuple(centres), tuple(neighbours)
+        if centres[0] <= PACKED_CENTRES and neighbours[0] <= PACKED_NEIGHBOURS:
+            self.packed_neighbours = (centres[0], neighbours[0])
         inputs = (0, *(mlp[-1] for mlp in mlps[:-1]))
         self.layers = nn.ModuleList(
             PointConv(channels, mlp, weight_channels=weight_channels)
@@ -109,14 +116,19 @@ class PointSDF(ShapeModel):
         return dict(self._config)
 
     def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
-        points = gather(cloud, farthest_point_order(cloud, self.centres[0]))
+        if neighbours is None:
+            points = gather(cloud, farthest_point_order(cloud, self.centres[0]))
+        else:
+            points = cloud[:, : self.centres[0]]
         below, features = cloud, None
         for layer, count, k, bandwidth in zip(
             self.layers, self.centres, self.neighbours, BANDWIDTHS, strict=True
         ):
             # Farthest point orders are nested: a coarser level is a prefix of the finer one.
             centres = points[:, :count]
-            index = nearest_neighbours(centres, below, k)
+            index = neighbours if neighbours is not None and below is cloud else None
+            if index is None:
+                index = nearest_neighbours(centres, below, k)
             features = layer(below, features, centres, index, inverse_density(below, bandwidth))
             below = centres
         assert features is not None

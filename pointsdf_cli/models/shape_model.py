@@ -12,6 +12,9 @@ from typing import Any, NamedTuple
 
 from torch import Tensor, nn
 
+PACKED_CENTRES, PACKED_NEIGHBOURS = 256, 24
+"""What packed training data holds for an encoder's first layer: centres, and neighbours of each."""
+
 
 class Encoding(NamedTuple):
     """One batch of clouds as the decoder needs them.

@@ -27,9 +27,9 @@ from pointsdf_cli.io.labels import read_labels
 from pointsdf_cli.io.views import read_views
 from pointsdf_cli.models.neighbours import farthest_point_order
 from pointsdf_cli.models.normalise import network_frame
+from pointsdf_cli.models.shape_model import PACKED_CENTRES as CENTRES
+from pointsdf_cli.models.shape_model import PACKED_NEIGHBOURS as NEIGHBOURS
 
-CENTRES, NEIGHBOURS = 256, 24
-"""What is stored for the first encoder layer; a smaller layer reads a prefix of both."""
 FORMAT = 2
 
 
