@@ -11,7 +11,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.approach import ApproachConfig, retreat
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.motion import MotionConfig, plan_motion
-from pointsdf_cli.planning.path_check import PathChecker, joint_radii
+from pointsdf_cli.planning.path_check import PathChecker, link_reach
 from pointsdf_cli.planning.timing import TimingConfig, time_path
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
@@ -39,14 +39,15 @@ def grasp(distance: float = 0.075, start: int = 0) -> np.ndarray:
 
 def test_no_point_moves_farther_than_the_bound_says() -> None:
     rng = np.random.default_rng(0)
-    radii = joint_radii(KINEMATICS)
+    reach = link_reach(KINEMATICS)
     surface = [(link, torch.tensor(p)) for link, p in robot_surface(ROBOT, 0.03).items()]
     for _ in range(30):
         a = rng.uniform(ROBOT.lower, ROBOT.upper)
         b = a + rng.normal(0, 0.3, len(a)) * (rng.random(len(a)) < 0.4)
         both = KINEMATICS.points(torch.tensor(np.stack([a, b])), surface)
-        moved = max(float((p[1] - p[0]).norm(dim=-1).max()) for p in both)
-        assert moved <= np.abs(b - a) @ radii
+        for (link, _), points in zip(surface, both, strict=True):
+            moved = float((points[1] - points[0]).norm(dim=-1).max())
+            assert moved <= np.abs(b - a) @ reach[KINEMATICS.index(link)] + 1e-12
 
 
 def test_a_thin_wall_between_two_free_ends_is_not_jumped() -> None:

@@ -73,6 +73,7 @@ class BodyDistances:
                     continue
                 pairs.append((i, j))
         self._pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        self._pair_list = pairs
         self.names = tuple((self._bodies[i].name, self._bodies[j].name) for i, j in pairs)
         links = np.array([body.link for body in self._bodies])
         self.link: Indices = links[self._pairs[:, 0]]
@@ -121,11 +122,12 @@ class BodyDistances:
     def _measure(self, out: Contacts, b: int, columns: Indices, turn: Array, at: Array) -> None:
         """Fill in exact distances of one configuration."""
         places: dict[int, coal.Transform3s] = {}
-        for body in np.unique(self._pairs[columns]):
-            places[int(body)] = coal.Transform3s(turn[body], at[body])
         result = coal.DistanceResult()
         for m in columns:
-            i, j = (int(k) for k in self._pairs[m])
+            i, j = self._pair_list[m]
+            for body in (i, j):
+                if body not in places:
+                    places[body] = coal.Transform3s(turn[body], at[body])
             result.clear()
             one, two = self._bodies[i], self._bodies[j]
             distance = coal.distance(

@@ -1,9 +1,10 @@
 """Is a joint-space path free, all along, and not only where it was looked at?
 
-Between two configurations no point of the robot moves farther than M = Σ_j |Δq_j| R_j, with R_j the
-farthest that anything beyond joint j can be from its axis. Distances change no faster than points
-move, so with rooms r_a, r_b at the ends the straight joint-space way between them is free if
-r_a + r_b ≥ M. Otherwise it is halved, down to a resolution finer than the thinnest link.
+Between two configurations two bodies move by no more than M = Σ_j |Δq_j| R_j against each other:
+the sum is over the joints between them, and R_j is the farthest that the outer body can be from
+joint j's axis. Their distance changes no faster, so with rooms r_a, r_b at the ends, the straight
+joint-space way between them is free for this pair if r_a + r_b ≥ M. Ways that are not shown free
+for all pairs are halved, down to a resolution finer than the thinnest link.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class PathChecker:
         self.kinematics = kinematics
         clearances = clearances or Clearances()
         self._object = ObjectDistances(kinematics, field)
-        self._bodies = BodyDistances(kinematics, environment or Environment(), reach=0.03)
+        self._bodies = BodyDistances(kinematics, environment or Environment(), reach=0.02)
         links = set(kinematics.links)
         self._body_margin = np.array(
             [
@@ -77,8 +78,16 @@ class PathChecker:
             ]
         )
         self._object_margin = clearances.object
-        self._moved = ContactJacobian(kinematics).moved
-        self.radii = joint_radii(kinematics)
+        self._object_columns = len(self._object.names)
+        moved = ContactJacobian(kinematics).moved
+        reach = link_reach(kinematics)
+        first = np.concatenate([self._object.link, self._bodies.link])
+        none = np.full(self._object_columns, WORLD)
+        second = np.concatenate([none, self._bodies.other_link])
+        # A joint that moves both bodies, or none, does not move one against the other.
+        farthest = np.where(moved[first], reach[first], 0.0)
+        farthest = np.maximum(farthest, np.where(moved[second], reach[second], 0.0))
+        self._reach: Array = np.where(moved[first] != moved[second], farthest, 0.0)
         self.looked_at = 0
 
     def room(self, q: Array, moving: NDArray[np.bool_] | None = None) -> Array:
@@ -87,30 +96,33 @@ class PathChecker:
         Args:
             moving: bool [J]; distances that these joints cannot change are left out.
         """
-        wanted = np.ones(len(self._bodies.names), dtype=bool)
-        patches = np.ones(len(self._object.names), dtype=bool)
-        if moving is not None:
-            moved = self._moved[:, moving]
-            wanted = (moved[self._bodies.link] != moved[self._bodies.other_link]).any(axis=1)
-            patches = (moved[self._object.link] != moved[WORLD]).any(axis=1)
-        rooms = []
-        for part in np.split(q, range(self.config.batch, len(q), self.config.batch)):
-            poses = link_poses(self.kinematics, part)
-            near = self._object(poses, gradients=False).distance - self._object_margin
-            bodies = self._bodies(poses, wanted).distance - self._body_margin
-            rooms.append(
-                np.minimum(
-                    near[:, patches].min(axis=1, initial=np.inf),
-                    bodies[:, wanted].min(axis=1, initial=np.inf),
-                )
-            )
-        self.looked_at += len(q)
-        return np.concatenate(rooms) if rooms else np.zeros(0)
+        rooms: Array = self._rooms(q, self._columns(moving)).min(axis=1, initial=np.inf)
+        return rooms
 
     def motion(self, a: Array, b: Array) -> Array:
-        """M [...], no point of the robot moves farther between a and b [..., J] [m]."""
-        bound: Array = np.abs(b - a) @ self.radii
+        """M [..., C]: how far the bodies of each pair move against each other, at most [m]."""
+        bound: Array = np.abs(b - a) @ self._reach.T
         return bound
+
+    def _columns(self, moving: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+        """Which pairs some joints move against each other: bool [C]."""
+        if moving is None:
+            return np.ones(len(self._reach), dtype=bool)
+        return np.asarray((self._reach[:, moving] > 0).any(axis=1))
+
+    def _rooms(self, q: Array, columns: NDArray[np.bool_]) -> Array:
+        """Distances less clearances [B, C]; infinity in the columns that are not wanted."""
+        rooms = np.full((len(q), len(columns)), np.inf)
+        patches, pairs = columns[: self._object_columns], columns[self._object_columns :]
+        for begin in range(0, len(q), self.config.batch):
+            rows = slice(begin, begin + self.config.batch)
+            poses = link_poses(self.kinematics, q[rows])
+            near = self._object(poses, gradients=False).distance - self._object_margin
+            bodies = self._bodies(poses, pairs).distance - self._body_margin
+            both = np.concatenate([near, bodies], axis=1)
+            rooms[rows] = np.where(np.concatenate([patches, pairs]), both, np.inf)
+        self.looked_at += len(q)
+        return rooms
 
     def is_free(self, path: Array) -> bool:
         """Whether the polyline path [T, J] in joint space is free all along."""
@@ -125,50 +137,49 @@ class PathChecker:
         path = np.asarray(path, dtype=np.float64)
         if len(path) == 1:
             return float(self.room(path)[0])
-        moving = np.ptp(path, axis=0) > 0
-        rooms = self.room(path, moving)
-        least = float(rooms.min())
+        columns = self._columns(np.ptp(path, axis=0) > 0)
+        rooms = self._rooms(path, columns)
+        least = float(rooms.min(initial=np.inf))
         a, b, room_a, room_b = path[:-1], path[1:], rooms[:-1], rooms[1:]
         while least >= 0:
             motion = self.motion(a, b)
-            open_ = (room_a + room_b < motion) & (motion > self.config.resolution)
+            in_doubt = (room_a + room_b < motion) & (motion > self.config.resolution)
+            open_ = in_doubt.any(axis=1)
             if not open_.any():
                 break
             a, b, room_a, room_b = a[open_], b[open_], room_a[open_], room_b[open_]
             middle = (a + b) / 2
-            room = self.room(middle, moving)
+            room = self._rooms(middle, columns)
             least = min(least, float(room.min()))
             a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
             room_a, room_b = np.concatenate([room_a, room]), np.concatenate([room, room_b])
         return least
 
 
-def joint_radii(kinematics: Kinematics) -> Array:
-    """R_j [J]: how far anything beyond joint j can be from its axis [m]; 1 for sliding joints.
+def link_reach(kinematics: Kinematics) -> Array:
+    """How far any point of a link can be from a joint's axis [L + 1, J], m; 1 for sliding joints.
 
-    By the triangle inequality along the chain: the offsets of the joints beyond, the travel of
-    those that slide, and the farthest corner of a link's box.
+    By the triangle inequality along the chain: the offsets of the joints between, the travel of
+    those that slide, and the farthest corner of the link's box. Joints that do not move the link,
+    and the last row, which stands for the world, have 0.
     """
     robot = kinematics.robot
     tree = robot.tree
     columns = {name: j for j, name in enumerate(robot.joint_names)}
-    reach: dict[str, float] = {}
-    for link in reversed(tree.links):
-        shapes = tree.shapes[link]
-        farthest = 0.0
-        if shapes:
-            low, high = bounding_box(shapes)
-            farthest = float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))))
-        for joint in tree.joints:
-            if joint.parent == link:
-                travel = 0.0
-                if joint.kind == "prismatic" and joint.name in columns:
-                    travel = max(abs(joint.lower), abs(joint.upper))
-                offset = float(np.linalg.norm(joint.T_parent_joint[:3, 3]))
-                farthest = max(farthest, offset + travel + reach[joint.child])
-        reach[link] = farthest
-    radii = np.ones(len(columns))
-    for joint in tree.joints:
-        if joint.name in columns and joint.kind != "prismatic":
-            radii[columns[joint.name]] = reach[joint.child]
-    return radii
+    parent = {joint.child: joint for joint in tree.joints}
+    reach = np.zeros((len(tree.links) + 1, len(columns)))
+    for link, shapes in tree.shapes.items():
+        if not shapes:
+            continue
+        low, high = bounding_box(shapes)
+        farthest = float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))))
+        at = link
+        while at in parent:
+            joint = parent[at]
+            if joint.name in columns:
+                slides = joint.kind == "prismatic"
+                reach[kinematics.index(link), columns[joint.name]] = 1.0 if slides else farthest
+                farthest += max(abs(joint.lower), abs(joint.upper)) if slides else 0.0
+            farthest += float(np.linalg.norm(joint.T_parent_joint[:3, 3]))
+            at = joint.parent
+    return reach
