@@ -1,0 +1,254 @@
+"""The `plan` artifact: a grasp with the motion to it, or why there is none; and its JSON forms."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.atomic import write_text_atomic
+from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+
+SCHEMA, VERSION = "plan", 1
+OK, NO_PLAN = "ok", "no_plan"
+ROOMS = ("object", "table", "obstacles", "self")
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RejectedSeeds:
+    """What the solver ended with and was not accepted, R of them.
+
+    Attributes:
+        q: f8 [R, J].
+        reasons: [R], reason codes.
+        success_probability: f8 [R].
+        objective: f8 [R].
+        room: f8 [R, 4], distances less the clearances to `ROOMS` [m]: negative is too near.
+    """
+
+    q: Array
+    reasons: tuple[str, ...]
+    success_probability: Array
+    objective: Array
+    room: Array
+
+    @classmethod
+    def none(cls, joints: int) -> RejectedSeeds:
+        """No seed was rejected."""
+        return cls(np.zeros((0, joints)), (), np.zeros(0), np.zeros(0), np.zeros((0, len(ROOMS))))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One answer of the planner, for J joints.
+
+    Attributes:
+        status: `ok` or `no_plan`.
+        reason: A reason code; empty where the status is `ok`.
+        sentence: The reason for a person; empty likewise.
+        joint_names: [J], the order of every configuration.
+        q: f8 [J], the grasp; NaN where there is none.
+        trajectory: f8 [T, J], the motion to it; T = 0 where there is none.
+        times: f8 [T] s, when each configuration is reached.
+        T_world_palm: f8 [4, 4] of the grasp; NaN where there is none.
+        success_probability, objective: Of the grasp, or NaN.
+        seeds_tried: Starts given to the solver.
+        timings: Seconds by stage.
+        link_names: [L].
+        link_clearance_object, link_clearance_table: f8 [L] m, at the grasp.
+        rejected: Every rejected seed with its residuals.
+    """
+
+    status: str
+    reason: str
+    sentence: str
+    joint_names: tuple[str, ...]
+    q: Array
+    trajectory: Array
+    times: Array
+    T_world_palm: Array
+    success_probability: float
+    objective: float
+    seeds_tried: int
+    timings: Mapping[str, float]
+    link_names: tuple[str, ...]
+    link_clearance_object: Array
+    link_clearance_table: Array
+    rejected: RejectedSeeds = field(repr=False)
+
+    def __post_init__(self) -> None:
+        joints = len(self.joint_names)
+        if self.status not in (OK, NO_PLAN) or (self.status == OK) == bool(self.reason):
+            raise InputError(
+                f"a plan with status {self.status!r} and reason {self.reason!r}",
+                allowed="ok without a reason, or no_plan with one",
+            )
+        if self.q.shape != (joints,) or self.trajectory.shape != (len(self.times), joints):
+            raise InputError("the plan's arrays do not fit its joints", allowed="q [J], [T, J]")
+
+
+def write_plan(
+    path: Path | str, plan: Plan, *, seed: int, config: Mapping[str, Any] | None = None
+) -> None:
+    """Write a plan as one HDF5 file."""
+    rejected = plan.rejected
+    write_artifact(
+        path,
+        schema=SCHEMA,
+        version=VERSION,
+        datasets={
+            "q": Dataset(plan.q, "rad"),
+            "trajectory": Dataset(plan.trajectory, "rad"),
+            "times": Dataset(plan.times, "s"),
+            "joint_names": Dataset(_bytes(plan.joint_names)),
+            "T_world_palm": Dataset(plan.T_world_palm, "m", "world"),
+            "link_names": Dataset(_bytes(plan.link_names)),
+            "link_clearance_object": Dataset(plan.link_clearance_object, "m"),
+            "link_clearance_table": Dataset(plan.link_clearance_table, "m"),
+            "rejected_q": Dataset(rejected.q, "rad"),
+            "rejected_reason": Dataset(_bytes(rejected.reasons)),
+            "rejected_success_probability": Dataset(rejected.success_probability),
+            "rejected_objective": Dataset(rejected.objective),
+            "rejected_room": Dataset(rejected.room, "m"),
+        },
+        attributes={
+            "status": plan.status,
+            "reason": plan.reason,
+            "sentence": plan.sentence,
+            "success_probability": plan.success_probability,
+            "objective": plan.objective,
+            "seeds_tried": plan.seeds_tried,
+            "timings_json": json.dumps(dict(plan.timings), sort_keys=True),
+            "rejected_room_columns": ",".join(ROOMS),
+        },
+        seed=seed,
+        config=config,
+    )
+
+
+def read_plan(path: Path | str) -> Plan:
+    """Read a plan file.
+
+    Raises:
+        InputError: Not a plan of this version.
+    """
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION)
+    data, facts = artifact.datasets, artifact.attributes
+    try:
+        return Plan(
+            status=str(facts["status"]),
+            reason=str(facts["reason"]),
+            sentence=str(facts["sentence"]),
+            joint_names=_strings(data["joint_names"]),
+            q=data["q"],
+            trajectory=data["trajectory"],
+            times=data["times"],
+            T_world_palm=data["T_world_palm"],
+            success_probability=float(facts["success_probability"]),
+            objective=float(facts["objective"]),
+            seeds_tried=int(facts["seeds_tried"]),
+            timings=json.loads(facts["timings_json"]),
+            link_names=_strings(data["link_names"]),
+            link_clearance_object=data["link_clearance_object"],
+            link_clearance_table=data["link_clearance_table"],
+            rejected=RejectedSeeds(
+                q=data["rejected_q"],
+                reasons=_strings(data["rejected_reason"]),
+                success_probability=data["rejected_success_probability"],
+                objective=data["rejected_objective"],
+                room=data["rejected_room"],
+            ),
+        )
+    except KeyError as error:
+        raise InputError(f"lacks {error.args[0]!r}", where=path, allowed="a whole plan") from error
+
+
+def plan_as_json(plan: Plan) -> dict[str, Any]:
+    """The plan in plain types, as `--json` prints it; what does not exist is null."""
+    found = plan.status == OK
+    links = zip(plan.link_names, plan.link_clearance_object, plan.link_clearance_table, strict=True)
+    rejected = plan.rejected
+    return {
+        "status": plan.status,
+        "reason": plan.reason,
+        "sentence": plan.sentence,
+        "joint_names": list(plan.joint_names),
+        "q": plan.q.tolist() if found else None,
+        "T_world_palm": plan.T_world_palm.tolist() if found else None,
+        "success_probability": _number(plan.success_probability),
+        "objective": _number(plan.objective),
+        "seeds_tried": plan.seeds_tried,
+        "timings": dict(plan.timings),
+        "trajectory": plan.trajectory.tolist(),
+        "times": plan.times.tolist(),
+        "link_clearance": {
+            link: {"object": _number(o), "table": _number(t)} for link, o, t in links
+        },
+        "rejected": [
+            {
+                "reason": reason,
+                "success_probability": _number(rejected.success_probability[k]),
+                "objective": _number(rejected.objective[k]),
+                "room": {
+                    name: _number(value)
+                    for name, value in zip(ROOMS, rejected.room[k], strict=True)
+                },
+                "q": rejected.q[k].tolist(),
+            }
+            for k, reason in enumerate(rejected.reasons)
+        ],
+    }
+
+
+def trajectory_as_json(plan: Plan) -> dict[str, Any]:
+    """The motion with the fields of ROS's trajectory_msgs/JointTrajectory.
+
+    Raises:
+        InputError: The plan holds no motion.
+    """
+    if not len(plan.times):
+        raise InputError("the plan holds no motion", allowed="a plan whose status is ok")
+    points = []
+    for time, positions in zip(plan.times, plan.trajectory, strict=True):
+        # Rounded once as a whole: a fraction of 0.9999999999 must not become 1e9 nanoseconds.
+        nanoseconds = round(float(time) * 1e9)
+        points.append(
+            {
+                "positions": positions.tolist(),
+                "time_from_start": {
+                    "sec": nanoseconds // 10**9,
+                    "nanosec": nanoseconds % 10**9,
+                },
+            }
+        )
+    return {
+        "header": {"frame_id": "world"},
+        "joint_names": list(plan.joint_names),
+        "points": points,
+    }
+
+
+def write_trajectory(path: Path | str, plan: Plan) -> None:
+    """Write `trajectory_as_json` to a file."""
+    write_text_atomic(path, json.dumps(trajectory_as_json(plan), indent=1) + "\n")
+
+
+def _number(value: float) -> float | None:
+    """JSON knows neither NaN nor infinity."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _bytes(names: tuple[str, ...]) -> NDArray[np.bytes_]:
+    return np.array([name.encode() for name in names], dtype="S" if names else "S1")
+
+
+def _strings(names: NDArray[np.bytes_]) -> tuple[str, ...]:
+    return tuple(name.decode() for name in names.tolist())
