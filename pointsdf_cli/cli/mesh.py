@@ -43,6 +43,10 @@ def mesh(
     all_parts: Annotated[
         bool, typer.Option("--all-parts", help="Keep small loose parts too.")
     ] = False,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Also draw the cloud and the mesh from both sides into this PNG."),
+    ] = None,
     threads: Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")] = 0,
     seed: common.Seed = 0,
     device: common.Device = "cpu",
@@ -70,10 +74,13 @@ def mesh(
     from pointsdf_cli.models.reconstruction import Reconstruction
     from pointsdf_cli.models.registry import load_model, use_threads
     from pointsdf_cli.training.precision import idle_processors
+    from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
     reporter = common.Reporter(quiet, as_json)
     IsosurfaceConfig(resolution)  # a wrong resolution is known before anything is read
     out = require_new(mesh_path(out, form), force)
+    if picture:
+        require_new(picture, force)
     if frame not in (None, "camera", "world"):
         raise InputError(f"no frame {frame!r}", where="--frame", allowed="camera, world")
     seed, device = common.check_seed(seed), common.torch_device(device)
@@ -100,10 +107,14 @@ def mesh(
     seconds = time.perf_counter() - started
     vertices = apply_transform(T_frame_camera, made.vertices) / UNITS[unit]
     save_mesh(out, vertices, made.faces)
+    if picture:
+        row = GalleryRow(cloud.stem, points, (made.vertices, made.faces), None, reconstruction.sdf)
+        draw_gallery(picture, [row])
     extent = np.ptp(vertices, axis=0)
     reporter.result(
         {
             "out": out,
+            "picture": picture,
             "vertices": len(vertices),
             "faces": len(made.faces),
             "extent": extent,

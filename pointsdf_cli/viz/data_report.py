@@ -111,8 +111,9 @@ def sample_items(
 
 
 def _spread(paths: list[Path]) -> list[Path]:
-    chosen = np.unique(np.linspace(0, len(paths) - 1, SHOWN).astype(int)) if paths else []
-    return [paths[k] for k in chosen]
+    if not paths:
+        return []
+    return [paths[k] for k in np.unique(np.linspace(0, len(paths) - 1, SHOWN).astype(int))]
 
 
 def _mesh(artifact: Path, found: DataFolder) -> list[LoadedMesh]:

@@ -7,7 +7,7 @@ the line of sight (the paper's figure 3): what the network believes about the un
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ TITLES = (
     "truth,\nfar side",
     "SDF along the sight [cm]\n(camera at the left)",
 )
+TRUTH_COLUMNS = (2, 4)
 # Camera axes (right, down, forward) to a room with z up, the camera looking along +y.
 ROOM = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=np.float64)
 CAMERA_SIDE = -np.pi / 2 + 0.45
@@ -48,42 +49,49 @@ class GalleryRow:
         title: Name and scores, at the left of the row.
         cloud: [N, 3] what the camera saw.
         prediction: Vertices and faces, or None where there was no reconstruction.
-        truth: Vertices and faces.
+        truth: Vertices and faces, or None where it is not known.
         sdf: The reconstruction's field, [N, 3] → [N]; None leaves the slice out.
     """
 
     title: str
     cloud: NDArray[np.floating]
     prediction: tuple[NDArray[np.floating], NDArray[np.integer]] | None
-    truth: tuple[NDArray[np.floating], NDArray[np.integer]]
+    truth: tuple[NDArray[np.floating], NDArray[np.integer]] | None
     sdf: Field | None = None
 
 
 def draw_gallery(path: Path | str, rows: Sequence[GalleryRow]) -> None:
-    """Draw `rows` as one PNG (or PDF, by the suffix)."""
-    figure = Figure(figsize=(12.5, 2.1 * len(rows) + 0.5), dpi=110)  # no pyplot, no display
-    axes = figure.subplots(len(rows), len(TITLES), squeeze=False)
-    for axis, title in zip(axes[0], TITLES, strict=True):
-        axis.set_title(title, fontsize=8)
+    """Draw `rows` as one PNG (or PDF, by the suffix); columns of truth only where one is known."""
+    columns = [
+        k for k in range(len(TITLES)) if k not in TRUTH_COLUMNS or any(row.truth for row in rows)
+    ]
+    # No pyplot, no display.
+    figure = Figure(figsize=(2.08 * len(columns), 2.1 * len(rows) + 0.5), dpi=110)
+    axes = figure.subplots(len(rows), len(columns), squeeze=False)
+    for axis, column in zip(axes[0], columns, strict=True):
+        axis.set_title(TITLES[column], fontsize=8)
     for row, line in zip(rows, axes, strict=True):
-        _draw_row(row, line)
+        _draw_row(row, dict(zip(columns, line, strict=True)))
     figure.tight_layout(pad=0.4)
     with atomic_path(path) as temporary:
         figure.savefig(temporary)
 
 
-def _draw_row(row: GalleryRow, axes: Sequence[Any]) -> None:
-    everything = [row.cloud, row.truth[0]] + ([row.prediction[0]] if row.prediction else [])
-    framing = np.concatenate(everything) @ ROOM.T
+def _draw_row(row: GalleryRow, axes: Mapping[int, Any]) -> None:
+    surfaces = [surface[0] for surface in (row.truth, row.prediction) if surface]
+    framing = np.concatenate([row.cloud, *surfaces]) @ ROOM.T
     _draw_cloud(axes[0], row.cloud, framing)
     # The title stands left of the row, where an axis without ticks has its label.
     axes[0].set_ylabel(row.title, fontsize=7, rotation=0, ha="right", va="center")
-    for axis, shape, colour, azimuth in (
-        (axes[1], row.prediction, RECONSTRUCTION, CAMERA_SIDE),
-        (axes[2], row.truth, TRUTH, CAMERA_SIDE),
-        (axes[3], row.prediction, RECONSTRUCTION, CAMERA_SIDE + np.pi),
-        (axes[4], row.truth, TRUTH, CAMERA_SIDE + np.pi),
+    for column, shape, colour, azimuth in (
+        (1, row.prediction, RECONSTRUCTION, CAMERA_SIDE),
+        (2, row.truth, TRUTH, CAMERA_SIDE),
+        (3, row.prediction, RECONSTRUCTION, CAMERA_SIDE + np.pi),
+        (4, row.truth, TRUTH, CAMERA_SIDE + np.pi),
     ):
+        if column not in axes:
+            continue
+        axis = axes[column]
         _bare(axis)
         if shape is None:
             axis.text(0.5, 0.5, "no surface", ha="center", va="center", transform=axis.transAxes)
@@ -110,8 +118,9 @@ def _draw_cloud(axis: Any, cloud: NDArray[np.floating], framing: NDArray[np.floa
 
 def _draw_slice(axis: Any, row: GalleryRow, sdf: Field) -> None:
     """The field in the plane through the cloud's centre that holds the line of sight (y and z)."""
-    low = np.minimum(row.truth[0].min(axis=0), row.cloud.min(axis=0))
-    high = np.maximum(row.truth[0].max(axis=0), row.cloud.max(axis=0))
+    surface = row.truth or row.prediction
+    everything = np.concatenate([row.cloud, surface[0]]) if surface else row.cloud
+    low, high = everything.min(axis=0), everything.max(axis=0)
     middle, half = (low + high) / 2, 0.62 * (high - low)[1:].max()
     ticks = np.linspace(-half, half, SLICE)
     depth, down = np.meshgrid(middle[2] + ticks, middle[1] + ticks)
@@ -119,12 +128,15 @@ def _draw_slice(axis: Any, row: GalleryRow, sdf: Field) -> None:
     points = np.stack([np.full_like(depth, x), down, depth], axis=-1).reshape(-1, 3)
     assert row.sdf is not None
     field = np.asarray(sdf(points), np.float64).reshape(depth.shape)
-    truth = SignedDistance(*row.truth)(points).reshape(depth.shape)
     reach = half / 2
     across, along = 100 * (depth - middle[2]), 100 * (down - middle[1])
     axis.pcolormesh(across, along, field, cmap="RdBu", vmin=-reach, vmax=reach, shading="auto")
     axis.contour(across, along, field, levels=[0.0], colors=["#b05500"], linewidths=1.4)
-    axis.contour(across, along, truth, levels=[0.0], colors=["k"], linewidths=0.9, linestyles=":")
+    if row.truth:
+        truth = SignedDistance(*row.truth)(points).reshape(depth.shape)
+        axis.contour(
+            across, along, truth, levels=[0.0], colors=["k"], linewidths=0.9, linestyles=":"
+        )
     near = np.abs(row.cloud[:, 0] - x) < 0.04 * half
     axis.scatter(
         100 * (row.cloud[near, 2] - middle[2]), 100 * (row.cloud[near, 1] - middle[1]), s=3, c="k"
