@@ -156,6 +156,7 @@ class GridField:
         if bound:
             errors = self._flat_error[first[:, None] + self._corner_offsets]
             weights = np.where(_CORNERS[None] == 1, t[:, None], 1 - t[:, None]).prod(axis=2)
+            t = np.minimum(t, 1.0)  # rounding may carry the last cell's end beyond it
             spread = np.sqrt((t * (1 - t)).sum(axis=1)) * self.config.step * self.config.slope
             error = (weights * errors).sum(axis=1) + spread
         beyond = points - inside

@@ -1,0 +1,99 @@
+"""The planner as a whole, on objects with exact fields: plans, reasons, artifacts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from planning_worlds import AroundObject, CylinderField, NearPalm
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.plans import Plan, read_plan, write_plan
+from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.motion import MotionConfig
+from pointsdf_cli.planning.path_check import PathChecker
+from pointsdf_cli.planning.planner import Planner, PlannerConfig, Target
+from pointsdf_cli.planning.seeds import SeedConfig
+from pointsdf_cli.planning.synthesis import SynthesisConfig
+from pointsdf_cli.robot.description import load_robot
+
+REST = np.array([0.0] * 6 + [1.3, 0.5])
+CAN = (0.6, 0.0, 0.12)
+SMALL = SynthesisConfig(rounds=1, seeds=SeedConfig(palms=12, seeds=4))
+
+
+def target(at: tuple[float, float, float] = CAN) -> Target:
+    place = (at[0] - 0.09, at[1], at[2])
+    return Target(
+        CylinderField(0.035, 0.24, at),
+        np.array(at) - 0.15,
+        np.array(at) + 0.15,
+        NearPalm(place, (1.0, 0.0, 0.0), REST, width=0.08),
+        AroundObject(at, 0.09, REST),
+    )
+
+
+@pytest.fixture(scope="module")
+def planner() -> Planner:
+    return Planner(load_robot(), PlannerConfig(synthesis=SMALL))
+
+
+@pytest.fixture(scope="module")
+def plan(planner: Planner) -> Plan:
+    return planner.plan(target())
+
+
+def test_a_can_gets_a_plan_with_a_motion(planner: Planner, plan: Plan, tmp_path: Path) -> None:
+    assert plan.status == "ok", plan.sentence
+    assert plan.success_probability > 0.6
+    assert plan.objective < 5
+    np.testing.assert_array_equal(plan.trajectory[0], planner.robot.home)
+    np.testing.assert_array_equal(plan.trajectory[-1], plan.q)
+    # The palm is where the arm's forward kinematics puts it.
+    rotation, position, _ = planner.inverse.palm(plan.q[None, :7])
+    np.testing.assert_allclose(plan.T_world_palm[:3, 3], position[0], atol=1e-12)
+    np.testing.assert_allclose(plan.T_world_palm[:3, :3], rotation[0], atol=1e-12)
+    assert plan.link_clearance_object.min() >= 0.001
+    assert plan.link_clearance_table.min() >= 0.002
+    write_plan(tmp_path / "plan.h5", plan, seed=0)
+    assert read_plan(tmp_path / "plan.h5").status == "ok"
+
+
+def test_the_whole_trajectory_is_free_of_the_exact_object(planner: Planner, plan: Plan) -> None:
+    checker = PathChecker(planner.kinematics, target().field)
+    assert checker.is_free(plan.trajectory)
+
+
+def test_out_of_a_chimney_there_is_no_motion(planner: Planner) -> None:
+    # The arm starts upright in a chimney that is too narrow to bend in; the grasp is below it.
+    walls = []
+    for k, (x, y) in enumerate(((0.16, 0), (-0.16, 0), (0, 0.16), (0, -0.16))):
+        pose = np.eye(4)
+        pose[:3, 3] = (x, y, 1.25)
+        size = (0.02, 0.34, 0.9) if x else (0.34, 0.02, 0.9)
+        walls.append(Obstacle(f"wall_{k}", "box", size, pose))
+    start = np.clip(np.zeros(23), planner.robot.lower, planner.robot.upper)
+    hasty = Planner(
+        planner.robot,
+        PlannerConfig(synthesis=SMALL, motion=MotionConfig(attempts=1, seconds=0.3)),
+    )
+    plan = hasty.plan(target(), Environment(tuple(walls)), start=start)
+    assert plan.status == "no_plan"
+    assert plan.reason == "motion"
+    assert "clear the space" in plan.sentence
+    assert np.isnan(plan.q).all()
+    assert plan.trajectory.shape == (0, 23)
+    assert "motion" in plan.rejected.reasons
+
+
+def test_out_of_reach_has_a_reason_and_no_motion(planner: Planner) -> None:
+    plan = planner.plan(target((1.5, 0.0, 0.12)))
+    assert (plan.status, plan.reason) == ("no_plan", "inverse_kinematics")
+
+
+def test_bad_options_are_refused(planner: Planner) -> None:
+    with pytest.raises(InputError, match="sqp, slsqp"):
+        PlannerConfig(solver="newton")
+    with pytest.raises(InputError, match="23"):
+        planner.plan(target(), start=np.zeros(7))
