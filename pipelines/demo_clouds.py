@@ -1,4 +1,4 @@
-"""The bundled demo clouds: one view each of a few generated objects, as a camera 0.9 m away sees them.
+"""The bundled demo clouds: one view each of a few generated objects, from 0.9 m away.
 
     python pipelines/demo_clouds.py assets/clouds
 

@@ -43,6 +43,9 @@ def mesh(
     all_parts: Annotated[
         bool, typer.Option("--all-parts", help="Keep small loose parts too.")
     ] = False,
+    smooth: Annotated[
+        int, typer.Option(help="Passes that take ripples off the surface; 0 for none.")
+    ] = 25,
     picture: Annotated[
         Path | None,
         typer.Option(help="Also draw the cloud and the mesh from both sides into this PNG."),
@@ -77,6 +80,8 @@ def mesh(
     from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
     reporter = common.Reporter(quiet, as_json)
+    if not 0 <= smooth <= 1000:
+        raise InputError(f"{smooth} passes", where="--smooth", allowed="0 to 1000")
     IsosurfaceConfig(resolution)  # a wrong resolution is known before anything is read
     out = require_new(mesh_path(out, form), force)
     if picture:
@@ -97,7 +102,7 @@ def mesh(
     started = time.perf_counter()
     reconstruction = Reconstruction.from_cloud(model, points, np.zeros(3), seed=seed)
     try:
-        made = mesh_reconstruction(reconstruction, resolution, 0.0 if all_parts else 0.05)
+        made = mesh_reconstruction(reconstruction, resolution, 0.0 if all_parts else 0.05, smooth)
     except EmptySurfaceError as error:
         raise EmptySurfaceError(
             "the network sees nothing solid in this cloud, so there is no mesh",
