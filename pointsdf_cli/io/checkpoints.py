@@ -1,4 +1,4 @@
-"""Checkpoints: a directory with `model.safetensors`, `config.json` and, to resume, `train_state.pt`.
+"""Checkpoints: a directory with `model.safetensors`, `config.json` and `train_state.pt` to resume.
 
 Weights are safetensors and the training state is read with `weights_only=True`, so a checkpoint
 from a stranger cannot run code. A checkpoint is replaced as a whole: the new directory is complete
@@ -81,6 +81,7 @@ def write_checkpoint(
             if not (temporary / kept.name).exists() and kept.is_file():
                 os.link(kept, temporary / kept.name)
         for written in temporary.iterdir():
+            written.chmod(0o644)  # the safetensors library hides its files from other users
             with open(written, "rb") as handle:
                 os.fsync(handle.fileno())
         _take_place(temporary, path)

@@ -13,6 +13,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import Checkpoint, read_checkpoint
 from pointsdf_cli.models.pointsdf import PointSDF
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
+from pointsdf_cli.models.processor import use_threads as use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.models.voxelcnn import VoxelCNN
 
@@ -84,8 +85,3 @@ def model_from_checkpoint(checkpoint: Checkpoint) -> ShapeModel:
         ) from error
     model.requires_grad_(False)
     return model.eval()
-
-
-def use_threads(count: int) -> None:
-    """Let PyTorch use so many threads; more than are free makes it several times slower."""
-    torch.set_num_threads(max(1, count))

@@ -1,8 +1,7 @@
-"""What makes one processor core train fast: bfloat16 where it has the instructions, calm memory."""
+"""What makes one processor core train fast: bfloat16 where it can, and no rival."""
 
 from __future__ import annotations
 
-import ctypes
 import os
 from functools import cache
 from pathlib import Path
@@ -39,20 +38,6 @@ def autocast_dtype(precision: str, device: torch.device) -> torch.dtype | None:
     if device.type == "cuda":
         return torch.bfloat16 if torch.cuda.is_bf16_supported() else None
     return torch.bfloat16 if processor_has_bfloat16() else None
-
-
-def keep_large_allocations() -> None:
-    """Ask the C library to keep freed memory: each step frees and takes the same large blocks.
-
-    Otherwise every block is given back and its pages are faulted in again, thousands a step.
-    Does nothing where the C library has no `mallopt`.
-    """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is None:
-        return
-    trim_threshold, mmap_max = -1, -4
-    mallopt(trim_threshold, 2**31 - 1)
-    mallopt(mmap_max, 0)
 
 
 def idle_processors() -> int:

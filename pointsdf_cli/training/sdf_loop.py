@@ -14,9 +14,10 @@ import torch
 
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.checkpoints import read_train_state, write_checkpoint
+from pointsdf_cli.models.processor import keep_large_allocations
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.training.ema import WeightAverage
-from pointsdf_cli.training.precision import autocast_dtype, keep_large_allocations
+from pointsdf_cli.training.precision import autocast_dtype
 from pointsdf_cli.training.sdf_data import Split, augment, predict, read_batch, training_views
 from pointsdf_cli.training.sdf_loss import SdfLoss
 from pointsdf_cli.training.sdf_pack import Pack
@@ -266,7 +267,7 @@ def train_sdf(
             since_report, reported = 0, now
         if step % config.validate_every == 0 or fraction_done() >= 1.0:
             total += float(losses)
-            result = validate(pack, split, average.model, config, low_precision, target)
+            result = validate(pack, split, average.model, config.loss, low_precision, target)
             history.append(_entry(step, seconds, total / since_validation, result))
             is_best = _best(history) is history[-1]
             save(average.weights() if is_best else None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -10,13 +10,10 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.training.sdf_data import Split, predict, read_batch
-from pointsdf_cli.training.sdf_loss import label_iou
+from pointsdf_cli.training.sdf_loss import SdfLoss, label_iou
 from pointsdf_cli.training.sdf_pack import Pack
 
-if TYPE_CHECKING:
-    from pointsdf_cli.training.sdf_loop import TrainConfig
-
-QUERIES = 1024
+QUERIES, BATCH = 1024, 32
 
 
 class Validation(NamedTuple):
@@ -37,14 +34,14 @@ def validate(
     pack: Pack,
     split: Split,
     model: ShapeModel,
-    config: TrainConfig,
+    loss: SdfLoss,
     low_precision: torch.dtype | None,
     device: torch.device,
 ) -> Validation:
     """Loss and label IoU on both held-out sets, with the same queries every time."""
     numbers: list[float] = []
     for views in (split.held_out_objects, split.held_out_views):
-        numbers += _mean(pack, views, model, config, low_precision, device)
+        numbers += _mean(pack, views, model, loss, low_precision, device)
     return Validation(*numbers)
 
 
@@ -53,18 +50,18 @@ def _mean(
     pack: Pack,
     views: NDArray[np.int64],
     model: ShapeModel,
-    config: TrainConfig,
+    loss: SdfLoss,
     low_precision: torch.dtype | None,
     device: torch.device,
 ) -> tuple[float, float]:
     losses, ious = [], []
-    for start in range(0, len(views), config.batch_size):
-        chosen = views[start : start + config.batch_size]
-        rng = np.random.default_rng([config.seed, 3, start])
+    for start in range(0, len(views), BATCH):
+        chosen = views[start : start + BATCH]
+        rng = np.random.default_rng([3, start])
         batch = read_batch(pack, chosen, QUERIES, rng).to(device)
         with torch.autocast(device.type, low_precision, enabled=low_precision is not None):
             predicted = predict(model, batch)
-        losses += [float(config.loss(predicted, batch.sdf))] * len(chosen)
+        losses += [float(loss(predicted, batch.sdf))] * len(chosen)
         ious += label_iou(predicted, batch.sdf).tolist()
     if not losses:
         return float("nan"), float("nan")
