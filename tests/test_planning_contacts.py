@@ -16,6 +16,7 @@ from pointsdf_cli.planning.bodies import BodyDistances
 from pointsdf_cli.planning.contacts import ContactJacobian, Contacts, link_poses
 from pointsdf_cli.planning.environment import Environment, Obstacle, read_environment
 from pointsdf_cli.planning.object_distance import ObjectDistances
+from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.collision import SelfCollision, table_clearance
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -31,6 +32,11 @@ def robot() -> RobotDescription:
 @pytest.fixture(scope="module")
 def kinematics(robot: RobotDescription) -> Kinematics:
     return Kinematics(robot)
+
+
+@pytest.fixture(scope="module")
+def geometry(kinematics: Kinematics) -> RobotGeometry:
+    return RobotGeometry(kinematics)
 
 
 def draw(robot: RobotDescription, count: int, seed: int = 0) -> NDArray[np.float64]:
@@ -58,9 +64,9 @@ def per_link(names: tuple[tuple[str, str], ...], contacts: Contacts, other: str)
     }
 
 
-def test_table_distances_are_the_heights_of_lowest_points(robot, kinematics) -> None:
+def test_table_distances_are_the_heights_of_lowest_points(robot, kinematics, geometry) -> None:
     q = draw(robot, 20)
-    bodies = BodyDistances(kinematics, Environment(), reach=10.0)
+    bodies = BodyDistances(geometry, Environment(), reach=10.0)
     found = per_link(bodies.names, bodies(link_poses(kinematics, q)), "table")
     links, heights = table_clearance(robot, *kinematics(torch.from_numpy(q)))
     assert set(links) == set(found)
@@ -68,9 +74,9 @@ def test_table_distances_are_the_heights_of_lowest_points(robot, kinematics) -> 
         np.testing.assert_allclose(found[link], heights[:, k].numpy(), atol=1e-6)
 
 
-def test_self_distances_agree_with_surface_samples(robot, kinematics) -> None:
+def test_self_distances_agree_with_surface_samples(robot, kinematics, geometry) -> None:
     q = draw(robot, 12, seed=1)
-    bodies = BodyDistances(kinematics, Environment(table=False), reach=0.02)
+    bodies = BodyDistances(geometry, Environment(table=False), reach=0.02)
     contacts = bodies(link_poses(kinematics, q))
     sampled = SelfCollision(kinematics, spacing=0.004)(*kinematics(torch.from_numpy(q))).numpy()
     pairs = SelfCollision(kinematics).pairs
@@ -87,21 +93,21 @@ def test_self_distances_agree_with_surface_samples(robot, kinematics) -> None:
     assert checked > 5
 
 
-def test_the_distance_beyond_reach_is_a_lower_bound(robot, kinematics) -> None:
+def test_the_distance_beyond_reach_is_a_lower_bound(robot, kinematics, geometry) -> None:
     poses = link_poses(kinematics, draw(robot, 5))
     environment = Environment((box("shelf", (0.3, 0.3, 0.02), (0.4, 0, 0.4)),))
-    exact = BodyDistances(kinematics, environment, reach=10.0)(poses).distance
-    bound = BodyDistances(kinematics, environment, reach=0.03)(poses).distance
+    exact = BodyDistances(geometry, environment, reach=10.0)(poses).distance
+    bound = BodyDistances(geometry, environment, reach=0.03)(poses).distance
     assert (bound <= exact + 1e-6).all()
     near = exact < 0.03
     np.testing.assert_allclose(bound[near], exact[near], atol=1e-6)
 
 
-def test_a_mesh_obstacle_is_as_far_as_the_same_box(robot, kinematics) -> None:
+def test_a_mesh_obstacle_is_as_far_as_the_same_box(robot, kinematics, geometry) -> None:
     poses = link_poses(kinematics, draw(robot, 8, seed=2))
     size, at = (0.2, 0.3, 0.1), (0.45, 0.1, 0.5)
-    as_box = BodyDistances(kinematics, Environment((box("a", size, at),), False), reach=1.0)
-    as_mesh = BodyDistances(kinematics, Environment((mesh_box("a", size, at),), False), reach=1.0)
+    as_box = BodyDistances(geometry, Environment((box("a", size, at),), False), reach=1.0)
+    as_mesh = BodyDistances(geometry, Environment((mesh_box("a", size, at),), False), reach=1.0)
     columns = [m for m, n in enumerate(as_box.names) if n[1] == "a"]
     one = as_box(poses).distance[:, columns]
     two = as_mesh(poses).distance[:, columns]
@@ -111,22 +117,22 @@ def test_a_mesh_obstacle_is_as_far_as_the_same_box(robot, kinematics) -> None:
     assert (two[one < -1e-4] < 0).all()
 
 
-def test_a_link_inside_of_a_mesh_is_not_free(robot, kinematics) -> None:
+def test_a_link_inside_of_a_mesh_is_not_free(robot, kinematics, geometry) -> None:
     around = mesh_box("room", (4.0, 4.0, 4.0), (0, 0, 0))
-    bodies = BodyDistances(kinematics, Environment((around,), table=False), reach=10.0)
+    bodies = BodyDistances(geometry, Environment((around,), table=False), reach=10.0)
     contacts = bodies(link_poses(kinematics, robot.home[None]))
     columns = [m for m, n in enumerate(bodies.names) if n[1] == "room"]
     assert (contacts.distance[:, columns] < 0).all()
 
 
-def test_a_ball_between_two_samples_is_met_within_the_spacing(robot, kinematics) -> None:
+def test_a_ball_between_two_samples_is_met_within_the_spacing(robot, kinematics, geometry) -> None:
     # The tip of the middle finger: a ball of 12 mm at the end of the last link.
     rotation, position = link_poses(kinematics, robot.home[None])
     link = kinematics.index("middle_link_3")
     tip = rotation[0, link] @ [0, 0, 0.0267] + position[0, link]
     away = tip + 0.1 * np.array([1.0, 0, 0])
     field = SphereField(0.02, tuple(away))
-    distances = ObjectDistances(kinematics, field, reach=1.0)
+    distances = ObjectDistances(geometry, field, reach=1.0)
     contacts = distances(link_poses(kinematics, robot.home[None]))
     lowest = distances.per_link(contacts, len(kinematics.links))[0, link]
     true = 0.1 - 0.02 - 0.012
@@ -134,19 +140,19 @@ def test_a_ball_between_two_samples_is_met_within_the_spacing(robot, kinematics)
 
 
 @pytest.mark.parametrize("which", ["object", "table", "self", "box", "mesh"])
-def test_derivatives_agree_with_differences(robot, kinematics, which: str) -> None:
+def test_derivatives_agree_with_differences(robot, kinematics, geometry, which: str) -> None:
     rng = np.random.default_rng(5)
     q = draw(robot, 12, seed=3)
     at = (0.4, 0.0, 0.4)
     if which == "object":
-        source = ObjectDistances(kinematics, SphereField(0.25, at), reach=0.2)
+        source = ObjectDistances(geometry, SphereField(0.25, at), reach=0.2)
     else:
         obstacles = {
             "box": (box("b", (0.4, 0.6, 0.4), at),),
             "mesh": (mesh_box("b", (0.4, 0.6, 0.4), at),),
         }.get(which, ())
         environment = Environment(obstacles, table=which == "table")
-        source = BodyDistances(kinematics, environment, reach=0.2)
+        source = BodyDistances(geometry, environment, reach=0.2)
     poses = link_poses(kinematics, q)
     contacts = source(poses)
     kind = {"object": "object", "table": "table", "box": "b", "mesh": "b"}.get(which)
@@ -177,8 +183,9 @@ def test_derivatives_agree_with_differences(robot, kinematics, which: str) -> No
 def test_a_sliding_jaw_moves_by_its_axis() -> None:
     robot = load_robot(GRIPPER)
     kinematics = Kinematics(robot)
+    geometry = RobotGeometry(kinematics)
     q = (robot.lower + robot.upper)[None] / 2
-    source = ObjectDistances(kinematics, BoxField((0.1, 0.1, 0.1), (2.0, 0.5, 0.0)), reach=9.0)
+    source = ObjectDistances(geometry, BoxField((0.1, 0.1, 0.1), (2.0, 0.5, 0.0)), reach=9.0)
     poses = link_poses(kinematics, q)
     contacts = source(poses)
     every = np.arange(contacts.distance.shape[1])[None]

@@ -22,7 +22,7 @@ def points() -> NDArray[np.float64]:
 def test_no_value_is_farther_off_than_its_bound(field, points) -> None:
     grid = GridField(field, LOW, HIGH, GridConfig(step=0.004))
     off = np.abs(grid(points) - field(points))
-    assert (off <= grid.bound(points) + 1e-12).all()
+    assert (off <= grid.with_bound(points)[1] + 1e-12).all()
 
 
 def test_near_the_surface_the_bound_is_that_of_the_finest_cells(points) -> None:
@@ -31,7 +31,7 @@ def test_near_the_surface_the_bound_is_that_of_the_finest_cells(points) -> None:
     grid = GridField(field, LOW, HIGH, config)
     near = np.abs(field(points)) < config.band
     assert near.sum() > 500
-    assert grid.bound(points[near]).max() <= np.sqrt(3) / 2 * config.step + 1e-12
+    assert grid.with_bound(points[near])[1].max() <= np.sqrt(3) / 2 * config.step + 1e-12
 
 
 def test_a_plane_is_kept_exactly_and_a_sphere_to_curvature(points) -> None:
@@ -66,7 +66,7 @@ def test_outside_of_the_box_the_distance_is_never_overstated(points) -> None:
     grid = GridField(field, LOW, HIGH)
     far = points * 4
     far = far[(np.abs(far) > 0.1).any(axis=1)]
-    edge = grid.bound(np.clip(far, -0.1, 0.1))
+    edge = grid.with_bound(np.clip(far, -0.1, 0.1))[1]
     assert (grid(far) <= field(far) + edge).all()
 
 

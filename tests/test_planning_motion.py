@@ -12,6 +12,7 @@ from pointsdf_cli.planning.approach import ApproachConfig, retreat
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.motion import MotionConfig, plan_motion
 from pointsdf_cli.planning.path_check import PathChecker, link_reach
+from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.timing import TimingConfig, time_path
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
@@ -20,6 +21,7 @@ from pointsdf_cli.robot.surface import robot_surface
 
 ROBOT = load_robot()
 KINEMATICS = Kinematics(ROBOT)
+GEOMETRY = RobotGeometry(KINEMATICS)
 IK = InverseKinematics(ROBOT, IkConfig(library=4000))
 CAN = (0.6, 0.1, 0.12)
 FIELD = CylinderField(0.035, 0.24, CAN)
@@ -33,7 +35,7 @@ def grasp(distance: float = 0.075, start: int = 0) -> np.ndarray:
     found = IK.solve(palm)
     arms = found.arm[0][found.reached[0]]
     q = np.array([ROBOT.configuration(arm, np.array([0.0] * 6 + [1.3, 0.5])) for arm in arms])
-    room = PathChecker(KINEMATICS, FIELD).room(q)
+    room = PathChecker(GEOMETRY, FIELD).room(q)
     return q[np.argsort(-room)[start]]
 
 
@@ -61,17 +63,17 @@ def test_a_thin_wall_between_two_free_ends_is_not_jumped() -> None:
     pose[:3, 3] = (radius * np.cos(angle), radius * np.sin(angle), palm[2])
     wire = Obstacle("wire", "box", (0.002, 0.002, 0.3), pose)
     far = SphereField(0.01, (0, 0, 5.0))
-    checker = PathChecker(KINEMATICS, far, Environment((wire,)))
+    checker = PathChecker(GEOMETRY, far, Environment((wire,)))
     ends = np.stack([q, q])
     ends[1, 0] += 0.9
     assert (checker.room(ends) > 0).all()
     assert not checker.is_free(ends)
-    assert PathChecker(KINEMATICS, far).is_free(ends)
+    assert PathChecker(GEOMETRY, far).is_free(ends)
 
 
 def test_the_retreat_is_straight_and_keeps_turn_and_hand() -> None:
     q = grasp()
-    checker = PathChecker(KINEMATICS, FIELD)
+    checker = PathChecker(GEOMETRY, FIELD)
     assert checker.room(q[None])[0] >= 0
     config = ApproachConfig(length=0.06, step=0.01)
     path = retreat(checker, IK, q, config)
@@ -89,7 +91,7 @@ def test_the_retreat_is_straight_and_keeps_turn_and_hand() -> None:
 
 def test_a_motion_ends_in_the_grasp_and_is_free_at_every_millimetre() -> None:
     q = grasp()
-    checker = PathChecker(KINEMATICS, FIELD)
+    checker = PathChecker(GEOMETRY, FIELD)
     motion = plan_motion(checker, IK, ROBOT.home, q, seed=3)
     assert motion.failure == ""
     assert motion.trajectory is not None
@@ -115,7 +117,7 @@ def test_a_wall_is_driven_around_and_equal_seeds_give_equal_motions() -> None:
     start[0] = -1.2
     motions = []
     for _ in range(2):
-        checker = PathChecker(KINEMATICS, FIELD, Environment((wall,)))
+        checker = PathChecker(GEOMETRY, FIELD, Environment((wall,)))
         if checker.room(q[None])[0] < 0:
             pytest.fail("the grasp itself must be free of the wall")
         assert not checker.is_free(np.stack([start, q]))
@@ -128,9 +130,9 @@ def test_a_wall_is_driven_around_and_equal_seeds_give_equal_motions() -> None:
 def test_why_there_is_no_motion() -> None:
     q = grasp()
     here = CylinderField(0.2, 1.0, (0.0, 0.0, 0.9))
-    inside = plan_motion(PathChecker(KINEMATICS, here), IK, ROBOT.home, q)
+    inside = plan_motion(PathChecker(GEOMETRY, here), IK, ROBOT.home, q)
     assert "where it starts" in inside.failure
-    checker = PathChecker(KINEMATICS, FIELD)
+    checker = PathChecker(GEOMETRY, FIELD)
     with pytest.raises(InputError, match="joint limits"):
         plan_motion(checker, IK, ROBOT.home + 10, q)
     with pytest.raises(InputError, match="attempts"):

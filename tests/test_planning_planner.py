@@ -61,7 +61,7 @@ def test_a_can_gets_a_plan_with_a_motion(planner: Planner, plan: Plan, tmp_path:
 
 
 def test_the_whole_trajectory_is_free_of_the_exact_object(planner: Planner, plan: Plan) -> None:
-    checker = PathChecker(planner.kinematics, target().field)
+    checker = PathChecker(planner.geometry, target().field)
     assert checker.is_free(plan.trajectory)
 
 

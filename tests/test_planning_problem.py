@@ -10,6 +10,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.objective import ObjectiveConfig
+from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.slsqp import Slsqp
 from pointsdf_cli.planning.sqp import Sqp
 from pointsdf_cli.robot.description import RobotDescription, load_robot
@@ -33,7 +34,7 @@ def problem(robot: RobotDescription) -> GraspProblem:
     rest[6:] = (1.3, 0.5)
     score = NearPalm(PLACE, (1.0, 0.0, 0.0), rest)
     return GraspProblem(
-        Kinematics(robot), score, CylinderField(RADIUS, 0.24, CENTRE), Environment()
+        RobotGeometry(Kinematics(robot)), score, CylinderField(RADIUS, 0.24, CENTRE), Environment()
     )
 
 
@@ -53,12 +54,14 @@ def test_the_objective_is_zero_below_beta_and_the_square_of_the_excess_above(rob
     score = NearPalm((0.5, 0, 0.3), (1.0, 0, 0), rest)
     field = CylinderField(RADIUS, 0.24, CENTRE)
     config = ObjectiveConfig(alpha=0.5, beta=1.0)
-    problem = GraspProblem(Kinematics(robot), score, field, objective=config)
+    problem = GraspProblem(RobotGeometry(Kinematics(robot)), score, field, objective=config)
     x = np.random.default_rng(0).uniform(problem.lower, problem.upper, (6, 15))
     cost = problem.cost(x)
     s = -cost.log_success - 0.5 * cost.log_prior
     np.testing.assert_allclose(cost.value, np.maximum(s - 1.0, 0) ** 2, rtol=1e-12)
-    easy = GraspProblem(Kinematics(robot), score, field, objective=ObjectiveConfig(beta=1e9))
+    easy = GraspProblem(
+        RobotGeometry(Kinematics(robot)), score, field, objective=ObjectiveConfig(beta=1e9)
+    )
     assert (easy.cost(x).value == 0).all()
     assert (easy.cost(x).gradient == 0).all()
 

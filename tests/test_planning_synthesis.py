@@ -14,6 +14,7 @@ from pointsdf_cli.planning.fields import Field, MeshField, RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.grid import GridConfig, GridField
 from pointsdf_cli.planning.objective import GraspScore
+from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.seeds import SeedConfig, draw_seeds
 from pointsdf_cli.planning.sqp import Sqp
 from pointsdf_cli.planning.synthesis import Problems, Synthesis, SynthesisConfig, synthesise
@@ -23,6 +24,7 @@ from pointsdf_cli.robot.kinematics import Kinematics
 
 ROBOT = load_robot()
 KINEMATICS = Kinematics(ROBOT)
+GEOMETRY = RobotGeometry(KINEMATICS)
 IK = InverseKinematics(ROBOT, IkConfig(library=4000))
 REST = np.array([0.0] * 6 + [1.3, 0.5])
 RADIUS = 0.035
@@ -41,7 +43,7 @@ def problems(
     refined = RefinedField(grid, field, beyond=0.01)
 
     def problem(which: Field, clearances: Clearances) -> GraspProblem:
-        return GraspProblem(KINEMATICS, score, which, environment, clearances)
+        return GraspProblem(GEOMETRY, score, which, environment, clearances)
 
     return Problems(problem(grid, inside), problem(field, asked), problem(refined, inside))
 
@@ -88,7 +90,7 @@ def test_a_can_in_reach_is_planned_and_touches_nothing(can_plan: Synthesis) -> N
     can = trimesh.creation.cylinder(RADIUS, 0.24, sections=96)
     can.apply_translation(CAN)
     check = GraspProblem(
-        KINEMATICS,
+        GEOMETRY,
         NearPalm(CAN, (1.0, 0, 0), REST),
         MeshField(np.array(can.vertices), np.array(can.faces)),
     )

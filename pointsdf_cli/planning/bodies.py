@@ -7,8 +7,6 @@ constraint that could be active.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import coal
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +14,14 @@ from numpy.typing import NDArray
 from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.planning.contacts import WORLD, Array, Contacts, Indices, Poses
 from pointsdf_cli.planning.environment import Environment, Obstacle
-from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.planning.robot_geometry import (
+    Body,
+    RobotGeometry,
+    coal_points,
+    coal_triangles,
+    link_body,
+)
 from pointsdf_cli.robot.shapes import Shape
-
-
-@dataclass(frozen=True)
-class _Body:
-    """One shape: what it moves with, where it is in that, and the ball around it."""
-
-    link: int
-    name: str
-    geometry: coal.CollisionGeometry
-    pose: Array
-    centre: Array
-    radius: float
-    inside: SignedDistance | None = None
 
 
 class BodyDistances:
@@ -40,7 +31,7 @@ class BodyDistances:
     shapes.
 
     Args:
-        kinematics: Of the robot.
+        geometry: Of the robot.
         environment: What stands around.
         reach: Distances up to here [m] are exact.
 
@@ -49,19 +40,20 @@ class BodyDistances:
     """
 
     def __init__(
-        self, kinematics: Kinematics, environment: Environment, reach: float = 0.05
+        self, geometry: RobotGeometry, environment: Environment, reach: float = 0.05
     ) -> None:
-        robot, self.reach = kinematics.robot, reach
-        self._bodies = [
-            _link_body(kinematics.index(link), link, shape)
-            for link in robot.tree.links
-            for shape in robot.tree.shapes[link]
-        ]
+        robot, self.reach = geometry.kinematics.robot, reach
+        self._bodies = list(geometry.bodies)
         moving = len(self._bodies)
         if environment.table:
             below = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
-            self._bodies.append(_Body(WORLD, "table", below, np.eye(4), np.zeros(3), 0.0))
+            self._bodies.append(Body(WORLD, "table", below, np.eye(4), np.zeros(3), 0.0))
         self._bodies += [_obstacle_body(obstacle) for obstacle in environment.obstacles]
+        self._inside = {
+            o.name: SignedDistance(o.vertices, o.faces, threads=1)
+            for o in environment.obstacles
+            if o.vertices is not None and o.faces is not None
+        }
         checked = {frozenset(pair) for pair in robot.checked_pairs}
         pairs = []
         for i, a in enumerate(self._bodies[:moving]):
@@ -137,66 +129,27 @@ class BodyDistances:
             out.point[b, m] = result.getNearestPoint1()
             out.other_point[b, m] = result.getNearestPoint2()
             out.normal[b, m] = -result.normal  # coal's points from the first to the second
-            if two.inside is not None and distance > 0:
+            if distance > 0 and two.name in self._inside:
                 self._swallowed(out, b, int(m), two, turn[j], at[j])
 
-    def _swallowed(
-        self, out: Contacts, b: int, m: int, mesh: _Body, turn: Array, at: Array
-    ) -> None:
+    def _swallowed(self, out: Contacts, b: int, m: int, mesh: Body, turn: Array, at: Array) -> None:
         """A shape that is wholly inside of a closed mesh does not touch its triangles."""
-        assert mesh.inside is not None
         point = (out.point[b, m] - at) @ turn
-        if mesh.inside(point[None].astype(np.float32))[0] < 0:
+        if self._inside[mesh.name](point[None])[0] < 0:
             # From here the way out begins where the triangles are nearest, and goes past them.
             out.distance[b, m] = -out.distance[b, m] - self._radii[self._pairs[m, 0]]
             out.normal[b, m] = -out.normal[b, m]
 
 
-def _link_body(link: int, name: str, shape: Shape) -> _Body:
-    vertices = np.asarray(shape.as_mesh().vertices)
-    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    if shape.kind == "box":
-        geometry = coal.Box(*map(float, shape.size))
-        radius = float(np.linalg.norm(shape.size)) / 2
-    elif shape.kind == "cylinder":
-        geometry = coal.Cylinder(*map(float, shape.size))
-        radius = float(np.hypot(shape.size[0], shape.size[1] / 2))
-    elif shape.kind == "sphere":
-        geometry, radius = coal.Sphere(float(shape.size[0])), float(shape.size[0])
-    else:
-        geometry = _convex(*shape.triangles())
-        radius = float(np.linalg.norm(vertices - centre, axis=1).max())
-    return _Body(link, name, geometry, np.asarray(shape.pose), centre, radius)
-
-
-def _obstacle_body(obstacle: Obstacle) -> _Body:
+def _obstacle_body(obstacle: Obstacle) -> Body:
     if obstacle.vertices is None or obstacle.faces is None:
         shape = Shape(obstacle.kind, obstacle.size, obstacle.pose)
-        return _link_body(WORLD, obstacle.name, shape)
+        return link_body(WORLD, obstacle.name, shape)
     mesh = coal.BVHModelOBBRSS()
     mesh.beginModel(len(obstacle.faces), len(obstacle.vertices))
-    mesh.addSubModel(_points(obstacle.vertices), _triangles(obstacle.faces))
+    mesh.addSubModel(coal_points(obstacle.vertices), coal_triangles(obstacle.faces))
     mesh.endModel()
     middle = (obstacle.vertices.min(axis=0) + obstacle.vertices.max(axis=0)) / 2
     radius = float(np.linalg.norm(obstacle.vertices - middle, axis=1).max())
     centre = obstacle.pose[:3, :3] @ middle + obstacle.pose[:3, 3]
-    inside = SignedDistance(obstacle.vertices, obstacle.faces)
-    return _Body(WORLD, obstacle.name, mesh, obstacle.pose, centre, radius, inside)
-
-
-def _convex(vertices: Array, faces: NDArray[np.int64]) -> coal.CollisionGeometry:
-    return coal.Convex(_points(vertices), _triangles(faces))
-
-
-def _points(vertices: Array) -> coal.StdVec_Vec3s:
-    points = coal.StdVec_Vec3s()
-    for vertex in vertices:
-        points.append(np.asarray(vertex, dtype=np.float64))
-    return points
-
-
-def _triangles(faces: NDArray[np.integer]) -> coal.StdVec_Triangle:
-    triangles = coal.StdVec_Triangle()
-    for a, b, c in faces:
-        triangles.append(coal.Triangle(int(a), int(b), int(c)))
-    return triangles
+    return Body(WORLD, obstacle.name, mesh, obstacle.pose, centre, radius)

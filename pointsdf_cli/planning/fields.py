@@ -26,8 +26,8 @@ class Field(Protocol):
 class BoundedField(Field, Protocol):
     """A field that knows how far its values can be off."""
 
-    def bound(self, points: Array) -> Array:
-        """The largest possible error [N] in m at points [N, 3]."""
+    def with_bound(self, points: Array) -> tuple[Array, Array]:
+        """Values [N] and by how much they can exceed the truth [N], in m."""
 
 
 class ReconstructionField:
@@ -83,20 +83,20 @@ class RefinedField:
         self.queries = 0
 
     def __call__(self, points: Array) -> Array:
-        values = self._quick(points)
-        near = self._near(points, values)
+        values, near = self._judge(points)
         if near.any():
             values[near] = self._exact(points[near])
         return values
 
     def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        _, near = self._judge(points)
         values, gradients = self._quick.with_gradient(points)
-        near = self._near(points, values)
         if near.any():
             values[near], gradients[near] = self._exact.with_gradient(points[near])
         return values, gradients
 
-    def _near(self, points: Array, values: Array) -> NDArray[np.bool_]:
-        near: NDArray[np.bool_] = values - self._quick.bound(points) <= self._beyond
+    def _judge(self, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+        values, bound = self._quick.with_bound(points)
+        near: NDArray[np.bool_] = values - bound <= self._beyond
         self.queries += int(near.sum())
-        return near
+        return values, near

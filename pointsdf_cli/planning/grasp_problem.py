@@ -32,8 +32,8 @@ from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.nonlinear import Evaluation
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.objective import Cost, GraspScore, Objective, ObjectiveConfig
+from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.variables import Variables
-from pointsdf_cli.robot.kinematics import Kinematics
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class GraspProblem:
     """The problem for one object; `nonlinear.Problem` for the solvers.
 
     Args:
-        kinematics: Of the robot.
+        geometry: Of the robot.
         score: Of grasps of the object.
         field: Of the object, as the solver shall ask it (the network, or a grid of it).
         environment: What stands around.
@@ -85,7 +85,7 @@ class GraspProblem:
 
     def __init__(
         self,
-        kinematics: Kinematics,
+        geometry: RobotGeometry,
         score: GraspScore,
         field: Field,
         environment: Environment | None = None,
@@ -94,13 +94,13 @@ class GraspProblem:
         critical: int = 32,
         slope: float = 1.0,
     ) -> None:
-        self.kinematics = kinematics
+        kinematics = self.kinematics = geometry.kinematics
         self.variables = Variables(kinematics.robot)
         self.lower, self.upper = self.variables.lower, self.variables.upper
         self.clearances = clearances or Clearances()
         self.objective = Objective(kinematics, self.variables, score, objective)
-        self.bodies = BodyDistances(kinematics, environment or Environment())
-        self.object = ObjectDistances(kinematics, field, slope=slope)
+        self.bodies = BodyDistances(geometry, environment or Environment())
+        self.object = ObjectDistances(geometry, field, slope=slope)
         self._jacobian = ContactJacobian(kinematics)
         self.names = self.object.names + self.bodies.names
         other = [name for _, name in self.names]

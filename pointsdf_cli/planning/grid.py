@@ -93,9 +93,11 @@ class GridField:
         value, gradient, _ = self._look_up(points, gradient=True)
         return value, gradient
 
-    def bound(self, points: Array) -> Array:
-        """The largest possible |grid − field| [N] at points [N, 3] inside the box [m]."""
-        return self._look_up(points, bound=True)[2]
+    def with_bound(self, points: Array) -> tuple[Array, Array]:
+        """Values [N] and the largest possible |grid − field| [N] inside of the box [m]; outside
+        the value less the bound is still no more than the distance."""
+        value, _, bound = self._look_up(points, bound=True)
+        return value, bound
 
     def _build(self, field: Field, cells: NDArray[np.int64], step: float) -> None:
         slope, band = self.config.slope, self.config.band

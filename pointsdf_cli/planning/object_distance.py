@@ -9,24 +9,18 @@ comes near with counts with several points, and the minimum over a link's patche
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.planning.contacts import WORLD, Array, Contacts, Indices, Poses
 from pointsdf_cli.planning.fields import Field
-from pointsdf_cli.robot.kinematics import Kinematics
-from pointsdf_cli.robot.surface import SPACING, robot_surface
-
-PATCH = 16
-"""Samples in a patch, at most."""
+from pointsdf_cli.planning.robot_geometry import PATCH, RobotGeometry
 
 
 class ObjectDistances:
     """Signed distances of the robot's surface patches to one object.
 
     Args:
-        kinematics: Of the robot.
+        geometry: Of the robot.
         field: Of the object, world frame.
-        spacing: No surface point is farther than this [m] from a sample.
         reach: Patches whose lower bound exceeds this [m] are not looked at closely.
         slope: The largest slope of the field: 1 for a distance.
 
@@ -37,25 +31,16 @@ class ObjectDistances:
 
     def __init__(
         self,
-        kinematics: Kinematics,
+        geometry: RobotGeometry,
         field: Field,
-        spacing: float = SPACING,
         reach: float = 0.05,
         slope: float = 1.0,
     ) -> None:
         self.field, self._reach, self._slope = field, reach, slope
-        links, patches = [], []
-        for link, points in robot_surface(kinematics.robot, spacing).items():
-            for patch in _split(points):
-                links.append(kinematics.index(link))
-                # Repeats make all patches equally long; they change no minimum.
-                patches.append(patch[np.arange(PATCH) % len(patch)])
-        self.link: Indices = np.array(links)
-        self.names = tuple((kinematics.links[i], "object") for i in links)
-        self._points = np.array(patches)
-        self._centre = (self._points.min(axis=1) + self._points.max(axis=1)) / 2
-        offsets = np.linalg.norm(self._points - self._centre[:, None], axis=2)
-        self._radius = offsets.max(axis=1)
+        patches, links = geometry.patches, geometry.kinematics.links
+        self.link: Indices = patches.link
+        self.names = tuple((links[i], "object") for i in patches.link)
+        self._points, self._centre, self._radius = patches.points, patches.centre, patches.radius
 
     def __call__(self, poses: Poses, gradients: bool = True) -> Contacts:
         """Distances [B, M] of all patches, with the samples where they are lowest."""
@@ -85,13 +70,3 @@ class ObjectDistances:
         for link in np.unique(self.link):
             lowest[:, link] = contacts.distance[:, self.link == link].min(axis=1)
         return lowest
-
-
-def _split(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Compact groups of at most PATCH points, by halving the longest side."""
-    if len(points) <= PATCH:
-        return [points]
-    axis = int(np.ptp(points, axis=0).argmax())
-    order = np.argsort(points[:, axis], kind="stable")
-    half = len(points) // 2
-    return _split(points[order[:half]]) + _split(points[order[half:]])

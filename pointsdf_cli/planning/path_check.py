@@ -21,6 +21,7 @@ from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.object_distance import ObjectDistances
+from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.shapes import bounding_box
 
@@ -46,7 +47,7 @@ class PathChecker:
     """Checks configurations and ways between them for one object and environment.
 
     Args:
-        kinematics: Of the robot.
+        geometry: Of the robot.
         field: Of the object; its values may not exceed the true distance by more than the
             object's clearance.
         environment: What stands around.
@@ -59,17 +60,17 @@ class PathChecker:
 
     def __init__(
         self,
-        kinematics: Kinematics,
+        geometry: RobotGeometry,
         field: Field,
         environment: Environment | None = None,
         clearances: Clearances | None = None,
         config: PathCheckConfig | None = None,
     ) -> None:
         self.config = config or PathCheckConfig()
-        self.kinematics = kinematics
+        kinematics = self.kinematics = geometry.kinematics
         clearances = clearances or Clearances()
-        self._object = ObjectDistances(kinematics, field)
-        self._bodies = BodyDistances(kinematics, environment or Environment(), reach=0.02)
+        self._object = ObjectDistances(geometry, field)
+        self._bodies = BodyDistances(geometry, environment or Environment(), reach=0.02)
         links = set(kinematics.links)
         self._body_margin = np.array(
             [

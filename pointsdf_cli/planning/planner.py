@@ -19,6 +19,7 @@ from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion
 from pointsdf_cli.planning.nonlinear import Solver
 from pointsdf_cli.planning.objective import GraspScore, ObjectiveConfig
 from pointsdf_cli.planning.path_check import PathChecker
+from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.seeds import GraspPrior
 from pointsdf_cli.planning.slsqp import Slsqp
 from pointsdf_cli.planning.sqp import Sqp
@@ -95,6 +96,7 @@ class Planner:
     def __init__(self, robot: RobotDescription, config: PlannerConfig | None = None) -> None:
         self.robot, self.config = robot, config or PlannerConfig()
         self.kinematics = Kinematics(robot)
+        self.geometry = RobotGeometry(self.kinematics)
         self.inverse = InverseKinematics(robot)
         self.solver: Solver = Sqp() if self.config.solver == "sqp" else Slsqp()
 
@@ -109,7 +111,7 @@ class Planner:
 
         def problem(which: Field, clearances: Clearances) -> GraspProblem:
             return GraspProblem(
-                self.kinematics, target.score, which, environment, clearances, config.objective
+                self.geometry, target.score, which, environment, clearances, config.objective
             )
 
         return Problems(
@@ -153,7 +155,7 @@ class Planner:
         timings["configuration"] = time.perf_counter() - began
         began = time.perf_counter()
         checker = PathChecker(
-            self.kinematics,
+            self.geometry,
             problems.polish.object.field,
             environment,
             self.config.clearances,

@@ -1,0 +1,130 @@
+"""The robot as distances see it: convex bodies, and patches of surface points; made once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.planning.contacts import Array, Indices
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.shapes import Shape
+from pointsdf_cli.robot.surface import SPACING, robot_surface
+
+PATCH = 16
+"""Samples in a patch, at most."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """One convex shape.
+
+    Attributes:
+        link: The index of the link that it moves with.
+        name: The link's, or the obstacle's.
+        geometry: For coal.
+        pose: [4, 4], in the link.
+        centre, radius: Of a ball around it, in the link.
+    """
+
+    link: int
+    name: str
+    geometry: coal.CollisionGeometry
+    pose: Array
+    centre: Array
+    radius: float
+
+
+@dataclass(frozen=True)
+class Patches:
+    """M groups of surface samples, each a few centimetres wide.
+
+    Attributes:
+        link: [M].
+        points: [M, PATCH, 3], link frame; short patches repeat samples.
+        centre, radius: [M, 3] and [M], of balls around them.
+    """
+
+    link: Indices
+    points: Array
+    centre: Array
+    radius: Array
+
+
+class RobotGeometry:
+    """What planning must know of a robot's shape.
+
+    Args:
+        kinematics: Of the robot.
+        spacing: No surface point is farther than this [m] from a sample.
+
+    Attributes:
+        bodies: One for each shape.
+        patches: Of all links' surfaces.
+    """
+
+    def __init__(self, kinematics: Kinematics, spacing: float = SPACING) -> None:
+        self.kinematics = kinematics
+        tree = kinematics.robot.tree
+        self.bodies = tuple(
+            link_body(kinematics.index(link), link, shape)
+            for link in tree.links
+            for shape in tree.shapes[link]
+        )
+        links, patches = [], []
+        for link, points in robot_surface(kinematics.robot, spacing).items():
+            for patch in _split(points):
+                links.append(kinematics.index(link))
+                # Repeats make all patches equally long; they change no minimum.
+                patches.append(patch[np.arange(PATCH) % len(patch)])
+        stacked = np.array(patches)
+        centre = (stacked.min(axis=1) + stacked.max(axis=1)) / 2
+        radius = np.linalg.norm(stacked - centre[:, None], axis=2).max(axis=1)
+        self.patches = Patches(np.array(links), stacked, centre, radius)
+
+
+def link_body(link: int, name: str, shape: Shape) -> Body:
+    """A shape of a link, or of the world."""
+    vertices = np.asarray(shape.as_mesh().vertices)
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    if shape.kind == "box":
+        geometry = coal.Box(*map(float, shape.size))
+        radius = float(np.linalg.norm(shape.size)) / 2
+    elif shape.kind == "cylinder":
+        geometry = coal.Cylinder(*map(float, shape.size))
+        radius = float(np.hypot(shape.size[0], shape.size[1] / 2))
+    elif shape.kind == "sphere":
+        geometry, radius = coal.Sphere(float(shape.size[0])), float(shape.size[0])
+    else:
+        corners, faces = shape.triangles()
+        geometry = coal.Convex(coal_points(corners), coal_triangles(faces))
+        radius = float(np.linalg.norm(vertices - centre, axis=1).max())
+    return Body(link, name, geometry, np.asarray(shape.pose), centre, radius)
+
+
+def coal_points(vertices: Array) -> coal.StdVec_Vec3s:
+    """Corners as coal takes them."""
+    points = coal.StdVec_Vec3s()
+    for vertex in vertices:
+        points.append(np.asarray(vertex, dtype=np.float64))
+    return points
+
+
+def coal_triangles(faces: NDArray[np.integer]) -> coal.StdVec_Triangle:
+    """Triangles as coal takes them."""
+    triangles = coal.StdVec_Triangle()
+    for a, b, c in faces:
+        triangles.append(coal.Triangle(int(a), int(b), int(c)))
+    return triangles
+
+
+def _split(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Compact groups of at most PATCH points, by halving the longest side."""
+    if len(points) <= PATCH:
+        return [points]
+    axis = int(np.ptp(points, axis=0).argmax())
+    order = np.argsort(points[:, axis], kind="stable")
+    half = len(points) // 2
+    return _split(points[order[:half]]) + _split(points[order[half:]])
