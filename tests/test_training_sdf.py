@@ -264,6 +264,14 @@ def test_the_command_trains_stops_and_resumes(cli, artifacts: Path, tmp_path: Pa
     carried_on = cli(*arguments, "--steps", 3, "--resume", "--json")
     assert carried_on.code == 0, carried_on.err
     assert '"steps": 3' in carried_on.out
+    sharper = cli(
+        *arguments[:5], "--out", tmp_path / "sharper", *arguments[7:], "--steps", 2,
+        "--start-from", tmp_path / "ckpt", "--near", 0.02, "--sign-scale", 0.01,
+    )  # fmt: skip
+    assert sharper.code == 0, sharper.err
+    config = read_checkpoint(tmp_path / "sharper").config
+    assert config["training"]["loss"]["near"] == 0.02
+    assert config["started_from"]["training"]["loss"]["near"] == 0.05
     for wrong, told in (
         (["--views", tmp_path / "none"], "not a folder"),
         (["--model", "resnet"], "pointsdf-ray"),

@@ -25,6 +25,16 @@ def train_sdf(
     batch_size: Annotated[int | None, typer.Option(help="Clouds a step.")] = None,
     queries: Annotated[int | None, typer.Option(help="Labelled points a cloud.")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="At its highest.")] = None,
+    near: Annotated[
+        float | None, typer.Option(help="Loss: distances below it count in full (network units).")
+    ] = None,
+    sign_weight: Annotated[float | None, typer.Option(help="Loss: weight of the sign.")] = None,
+    sign_scale: Annotated[
+        float | None, typer.Option(help="Loss: distance at which a sign is sure (network units).")
+    ] = None,
+    start_from: Annotated[
+        Path | None, typer.Option(help="Begin with the weights of this checkpoint.")
+    ] = None,
     held_out: Annotated[float, typer.Option(help="Share of the objects kept to validate.")] = 0.05,
     views_per_object: Annotated[
         list[str] | None,
@@ -51,9 +61,9 @@ def train_sdf(
 
     from pointsdf_cli.cli.signals import stop_requests
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.checkpoints import has_train_state
+    from pointsdf_cli.io.checkpoints import has_train_state, read_config
     from pointsdf_cli.io.provenance import git_commit
-    from pointsdf_cli.models.registry import build_model, use_threads
+    from pointsdf_cli.models.registry import build_model, load_model, use_threads
     from pointsdf_cli.training import sdf_loop
     from pointsdf_cli.training.precision import idle_processors
     from pointsdf_cli.training.presets import preset as settings
@@ -74,6 +84,9 @@ def train_sdf(
     config = replace(
         config, seed=common.check_seed(seed), **{k: v for k, v in chosen.items() if v is not None}
     )
+    shape_of_loss = {"near": near, "sign_weight": sign_weight, "temperature": sign_scale}
+    changes: dict[str, Any] = {k: v for k, v in shape_of_loss.items() if v is not None}
+    config = replace(config, loss=replace(config.loss, **changes))
     if not 0.0 < held_out < 1.0:
         raise InputError(f"{held_out} is no share", where="--held-out", allowed="between 0 and 1")
     common.torch_device(device)
@@ -92,6 +105,13 @@ def train_sdf(
         )
     split = split_views(data, held_out, seed)
     network = build_model(model, arguments, seed=seed)
+    if start_from is not None:
+        network = load_model(start_from)
+        if network.architecture != model:
+            raise InputError(
+                f"is a {network.architecture}", where=f"--start-from {start_from}", allowed=model
+            )
+        network.requires_grad_(True)
     reporter.say(
         f"{model} with {sum(p.numel() for p in network.parameters()) / 1e6:.1f} M weights; "
         f"{len(data.names)} objects, {len(split.train)} views to train on, "
@@ -106,6 +126,7 @@ def train_sdf(
             out,
             provenance={
                 "preset": preset,
+                "started_from": None if start_from is None else read_config(start_from),
                 "data": {"objects": len(data.names), "views": len(data.scale)},
                 "git_commit": git_commit(),
             },
