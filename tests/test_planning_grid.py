@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from planning_worlds import BoxField, SphereField
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.grid import GridConfig, GridField
+from pointsdf_cli.planning.grid import GridConfig, GridField, surface_box
 
 LOW, HIGH = np.full(3, -0.1), np.full(3, 0.1)
 
@@ -83,3 +83,13 @@ def test_an_impossible_grid_is_refused() -> None:
         GridConfig(step=0.0)
     with pytest.raises(InputError, match="256"):
         GridField(SphereField(0.05), LOW * 100, HIGH * 100, GridConfig(levels=1))
+
+
+def test_the_surface_box_holds_the_object_and_little_more() -> None:
+    field = BoxField((0.04, 0.1, 0.2), (0.03, 0.0, 0.1))
+    low, high = surface_box(field, np.full(3, -0.3), np.full(3, 0.3), step=0.03)
+    assert (low <= [0.01, -0.05, 0.0]).all()
+    assert (high >= [0.05, 0.05, 0.2]).all()
+    assert (high - low <= np.array([0.04, 0.1, 0.2]) + 4 * 0.03).all()
+    with pytest.raises(InputError, match="positive everywhere"):
+        surface_box(SphereField(0.05, (2, 0, 0)), LOW, HIGH, step=0.05)

@@ -11,7 +11,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.approach import ApproachConfig, retreat
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.motion import MotionConfig, plan_motion
-from pointsdf_cli.planning.path_check import PathChecker, link_reach
+from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.timing import TimingConfig, time_path
 from pointsdf_cli.robot.description import load_robot
@@ -41,7 +41,7 @@ def grasp(distance: float = 0.075, start: int = 0) -> np.ndarray:
 
 def test_no_point_moves_farther_than_the_bound_says() -> None:
     rng = np.random.default_rng(0)
-    reach = link_reach(KINEMATICS)
+    reach = GEOMETRY.reach
     surface = [(link, torch.tensor(p)) for link, p in robot_surface(ROBOT, 0.03).items()]
     for _ in range(30):
         a = rng.uniform(ROBOT.lower, ROBOT.upper)

@@ -157,10 +157,12 @@ class GridField:
             slope /= self.config.step
         if bound:
             errors = self._flat_error[first[:, None] + self._corner_offsets]
-            weights = np.where(_CORNERS[None] == 1, t[:, None], 1 - t[:, None]).prod(axis=2)
+            errors = errors[:, 0::2] + (errors[:, 1::2] - errors[:, 0::2]) * z[:, None]
+            errors = errors[:, 0::2] + (errors[:, 1::2] - errors[:, 0::2]) * y[:, None]
+            error = errors[:, 0] + (errors[:, 1] - errors[:, 0]) * x
             t = np.minimum(t, 1.0)  # rounding may carry the last cell's end beyond it
-            spread = np.sqrt((t * (1 - t)).sum(axis=1)) * self.config.step * self.config.slope
-            error = (weights * errors).sum(axis=1) + spread
+            spread = np.sqrt((t * (1 - t)).sum(axis=1))
+            error = error + spread * (self.config.step * self.config.slope)
         beyond = points - inside
         gap = np.sqrt((beyond**2).sum(axis=1))
         out = gap > 0
@@ -172,6 +174,32 @@ class GridField:
                 slope[out] = (beyond[out] + value[out, None] * along) / whole[:, None]
             value[out] = whole
         return value, slope, error
+
+
+def surface_box(
+    field: Field, low: Array, high: Array, step: float, slope: float = 1.0
+) -> tuple[Array, Array]:
+    """A tight box (low [3], high [3]) around the surface inside of a wide one, by few questions.
+
+    Args:
+        field: Asked on a grid of `step` [m].
+        low, high: [3], the wide box [m].
+        step: Of that grid; the result is tight to about that much.
+        slope: The largest slope of the field.
+
+    Raises:
+        InputError: The field is positive all over the wide box.
+    """
+    low = np.asarray(low, dtype=np.float64)
+    wide = np.asarray(high, dtype=np.float64) - low
+    cells = np.maximum(1, np.ceil(wide / step - 1e-9)).astype(np.int64)
+    nodes = np.argwhere(np.ones(cells + 1, dtype=bool))
+    values = field(low + nodes * step).reshape(cells + 1)
+    # What is inside of a cell is no farther from its nearest corner than half its diagonal.
+    occupied = np.argwhere(_any_corner(values <= slope * np.sqrt(3) / 2 * step))
+    if not len(occupied):
+        raise InputError("the object's field is positive everywhere", allowed="a field with inside")
+    return low + occupied.min(axis=0) * step, low + (occupied.max(axis=0) + 1) * step
 
 
 def _halve(values: Array) -> Array:

@@ -22,8 +22,6 @@ from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
-from pointsdf_cli.robot.kinematics import Kinematics
-from pointsdf_cli.robot.shapes import bounding_box
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ class PathChecker:
         self._object_margin = clearances.object
         self._object_columns = len(self._object.names)
         moved = ContactJacobian(kinematics).moved
-        reach = link_reach(kinematics)
+        reach = geometry.reach
         first = np.concatenate([self._object.link, self._bodies.link])
         none = np.full(self._object_columns, WORLD)
         second = np.concatenate([none, self._bodies.other_link])
@@ -155,32 +153,3 @@ class PathChecker:
             a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
             room_a, room_b = np.concatenate([room_a, room]), np.concatenate([room, room_b])
         return least
-
-
-def link_reach(kinematics: Kinematics) -> Array:
-    """How far any point of a link can be from a joint's axis [L + 1, J], m; 1 for sliding joints.
-
-    By the triangle inequality along the chain: the offsets of the joints between, the travel of
-    those that slide, and the farthest corner of the link's box. Joints that do not move the link,
-    and the last row, which stands for the world, have 0.
-    """
-    robot = kinematics.robot
-    tree = robot.tree
-    columns = {name: j for j, name in enumerate(robot.joint_names)}
-    parent = {joint.child: joint for joint in tree.joints}
-    reach = np.zeros((len(tree.links) + 1, len(columns)))
-    for link, shapes in tree.shapes.items():
-        if not shapes:
-            continue
-        low, high = bounding_box(shapes)
-        farthest = float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))))
-        at = link
-        while at in parent:
-            joint = parent[at]
-            if joint.name in columns:
-                slides = joint.kind == "prismatic"
-                reach[kinematics.index(link), columns[joint.name]] = 1.0 if slides else farthest
-                farthest += max(abs(joint.lower), abs(joint.upper)) if slides else 0.0
-            farthest += float(np.linalg.norm(joint.T_parent_joint[:3, 3]))
-            at = joint.parent
-    return reach

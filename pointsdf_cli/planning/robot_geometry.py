@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.planning.contacts import Array, Indices
 from pointsdf_cli.robot.kinematics import Kinematics
-from pointsdf_cli.robot.shapes import Shape
+from pointsdf_cli.robot.shapes import Shape, bounding_box
 from pointsdf_cli.robot.surface import SPACING, robot_surface
 
 PATCH = 16
@@ -63,6 +63,7 @@ class RobotGeometry:
     Attributes:
         bodies: One for each shape.
         patches: Of all links' surfaces.
+        reach: [L + 1, J], see `link_reach`.
     """
 
     def __init__(self, kinematics: Kinematics, spacing: float = SPACING) -> None:
@@ -82,7 +83,37 @@ class RobotGeometry:
         stacked = np.array(patches)
         centre = (stacked.min(axis=1) + stacked.max(axis=1)) / 2
         radius = np.linalg.norm(stacked - centre[:, None], axis=2).max(axis=1)
+        self.reach = link_reach(kinematics)
         self.patches = Patches(np.array(links), stacked, centre, radius)
+
+
+def link_reach(kinematics: Kinematics) -> Array:
+    """How far any point of a link can be from a joint's axis [L + 1, J], m; 1 for sliding joints.
+
+    By the triangle inequality along the chain: the offsets of the joints between, the travel of
+    those that slide, and the farthest corner of the link's box. Joints that do not move the link,
+    and the last row, which stands for the world, have 0.
+    """
+    robot = kinematics.robot
+    tree = robot.tree
+    columns = {name: j for j, name in enumerate(robot.joint_names)}
+    parent = {joint.child: joint for joint in tree.joints}
+    reach = np.zeros((len(tree.links) + 1, len(columns)))
+    for link, shapes in tree.shapes.items():
+        if not shapes:
+            continue
+        low, high = bounding_box(shapes)
+        farthest = float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))))
+        at = link
+        while at in parent:
+            joint = parent[at]
+            if joint.name in columns:
+                slides = joint.kind == "prismatic"
+                reach[kinematics.index(link), columns[joint.name]] = 1.0 if slides else farthest
+                farthest += max(abs(joint.lower), abs(joint.upper)) if slides else 0.0
+            farthest += float(np.linalg.norm(joint.T_parent_joint[:3, 3]))
+            at = joint.parent
+    return reach
 
 
 def link_body(link: int, name: str, shape: Shape) -> Body:
