@@ -1,12 +1,18 @@
 #!/usr/bin/env bash
-# What rgrasp sees: objects made here, real depth views of them, exact signed distances, a picture.
+# Objects made here, depth views of them, exact signed distances; bundled clouds completed by the
+# bundled weights; pictures of all that.
 #   pipelines/demo.sh [DIR]      (about a minute; DIR defaults to demo/)
 set -euo pipefail
+cd "$(dirname "$0")/.."
 out=${1:-demo}
 
 rgrasp objects make --out "$out/meshes" --count 24 --seed 7 --sheet "$out/objects.png" --force
 rgrasp render --meshes "$out/meshes" --out "$out/views" --views 50 --force
 rgrasp label-sdf --views "$out/views" --meshes "$out/meshes" --out "$out/labels" --force
 rgrasp report "$out" --pictures "$out" --force
+for name in power_drill spray_bottle mug; do
+    rgrasp mesh "assets/clouds/$name.ply" --out "$out/$name.ply" --picture "$out/$name.png" --force
+done
 echo
-echo "Look at $out/views.png, $out/signed_distance.png, $out/objects.png, or open $out/report.html"
+echo "Look at $out/power_drill.png (a cloud and its reconstruction), $out/views.png and"
+echo "$out/signed_distance.png, or open $out/report.html"

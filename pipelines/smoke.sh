@@ -1,12 +1,18 @@
 #!/usr/bin/env bash
-# The pipeline end to end on a handful of objects, in under a minute; every stage's own checks hold.
+# The pipeline end to end on a handful of objects, in about a minute; every stage's own checks hold.
 set -euo pipefail
+cd "$(dirname "$0")/.."
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
 rgrasp objects make --out "$work/meshes" --count 6 --seed 1 --quiet
 rgrasp render --meshes "$work/meshes" --out "$work/views" --views 20 --quiet
 rgrasp label-sdf --views "$work/views" --meshes "$work/meshes" --out "$work/labels" --points 5000 --quiet
+rgrasp train-sdf --views "$work/views" --labels "$work/labels" --out "$work/ckpt" --steps 3 \
+    --batch-size 4 --held-out 0.2 --quiet >/dev/null
+rgrasp mesh assets/clouds/mug.ply --out "$work/mug.ply" --resolution 64 --quiet >/dev/null
+rgrasp eval-sdf --checkpoint assets/weights/pointsdf_ray --views "$work/views" \
+    --meshes "$work/meshes" --out "$work/table.json" --count 1 --resolution 32 --samples 2000 --quiet >/dev/null
 rgrasp info "$work"/views/*.h5 --quiet >/dev/null
 rgrasp doctor --quiet
 test "$(find "$work/labels" -name '*.h5' | wc -l)" = 6
