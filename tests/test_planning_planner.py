@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.planner import Planner, PlannerConfig, Target
 from pointsdf_cli.planning.seeds import SeedConfig
-from pointsdf_cli.planning.synthesis import SynthesisConfig
+from pointsdf_cli.planning.synthesis import SynthesisConfig, synthesise
 from pointsdf_cli.robot.description import load_robot
 
 REST = np.array([0.0] * 6 + [1.3, 0.5])
@@ -97,3 +98,25 @@ def test_bad_options_are_refused(planner: Planner) -> None:
         PlannerConfig(solver="newton")
     with pytest.raises(InputError, match="23"):
         planner.plan(target(), start=np.zeros(7))
+
+
+def test_where_the_best_grasp_has_no_motion_the_next_one_is_taken(planner: Planner) -> None:
+    """The best candidate is boxed in by a start that reaches only the other one."""
+    problems = planner.problems(target(), Environment())
+    found = synthesise(
+        problems, target().prior, planner.inverse, planner.solver, np.random.default_rng(0), SMALL
+    )
+    assert found.best is not None
+    good = found.best
+    # A configuration that stands in the can: nothing leads there.
+    inside = good.x.copy()
+    inside[1] += 0.3
+    bad = replace(good, x=inside, objective=0.0)
+    checker = PathChecker(planner.geometry, target().field)
+    best, motion, rest = planner._with_motion(
+        checker, problems, replace(found, accepted=[bad, good]), planner.robot.home, 0
+    )
+    assert best is good
+    assert motion is not None
+    assert motion.failure == ""
+    assert rest.rejected[-1].reason == "motion"

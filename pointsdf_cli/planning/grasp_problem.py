@@ -81,6 +81,7 @@ class GraspProblem:
         objective: α and β.
         critical: How many constraints `evaluate` reports of each configuration.
         slope: The largest slope of the field.
+        reach: Distances to the object up to here [m] are looked at closely, others are bounded.
     """
 
     def __init__(
@@ -93,6 +94,7 @@ class GraspProblem:
         objective: ObjectiveConfig | None = None,
         critical: int = 32,
         slope: float = 1.0,
+        reach: float = 0.05,
     ) -> None:
         kinematics = self.kinematics = geometry.kinematics
         self.variables = Variables(kinematics.robot)
@@ -100,7 +102,7 @@ class GraspProblem:
         self.clearances = clearances or Clearances()
         self.objective = Objective(kinematics, self.variables, score, objective)
         self.bodies = BodyDistances(geometry, environment or Environment())
-        self.object = ObjectDistances(geometry, field, slope=slope)
+        self.object = ObjectDistances(geometry, field, reach, slope)
         self._jacobian = ContactJacobian(kinematics)
         self.names = self.object.names + self.bodies.names
         other = [name for _, name in self.names]

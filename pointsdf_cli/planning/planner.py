@@ -9,12 +9,13 @@ import numpy as np
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.plans import NO_PLAN, OK, Plan, RejectedSeeds
+from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.planning.acceptance import Candidate, explain
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.fields import Field, RefinedField
+from pointsdf_cli.planning.fields import Field, ReconstructionField, RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
-from pointsdf_cli.planning.grid import GridConfig, GridField
+from pointsdf_cli.planning.grid import GridConfig, GridField, surface_box
 from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion
 from pointsdf_cli.planning.nonlinear import Solver
 from pointsdf_cli.planning.objective import GraspScore, ObjectiveConfig
@@ -34,6 +35,10 @@ SOLVER_MARGIN = 0.0005
 """What the solver keeps beyond the clearances asked for [m]: its own tolerances fit in twice."""
 
 
+BOX_MARGIN = 0.01
+"""Around a reconstruction's surface [m]: beyond, distances are bounded by the way to the box."""
+
+
 @dataclass(frozen=True)
 class PlannerConfig:
     """Everything that is decided before an object is seen.
@@ -48,7 +53,7 @@ class PlannerConfig:
 
     solver: str = "sqp"
     clearances: Clearances = field(default_factory=Clearances)
-    grid: GridConfig = field(default_factory=lambda: GridConfig(step=0.008))
+    grid: GridConfig = field(default_factory=lambda: GridConfig(step=0.01, levels=3, band=0.0))
     beyond: float = 0.004
     objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
     synthesis: SynthesisConfig = field(default_factory=SynthesisConfig)
@@ -85,6 +90,18 @@ class Target:
     prior: GraspPrior
 
 
+def reconstruction_target(
+    reconstruction: Reconstruction, score: GraspScore, prior: GraspPrior
+) -> Target:
+    """The target whose shape a network has completed from a cloud in the world's frame."""
+    field = ReconstructionField(reconstruction)
+    # The network was trained in a box of ±0.6 (METHOD section 1), its meshes reach to ±0.8.
+    half = 0.75 / reconstruction.scale
+    wide = reconstruction.centre - half, reconstruction.centre + half
+    low, high = surface_box(field, *wide, step=0.15 / reconstruction.scale)
+    return Target(field, low - BOX_MARGIN, high + BOX_MARGIN, score, prior)
+
+
 class Planner:
     """Plans for one robot; what does not depend on the object is made once.
 
@@ -109,14 +126,20 @@ class Planner:
             grid = GridField(target.field, target.low, target.high, config.grid)
             quick, polish = grid, RefinedField(grid, target.field, config.beyond)
 
-        def problem(which: Field, clearances: Clearances) -> GraspProblem:
+        def problem(which: Field, clearances: Clearances, reach: float) -> GraspProblem:
             return GraspProblem(
-                self.geometry, target.score, which, environment, clearances, config.objective
+                self.geometry,
+                target.score,
+                which,
+                environment,
+                clearances,
+                config.objective,
+                reach=reach,
             )
 
-        return Problems(
-            problem(quick, inside), problem(target.field, asked), problem(polish, inside)
-        )
+        # Only what is too near decides; a network need not be asked about the rest.
+        exact = problem(target.field, asked, asked.object + 0.005)
+        return Problems(problem(quick, inside, 0.05), exact, problem(polish, inside, 0.02))
 
     def plan(
         self,
@@ -173,13 +196,13 @@ class Planner:
         seed: int,
     ) -> tuple[Candidate | None, Motion | None, Synthesis]:
         """The best accepted candidate that a motion leads to."""
-        unreached = []
-        for candidate in found.accepted:
+        unreached: list[Candidate] = []
+        for k, candidate in enumerate(found.accepted):
             goal = problems.exact.variables.configuration(candidate.x)
             motion = plan_motion(checker, self.inverse, start, goal, seed, self.config.motion)
             if motion.trajectory is not None:
-                rest = [c for c in found.accepted if c is not candidate and c not in unreached]
-                return candidate, motion, replace(found, accepted=[candidate, *rest])
+                left, rejected = found.accepted[k:], found.rejected + unreached
+                return candidate, motion, replace(found, accepted=left, rejected=rejected)
             unreached.append(replace(candidate, reason="motion"))
         if not unreached:
             return None, None, found

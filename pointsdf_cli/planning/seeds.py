@@ -39,9 +39,9 @@ class SeedConfig:
         violation_weight: Cost per metre of violation when seeds are ranked.
     """
 
-    palms: int = 48
+    palms: int = 32
     seeds: int = 8
-    elbows: int = 4
+    elbows: int = 3
     lowest_palm: float = 0.02
     violation_weight: float = 300.0
 
