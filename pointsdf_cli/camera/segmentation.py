@@ -144,8 +144,8 @@ def find_table(points: Array, config: SegmentationConfig) -> Array | None:
     if len(near) < 100:
         return None
     rng = np.random.default_rng(0)
-    sample = near[rng.choice(len(near), min(len(near), 2000), replace=False)]
-    triples = sample[rng.integers(len(sample), size=(200, 3))]
+    sample = near[rng.choice(len(near), min(len(near), 1000), replace=False)]
+    triples = sample[rng.integers(len(sample), size=(120, 3))]
     normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
     length = np.linalg.norm(normals, axis=1)
     usable = length > 1e-6  # not in a line

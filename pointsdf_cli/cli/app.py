@@ -8,6 +8,7 @@ import typer
 
 from pointsdf_cli import __version__
 from pointsdf_cli.cli import (
+    collect_grasps,
     doctor,
     eval_sdf,
     info,
@@ -53,6 +54,7 @@ app.command("label-sdf")(label_sdf.label_sdf)
 app.command("train-sdf")(train_sdf.train_sdf)
 app.command("eval-sdf")(eval_sdf.eval_sdf)
 app.command("mesh")(mesh.mesh)
+app.command("collect-grasps")(collect_grasps.collect_grasps)
 app.command("info")(info.info)
 app.command("doctor")(doctor.doctor)
 app.command("report")(report.report)

@@ -29,7 +29,7 @@ class IkConfig:
     """
 
     starts: int = 12
-    iterations: int = 40
+    iterations: int = 25
     position_tolerance: float = 1e-4
     rotation_tolerance: float = 1e-3
     library: int = 20_000
@@ -179,7 +179,7 @@ class InverseKinematics:
                 if slides:
                     jacobian[:, :3, column] = axis
                 else:
-                    jacobian[:, :3, column] = np.cross(axis, position - origin)
+                    jacobian[:, :3, column] = _cross(axis, position - origin)
                     jacobian[:, 3:, column] = axis
         return rotation, position, jacobian
 
@@ -242,6 +242,15 @@ def _rotation_about(axis: Array, angle: Array) -> Array:
     sine, versine = np.sin(angle)[:, None, None], (1 - np.cos(angle))[:, None, None]
     turned: Array = np.eye(3) + sine * cross + versine * (cross @ cross)
     return turned
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products [B, 3]; np.cross spends ten times as long on finding its axes."""
+    product = np.empty_like(a)
+    product[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
+    product[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
+    product[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return product
 
 
 def _rotation_vector(rotation: Array) -> Array:

@@ -18,9 +18,9 @@ from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig, Outcome
-from pointsdf_cli.simulation.heuristic import HeuristicConfig, draw_preshape
+from pointsdf_cli.simulation.heuristic import HeuristicConfig, draw_preshape, hand_of
 from pointsdf_cli.simulation.observe import CameraPlacement, Observer, resample
-from pointsdf_cli.simulation.reach import Reach, Reacher, ReachConfig
+from pointsdf_cli.simulation.reach import Reach, ReachConfig, Reacher
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.stable_poses import StandingConfig, draw_pose
@@ -123,6 +123,7 @@ class Attempter:
         self._observer = Observer(robot, self.config.placement)
         self._reacher = Reacher(self.world, InverseKinematics(robot), self.config.reach)
         self._kinematics = Kinematics(robot)
+        self._hand = hand_of(robot)
         self._settled: dict[tuple[str, int], Array | None] = {}
         self._last_scene: tuple[tuple[str, int], Scene] | None = None
 
@@ -165,7 +166,7 @@ class Attempter:
             points,
             scene.T_world_camera[:3, 3],
             self.robot.T_world_base[:3, 3],
-            self.robot.preshape_ranges,
+            self._hand,
             config.heuristic,
             rng,
         )
@@ -188,6 +189,28 @@ class Attempter:
         """Carry out a grasp in a world built anew, so that equal inputs give equal outcomes."""
         self.world.reset(item, T_world_object, q)
         return Executor(self.world, self.config.execution, self.palm, watch).run(q, lift)
+
+    def replay(
+        self,
+        item: SimObject,
+        grasps: Grasps,
+        row: int,
+        watch: Callable[[World, str], None] | None = None,
+    ) -> Outcome:
+        """Carry out a stored grasp again: same object, pose and preshape, same outcome.
+
+        Raises:
+            InputError: The attempt was never executed.
+        """
+        if not grasps.executed[row] and grasps.label[row] != INVALID:
+            raise InputError(
+                f"attempt {row} was never executed ({CAUSES[grasps.cause[row]]})",
+                where=item.mesh.name,
+                allowed="attempts with a label of 0 or above",
+            )
+        q = grasps.q[row]
+        lift = self._reacher.lift(q, grasps.T_world_palm[row])
+        return self.execute(item, grasps.T_world_object[row], q, lift, watch)
 
     def palm(self, q: Array) -> Array:
         """T_world_palm [4, 4] of a configuration [J]."""

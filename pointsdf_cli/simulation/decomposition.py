@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -67,7 +68,7 @@ def convex_pieces(
     if path.is_file():
         try:
             return _read(path)
-        except (OSError, ValueError, KeyError):
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
             path.unlink(missing_ok=True)  # cut short by a crash of the machine: make it again
     pieces = decompose(mesh.vertices, mesh.faces, config)
     with atomic_path(path) as temporary:

@@ -1,4 +1,4 @@
-"""Closing the hand, gripping, lifting, settling: one executor for data collection and for trials."""
+"""Closing the hand, gripping, lifting, settling: one executor for collection and for trials."""
 
 from __future__ import annotations
 
@@ -133,9 +133,11 @@ class Executor:
         touched = world.hand_contact().links > 0
         gripped = self._object_in_palm()
         self._follow(lift, config.lift_time, "lift")
-        self._hold(config.settle_time, "settle")
-        if config.shake > 0:
-            self._shake()
+        # Nothing settles or shakes in a hand that left the object on the table.
+        if world.hand_contact().links or not world.object_on_table():
+            self._hold(config.settle_time, "settle")
+            if config.shake > 0:
+                self._shake()
         rise = self._object_height() - start_height
         slip = float(np.linalg.norm(self._object_in_palm() - gripped))
         return self._judge(touched, rise, slip)
@@ -160,26 +162,26 @@ class Executor:
         return Outcome(held, valid, cause, rise, slip, contact.links, world.time)
 
     def _close(self) -> None:
-        """Ramp the closing joints; each freezes once it stalls."""
+        """Ramp the closing joints, all at once; each freezes once it stalls or is at its end."""
         world, config, robot = self._world, self._config, self._world.robot
         speeds = robot.closing_speeds * config.speed_up
         efforts = robot.effort[self._closing] * config.closing_effort
-        open_ends = np.where(speeds > 0, robot.hard_upper[self._closing], 0.0)
-        open_ends = np.where(speeds < 0, robot.hard_lower[self._closing], open_ends)
-        moving = np.ones(len(self._closing), dtype=bool)
-        slow = np.zeros(len(self._closing))
-        world.drive_at(speeds, self._closing, efforts)
+        ends = np.where(
+            speeds > 0, robot.hard_upper[self._closing], robot.hard_lower[self._closing]
+        )
+        moving = np.ones(len(speeds), dtype=bool)
+        slow = np.zeros(len(speeds))
         check = max(1, round(0.0125 / world.physics.step))
+        world.drive_at(speeds, self._closing, efforts)
         began = world.time
-        self._advance(round(0.05 / world.physics.step), "close")  # let the joints get going
+        self._hold(0.05, "close")  # let the joints get going before judging that they stall
         while moving.any() and world.time - began < config.longest_closing:
             self._advance(check, "close")
             velocity = world.velocities()[self._closing]
             position = world.configuration()[self._closing]
             stalled = velocity * np.sign(speeds) < config.stall_speed * np.abs(speeds)
             slow = np.where(stalled, slow + check * world.physics.step, 0.0)
-            ended = np.abs(position - open_ends) < 0.02
-            stop = moving & ((slow >= config.stall_time) | ended)
+            stop = moving & ((slow >= config.stall_time) | (np.abs(position - ends) < 0.02))
             if stop.any():
                 moving &= ~stop
                 q = np.zeros(len(robot.joint_names))

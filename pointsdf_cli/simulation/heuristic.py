@@ -5,13 +5,18 @@ Only the partial cloud, the camera's place and the robot's are used, as on the r
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.surface import robot_surface
 
 Array = NDArray[np.float64]
 SIDE, TOP = "side", "top"
@@ -29,20 +34,18 @@ class HeuristicConfig:
         low_object: An object lower than this [m] is grasped from the top only.
         finger_reach: How far along the fingers from the palm's origin the object's middle is
             put [m]: between the fingers and the thumb rather than at the fingers' roots.
-        palm_half_width: Half the palm's width across the fingers [m]; side grasps keep this, and
-            `table_gap`, above the table.
-        table_gap: [m].
+        table_gap: The palm is raised until the whole opened hand is this [m] above the table.
     """
 
-    top_standoff: float = 0.10
+    top_standoff: float = 0.05
     side_standoff: float = 0.07
     standoff_noise: float = 0.03
     position_noise: float = 0.005
     turn_noise: float = 0.005
     low_object: float = 0.03
-    finger_reach: float = 0.03
-    palm_half_width: float = 0.06
-    table_gap: float = 0.01
+    finger_reach: float = 0.02
+    table_gap: float = 0.005
+    raise_top: bool = False
 
     def __post_init__(self) -> None:
         for name in ("standoff_noise", "position_noise", "turn_noise", "low_object"):
@@ -95,6 +98,37 @@ class Preshape:
     joints: Array
 
 
+@dataclass(frozen=True)
+class Hand:
+    """What the heuristic must know of a hand.
+
+    Attributes:
+        ranges: [K, 2], of the preshape joints.
+        outline: Points [P, 3] of the hand opened with preshape joints [K], palm frame, m.
+    """
+
+    ranges: Array
+    outline: Callable[[Array], Array]
+
+
+def hand_of(robot: RobotDescription) -> Hand:
+    """The hand of a robot, its outline from the surface points of its links."""
+    kinematics = Kinematics(robot)
+    surface = robot_surface(robot)
+    links = [
+        (link, torch.from_numpy(surface[link])) for link in robot.hand_links if link in surface
+    ]
+
+    def outline(joints: Array) -> Array:
+        q = torch.from_numpy(robot.configuration(robot.home[robot.arm], joints))
+        with torch.no_grad():
+            points = torch.cat(kinematics.points(q, links)).numpy()
+            T_palm_world = invert_transform(kinematics.palm(q).numpy())
+        return apply_transform(T_palm_world, points)
+
+    return Hand(robot.preshape_ranges, outline)
+
+
 def upright_box(points: Array) -> Box:
     """The box along the principal axes of the cloud [N, 3] seen from above, upright.
 
@@ -113,9 +147,7 @@ def upright_box(points: Array) -> Box:
     return Box(((low + high) / 2) @ axes, axes, (high - low) / 2)
 
 
-def graspable_faces(
-    box: Box, camera: Array, base: Array, config: HeuristicConfig
-) -> list[Face]:
+def graspable_faces(box: Box, camera: Array, base: Array, config: HeuristicConfig) -> list[Face]:
     """The top, and the side faces that look away from neither the camera nor the robot.
 
     Args:
@@ -143,7 +175,7 @@ def draw_preshape(
     points: Array,
     camera: Array,
     base: Array,
-    ranges: Array,
+    hand: Hand,
     config: HeuristicConfig,
     rng: np.random.Generator,
     kind: str | None = None,
@@ -153,7 +185,7 @@ def draw_preshape(
     Args:
         points: [N, 3], the object's partial cloud, world.
         camera, base: [3], world.
-        ranges: [K, 2], of the preshape joints.
+        hand: Its preshapes and how much room they take.
         config: Stand-offs and noise.
         rng: Source of the noise.
         kind: "side" or "top" to insist on one; the face is drawn among all otherwise.
@@ -166,7 +198,10 @@ def draw_preshape(
         palm = _top_palm(box, face, base, config, rng)
     else:
         palm = _side_palm(face, config, rng)
-    joints = rng.uniform(ranges[:, 0], ranges[:, 1])
+    joints = rng.uniform(hand.ranges[:, 0], hand.ranges[:, 1])
+    lowest = (palm[2, :3] @ hand.outline(joints).T).min() + palm[2, 3]
+    if face.kind == SIDE or config.raise_top:
+        palm[2, 3] += max(0.0, config.table_gap - float(lowest))
     return Preshape(face.kind, palm, joints)
 
 
@@ -184,13 +219,10 @@ def _top_palm(
 
 
 def _side_palm(face: Face, config: HeuristicConfig, rng: np.random.Generator) -> Array:
-    """Palm towards the face, thumb up, as high as the palm needs above the table."""
+    """Palm towards the face, thumb up."""
     inward, up = -face.normal, np.array([0.0, 0.0, 1.0])
     rotation = np.stack([inward, up, np.cross(inward, up)], axis=1)
-    lowest = config.palm_half_width + config.table_gap
-    centre = face.centre.copy()
-    centre[2] = max(centre[2], lowest)
-    return _noisy(Face(face.kind, centre, face.normal), rotation, config.side_standoff, config, rng)
+    return _noisy(face, rotation, config.side_standoff, config, rng)
 
 
 def _noisy(

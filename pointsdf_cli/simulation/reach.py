@@ -110,6 +110,18 @@ class Reacher:
             return self._none(NO_CONFIGURATION, f"start_in_{touched}", q)
         return self._way(T_world_palm, np.array(free), joints)
 
+    def lift(self, q: Array, T_world_palm: Array) -> Array:
+        """Arm joints [K, A] that lift the palm straight up from configuration q [J].
+
+        Raises:
+            InputError: The arm has no room to lift.
+        """
+        arm = q[None, self._robot.arm]
+        paths, fine = self._straight(arm, T_world_palm, [0, 0, self.config.lift_height])
+        if not fine[0]:
+            raise InputError("the arm has no room to lift from this configuration")
+        return paths[0]
+
     def _way(self, T_world_palm: Array, arms: Array, joints: Array) -> Reach:
         """The first of the arm configurations [B, A] that can be reached and can lift."""
         robot, config = self._robot, self.config

@@ -97,7 +97,7 @@ class World:
         self._client = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
         self._folder = Path(tempfile.mkdtemp(prefix="rgrasp-world-"))
         self._object_file: tuple[str, Path] | None = None
-        self._time = 0.0
+        self._steps = 0
 
     def close(self) -> None:
         """Disconnect and remove temporary files."""
@@ -137,7 +137,7 @@ class World:
             physicsClientId=c,
         )
         b.setGravity(0, 0, -self.physics.gravity, physicsClientId=c)
-        self._time = 0.0
+        self._steps = 0
         self._add_table()
         self._object = -1
         if with_robot:
@@ -149,12 +149,12 @@ class World:
         """Advance by `count` steps."""
         for _ in range(count):
             self._bullet.stepSimulation(physicsClientId=self._client)
-        self._time += count * self.physics.step
+        self._steps += count
 
     @property
     def time(self) -> float:
         """Simulated seconds since `reset`."""
-        return self._time
+        return self._steps * self.physics.step
 
     # --- the robot ---
 
@@ -168,16 +168,12 @@ class World:
 
     def configuration(self) -> Array:
         """Where the joints are, [J]."""
-        states = self._bullet.getJointStates(
-            self._body, self._joints, physicsClientId=self._client
-        )
+        states = self._bullet.getJointStates(self._body, self._joints, physicsClientId=self._client)
         return np.array([state[0] for state in states])
 
     def velocities(self) -> Array:
         """How fast the joints move, [J]."""
-        states = self._bullet.getJointStates(
-            self._body, self._joints, physicsClientId=self._client
-        )
+        states = self._bullet.getJointStates(self._body, self._joints, physicsClientId=self._client)
         return np.array([state[1] for state in states])
 
     def drive_to(self, q: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
@@ -309,9 +305,7 @@ class World:
             by_name[info[1].decode()], index[info[12].decode()] = i, i
         self._joints = [by_name[name] for name in robot.joint_names]
         for link in robot.links_on_table:
-            b.setCollisionFilterPair(
-                self._body, self._table, index[link], -1, 0, physicsClientId=c
-            )
+            b.setCollisionFilterPair(self._body, self._table, index[link], -1, 0, physicsClientId=c)
         for first, second in robot.may_touch | robot.tree.neighbours():
             b.setCollisionFilterPair(
                 self._body, self._body, index[first], index[second], 0, physicsClientId=c
@@ -333,7 +327,9 @@ class World:
             b.GEOM_MESH, fileName=str(self._write_pieces(item)), physicsClientId=c
         )
         if shape < 0:
-            raise RgraspError("PyBullet cannot read the object's convex pieces", where=item.mesh.name)
+            raise RgraspError(
+                "PyBullet cannot read the object's convex pieces", where=item.mesh.name
+            )
         pose = T_world_object @ item.T_mesh_body
         wxyz = wxyz_from_rotation(pose[:3, :3])
         self._T_body_mesh = invert_transform(item.T_mesh_body)

@@ -1,0 +1,233 @@
+"""`rgrasp collect-grasps`: meshes to labelled grasps, by simulation."""
+
+from __future__ import annotations
+
+import functools
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from pointsdf_cli.io.batch import StageReport
+    from pointsdf_cli.io.grasps import Grasps, GraspsMeta
+    from pointsdf_cli.simulation.collect import CollectSummary, CollectTask
+
+
+def collect_grasps(
+    meshes: Annotated[Path, typer.Option(help="A folder of meshes, or one mesh.")],
+    out: Annotated[Path, typer.Option(help="One HDF5 of grasps per mesh goes here.")] = Path(
+        "grasps"
+    ),
+    count: Annotated[
+        int, typer.Option(help="Executed grasps in all, a fifth of them of held-out objects.")
+    ] = 9111,
+    robot: Annotated[
+        Path | None, typer.Option(help="A robot's YAML.  [default: LBR4 with Allegro hand]")
+    ] = None,
+    shake: Annotated[
+        float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
+    ] = 0.0,
+    record: Annotated[
+        int, typer.Option(help="Write this many attempts as GIF films beside the report.")
+    ] = 0,
+    pictures: Annotated[
+        bool, typer.Option(help="Six successes and six failures as pictures in report.html.")
+    ] = True,
+    pattern: Annotated[str, typer.Option(help="Only meshes of such names, such as '*.ply'.")] = "*",
+    seed: common.Seed = 0,
+    jobs: common.Jobs = 0,
+    shard: common.Shard = None,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Collect labelled multi-fingered grasps of meshes in simulation.
+
+    Meshes that cannot be simulated or grasped are skipped with their reason.
+
+    Example: rgrasp collect-grasps --meshes train/ --out grasps/ --count 9111
+    """
+    from dataclasses import replace
+
+    from pointsdf_cli.io.atomic import remove_leftovers, require_folder, write_text_atomic
+    from pointsdf_cli.io.batch import shard_of
+    from pointsdf_cli.io.grasps import read_grasps
+    from pointsdf_cli.io.meshes import artifact_path, find_meshes
+    from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.simulation.attempt import AttemptConfig
+    from pointsdf_cli.simulation.collect import CollectTask, first_quotas, split_of
+    from pointsdf_cli.viz.grasp_report import grasp_report, share
+
+    config = AttemptConfig()
+    config = replace(config, execution=replace(config.execution, shake=shake))
+    seed, jobs = common.check_seed(seed), common.job_count(jobs)
+    load_robot(robot)  # a wrong robot file is said once, not by every worker
+    found = find_meshes(meshes, pattern)
+    out = require_folder(out)
+    paths = {}
+    for mesh in found:
+        path = artifact_path(mesh, meshes, out)
+        paths[path.relative_to(out).with_suffix("").as_posix()] = (mesh, path)
+    splits = split_of(list(paths), seed)
+    quotas = first_quotas(splits, count)
+    mine = set(shard_of(sorted(paths), shard))
+    for folder in {path.parent for _, path in paths.values()}:
+        remove_leftovers(folder)
+    reporter = common.Reporter(quiet, as_json)
+    tasks = {
+        name: CollectTask(
+            name, mesh, path, quotas[name], splits[name], config, seed, robot, force=force
+        )
+        for name, (mesh, path) in paths.items()
+        if name in mine
+    }
+    started = time.monotonic()
+    refused = _collect(tasks, quotas, splits, jobs, reporter, whole=shard is None)
+    items = [(name, *read_grasps(task.out)) for name, task in tasks.items() if task.out.is_file()]
+    strips = _films(items, tasks, out, record, pictures)
+    write_text_atomic(
+        out / "report.html",
+        grasp_report(items, sorted(refused.items()), strips, f"rgrasp grasps: {out.name}"),
+    )
+    executed = sum(int(grasps.executed.sum()) for _, grasps, _ in items)
+    held = sum(int((grasps.label == 1).sum()) for _, grasps, _ in items)
+    attempts = sum(len(grasps) for _, grasps, _ in items)
+    values = {
+        "out": out,
+        "objects": len(items),
+        "refused": refused,
+        "attempts": attempts,
+        "executed": executed,
+        "held": held,
+        "report": out / "report.html",
+        "seconds": round(time.monotonic() - started, 3),
+    }
+    reporter.result(
+        values,
+        [
+            f"{out}: {executed} executed grasps of {len(items)} objects, {share(held, executed)} "
+            f"held; {attempts} attempts; {len(refused)} meshes skipped",
+            f"{out / 'report.html'}",
+        ],
+    )
+
+
+def _collect(
+    tasks: dict[str, CollectTask],
+    quotas: dict[str, int],
+    splits: dict[str, str],
+    jobs: int,
+    reporter: common.Reporter,
+    whole: bool,
+) -> dict[str, str]:
+    """Run rounds until every quota is met or exhausted; the reasons of what was refused.
+
+    A shard makes only its first quotas: only who sees all objects can make up for others.
+    """
+    from dataclasses import replace
+
+    from pointsdf_cli.io.batch import run_stage
+    from pointsdf_cli.io.grasps import read_grasps
+    from pointsdf_cli.simulation.collect import collect_object, next_quotas, wanted_of
+
+    wanted = wanted_of(splits, quotas)
+    refused: dict[str, str] = {}
+    while True:
+        rates = _Rates(reporter)
+        todo = [(n, t) for n, t in tasks.items() if n not in refused and t.quota > 0]
+        with reporter.progress("collect-grasps", len(todo)) as progress:
+            report: StageReport[CollectSummary] = run_stage(
+                todo,
+                collect_object,
+                jobs=jobs,
+                on_done=functools.partial(_one_more, progress, rates),
+            )
+        rates.say()
+        for name, error in report.refused:
+            refused[name] = error.what
+            reporter.say(f"skipped: {error.message}")
+        if not whole:
+            return refused
+        executed = {
+            name: int(read_grasps(task.out)[0].executed.sum())
+            for name, task in tasks.items()
+            if task.out.is_file()
+        }
+        more = next_quotas(quotas, executed, splits, wanted)
+        if more is None:
+            return refused
+        quotas = more
+        tasks.update(
+            {name: replace(task, quota=quotas[name], force=False) for name, task in tasks.items()}
+        )
+
+
+def _one_more(
+    progress: common.Progress, rates: _Rates, name: str, summary: CollectSummary | None
+) -> None:
+    progress.advance(name)
+    rates.add(summary)
+
+
+class _Rates:
+    """Live rates of what ends how, said every ten seconds."""
+
+    _EVERY = 10.0
+
+    def __init__(self, reporter: common.Reporter) -> None:
+        self._reporter = reporter
+        self._causes: dict[str, int] = {}
+        self._spoke = self._began = time.monotonic()
+
+    def add(self, summary: CollectSummary | None) -> None:
+        if summary is None:
+            return
+        for cause, count in summary.causes.items():
+            self._causes[cause] = self._causes.get(cause, 0) + count
+        if time.monotonic() - self._spoke > self._EVERY:
+            self.say()
+
+    def say(self) -> None:
+        total = sum(self._causes.values())
+        if not total:
+            return
+        self._spoke = time.monotonic()
+        shares = ", ".join(f"{cause} {n / total:.0%}" for cause, n in self._causes.items() if n)
+        rate = total / (self._spoke - self._began)
+        self._reporter.say(f"{total} attempts, {rate:.1f} a second: {shares}")
+
+
+def _films(
+    items: list[tuple[str, Grasps, GraspsMeta]],
+    tasks: dict[str, CollectTask],
+    out: Path,
+    record: int,
+    pictures: bool,
+) -> list[tuple[str, np.ndarray]]:
+    """Pictures for the report, and GIF films of the first `record` of the same attempts."""
+    if not (pictures or record):
+        return []
+    from pointsdf_cli.simulation.films import film_of, pick_attempts
+    from pointsdf_cli.viz.grasp_report import film_strip, write_gif
+    from pointsdf_cli.viz.robot_picture import RobotMeshes
+
+    strips = []
+    meshes = None
+    for n, (name, row) in enumerate(pick_attempts(items, max(6, -(-record // 2)))):
+        grasps = next(g for other, g, _ in items if other == name)
+        film, moments = film_of(tasks[name], grasps, row)
+        if meshes is None:
+            from pointsdf_cli.robot.description import load_robot
+
+            meshes = RobotMeshes(load_robot(tasks[name].robot), sections=20)
+        if pictures and n < 12:
+            strips.append((film.title, film_strip(meshes, film)))
+        if n < record:
+            write_gif(out / f"film-{n:02d}.gif", meshes, moments, rate=20.0)
+    return strips

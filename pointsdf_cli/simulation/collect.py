@@ -1,0 +1,212 @@
+"""The grasp data set: labelled attempts over a folder of meshes, resumable object by object."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.grasps import (
+    HELD,
+    KINDS,
+    SCHEMA,
+    VERSION,
+    Grasps,
+    GraspsMeta,
+    join_grasps,
+    read_grasps,
+    write_grasps,
+)
+from pointsdf_cli.io.hdf5 import is_complete
+from pointsdf_cli.io.meshes import load_mesh
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter, as_grasps
+from pointsdf_cli.simulation.sim_object import prepare_object
+
+TRAIN, TEST = "train", "test"
+TEST_SHARE = 0.2
+"""The paper holds out 1821 of 9111 grasps; here they are of objects that training never sees."""
+
+
+@dataclass(frozen=True)
+class CollectTask:
+    """One object, for one worker process.
+
+    Attributes:
+        name: Of the artifact.
+        mesh, out: Files.
+        quota: Executed grasps that are wanted of it.
+        split: "train" or "test".
+        config: Everything that decides outcomes.
+        seed: Of all draws.
+        robot: YAML file; the bundled robot if None.
+        patience: Attempts that end unexecuted at first, and for each executed one, before the
+            object counts as exhausted.
+        force: Begin anew even if there is a file.
+    """
+
+    name: str
+    mesh: Path
+    out: Path
+    quota: int
+    split: str
+    config: AttemptConfig
+    seed: int
+    robot: Path | None = None
+    patience: tuple[int, int] = (60, 12)
+    force: bool = False
+
+    def most_attempts(self, executed: int) -> int:
+        """How many attempts may be made when so many were executed."""
+        return self.patience[0] + self.patience[1] * executed
+
+
+@dataclass(frozen=True)
+class CollectSummary:
+    """What an object's file holds.
+
+    Attributes:
+        executed: Grasps that were held or lost.
+        held: Of these, by kind.
+        executed_by_kind: By kind.
+        causes: Attempts by cause.
+    """
+
+    executed: int
+    held: dict[str, int]
+    executed_by_kind: dict[str, int]
+    causes: dict[str, int]
+
+
+def collect_object(task: CollectTask) -> CollectSummary | None:
+    """Attempts with one object until its quota is met or its patience ends; None if it is done.
+
+    A file that is there is continued, not made again: attempt i is the same whoever makes it.
+
+    Raises:
+        InputError: The mesh cannot be used, does not fit the hand, never rests, is never seen.
+    """
+    torch.set_num_threads(1)
+    config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
+    done: Grasps | None = None
+    if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):
+        done, _ = read_grasps(task.out)
+        if _finished(done, task):
+            return None
+    mesh = load_mesh(task.mesh)
+    item = prepare_object(replace(mesh, name=task.name))
+    attempter = _attempter(task.robot, task.config, task.seed)
+    attempter.check(item)
+    attempts = []
+    index = 0 if done is None else len(done)
+    executed = 0 if done is None else int(done.executed.sum())
+    while executed < task.quota and index < task.most_attempts(executed):
+        attempt = attempter.attempt(item, index)
+        attempts.append(attempt)
+        executed += attempt.label >= 0
+        index += 1
+    grasps = as_grasps(attempts, task.config.scene_attempts)
+    if done is not None:
+        grasps = join_grasps([done, grasps])
+    robot = attempter.robot
+    meta = GraspsMeta(
+        task.mesh.name,
+        mesh.sha256,
+        task.split,
+        robot.name,
+        robot.joint_names,
+        robot.preshape_joints,
+    )
+    write_grasps(task.out, grasps, meta, seed=task.seed, config=config)
+    return summarise(grasps)
+
+
+def summarise(grasps: Grasps) -> CollectSummary:
+    """Counts of one object's attempts."""
+    by_kind, held = {}, {}
+    for i, kind in enumerate(KINDS):
+        of_kind = grasps.executed & (grasps.kind == i)
+        by_kind[kind] = int(of_kind.sum())
+        held[kind] = int((grasps.label[of_kind] == HELD).sum())
+    return CollectSummary(int(grasps.executed.sum()), held, by_kind, grasps.count())
+
+
+def split_of(names: Sequence[str], seed: int) -> dict[str, str]:
+    """ "train" or "test" for every object: a fifth of the objects, drawn once, is held out."""
+    order = np.random.default_rng([seed, 77]).permutation(len(names))
+    held_out = {int(i) for i in order[: round(TEST_SHARE * len(names))]}
+    return {name: TEST if i in held_out else TRAIN for i, name in enumerate(sorted(names))}
+
+
+def first_quotas(splits: dict[str, str], count: int) -> dict[str, int]:
+    """How many executed grasps to ask of every object so that the splits sum to 80% and 20%.
+
+    Raises:
+        InputError: Fewer grasps than objects.
+    """
+    if count < 1:
+        raise InputError(f"{count} grasps", where="--count", allowed="1 or more")
+    by_split = {s: sorted(n for n, t in splits.items() if t == s) for s in (TRAIN, TEST)}
+    if not by_split[TEST]:
+        return _spread(by_split[TRAIN], count)
+    test = round(count * 1821 / 9111)
+    return _spread(by_split[TRAIN], count - test) | _spread(by_split[TEST], test)
+
+
+def next_quotas(
+    quotas: dict[str, int], executed: dict[str, int], splits: dict[str, str], wanted: dict[str, int]
+) -> dict[str, int] | None:
+    """Quotas that make up for objects that could not fill theirs; None if there is nothing to do.
+
+    Depends only on what each object gives, so a resumed run asks for the same.
+
+    Args:
+        quotas: Of the round before.
+        executed: Executed grasps of each object in its file; objects that were refused lack.
+        splits: Of each object.
+        wanted: Executed grasps wanted in each split.
+    """
+    more: dict[str, int] = {}
+    for split, target in wanted.items():
+        names = sorted(n for n, s in splits.items() if s == split)
+        have = {n: min(executed.get(n, 0), quotas[n]) for n in names}
+        missing = target - sum(have.values())
+        able = [n for n in names if quotas[n] and have[n] >= quotas[n]]
+        if missing > 0 and able:
+            more |= {n: extra for n, extra in _spread(able, missing).items() if extra}
+    if not more:
+        return None
+    return {name: quota + more.get(name, 0) for name, quota in quotas.items()}
+
+
+def _spread(names: Sequence[str], count: int) -> dict[str, int]:
+    """`count` shared out as evenly as whole numbers allow."""
+    if not names:
+        return {}
+    base, rest = divmod(count, len(names))
+    return {name: base + (i < rest) for i, name in enumerate(names)}
+
+
+def _finished(grasps: Grasps, task: CollectTask) -> bool:
+    executed = int(grasps.executed.sum())
+    return executed >= task.quota or len(grasps) >= task.most_attempts(executed)
+
+
+@functools.lru_cache(maxsize=1)
+def _attempter(robot: Path | None, config: AttemptConfig, seed: int) -> Attempter:
+    """One per process: the inverse kinematics' library and the physics client are kept."""
+    return Attempter(load_robot(robot), config, seed)
+
+
+def wanted_of(splits: dict[str, str], quotas: dict[str, int]) -> dict[str, int]:
+    """Executed grasps that the first quotas ask of each split."""
+    totals: dict[str, Any] = {TRAIN: 0, TEST: 0}
+    for name, quota in quotas.items():
+        totals[splits[name]] += quota
+    return totals

@@ -1,0 +1,75 @@
+"""Stored attempts carried out again to be drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pointsdf_cli.errors import RgraspError
+from pointsdf_cli.io.grasps import CAUSES, HELD, KINDS, LOST, Grasps, GraspsMeta
+from pointsdf_cli.io.meshes import load_mesh
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.simulation.attempt import Attempter
+from pointsdf_cli.simulation.collect import CollectTask
+from pointsdf_cli.simulation.record import Recorder
+from pointsdf_cli.simulation.sim_object import prepare_object
+from pointsdf_cli.viz.grasp_report import Film
+
+SHOWN = ("close", "grip", "lift", "settle")
+
+
+def pick_attempts(
+    items: Sequence[tuple[str, Grasps, GraspsMeta]], count: int
+) -> list[tuple[str, int]]:
+    """`count` successes and `count` failures in turn, each of another object where possible."""
+    picked: dict[int, list[tuple[str, int]]] = {HELD: [], LOST: []}
+    rng = np.random.default_rng(0)
+    order = rng.permutation(len(items))
+    for _ in range(3):  # a second and third of an object only if there are too few objects
+        for k in order:
+            name, grasps, _ = items[int(k)]
+            for label, chosen in picked.items():
+                rows = [int(r) for r in np.flatnonzero(grasps.label == label)]
+                rows = [r for r in rows if (name, r) not in chosen]
+                if rows and len(chosen) < count:
+                    chosen.append((name, rows[int(rng.integers(len(rows)))]))
+    both = [pair for pairs in zip(*picked.values(), strict=False) for pair in pairs]
+    return both + [pair for chosen in picked.values() for pair in chosen if pair not in both]
+
+
+def film_of(task: CollectTask, grasps: Grasps, row: int) -> tuple[Film, Film]:
+    """A stored attempt as a strip of its phases and as a film of 20 moments a second.
+
+    Raises:
+        RgraspError: It ends otherwise than stored: the simulator has changed.
+    """
+    mesh = replace(load_mesh(task.mesh), name=task.name)
+    item = prepare_object(mesh)
+    attempter = Attempter(load_robot(task.robot), task.config, task.seed)
+    recorder = Recorder()
+    try:
+        outcome = attempter.replay(item, grasps, row, recorder)
+    finally:
+        attempter.close()
+    cause = CAUSES[grasps.cause[row]]
+    if outcome.cause != cause:
+        raise RgraspError(
+            f"attempt {row} ends as {outcome.cause} and is stored as {cause}",
+            where=task.out,
+            hint="it was made with another version of rgrasp or PyBullet; collect it again with "
+            "--force",
+        )
+    title = (
+        f"{task.name}, {KINDS[grasps.kind[row]]}: {cause}, rose {100 * outcome.lift_height:.1f} cm"
+    )
+    start = (grasps.q[row], grasps.T_world_object[row])
+    strip = [start]
+    for phase in SHOWN:
+        if not any(moment.phase == phase for moment in recorder.moments):
+            continue  # nothing settles where nothing was lifted
+        moment = recorder.last_of(phase)
+        strip.append((moment.q, moment.T_world_object))
+    moving = [start] + [(moment.q, moment.T_world_object) for moment in recorder.moments]
+    return Film(title, mesh, strip), Film(title, mesh, moving)

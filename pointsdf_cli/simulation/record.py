@@ -1,0 +1,53 @@
+"""What an attempt looked like: moments of it, to draw or to play."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.simulation.world import World
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The scene at one time.
+
+    Attributes:
+        phase: "close", "grip", "lift", "settle" or "shake".
+        time: Since the hand began to close [s].
+        q: [J].
+        T_world_object: [4, 4].
+    """
+
+    phase: str
+    time: float
+    q: NDArray[np.float64]
+    T_world_object: NDArray[np.float64]
+
+
+@dataclass
+class Recorder:
+    """Give it to an executor as `watch`; it keeps `rate` moments a second of simulated time."""
+
+    rate: float = 20.0
+    moments: list[Moment] = field(default_factory=list)
+
+    def __call__(self, world: World, phase: str) -> None:
+        """Keep this step, if it is time."""
+        last = self.moments[-1] if self.moments else None
+        if last is not None and last.phase == phase and world.time - last.time < 1 / self.rate:
+            return
+        self.moments.append(Moment(phase, world.time, world.configuration(), world.object_pose()))
+
+    def last_of(self, phase: str) -> Moment:
+        """The last moment of a phase.
+
+        Raises:
+            KeyError: The attempt had no such phase.
+        """
+        for moment in reversed(self.moments):
+            if moment.phase == phase:
+                return moment
+        raise KeyError(phase)

@@ -1,0 +1,167 @@
+"""Pictures of attempts, and the report on a folder of grasps."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.grasps import CAUSES, HELD, KINDS, Grasps, GraspsMeta
+from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.viz import html
+from pointsdf_cli.viz.robot_picture import RobotMeshes
+from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh
+
+OBJECT_COLOUR = (0.25, 0.60, 0.35)
+Frame = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""A configuration [J] and the object's T_world_object [4, 4]."""
+
+
+@dataclass(frozen=True)
+class Film:
+    """One attempt to draw.
+
+    Attributes:
+        title: What it shows.
+        mesh: The object.
+        frames: Moments of it, in order.
+    """
+
+    title: str
+    mesh: LoadedMesh
+    frames: Sequence[Frame]
+
+
+def draw_frame(
+    robot: RobotMeshes,
+    mesh: LoadedMesh,
+    frame: Frame,
+    target: NDArray[np.float64],
+    size: tuple[int, int] = (300, 260),
+) -> NDArray[np.uint8]:
+    """One moment [height, width, 3], from the side that the hand does not hide."""
+    q, pose = frame
+    thing = Painted(apply_transform(pose, mesh.vertices), mesh.faces.astype(int), OBJECT_COLOUR)
+    camera = look_at(target + (0.62, -0.72, 0.42), target)
+    return shaded_image([*robot.at(q), table_mesh(), thing], camera, size, 0.62)
+
+
+def film_strip(robot: RobotMeshes, film: Film) -> NDArray[np.uint8]:
+    """All frames side by side, seen from one place."""
+    target = _target(film)
+    return np.concatenate(
+        [draw_frame(robot, film.mesh, frame, target) for frame in film.frames], axis=1
+    )
+
+
+def write_gif(path: Path, robot: RobotMeshes, film: Film, rate: float) -> None:
+    """An attempt as an animated GIF with `rate` frames a second."""
+    target = _target(film)
+    images = [
+        Image.fromarray(draw_frame(robot, film.mesh, frame, target)).quantize(64)
+        for frame in film.frames
+    ]
+    images[0].save(
+        path, save_all=True, append_images=images[1:], duration=round(1000 / rate), loop=0
+    )
+
+
+def grasp_report(
+    items: Sequence[tuple[str, Grasps, GraspsMeta]],
+    refused: Sequence[tuple[str, str]],
+    strips: Sequence[tuple[str, NDArray[np.uint8]]],
+    title: str,
+) -> str:
+    """The page: rates by split, kind, cause and object; pictures; what was skipped and why.
+
+    Args:
+        items: Name, attempts and description of every object.
+        refused: Name and reason of every mesh that could not be used.
+        strips: Captions and pictures.
+        title: Of the page.
+    """
+    parts = [
+        html.heading("Rates"),
+        html.table(
+            ("split", "kind", "attempts", "executed", "held", "held of executed"),
+            _rates(items),
+        ),
+        html.heading("What became of the attempts"),
+        html.table(("cause", *KINDS), _causes(items)),
+    ]
+    if strips:
+        parts.append(html.heading("Before, closed, gripped, lifted, settled"))
+        for caption, image in strips:
+            parts += [html.note(caption), html.png(png_bytes(image), caption)]
+    parts += [
+        html.heading("By object"),
+        html.table(
+            ("object", "split", "attempts", "executed", "held", "held of executed"),
+            [
+                (
+                    name,
+                    meta.split,
+                    len(grasps),
+                    int(grasps.executed.sum()),
+                    int((grasps.label == HELD).sum()),
+                    share(int((grasps.label == HELD).sum()), int(grasps.executed.sum())),
+                )
+                for name, grasps, meta in items
+            ],
+        ),
+    ]
+    if refused:
+        parts += [
+            html.heading("Skipped"),
+            html.table(("object", "reason"), refused),
+        ]
+    return html.page(title, parts)
+
+
+def share(part: int, whole: int) -> str:
+    """A percentage, or a dash where there is nothing."""
+    return f"{part / whole:.1%}" if whole else "–"
+
+
+def png_bytes(image: NDArray[np.uint8]) -> bytes:
+    """An image [height, width, 3] as PNG."""
+    buffer = io.BytesIO()
+    Image.fromarray(image).quantize(128).save(buffer, format="png", optimize=True)
+    return buffer.getvalue()
+
+
+def _rates(items: Sequence[tuple[str, Grasps, GraspsMeta]]) -> list[tuple[object, ...]]:
+    rows: list[tuple[object, ...]] = []
+    for split in ("train", "test"):
+        for i, kind in enumerate(KINDS):
+            attempts = executed = held = 0
+            for _, grasps, meta in items:
+                if meta.split != split:
+                    continue
+                of_kind = grasps.kind == i
+                attempts += int(of_kind.sum())
+                executed += int((of_kind & grasps.executed).sum())
+                held += int((of_kind & (grasps.label == HELD)).sum())
+            rows.append((split, kind, attempts, executed, held, share(held, executed)))
+    return rows
+
+
+def _causes(items: Sequence[tuple[str, Grasps, GraspsMeta]]) -> list[tuple[object, ...]]:
+    counts = np.zeros((len(CAUSES), len(KINDS)), dtype=int)
+    for _, grasps, _ in items:
+        np.add.at(counts, (grasps.cause, grasps.kind), 1)
+    return [(cause, *map(int, row)) for cause, row in zip(CAUSES, counts, strict=True)]
+
+
+def _target(film: Film) -> NDArray[np.float64]:
+    """Where to look: a little above where the object stood first."""
+    middle = (film.mesh.vertices.min(axis=0) + film.mesh.vertices.max(axis=0)) / 2
+    pose = film.frames[0][1]
+    place = pose[:3, :3] @ middle + pose[:3, 3]
+    return np.array([place[0], place[1], 0.13])

@@ -1,0 +1,226 @@
+"""Attempts: they replay, they are the same whoever makes them, and their labels are believable."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.io.grasps import HELD, LOST, Grasps, GraspsMeta, read_grasps, write_grasps
+from pointsdf_cli.io.meshes import LoadedMesh, save_mesh
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter, as_grasps
+from pointsdf_cli.simulation.collect import (
+    CollectTask,
+    collect_object,
+    first_quotas,
+    next_quotas,
+    split_of,
+)
+from pointsdf_cli.simulation.heuristic import SIDE, draw_preshape, hand_of
+from pointsdf_cli.simulation.record import Recorder
+from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
+
+pytest.importorskip("pybullet")
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+def item_of(name: str, mesh: trimesh.Trimesh, cache: Path) -> SimObject:
+    loaded = LoadedMesh(
+        name, np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32), name, "none"
+    )
+    return prepare_object(loaded, cache)
+
+
+@pytest.fixture(scope="module")
+def can(cache: Path) -> SimObject:
+    return item_of("can", trimesh.creation.cylinder(0.03, 0.15), cache)
+
+
+@pytest.fixture(scope="module")
+def attempter() -> Iterator[Attempter]:
+    made = Attempter(load_robot(), seed=1)
+    yield made
+    made.close()
+
+
+def test_scene_shows_a_standing_object_where_it_says(attempter: Attempter, can: SimObject) -> None:
+    scene = attempter.scene(can, 0)
+    points = apply_transform(scene.T_world_camera, scene.cloud)
+    local = apply_transform(invert_transform(scene.T_world_object), points)
+    # Every segmented point lies on the can, within the camera's noise.
+    radial = np.hypot(local[:, 0], local[:, 1])
+    on_side = np.abs(radial - 0.03) < 0.005
+    on_cap = (np.abs(np.abs(local[:, 2]) - 0.075) < 0.005) & (radial < 0.035)
+    assert (on_side | on_cap).mean() > 0.99
+    assert len(points) > 300
+
+
+def test_attempts_do_not_depend_on_what_came_before(can: SimObject) -> None:
+    first = Attempter(load_robot(), seed=1)
+    second = Attempter(load_robot(), seed=1)
+    try:
+        run = [first.attempt(can, i) for i in range(4)]
+        again = second.attempt(can, 3)
+    finally:
+        first.close()
+        second.close()
+    one, two = as_grasps(run[3:], 4), as_grasps([again], 4)
+    for name in ("cloud", "T_world_object", "T_world_palm", "q", "label", "lift_height", "slip"):
+        assert np.array_equal(getattr(one, name), getattr(two, name), equal_nan=True), name
+
+
+def side_grasps(
+    attempter: Attempter, item: SimObject, wanted: int, beside: float = 0.0
+) -> tuple[int, int]:
+    """Held and executed grasps from the side, well centred, or `beside` the object by so much."""
+    config = replace(
+        attempter.config.heuristic,
+        side_standoff=0.05,
+        standoff_noise=0.0,
+        position_noise=0.0,
+        turn_noise=0.0,
+    )
+    hand = hand_of(attempter.robot)
+    held = executed = 0
+    for i in range(30):
+        scene = attempter.scene(item, i)
+        points = apply_transform(scene.T_world_camera, scene.cloud)
+        camera, rng = scene.T_world_camera[:3, 3], np.random.default_rng(i)
+        preshape = draw_preshape(points, camera, np.zeros(3), hand, config, rng, SIDE)
+        palm = preshape.T_world_palm.copy()
+        palm[:3, 3] += beside * palm[:3, 2]
+        attempter.world.reset(item, scene.T_world_object)
+        reach = attempter._reacher(palm, preshape.joints)
+        if reach.label != 0:
+            continue
+        outcome = attempter.execute(item, scene.T_world_object, reach.q, reach.lift)
+        executed += 1
+        held += outcome.held
+        if executed == wanted:
+            break
+    return held, executed
+
+
+def test_well_centred_side_grasps_hold_and_grasps_beside_do_not(
+    attempter: Attempter, can: SimObject
+) -> None:
+    held, executed = side_grasps(attempter, can, 5)
+    assert executed == 5
+    assert held >= 4
+    held, executed = side_grasps(attempter, can, 3, beside=-0.18)
+    assert executed >= 1
+    assert held == 0
+
+
+def test_stored_grasps_replay_with_the_same_label(
+    attempter: Attempter, can: SimObject, tmp_path: Path
+) -> None:
+    attempts = [attempter.attempt(can, i) for i in range(8)]
+    grasps = as_grasps(attempts, 4)
+    meta = GraspsMeta("can.ply", "hash", "train", "robot", ("a",), ("b",))
+    write_grasps(tmp_path / "can.h5", grasps, meta, seed=1)
+    stored, kept = read_grasps(tmp_path / "can.h5")
+    assert kept == meta
+    rows = np.flatnonzero(stored.executed)
+    assert len(rows)
+    for row in rows:
+        outcome = attempter.replay(can, stored, int(row))
+        assert (HELD if outcome.held else LOST) == stored.label[row]
+        assert np.float32(outcome.lift_height) == stored.lift_height[row]
+    blocked = np.flatnonzero(~stored.executed)
+    with pytest.raises(InputError, match="never executed"):
+        attempter.replay(can, stored, int(blocked[0]))
+
+
+def test_watching_changes_nothing(attempter: Attempter, can: SimObject) -> None:
+    row = next(i for i in range(20) if attempter.attempt(can, i).outcome is not None)
+    recorder = Recorder()
+    watched = attempter.attempt(can, row, recorder)
+    assert watched.outcome == attempter.attempt(can, row).outcome
+    assert {moment.phase for moment in recorder.moments} >= {"close", "grip", "lift"}
+    assert recorder.last_of("grip").time > recorder.last_of("close").time
+
+
+def test_executed_approach_is_free_of_collisions(attempter: Attempter, can: SimObject) -> None:
+    for i in range(12):
+        attempt = attempter.attempt(can, i)
+        if attempt.outcome is None:
+            continue
+        path = attempt.reach.approach
+        robot = attempter.robot
+        assert path[0][robot.arm] == pytest.approx(robot.home[robot.arm])
+        assert path[-1] == pytest.approx(attempt.reach.q)
+        attempter.world.reset(can, attempt.scene.T_world_object)
+        share = np.linspace(0, 1, 60)[:, None]
+        for first, second in zip(path[:-1], path[1:], strict=True):
+            for q in first + share * (second - first):
+                assert not attempter.world.collisions(q, clearance=-1e-3)
+        palm = attempter.palm(attempt.reach.q)
+        assert np.abs(palm - attempt.T_world_palm).max() < 2e-3
+        return
+    pytest.fail("no attempt was executed")
+
+
+def test_too_large_for_the_hand_is_refused(attempter: Attempter, cache: Path) -> None:
+    with pytest.raises(InputError, match="too large"):
+        attempter.check(item_of("crate", trimesh.creation.box([0.3, 0.3, 0.3]), cache))
+
+
+def test_collection_resumes_to_what_an_uninterrupted_one_makes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RGRASP_CACHE", str(tmp_path / "cache"))
+    can = trimesh.creation.cylinder(0.03, 0.15)
+    save_mesh(tmp_path / "can.ply", can.vertices, can.faces)
+    whole = CollectTask(
+        "can", tmp_path / "can.ply", tmp_path / "whole.h5", 3, "train", AttemptConfig(), 2
+    )
+    summary = collect_object(whole)
+    assert summary is not None
+    assert summary.executed == 3
+    assert collect_object(whole) is None
+    part = replace(whole, out=tmp_path / "part.h5", quota=1)
+    collect_object(part)
+    collect_object(replace(part, quota=3))
+    first, second = read_grasps(whole.out)[0], read_grasps(part.out)[0]
+    assert_equal(first, second)
+    with pytest.raises(InputError, match="other options"):
+        collect_object(replace(whole, seed=3))
+
+
+def assert_equal(first: Grasps, second: Grasps) -> None:
+    for name in vars(first):
+        assert np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True), name
+
+
+def test_quotas_make_the_papers_counts_and_make_up_for_the_weak() -> None:
+    names = [f"object{i:03d}" for i in range(100)]
+    splits = split_of(names, 0)
+    assert sum(split == "test" for split in splits.values()) == 20
+    assert splits == split_of(names[::-1], 0)
+    quotas = first_quotas(splits, 9111)
+    held_out = sum(quotas[n] for n in names if splits[n] == "test")
+    assert (sum(quotas.values()) - held_out, held_out) == (7290, 1821)
+    wanted = {"train": 7290, "test": 1821}
+    executed = dict(quotas)
+    weak = next(n for n in names if splits[n] == "train")
+    executed[weak] = 5
+    more = next_quotas(quotas, executed, splits, wanted)
+    assert more is not None
+    assert more[weak] == quotas[weak]
+    assert sum(more.values()) - sum(quotas.values()) == quotas[weak] - 5
+    # Asked again after the others gave more, the same is wanted of them.
+    assert next_quotas(quotas, more | {weak: 5}, splits, wanted) == more
+    assert next_quotas(more, more | {weak: 5}, splits, wanted) is None
+    assert next_quotas(quotas, {}, splits, wanted) is None

@@ -1,0 +1,118 @@
+"""Convex pieces, mass, and how things stand, against shapes whose answers are known by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.simulation.decomposition import convex_pieces
+from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, prepare_object
+from pointsdf_cli.simulation.stable_poses import StandingConfig, draw_pose, stable_poses
+
+
+def loaded(name: str, mesh: trimesh.Trimesh) -> LoadedMesh:
+    return LoadedMesh(
+        name, np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32), name, "none"
+    )
+
+
+def can(radius: float = 0.03, height: float = 0.12) -> trimesh.Trimesh:
+    return trimesh.creation.cylinder(radius, height, sections=32)
+
+
+def test_convex_shape_is_one_piece_with_its_own_size(tmp_path: Path) -> None:
+    pieces = convex_pieces(loaded("can", can()), cache=tmp_path)
+    assert len(pieces) == 1
+    assert np.ptp(pieces[0][0], axis=0) == pytest.approx([0.06, 0.06, 0.12], abs=1e-6)
+    assert len(list((tmp_path / "decompositions").glob("*.npz"))) == 1
+
+
+def test_ring_keeps_its_hole_and_its_volume(tmp_path: Path) -> None:
+    pytest.importorskip("coacd")
+    ring = loaded("ring", trimesh.creation.annulus(0.03, 0.05, 0.03))
+    pieces = convex_pieces(ring, cache=tmp_path)
+    assert len(pieces) >= 4
+    hulls = [trimesh.Trimesh(v, f) for v, f in pieces]
+    # The middle of the hole lies in no piece.
+    planes = [(h.face_normals, h.triangles[:, 0]) for h in hulls]
+    for normals, corners in planes:
+        assert ((0 - corners) * normals).sum(axis=1).max() > 0.005
+    total = sum(h.volume for h in hulls)
+    assert total == pytest.approx(np.pi * (0.05**2 - 0.03**2) * 0.03, rel=0.2)
+
+
+def test_damaged_cache_is_made_again(tmp_path: Path) -> None:
+    mesh = loaded("can", can())
+    first = convex_pieces(mesh, cache=tmp_path)
+    (path,) = (tmp_path / "decompositions").glob("*.npz")
+    path.write_bytes(path.read_bytes()[:40])
+    again = convex_pieces(mesh, cache=tmp_path)
+    assert np.array_equal(first[0][0], again[0][0])
+
+
+def test_mass_and_inertia_are_those_of_a_solid_box(tmp_path: Path) -> None:
+    sides = np.array([0.04, 0.06, 0.10])
+    box = trimesh.creation.box(sides)
+    box.apply_translation([0.3, 0.0, 0.1])
+    item = prepare_object(loaded("box", box), tmp_path)
+    mass = DENSITY * sides.prod()
+    assert item.mass == pytest.approx(mass)
+    expected = [(sides**2).sum() - s**2 for s in sides]
+    assert sorted(item.inertia) == pytest.approx(sorted(np.array(expected) * mass / 12))
+    assert item.T_mesh_body[:3, 3] == pytest.approx([0.3, 0.0, 0.1])
+    assert np.linalg.det(item.T_mesh_body[:3, :3]) == pytest.approx(1.0)
+    # In its own frame the piece is centred, its axes along the sides.
+    assert sorted(np.ptp(item.pieces[0][0], axis=0)) == pytest.approx(sorted(sides))
+
+
+def test_big_solid_is_no_lead_and_inside_out_is_refused(tmp_path: Path) -> None:
+    assert (
+        prepare_object(loaded("cube", trimesh.creation.box([0.3] * 3)), tmp_path).mass == HEAVIEST
+    )
+    box = trimesh.creation.box([0.05] * 3)
+    box.invert()
+    with pytest.raises(InputError, match="encloses"):
+        prepare_object(loaded("inverted", box), tmp_path)
+
+
+def test_box_has_six_poses_and_its_margins_are_those_of_geometry() -> None:
+    box = trimesh.creation.box([0.04, 0.06, 0.10])
+    poses = stable_poses(np.asarray(box.vertices), np.zeros(3))
+    assert len(poses) == 6
+    assert sum(pose.probability for pose in poses) == pytest.approx(1.0, abs=1e-6)
+    for pose in poses:
+        foot = sorted({0.04, 0.06, 0.10} - {round(pose.height, 6)})
+        assert pose.margin == pytest.approx(np.arctan2(foot[0] / 2, pose.height / 2), abs=1e-6)
+        placed = np.asarray(box.vertices) @ pose.T_table_object[:3, :3].T
+        assert (placed + pose.T_table_object[:3, 3])[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_cans_are_drawn_standing_and_needles_lying() -> None:
+    rng = np.random.default_rng(0)
+    poses = stable_poses(np.asarray(can().vertices), np.zeros(3))
+    drawn = [draw_pose(poses, StandingConfig(standing=1.0), rng) for _ in range(50)]
+    assert all(stands and poses[i].height == pytest.approx(0.12) for i, stands in drawn)
+    # A pencil upright falls at a touch: it is never stood up.
+    pencil = stable_poses(np.asarray(can(0.004, 0.15).vertices), np.zeros(3))
+    for _ in range(50):
+        index, stands = draw_pose(pencil, StandingConfig(standing=1.0), rng)
+        assert not stands or pencil[index].height < 0.02
+
+
+def test_without_preference_poses_follow_their_probability() -> None:
+    rng = np.random.default_rng(1)
+    box = trimesh.creation.box([0.02, 0.06, 0.10])
+    poses = stable_poses(np.asarray(box.vertices), np.zeros(3))
+    drawn = [draw_pose(poses, StandingConfig(standing=0.0), rng)[0] for _ in range(3000)]
+    shares = np.bincount(drawn, minlength=len(poses)) / 3000
+    assert shares == pytest.approx([pose.probability for pose in poses], abs=0.03)
+
+
+def test_impossible_standing_is_refused() -> None:
+    with pytest.raises(InputError):
+        StandingConfig(standing=1.5)

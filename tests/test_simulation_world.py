@@ -1,0 +1,134 @@
+"""The physics world: falling, resting, sliding, collisions and joints behave as physics says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.simulation.settle import SettleConfig, settle
+from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
+from pointsdf_cli.simulation.world import PhysicsConfig, World
+
+pytest.importorskip("pybullet")
+GRIPPER = Path(__file__).parent / "robots" / "gripper.yaml"
+
+
+def item_of(name: str, mesh: trimesh.Trimesh, cache: Path) -> SimObject:
+    loaded = LoadedMesh(
+        name, np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32), name, "none"
+    )
+    return prepare_object(loaded, cache)
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    with World(load_robot()) as opened:
+        yield opened
+
+
+@pytest.fixture
+def box(tmp_path: Path) -> SimObject:
+    return item_of("box", trimesh.creation.box([0.06, 0.06, 0.12]), tmp_path)
+
+
+def test_falling_object_falls_as_galilei_says(world: World, box: SimObject) -> None:
+    world.reset(box, transform(np.eye(3), [0.6, 0, 1.0]))
+    world.step(60)
+    fallen = 1.0 - world.object_pose()[2, 3]
+    # Bullet steps semi-implicitly, g t (t + dt) / 2, and damps a little.
+    t, dt = 60 / 240, 1 / 240
+    assert fallen == pytest.approx(9.81 * t * (t + dt) / 2, rel=0.01)
+    assert world.time == pytest.approx(t)
+
+
+def test_standing_box_stays(world: World, box: SimObject) -> None:
+    start = transform(np.eye(3), [0.6, 0.1, 0.06])
+    world.reset(box, start)
+    world.step(480)
+    assert world.object_on_table()
+    assert np.abs(world.object_pose() - start).max() < 2e-3
+    assert world.object_speed()[0] < 1e-3
+    assert world.hand_contact().links == 0
+
+
+def test_friction_holds_on_a_slope_below_its_angle_and_not_above(
+    world: World, box: SimObject
+) -> None:
+    # Tilting gravity is tilting the table. μ = 0.6 · 0.8 = 0.48, that is 25.6°.
+    for degrees, moves in ((15, False), (35, True)):
+        lying = transform([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [0.6, 0, 0.03])
+        world.reset(box, lying)
+        slope = np.deg2rad(degrees)
+        world.set_gravity([0, 9.81 * np.sin(slope), -9.81 * np.cos(slope)])
+        world.step(120)
+        assert (world.object_pose()[1, 3] > 0.05) == moves
+
+
+def test_mesh_frame_away_from_the_centre_of_mass_is_kept(world: World, tmp_path: Path) -> None:
+    mesh = trimesh.creation.box([0.04, 0.06, 0.1])
+    mesh.apply_translation([0.2, -0.1, 0.3])
+    item = item_of("shifted", mesh, tmp_path)
+    start = transform(np.eye(3), [0.4, 0.1, -0.25])
+    world.reset(item, start)
+    assert world.object_pose() == pytest.approx(start, abs=1e-6)
+    assert world.object_centre() == pytest.approx([0.6, 0.0, 0.05], abs=1e-6)
+
+
+def test_collisions_are_named(world: World, box: SimObject) -> None:
+    robot = world.robot
+    world.reset(box, transform(np.eye(3), [0.6, 0, 0.06]))
+    assert world.collisions(robot.home) == set()
+    down = robot.home.copy()
+    down[1] = -1.9  # lean right over: the arm goes into the table
+    assert "table" in world.collisions(down)
+    folded = robot.home.copy()
+    for name, value in (("thumb_joint_0", 1.396), ("thumb_joint_2", 1.2), ("thumb_joint_3", 1.2)):
+        folded[robot.joint_names.index(name)] = value
+    for name, value in (("index_joint_1", 1.5), ("index_joint_2", 1.5), ("index_joint_3", 1.0)):
+        folded[robot.joint_names.index(name)] = value
+    assert "self" in world.collisions(folded)
+
+
+def test_arm_holds_its_own_weight(world: World) -> None:
+    q = world.robot.home
+    world.reset(q=q)
+    world.step(480)
+    assert np.abs(world.configuration() - q).max() < 0.01
+
+
+def test_can_that_is_stood_up_rests_standing(world: World, tmp_path: Path) -> None:
+    item = item_of("can", trimesh.creation.cylinder(0.033, 0.1), tmp_path)
+    standing = max(item.poses, key=lambda pose: pose.height if pose.margin > 0.17 else 0)
+    pose = settle(world, item, standing, SettleConfig())
+    assert pose is not None
+    assert abs(pose[2, 2]) == pytest.approx(1.0, abs=1e-3)
+    assert pose[2, 3] == pytest.approx(0.05, abs=2e-3)
+
+
+def test_another_robot_needs_no_code(box: SimObject) -> None:
+    with World(load_robot(GRIPPER)) as small:
+        small.reset(box, transform(np.eye(3), [0.6, 0, 0.06]))
+        assert small.collisions(small.robot.home) == set()
+        small.step(10)
+        assert len(small.configuration()) == 6
+
+
+def test_reset_forgets_everything(box: SimObject) -> None:
+    start = transform(np.eye(3), [0.6, 0, 0.3])
+    ends = []
+    with World(load_robot(), PhysicsConfig(iterations=30)) as one:
+        for disturb in (0, 37, 111):
+            one.reset(box, transform(np.eye(3), [0.55, 0.05, 0.2]))
+            one.step(disturb)
+            one.reset(box, start)
+            one.step(200)
+            ends.append(one.object_pose())
+    assert np.array_equal(ends[0], ends[1])
+    assert np.array_equal(ends[0], ends[2])
