@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -163,7 +164,7 @@ def test_executed_approach_is_free_of_collisions(attempter: Attempter, can: SimO
         assert path[-1] == pytest.approx(attempt.reach.q)
         attempter.world.reset(can, attempt.scene.T_world_object)
         share = np.linspace(0, 1, 60)[:, None]
-        for first, second in zip(path[:-1], path[1:], strict=True):
+        for first, second in itertools.pairwise(path):
             for q in first + share * (second - first):
                 assert not attempter.world.collisions(q, clearance=-1e-3)
         palm = attempter.palm(attempt.reach.q)

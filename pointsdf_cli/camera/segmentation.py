@@ -100,7 +100,8 @@ def segment_object(
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"a cloud of shape {points.shape}", allowed="[N, 3]")
-    inside = ((points > config.low) & (points < config.high)).all(axis=1)  # False for NaN
+    within = (points > config.low) & (points < config.high)  # False for NaN
+    inside = np.asarray(within.all(axis=1))
     kept = np.zeros(len(points), dtype=bool)
     table, other = kept.copy(), kept.copy()
     index = np.flatnonzero(inside)

@@ -7,6 +7,7 @@ import os
 import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -72,7 +73,7 @@ def convex_pieces(
             path.unlink(missing_ok=True)  # cut short by a crash of the machine: make it again
     pieces = decompose(mesh.vertices, mesh.faces, config)
     with atomic_path(path) as temporary:
-        arrays = {f"v{i}": v for i, (v, _) in enumerate(pieces)}
+        arrays: dict[str, NDArray[Any]] = {f"v{i}": v for i, (v, _) in enumerate(pieces)}
         arrays |= {f"f{i}": f for i, (_, f) in enumerate(pieces)}
         np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
     return _read(path)

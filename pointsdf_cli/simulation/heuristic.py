@@ -34,7 +34,10 @@ class HeuristicConfig:
         low_object: An object lower than this [m] is grasped from the top only.
         finger_reach: How far along the fingers from the palm's origin the object's middle is
             put [m]: between the fingers and the thumb rather than at the fingers' roots.
-        table_gap: The palm is raised until the whole opened hand is this [m] above the table.
+        table_gap: For a side grasp the palm is raised until the whole opened hand is this [m]
+            above the table.
+        raise_top: Raise it for top grasps too: the opposed thumb points down 0.145 m, so low
+            objects are then grasped from too far above instead of being labelled -2.
     """
 
     top_standoff: float = 0.05

@@ -77,7 +77,8 @@ class Observer:
         q: Array | None = None,
     ) -> Array:
         """The whole noisy cloud [N, 3] of the scene, camera frame, m."""
-        parts = [(apply_transform(T_world_object, item.mesh.vertices), item.mesh.faces)]
+        faces: NDArray[np.int64] = item.mesh.faces.astype(np.int64)
+        parts = [(apply_transform(T_world_object, item.mesh.vertices), faces)]
         parts += [(p.vertices, p.faces) for p in self._robot.at(self._home if q is None else q)]
         parts.append(_table())
         vertices = np.concatenate([vertices for vertices, _ in parts])

@@ -7,6 +7,7 @@ nothing. A motion planner can find more than these; what has no straight path is
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -192,7 +193,7 @@ def interpolate(path: Array, resolution: float) -> Array:
     No joint moves by more than `resolution` [rad] between two of them.
     """
     pieces = [path[:1]]
-    for first, second in zip(path[:-1], path[1:], strict=True):
+    for first, second in itertools.pairwise(path):
         count = max(1, int(np.ceil(np.abs(second - first).max() / resolution)))
         share = np.linspace(0, 1, count + 1)[1:, None]
         pieces.append(first + share * (second - first))

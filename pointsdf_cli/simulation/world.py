@@ -383,14 +383,17 @@ def _import_bullet() -> Any:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """Keep PyBullet's C code from writing to this process's stdout, which carries results."""
+    """Keep PyBullet's C code from writing between this process's results and messages."""
     sys.stdout.flush()
-    kept = os.dup(1)
+    sys.stderr.flush()
+    kept = os.dup(1), os.dup(2)
     sink = os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(sink, 1)
+        os.dup2(sink, 2)
         yield
     finally:
-        os.dup2(kept, 1)
-        os.close(kept)
+        for number, copy in zip((1, 2), kept, strict=True):
+            os.dup2(copy, number)
+            os.close(copy)
         os.close(sink)
