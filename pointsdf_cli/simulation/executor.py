@@ -30,6 +30,8 @@ class ExecutorConfig:
         lift_height: [m], along the world's z.
         lift_time: [s].
         settle_time: Hold still after the lift [s].
+        longest_settling: An object that still moves in the hand is watched up to this long [s]:
+            it comes to rest there or falls.
         shake: Amplitude of a lateral shake after the lift [m/s²]; 0 for none.
         shake_time: [s].
     """
@@ -44,6 +46,7 @@ class ExecutorConfig:
     lift_height: float = 0.15
     lift_time: float = 0.8
     settle_time: float = 0.5
+    longest_settling: float = 2.0
     shake: float = 0.0
     shake_time: float = 1.0
 
@@ -83,8 +86,8 @@ DEEPEST = 0.008
 """A robot link deeper in the object than this [m] at the end means that contacts failed."""
 HELD_FRACTION = 0.7
 """Of the lift's height that a held object must have risen."""
-FASTEST_HELD = 0.1
-"""An object that still moves faster than this [m/s] at the end is on its way out of the hand."""
+STEADY_SPEED = 0.03
+"""A slower object [m/s] rests in the hand."""
 
 
 class Executor:
@@ -135,7 +138,7 @@ class Executor:
         self._follow(lift, config.lift_time, "lift")
         # Nothing settles or shakes in a hand that left the object on the table.
         if world.hand_contact().links or not world.object_on_table():
-            self._hold(config.settle_time, "settle")
+            self._settle()
             if config.shake > 0:
                 self._shake()
         rise = self._object_height() - start_height
@@ -146,14 +149,13 @@ class Executor:
         world, config = self._world, self._config
         contact = world.hand_contact()
         risen = rise >= HELD_FRACTION * config.lift_height
-        steady = world.object_speed()[0] < FASTEST_HELD
         in_hand = contact.links > 0 and not world.object_on_table()
         held, valid, cause = False, True, "dropped"
         if self._fastest > FLUNG_SPEED or not np.isfinite(rise) or rise > 0.5:
             valid, cause = False, "flung"
         elif contact.depth > DEEPEST:
             valid, cause = False, "penetration"
-        elif risen and in_hand and steady:
+        elif risen and in_hand:
             held, cause = True, "held"
         elif not touched:
             cause = "missed"
@@ -211,6 +213,16 @@ class Executor:
 
     def _hold(self, duration: float, phase: str) -> None:
         self._advance(round(duration / self._world.physics.step), phase)
+
+    def _settle(self) -> None:
+        """Hold still until the object rests in the hand or has left it."""
+        world, config = self._world, self._config
+        began = world.time
+        self._hold(config.settle_time, "settle")
+        while world.time - began < config.longest_settling:
+            if world.object_speed()[0] < STEADY_SPEED or not world.hand_contact().links:
+                return
+            self._hold(0.1, "settle")
 
     def _shake(self) -> None:
         """Lateral accelerations back and forth, first along x, then along y, at 4 Hz."""

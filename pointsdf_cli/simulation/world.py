@@ -44,8 +44,8 @@ class PhysicsConfig:
         gravity: [m/s²].
     """
 
-    step: float = 1 / 240
-    iterations: int = 60
+    step: float = 1 / 480
+    iterations: int = 40
     hand_friction: float = 1.0
     object_friction: float = 0.6
     table_friction: float = 0.8

@@ -1,0 +1,75 @@
+"""`rgrasp collect-grasps` as a user meets it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from pointsdf_cli.io.grasps import read_grasps
+
+pytest.importorskip("pybullet")
+
+
+@pytest.fixture
+def meshes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("RGRASP_CACHE", str(tmp_path / "cache"))
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    trimesh.creation.cylinder(0.03, 0.15).export(folder / "can.ply")
+    trimesh.creation.box((0.3, 0.3, 0.3)).export(folder / "crate.ply")
+    return folder
+
+
+def test_collects_skips_and_resumes(cli: Callable[..., Any], meshes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "grasps"
+    run = ("collect-grasps", "--meshes", meshes, "--out", out, "--count", 2, "--jobs", 1)
+    first = cli(*run, "--json", "--no-pictures")
+    assert first.code == 0, first.err
+    result = json.loads(first.out)
+    assert result["executed"] == 2
+    assert list(result["refused"]) == ["crate"]
+    assert "too large" in result["refused"]["crate"]
+    assert not (out / "crate.h5").exists()
+    grasps, meta = read_grasps(out / "can.h5")
+    assert grasps.executed.sum() == 2
+    assert meta.split == "train"
+    assert grasps.cloud.shape[1:] == (1000, 3)
+    assert np.isfinite(grasps.lift_height[grasps.executed]).all()
+    assert np.isnan(grasps.lift_height[~grasps.executed]).all()
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "too large for the hand" in page
+    before = (out / "can.h5").read_bytes()
+    assert cli(*run, "--quiet", "--no-pictures").code == 0
+    assert (out / "can.h5").read_bytes() == before
+    other = cli(*run, "--seed", 5, "--no-pictures")
+    assert other.code == 2
+    assert "other options" in other.err
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--count", 0),
+        ("--count", -3),
+        ("--seed", -1),
+        ("--jobs", -2),
+        ("--shard", "2/2"),
+        ("--robot", "no-such-robot.yaml"),
+        ("--pattern", "*.stl"),
+        ("--meshes", "no-such-folder"),
+    ],
+    ids=lambda value: "=".join(map(str, value)),
+)
+def test_bad_options_are_refused_and_leave_nothing(
+    cli: Callable[..., Any], meshes: Path, tmp_path: Path, options: tuple[str, object]
+) -> None:
+    out = tmp_path / "grasps"
+    result = cli("collect-grasps", "--meshes", meshes, "--out", out, *options)
+    assert result.code == 2
+    assert not list(out.rglob("*.h5")) if out.exists() else True
