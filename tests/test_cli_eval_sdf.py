@@ -21,7 +21,7 @@ from pointsdf_cli.training.evaluate_sdf import (
 )
 from pointsdf_cli.training.sdf_table import ScoredView, objects_csv, statistic, summarise
 
-VIEWS, SAMPLES = 2, 4000
+VIEWS, SAMPLES = 2, 2000
 # The hull of the fixture's torus (0.04, 0.012): a tube's half circles around a flat disc.
 TORUS_VOLUME = 2 * math.pi**2 * 0.04 * 0.012**2
 TORUS_HULL = TORUS_VOLUME / 2 + 2 * 0.012 * math.pi * 0.04**2 + 4 / 3 * math.pi * 0.012**3
@@ -87,7 +87,7 @@ def test_the_same_numbers_in_any_number_of_processes(
     tables = []
     for jobs in (1, 2):
         out = tmp_path / f"{jobs}.json"
-        options = ("--checkpoint", networks[1], "--jobs", jobs, "--gallery", 0)
+        options = ("--checkpoint", networks[1], "--jobs", jobs, "--gallery", 0, "--count", 1)
         assert evaluate(views, mesh_folder, out, *options)[0] == 0
         tables.append(json.loads(out.read_text())["table"])
     assert tables[0] == tables[1]
@@ -138,8 +138,9 @@ def test_views_of_another_mesh_are_refused(
 ) -> None:
     (mesh_folder / "ball.ply").write_bytes((mesh_folder / "torus.ply").read_bytes())
     code, _, err = evaluate(
-        views, mesh_folder, tmp_path / "t.json", "--checkpoint", networks[0], "--jobs", 1
-    )
+        views, mesh_folder, tmp_path / "t.json", "--checkpoint", networks[0], "--jobs", 1,
+        "--gallery", 0,
+    )  # fmt: skip
     assert code == 2
     assert "another version of ball.ply" in err
 

@@ -22,6 +22,9 @@ def eval_sdf(
     count: Annotated[int, typer.Option(help="Views of each object; 0 takes all.")] = 10,
     resolution: Annotated[int, typer.Option(help="Of the meshes that are scored.")] = 128,
     samples: Annotated[int, typer.Option(help="Points that each metric counts.")] = 100_000,
+    precision: Annotated[
+        str, typer.Option(help="auto (bfloat16 where the processor has it), bfloat16 or float32.")
+    ] = "auto",
     apart: Annotated[
         list[str] | None,
         typer.Option(help="An object to report apart, such as a poor scan; may be repeated."),
@@ -70,6 +73,7 @@ def eval_sdf(
         resolution=resolution,
         views=count,
         samples=samples,
+        precision=precision,
         seed=common.check_seed(seed),
     )
     tasks = evaluation.make_tasks(views, meshes, config)
@@ -104,6 +108,7 @@ def eval_sdf(
         "refused": {name: error.what for name, error in report.refused},
         "resolution": resolution,
         "samples": samples,
+        "precision": precision,
         "seed": seed,
         "git_commit": git_commit(),
         "seconds": round(report.seconds, 1),

@@ -50,6 +50,9 @@ def mesh(
         Path | None,
         typer.Option(help="Also draw the cloud and the mesh from both sides into this PNG."),
     ] = None,
+    precision: Annotated[
+        str, typer.Option(help="auto (bfloat16 where the processor has it), bfloat16 or float32.")
+    ] = "auto",
     threads: Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")] = 0,
     seed: common.Seed = 0,
     device: common.Device = "cpu",
@@ -65,6 +68,7 @@ def mesh(
     from dataclasses import replace
 
     import numpy as np
+    import torch
 
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.geometry.frames import apply_transform
@@ -76,7 +80,7 @@ def mesh(
     from pointsdf_cli.models.meshing import mesh_reconstruction
     from pointsdf_cli.models.reconstruction import Reconstruction
     from pointsdf_cli.models.registry import load_model, use_threads
-    from pointsdf_cli.training.precision import idle_processors
+    from pointsdf_cli.training.precision import autocast_dtype, idle_processors
     from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
     reporter = common.Reporter(quiet, as_json)
@@ -89,6 +93,7 @@ def mesh(
     if frame not in (None, "camera", "world"):
         raise InputError(f"no frame {frame!r}", where="--frame", allowed="camera, world")
     seed, device = common.check_seed(seed), common.torch_device(device)
+    low_precision = autocast_dtype(precision, torch.device(device))
     use_threads(threads or idle_processors())
 
     view = read_cloud(cloud, unit, drop_invalid)
@@ -102,7 +107,9 @@ def mesh(
     started = time.perf_counter()
     reconstruction = Reconstruction.from_cloud(model, points, np.zeros(3), seed=seed)
     try:
-        made = mesh_reconstruction(reconstruction, resolution, 0.0 if all_parts else 0.05, smooth)
+        made = mesh_reconstruction(
+            reconstruction, resolution, 0.0 if all_parts else 0.05, smooth, low_precision
+        )
     except EmptySurfaceError as error:
         raise EmptySurfaceError(
             "the network sees nothing solid in this cloud, so there is no mesh",

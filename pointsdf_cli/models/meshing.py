@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.isosurface import IsosurfaceConfig, extract_isosurface
@@ -42,14 +43,20 @@ def mesh_reconstruction(
     resolution: int = 128,
     smallest_part: float = 0.05,
     smoothing: int = SMOOTHING,
+    low_precision: torch.dtype | None = None,
 ) -> ReconstructedMesh:
     """The zero level of a reconstruction.
+
+    Without smoothing the vertices are pulled to zero by a Newton step. With it they are not: a
+    network's field has small jumps, where a vertex at zero lies on the ripple, and one that is
+    interpolated between its neighbours lies between ripples (docs/reconstruction.md, "Measured").
 
     Args:
         reconstruction: Of one cloud.
         resolution: Cells along the box: 32 times a power of two, up to 512.
         smallest_part: Parts smaller than this share of the largest one's volume are dropped.
         smoothing: Passes that take the field's ripples off the surface (see `SMOOTHING`).
+        low_precision: Type of the network's products, such as bfloat16; None for float32.
 
     Raises:
         EmptySurfaceError: The network sees no inside.
@@ -60,9 +67,12 @@ def mesh_reconstruction(
         resolution,
         half_width=model.box,
         rules=SearchRules() if model.gives_distances else SearchRules(slope=np.inf),
+        newton=smoothing == 0,
         smallest_part=smallest_part,
     )
-    surface = extract_isosurface(network_field(reconstruction), config)
+    device = reconstruction.encoding.embedding.device.type
+    with torch.autocast(device, low_precision, enabled=low_precision is not None):
+        surface = extract_isosurface(network_field(reconstruction), config)
     return ReconstructedMesh(
         vertices=_in_cloud_frame(
             reconstruction, taubin_smooth(surface.vertices, surface.faces, smoothing)

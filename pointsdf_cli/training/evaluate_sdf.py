@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
@@ -29,6 +30,7 @@ from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model, use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.precision import autocast_dtype
 from pointsdf_cli.training.sdf_table import ScoredView
 from pointsdf_cli.viz.reconstruction_gallery import GalleryRow
 
@@ -47,6 +49,7 @@ class EvalConfig:
         resolution: Of the extracted meshes.
         views: Views of each object, the first so many; 0 takes all.
         samples: Points that each metric counts.
+        precision: Of the networks: auto, bfloat16 or float32.
         seed: Of the resampled clouds and of the metrics' points.
 
     Raises:
@@ -57,9 +60,11 @@ class EvalConfig:
     resolution: int = 128
     views: int = 10
     samples: int = SAMPLES
+    precision: str = "auto"
     seed: int = 0
 
     def __post_init__(self) -> None:
+        autocast_dtype(self.precision, torch.device("cpu"))
         if self.views < 0:
             raise InputError(f"{self.views} views", where="--count", allowed="0 (all) or more")
         if self.samples < 100:
@@ -137,7 +142,11 @@ def reconstruct(
         model, cloud.astype(np.float64), np.zeros(3), seed=task.config.seed + view
     )
     try:
-        mesh = mesh_reconstruction(reconstruction, task.config.resolution)
+        mesh = mesh_reconstruction(
+            reconstruction,
+            task.config.resolution,
+            low_precision=autocast_dtype(task.config.precision, torch.device("cpu")),
+        )
     except EmptySurfaceError:
         return reconstruction, None
     return reconstruction, (mesh.vertices, mesh.faces)
