@@ -70,7 +70,7 @@ class FacingScore:
 
     def __init__(self, solid: Solid) -> None:
         self._centre = torch.tensor(solid.centre)
-        self._standoff = float(solid.reach[:2].mean()) + 0.04
+        self._standoff = float(solid.reach[:2].mean()) + 0.01
 
     def log_success(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
         way = self._centre - T_world_palm[:, :3, 3]
