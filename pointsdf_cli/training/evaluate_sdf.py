@@ -170,17 +170,19 @@ def gallery_row(task: EvalTask, scored: ScoredView, note: str) -> GalleryRow:
 
 
 def best_median_worst(scored: Sequence[ScoredView], each: int) -> list[tuple[str, ScoredView]]:
-    """`each` views by IoU from the top, the middle and the bottom, no object twice in a group."""
+    """`each` views by IoU from the top, the middle and the bottom, no object twice."""
     ranked = sorted(scored, key=lambda view: -view.score.iou)
     middle = sorted(ranked, key=lambda view: abs(ranked.index(view) - len(ranked) // 2))
-    chosen = []
-    for note, order in (("best", ranked), ("median", middle), ("worst", ranked[::-1])):
-        names: set[str] = set()
+    chosen: list[tuple[str, ScoredView]] = []
+    names: set[str] = set()
+    for note, order in (("best", ranked), ("worst", ranked[::-1]), ("median", middle)):
         for view in order:
-            if view.object_name not in names and len(names) < each:
+            if len([1 for taken, _ in chosen if taken == note]) == each:
+                break
+            if view.object_name not in names:
                 names.add(view.object_name)
                 chosen.append((note, view))
-    return chosen
+    return sorted(chosen, key=lambda pair: ("best", "median", "worst").index(pair[0]))
 
 
 def convex_hull(points: NDArray[np.floating]) -> Surface | None:
