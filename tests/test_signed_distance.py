@@ -76,7 +76,9 @@ def test_two_boxes_that_touch_face_to_face_are_inside_on_both_sides() -> None:
 
 
 def test_no_points_give_no_distances(box_mesh: trimesh.Trimesh) -> None:
-    assert SignedDistance(box_mesh.vertices, box_mesh.faces)(np.zeros((0, 3))).shape == (0,)
+    field = SignedDistance(box_mesh.vertices, box_mesh.faces)
+    assert field(np.zeros((0, 3))).shape == (0,)
+    assert field.inside(np.zeros((0, 3))).shape == (0,)
 
 
 def test_surface_samples_lie_on_the_surface_and_cover_it_by_area(box_mesh: trimesh.Trimesh) -> None:

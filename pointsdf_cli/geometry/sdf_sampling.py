@@ -88,11 +88,14 @@ def sample_sdf(
     centre, unit = (low + high) / 2, MARGIN * float((high - low).max())
     wide, near = round(config.points * config.wide_share), round(config.points * config.near_share)
     uniform = config.points - wide - near
-    surface, _ = sample_surface(vertices, faces, wide + near, rng)
-    deviation = np.sqrt(np.repeat([config.wide_variance, config.near_variance], [wide, near]))
-    jittered = surface + unit * deviation[:, None] * rng.standard_normal((wide + near, 3))
-    spread = centre + unit * rng.uniform(-config.box, config.box, (uniform, 3))
-    points = np.concatenate([jittered, spread]).astype(np.float32)
+    points = np.empty((config.points, 3), dtype=np.float32)
+    start = 0
+    for count, variance in ((wide, config.wide_variance), (near, config.near_variance)):
+        surface, _ = sample_surface(vertices, faces, count, rng)
+        jitter = rng.standard_normal((count, 3), dtype=np.float32)
+        points[start : start + count] = surface + np.float32(unit * np.sqrt(variance)) * jitter
+        start += count
+    points[start:] = centre + unit * rng.uniform(-config.box, config.box, (uniform, 3))
     sdf = SignedDistance(vertices, faces, threads)(points)
     samples = SdfSamples(
         points=points,

@@ -80,6 +80,9 @@ class SignedDistance:
         A ray that leaves through a face crosses with its normal (+1), one that enters against it
         (−1); the sum does not care how often closed pieces touch or overlap.
         """
+        if len(local) == 0:
+            # Open3D's list_intersections crashes on no rays at all.
+            return np.zeros(0, dtype=np.int64)
         numbers = np.empty((len(_RAY_DIRECTIONS), len(local)), dtype=np.int64)
         for k, direction in enumerate(_RAY_DIRECTIONS):
             hits = self._scene.list_intersections(
@@ -99,18 +102,22 @@ def sample_surface(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points [count, 3] uniform by area over a mesh, and the unit normals [count, 3] there."""
     vertices = np.asarray(vertices, dtype=np.float64)
-    corners = vertices[np.asarray(faces)]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    a, b, c = vertices[np.asarray(faces)].swapaxes(0, 1)
+    one_side, other_side = b - a, c - a
+    normals = np.cross(one_side, other_side)
     areas = np.linalg.norm(normals, axis=1)
-    cumulative = np.cumsum(areas)
-    chosen = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right")
-    chosen = np.minimum(chosen, len(areas) - 1)
-    u, v = rng.random((2, count, 1))
+    # How many points each face gets, then shuffled: any part of a sample is a sample.
+    shares = rng.multinomial(count, areas / areas.sum())
+    chosen = rng.permutation(np.repeat(np.arange(len(areas)), shares))
+    u, v = rng.random((2, count))
     # Fold the unit square onto the triangle.
     flip = u + v > 1
-    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-    a, b, c = corners[chosen].swapaxes(0, 1)
-    return a + u * (b - a) + v * (c - a), normals[chosen] / areas[chosen, None]
+    u[flip], v[flip] = 1 - u[flip], 1 - v[flip]
+    points = a[chosen]
+    points += u[:, None] * one_side[chosen]
+    points += v[:, None] * other_side[chosen]
+    unit = normals / np.maximum(areas, np.finfo(float).tiny)[:, None]
+    return points, unit[chosen]
 
 
 def _rays(origins: NDArray[np.float32], direction: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -51,7 +51,7 @@ def write_views(
         "T_camera_object": Dataset(views.T_camera_object, "1, m", "camera"),
     }
     if views.depth is not None:
-        datasets["depth"] = Dataset(views.depth, "m", "camera")
+        datasets["depth"] = Dataset(views.depth, "m", "camera", compress=True)
     write_artifact(
         path,
         schema=SCHEMA,
