@@ -26,6 +26,14 @@ def test_neighbours_on_a_line_are_the_adjacent_ones() -> None:
     assert index[0, 0].tolist() == [3, 4, 2, 5]
 
 
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_many_queries_of_one_cloud_find_what_few_find(dimensions: int) -> None:
+    cloud, queries = _cloud(3, 1, 400)[..., :dimensions], _cloud(4, 1, 2000)[..., :dimensions]
+    many = nearest_neighbours(queries, cloud, 5)
+    few = torch.cat([nearest_neighbours(part, cloud, 5) for part in queries.split(100, 1)], 1)
+    assert torch.equal(many, few)
+
+
 def test_squared_distances_of_a_3_4_5_triangle() -> None:
     a = torch.tensor([[[0.0, 0.0, 0.0]]])
     b = torch.tensor([[[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]])

