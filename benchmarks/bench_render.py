@@ -1,6 +1,6 @@
 """`render` and `label-sdf` end to end against the bare ray tracer, in one run.
 
-    python benchmarks/bench_render.py [--meshes DIR] [--json FILE]
+    python benchmarks/bench_render.py [--meshes DIR] [--objects N] [--views N] [--points N]
 
 Baselines: `RaycastingScene.cast_rays` over every pixel of a 640×480 image with all cores, and
 `RaycastingScene.compute_signed_distance` with all cores. Ours: the whole command, from mesh files
@@ -84,13 +84,16 @@ def bare_distances_per_second(meshes: list[Path], labels: Path) -> float:
         started = time.perf_counter()
         scene.compute_signed_distance(points)
         seconds += time.perf_counter() - started
-        count += POINTS
+        count += len(points)
     return count / seconds
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--meshes", type=Path, help="a folder of meshes; default: 160 generated")
+    parser.add_argument("--objects", type=int, default=OBJECTS)
+    parser.add_argument("--views", type=int, default=VIEWS, help="an object")
+    parser.add_argument("--points", type=int, default=POINTS, help="an object")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
@@ -98,19 +101,29 @@ def main() -> None:
         meshes = options.meshes
         if meshes is None:
             meshes = folder / "meshes"
-            run("objects", "make", "--out", meshes, "--count", OBJECTS, "--seed", 0, "-q")
+            run("objects", "make", "--out", meshes, "--count", options.objects, "--seed", 0, "-q")
         files = find_meshes(meshes)
-        views = VIEWS * len(files)
+        views = options.views * len(files)
+        points = options.points * len(files)
         bare, ours, one_job, label_bare, label_ours, label_one = ([] for _ in range(6))
         for k in range(REPEATS):
             place = [folder / f"{kind}{k}" for kind in ("v", "v1", "l", "l1")]
             bare.append(bare_views_per_second(files))
-            render = ["render", "--meshes", meshes, "--views", VIEWS, "-q"]
+            render = ["render", "--meshes", meshes, "--views", options.views, "-q"]
             ours.append(views / run(*render, "--out", place[0], "--jobs", CORES))
             one_job.append(views / run(*render, "--out", place[1], "--jobs", 1))
-            label = ["label-sdf", "--views", place[0], "--meshes", meshes, "--points", POINTS, "-q"]
-            label_ours.append(POINTS * len(files) / run(*label, "--out", place[2], "--jobs", CORES))
-            label_one.append(POINTS * len(files) / run(*label, "--out", place[3], "--jobs", 1))
+            label = [
+                "label-sdf",
+                "--views",
+                place[0],
+                "--meshes",
+                meshes,
+                "--points",
+                options.points,
+                "-q",
+            ]
+            label_ours.append(points / run(*label, "--out", place[2], "--jobs", CORES))
+            label_one.append(points / run(*label, "--out", place[3], "--jobs", 1))
             label_bare.append(bare_distances_per_second(files, place[2]))
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
     result = {
