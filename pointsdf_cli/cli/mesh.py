@@ -68,7 +68,6 @@ def mesh(
     from dataclasses import replace
 
     import numpy as np
-    import torch
 
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.geometry.frames import apply_transform
@@ -77,11 +76,6 @@ def mesh(
     from pointsdf_cli.io.clouds import check_object_cloud, read_cloud
     from pointsdf_cli.io.meshes import UNITS, save_mesh
     from pointsdf_cli.io.poses import camera_pose as parse_pose
-    from pointsdf_cli.models.meshing import mesh_reconstruction
-    from pointsdf_cli.models.reconstruction import Reconstruction
-    from pointsdf_cli.models.registry import load_model, use_threads
-    from pointsdf_cli.training.precision import autocast_dtype, idle_processors
-    from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
     reporter = common.Reporter(quiet, as_json)
     if not 0 <= smooth <= 1000:
@@ -92,10 +86,6 @@ def mesh(
         require_new(picture, force)
     if frame not in (None, "camera", "world"):
         raise InputError(f"no frame {frame!r}", where="--frame", allowed="camera, world")
-    seed, device = common.check_seed(seed), common.torch_device(device)
-    low_precision = autocast_dtype(precision, torch.device(device))
-    use_threads(threads or idle_processors())
-
     view = read_cloud(cloud, unit, drop_invalid)
     view = replace(
         view,
@@ -103,6 +93,19 @@ def mesh(
         T_world_camera=parse_pose(camera_pose) if camera_pose else view.T_world_camera,
     )
     points, T_frame_camera = check_object_cloud(view, cloud).in_camera_frame()
+
+    # Seconds of imports: only for a cloud that can be used.
+    import torch
+
+    from pointsdf_cli.models.meshing import mesh_reconstruction
+    from pointsdf_cli.models.reconstruction import Reconstruction
+    from pointsdf_cli.models.registry import load_model, use_threads
+    from pointsdf_cli.training.precision import autocast_dtype, idle_processors
+    from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
+
+    seed, device = common.check_seed(seed), common.torch_device(device)
+    low_precision = autocast_dtype(precision, torch.device(device))
+    use_threads(threads or idle_processors())
     model = load_model(checkpoint, device)
     started = time.perf_counter()
     reconstruction = Reconstruction.from_cloud(model, points, np.zeros(3), seed=seed)
