@@ -87,7 +87,7 @@ def test_killed_run_leaves_whole_files_and_resumes(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pointsdf_cli.cli.main", "objects", "make", "--out", tmp_path]
     command += ["--count", "150", "--seed", "5", "--jobs", "1", "--quiet"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    while process.poll() is None and len(list(tmp_path.glob("*.ply"))) < 20:
+    while process.poll() is None and len(list(tmp_path.glob("[0-9]*.ply"))) < 20:
         time.sleep(0.01)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
