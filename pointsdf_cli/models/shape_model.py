@@ -8,6 +8,7 @@ All of it in the network's frame (`normalise.py`); `reconstruction.py` is the do
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
 from torch import Tensor, nn
@@ -28,7 +29,7 @@ class Encoding(NamedTuple):
     evidence: dict[str, Tensor]
 
 
-class ShapeModel(nn.Module):
+class ShapeModel(nn.Module, ABC):
     """A network f(o, x) = s: partial cloud o, query x, signed distance s, negative inside."""
 
     architecture: str = ""
@@ -41,10 +42,11 @@ class ShapeModel(nn.Module):
     packed_neighbours: tuple[int, int] | None = None
     """(M, K) if `encode` takes a third argument: the first layer's neighbours, int64 [B, M, K]."""
 
+    @abstractmethod
     def config(self) -> dict[str, Any]:
         """The arguments that rebuild this architecture (plain types)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
         """Read a batch of clouds.
 
@@ -53,8 +55,8 @@ class ShapeModel(nn.Module):
             camera: [B, 3], the camera's centre in the network's frame.
             neighbours: See `packed_neighbours`; searched for where None.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def decode(self, encoding: Encoding, x: Tensor) -> Tensor:
         """Signed distances, differentiable in x.
 
@@ -65,7 +67,6 @@ class ShapeModel(nn.Module):
         Returns:
             [B, Q] in network units, negative inside.
         """
-        raise NotImplementedError
 
     def forward(self, cloud: Tensor, camera: Tensor, x: Tensor) -> Tensor:
         """`decode(encode(cloud, camera), x)`."""
