@@ -29,8 +29,9 @@ from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.acceptance import judge
 from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.planner import Planner, PlannerConfig, Target, reconstruction_target
+from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.seeds import draw_seeds
+from pointsdf_cli.planning.target import Target, reconstruction_target
 from pointsdf_cli.robot.description import load_robot
 
 Array = NDArray[np.float64]

@@ -12,6 +12,7 @@ import pytest
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.plans import (
+    AcceptedGrasps,
     Plan,
     RejectedSeeds,
     plan_as_json,
@@ -48,6 +49,13 @@ def plan() -> Plan:
         link_clearance_object=np.array([np.inf, 0.002]),
         link_clearance_table=np.array([0.3, 0.05]),
         rejected=rejected,
+        kind="side",
+        accepted=AcceptedGrasps(
+            np.array([[0.1, -0.2], [0.2, 0.3]]),
+            ("side", "top"),
+            np.array([0.8, 0.7]),
+            np.array([1.5, 2.5]),
+        ),
     )
 
 
@@ -65,6 +73,8 @@ def no_plan(plan: Plan) -> Plan:
         rejected=RejectedSeeds.none(2),
         link_clearance_object=nan,
         link_clearance_table=nan,
+        kind="",
+        accepted=AcceptedGrasps.none(2),
     )
 
 
@@ -74,13 +84,16 @@ def test_what_is_written_is_read(tmp_path: Path, plan: Plan, found: bool) -> Non
     write_plan(tmp_path / "plan.h5", plan, seed=3, config={"solver": "sqp"})
     back = read_plan(tmp_path / "plan.h5")
     for name in Plan.__dataclass_fields__:
-        if name == "rejected":
+        if name in ("rejected", "accepted"):
             continue
         one, two = getattr(plan, name), getattr(back, name)
         if isinstance(one, np.ndarray):
             np.testing.assert_array_equal(one, two)
         else:
             assert one == two, name
+    assert back.accepted.kinds == plan.accepted.kinds
+    np.testing.assert_array_equal(back.accepted.q, plan.accepted.q)
+    np.testing.assert_array_equal(back.accepted.objective, plan.accepted.objective)
     assert back.rejected.reasons == plan.rejected.reasons
     np.testing.assert_array_equal(back.rejected.room, plan.rejected.room)
 

@@ -14,9 +14,10 @@ from pointsdf_cli.io.plans import Plan, read_plan, write_plan
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.path_check import PathChecker
-from pointsdf_cli.planning.planner import Planner, PlannerConfig, Target
+from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig, synthesise
+from pointsdf_cli.planning.target import Target
 from pointsdf_cli.robot.description import load_robot
 
 REST = np.array([0.0] * 6 + [1.3, 0.5])
@@ -109,12 +110,12 @@ def test_where_the_best_grasp_has_no_motion_the_next_one_is_taken(planner: Plann
     assert found.best is not None
     good = found.best
     # A configuration that stands in the can: nothing leads there.
-    inside = good.x.copy()
+    inside = good.q.copy()
     inside[1] += 0.3
-    bad = replace(good, x=inside, objective=0.0)
+    bad = replace(good, q=inside, objective=0.0)
     checker = PathChecker(planner.geometry, target().field)
     best, motion, rest = planner._with_motion(
-        checker, problems, replace(found, accepted=[bad, good]), planner.robot.home, 0
+        checker, replace(found, accepted=[bad, good]), planner.robot.home, 0
     )
     assert best is good
     assert motion is not None

@@ -8,12 +8,13 @@ import trimesh
 from planning_worlds import AroundObject, BoxField, CylinderField, NearPalm
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.acceptance import AcceptanceConfig, explain, judge
+from pointsdf_cli.planning.acceptance import AcceptanceConfig, judge
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.fields import Field, MeshField, RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.grid import GridConfig, GridField
 from pointsdf_cli.planning.objective import GraspScore
+from pointsdf_cli.planning.reasons import explain
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.seeds import SeedConfig, draw_seeds
 from pointsdf_cli.planning.sqp import Sqp
@@ -145,7 +146,7 @@ def test_seeds_are_the_best_of_what_is_reached() -> None:
     many = draw_seeds(problem, prior, IK, "side", np.random.default_rng(1), SeedConfig(16, 16))
     assert len(few.x) == 2
     np.testing.assert_array_equal(few.x, many.x[:2])
-    assert few.reached <= few.above_table <= few.drawn
+    assert few.drawn.reached <= few.drawn.above_table <= few.drawn.drawn
     with pytest.raises(InputError, match="side, top"):
         draw_seeds(problem, prior, IK, "below", np.random.default_rng(1))
 

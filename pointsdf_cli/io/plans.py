@@ -47,6 +47,27 @@ class RejectedSeeds:
 
 
 @dataclass(frozen=True)
+class AcceptedGrasps:
+    """Every grasp that met the constraints, best first, A of them; the plan's is one of them.
+
+    Attributes:
+        q: f8 [A, J].
+        kinds: [A], "side" or "top".
+        success_probability, objective: f8 [A].
+    """
+
+    q: Array
+    kinds: tuple[str, ...]
+    success_probability: Array
+    objective: Array
+
+    @classmethod
+    def none(cls, joints: int = 0) -> AcceptedGrasps:
+        """No grasp was accepted."""
+        return cls(np.zeros((0, joints)), (), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True)
 class Plan:
     """One answer of the planner, for J joints.
 
@@ -65,6 +86,8 @@ class Plan:
         link_names: [L].
         link_clearance_object, link_clearance_table: f8 [L] m, at the grasp.
         rejected: Every rejected seed with its residuals.
+        kind: "side" or "top"; empty where there is no grasp.
+        accepted: The grasp and its alternatives.
     """
 
     status: str
@@ -83,6 +106,8 @@ class Plan:
     link_clearance_object: Array
     link_clearance_table: Array
     rejected: RejectedSeeds = field(repr=False)
+    kind: str = ""
+    accepted: AcceptedGrasps = field(default_factory=AcceptedGrasps.none, repr=False)
 
     def __post_init__(self) -> None:
         joints = len(self.joint_names)
@@ -99,7 +124,7 @@ def write_plan(
     path: Path | str, plan: Plan, *, seed: int, config: Mapping[str, Any] | None = None
 ) -> None:
     """Write a plan as one HDF5 file."""
-    rejected = plan.rejected
+    rejected, accepted = plan.rejected, plan.accepted
     write_artifact(
         path,
         schema=SCHEMA,
@@ -113,6 +138,10 @@ def write_plan(
             "link_names": Dataset(_bytes(plan.link_names)),
             "link_clearance_object": Dataset(plan.link_clearance_object, "m"),
             "link_clearance_table": Dataset(plan.link_clearance_table, "m"),
+            "accepted_q": Dataset(accepted.q, "rad"),
+            "accepted_kind": Dataset(_bytes(accepted.kinds)),
+            "accepted_success_probability": Dataset(accepted.success_probability),
+            "accepted_objective": Dataset(accepted.objective),
             "rejected_q": Dataset(rejected.q, "rad"),
             "rejected_reason": Dataset(_bytes(rejected.reasons)),
             "rejected_success_probability": Dataset(rejected.success_probability),
@@ -123,6 +152,7 @@ def write_plan(
             "status": plan.status,
             "reason": plan.reason,
             "sentence": plan.sentence,
+            "kind": plan.kind,
             "success_probability": plan.success_probability,
             "objective": plan.objective,
             "seeds_tried": plan.seeds_tried,
@@ -166,6 +196,13 @@ def read_plan(path: Path | str) -> Plan:
                 objective=data["rejected_objective"],
                 room=data["rejected_room"],
             ),
+            kind=str(facts["kind"]),
+            accepted=AcceptedGrasps(
+                q=data["accepted_q"],
+                kinds=_strings(data["accepted_kind"]),
+                success_probability=data["accepted_success_probability"],
+                objective=data["accepted_objective"],
+            ),
         )
     except KeyError as error:
         raise InputError(f"lacks {error.args[0]!r}", where=path, allowed="a whole plan") from error
@@ -175,11 +212,12 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
     """The plan in plain types, as `--json` prints it; what does not exist is null."""
     found = plan.status == OK
     links = zip(plan.link_names, plan.link_clearance_object, plan.link_clearance_table, strict=True)
-    rejected = plan.rejected
+    rejected, accepted = plan.rejected, plan.accepted
     return {
         "status": plan.status,
         "reason": plan.reason,
         "sentence": plan.sentence,
+        "kind": plan.kind,
         "joint_names": list(plan.joint_names),
         "q": plan.q.tolist() if found else None,
         "T_world_palm": plan.T_world_palm.tolist() if found else None,
@@ -192,6 +230,15 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
         "link_clearance": {
             link: {"object": _number(o), "table": _number(t)} for link, o, t in links
         },
+        "accepted": [
+            {
+                "kind": kind,
+                "success_probability": _number(accepted.success_probability[k]),
+                "objective": _number(accepted.objective[k]),
+                "q": accepted.q[k].tolist(),
+            }
+            for k, kind in enumerate(accepted.kinds)
+        ],
         "rejected": [
             {
                 "reason": reason,

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.grasp_problem import GraspProblem
+from pointsdf_cli.planning.reasons import Drawn
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
 KINDS = ("side", "top")
@@ -56,15 +58,11 @@ class Seeds:
 
     Attributes:
         x: [S, n]; S may be 0.
-        drawn: Palms drawn.
-        above_table: Of them, palms above the table.
-        reached: Of those, palms that the arm reaches.
+        drawn: What became of all that was drawn.
     """
 
     x: Array
-    drawn: int
-    above_table: int
-    reached: int
+    drawn: Drawn
 
 
 def draw_seeds(
@@ -88,7 +86,7 @@ def draw_seeds(
     preshape, palm = preshape[above], palm[above]
     n = problem.variables.count
     if not len(palm):
-        return Seeds(np.zeros((0, n)), config.palms, 0, 0)
+        return Seeds(np.zeros((0, n)), Drawn(config.palms))
     found = kinematics.solve(palm)
     rows, elbows = np.nonzero(found.reached)
     keep = np.zeros(len(rows), dtype=bool)
@@ -97,13 +95,32 @@ def draw_seeds(
     rows, elbows = rows[keep], elbows[keep]
     x = np.hstack([found.arm[rows, elbows], preshape[rows]])
     x = np.clip(x, problem.lower, problem.upper)
-    if len(x):
-        room = np.minimum(0.0, np.stack(list(problem.residuals(x)))).sum(axis=0)
-        rank = problem.cost(x).value - config.violation_weight * room
-        # One seed a palm, while there are palms: two elbows of one palm end alike.
-        order = np.argsort(rank, kind="stable")
-        first = np.unique(rows[order], return_index=True)[1]
-        others = np.setdiff1d(np.arange(len(order)), first)
-        order = np.concatenate([order[np.sort(first)], order[others]])[: config.seeds]
-        x = x[order]
-    return Seeds(x, config.palms, int(above.sum()), int(found.any.sum()))
+    if not len(x):
+        return Seeds(x, Drawn(config.palms, int(above.sum())))
+    room = np.minimum(0.0, np.stack(list(problem.residuals(x))))
+    rank = problem.cost(x).value - config.violation_weight * room.sum(axis=0)
+    # One seed a palm, while there are palms: two elbows of one palm end alike.
+    order = np.argsort(rank, kind="stable")
+    first = np.unique(rows[order], return_index=True)[1]
+    others = np.setdiff1d(np.arange(len(order)), first)
+    chosen = np.concatenate([order[np.sort(first)], order[others]])[: config.seeds]
+    drawn = Drawn(config.palms, int(above.sum()), len(first), *_fate(rows, room))
+    return Seeds(x[chosen], drawn)
+
+
+def _fate(rows: NDArray[np.intp], room: Array) -> tuple[int, int, int, int, int]:
+    """Palms that touch nothing in some elbow position; the others by what they enter deepest.
+
+    Args:
+        rows: [E], the palm of each configuration.
+        room: [4, E], how deep each enters object, table, obstacles and the robot itself, ≤ 0.
+    """
+    free, met = 0, np.zeros(4, dtype=int)
+    for row in np.unique(rows):
+        depth = room[:, rows == row]
+        freest = depth[:, depth.sum(axis=0).argmax()]
+        if freest.min() >= 0:
+            free += 1
+        else:
+            met[freest.argmin()] += 1
+    return free, int(met[0]), int(met[1]), int(met[2]), int(met[3])

@@ -17,12 +17,11 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.acceptance import (
     AcceptanceConfig,
     Candidate,
-    explain,
     judge,
-    nearest_miss,
 )
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.nonlinear import Solutions, Solver
+from pointsdf_cli.planning.reasons import Drawn, why_none
 from pointsdf_cli.planning.seeds import GraspPrior, SeedConfig, draw_seeds
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
@@ -61,7 +60,7 @@ class Synthesis:
         reason: Empty, or why there is no plan.
         sentence: The same for a person.
         seeds_tried: Starts given to the solver.
-        palms_drawn, palms_reached: Of the prior's grasps.
+        drawn: What became of the prior's grasps.
         timings: Seconds by stage.
     """
 
@@ -71,8 +70,7 @@ class Synthesis:
     reason: str
     sentence: str
     seeds_tried: int
-    palms_drawn: int
-    palms_reached: int
+    drawn: Drawn
     timings: dict[str, float]
 
 
@@ -104,23 +102,26 @@ def synthesise(
     timings = dict.fromkeys(("seeds", "solve", "polish", "check"), 0.0)
     accepted: list[Candidate] = []
     rejected: list[Candidate] = []
-    tried = drawn = reached = 0
+    tried, drawn = 0, Drawn()
     for turn in range(config.rounds):
         kind = config.kinds[turn % len(config.kinds)]
         start = time.perf_counter()
         seeds = draw_seeds(problems.quick, prior, kinematics, kind, rng, config.seeds)
         start = _lap(timings, "seeds", start)
-        tried, drawn, reached = tried + len(seeds.x), drawn + seeds.drawn, reached + seeds.reached
+        tried, drawn = tried + len(seeds.x), drawn + seeds.drawn
         if not len(seeds.x):
             continue
         found = solver.solve(problems.quick, seeds.x)
         start = _lap(timings, "solve", start)
         order = _ranked(found)
         top = found.x[order[: config.polished]]
-        polished = solver.solve(problems.polish, top).x
+        # The paper's solver asked the exact field already.
+        done = problems.polish is problems.quick
+        polished = top if done else solver.solve(problems.polish, top).x
         start = _lap(timings, "polish", start)
-        candidates = judge(problems.exact, polished, config.acceptance)
-        candidates += judge(problems.quick, found.x[order[config.polished :]], config.acceptance)
+        candidates = judge(problems.exact, polished, config.acceptance, kind)
+        others = found.x[order[config.polished :]]
+        candidates += judge(problems.quick, others, config.acceptance, kind)
         _lap(timings, "check", start)
         accepted += [c for c in candidates[: len(top)] if not c.reason]
         rejected += [c for c in candidates if c.reason]
@@ -129,9 +130,7 @@ def synthesise(
     accepted.sort(key=lambda c: (c.objective, -c.success))
     reason = sentence = ""
     if not accepted:
-        miss = nearest_miss(rejected)
-        reason = "inverse_kinematics" if miss is None else miss.reason
-        sentence = explain(reason, miss, tried, config.acceptance)
+        reason, sentence = why_none(drawn, rejected, tried, config.acceptance)
     return Synthesis(
         best=accepted[0] if accepted else None,
         accepted=accepted,
@@ -139,8 +138,7 @@ def synthesise(
         reason=reason,
         sentence=sentence,
         seeds_tried=tried,
-        palms_drawn=drawn,
-        palms_reached=reached,
+        drawn=drawn,
         timings=timings,
     )
 

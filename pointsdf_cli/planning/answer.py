@@ -1,0 +1,278 @@
+"""From a cloud of one object to a plan: the two methods of the paper, and what they are made of.
+
+    planner = GraspPlanner(PlanOptions(method="reconstruction"))       # loads networks, once
+    answer = planner.plan(points, T_world_camera, seed=0)
+    answer.plan.status, answer.plan.q, answer.candidates
+
+METHOD section 6: *reconstruction* constrains the robot by the shape that the network completes and
+judges grasps by the encoder that learned to reconstruct (PointSDF-Fixed); *partial-view* constrains
+it by the seen points alone, meshed at 32³, and judges by an encoder that learned from grasps only
+(PointSDF-Scratch). Everything else is the same.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.plans import Plan
+from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.models.registry import load_model
+from pointsdf_cli.planning.contacts import Array
+from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.fields import Field
+from pointsdf_cli.planning.grasp_problem import Clearances
+from pointsdf_cli.planning.objective import GraspScore
+from pointsdf_cli.planning.planner import Planner, PlannerConfig, Rank
+from pointsdf_cli.planning.record import no_plan
+from pointsdf_cli.planning.seeds import KINDS, GraspPrior
+from pointsdf_cli.planning.synthesis import SynthesisConfig
+from pointsdf_cli.planning.target import (
+    EmptyFieldError,
+    ObjectField,
+    Target,
+    absent_object,
+    given_object,
+    reconstructed_object,
+    seen_object,
+)
+from pointsdf_cli.robot.description import load_robot
+
+RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
+METHODS = (RECONSTRUCTION, PARTIAL_VIEW)
+
+LOW_OBJECT = 0.03
+"""An object lower than this [m] is grasped from the top only (METHOD section 4)."""
+
+
+class ObjectGrasps(GraspScore, GraspPrior, Protocol):
+    """Score and prior of the grasps of one object (models/grasp_score.py)."""
+
+
+class GraspModel(Protocol):
+    """What is asked of a loaded success network."""
+
+    def on(
+        self, points: Array, T_world_camera: Array, field: Field | None = None, seed: int = 0
+    ) -> ObjectGrasps:
+        """The score of one object: points [N, 3] in the camera's frame, its pose in the world, and
+        the object's field in the world for features of its geometry."""
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """What is decided before any cloud is seen.
+
+    Attributes:
+        method: One of `METHODS`.
+        solver: "sqp" or "slsqp".
+        kind: "side", "top", or "auto": from the side first, from the top where the object is low
+            or the side yields nothing.
+        robot: Its YAML file; the bundled one if None.
+        checkpoint: Of the reconstruction network; the bundled one if None.
+        grasp_checkpoint: Of the success network; the method's bundled one if None.
+        clearances: Least distances.
+        device: Where the networks are.
+        synthesis: How long to look, and what is good enough.
+    """
+
+    method: str = RECONSTRUCTION
+    solver: str = "sqp"
+    kind: str = "auto"
+    robot: Path | None = None
+    checkpoint: Path | None = None
+    grasp_checkpoint: Path | None = None
+    clearances: Clearances = field(default_factory=Clearances)
+    device: str = "cpu"
+    synthesis: SynthesisConfig = field(default_factory=SynthesisConfig)
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InputError(
+                f"no method {self.method!r}", where="--method", allowed=", ".join(METHODS)
+            )
+        if self.kind not in ("auto", *KINDS):
+            raise InputError(
+                f"no kind of grasp {self.kind!r}", where="--kind", allowed="auto, side, top"
+            )
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What is made of a cloud before anything is planned.
+
+    Attributes:
+        target: The object as a constraint and a score.
+        points: [N, 3], the cloud in the world, m.
+        reconstruction: Of the cloud; None in partial-view grasping.
+        timings: Seconds by stage.
+    """
+
+    target: Target
+    points: Array
+    reconstruction: Reconstruction | None
+    timings: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A plan and what it was made from.
+
+    Attributes:
+        plan: The artifact; its status says whether there is a plan.
+        target: The object as a constraint and a score; None where there is no object.
+        reconstruction: Of the cloud; None in partial-view grasping, or without an object.
+        candidates: [C, J], the configurations of all accepted grasps, best first.
+    """
+
+    plan: Plan
+    target: Target | None
+    reconstruction: Reconstruction | None
+
+    @property
+    def candidates(self) -> Array:
+        """[C, J]."""
+        return self.plan.accepted.q
+
+
+class GraspPlanner:
+    """Loaded networks and a planner; made once, asked for every cloud.
+
+    Args:
+        options: See there.
+        grasps: The success network to use instead of a checkpoint's.
+
+    Raises:
+        InputError: The robot or a checkpoint cannot be used.
+    """
+
+    def __init__(
+        self, options: PlanOptions | None = None, grasps: GraspModel | None = None
+    ) -> None:
+        self.options = options = options or PlanOptions()
+        self.robot = load_robot(options.robot)
+        self.planner = Planner(
+            self.robot,
+            PlannerConfig(
+                solver=options.solver,
+                clearances=options.clearances,
+                synthesis=options.synthesis,
+            ),
+        )
+        self._reconstructs = options.method == RECONSTRUCTION
+        self._shape = load_model(options.checkpoint, options.device) if self._reconstructs else None
+        self._grasps = grasps or _bundled_grasps(options)
+
+    def see(
+        self,
+        points: Array,
+        T_world_camera: Array,
+        seed: int = 0,
+        field: Field | Literal["none"] | None = None,
+    ) -> Sight:
+        """Complete the object, keep its field on a grid, and ready the score.
+
+        Args:
+            points: [N, 3], the segmented object, camera frame, m.
+            T_world_camera: [4, 4].
+            seed: Of the resampling of the cloud.
+            field: Constrains the robot instead of the method's own field: the truth in trials, or
+                "none" for no constraint. The score reads the method's own all the same.
+
+        Raises:
+            EmptyFieldError: The network sees nothing solid.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        world = apply_transform(T_world_camera, points)
+        began = time.perf_counter()
+        reconstruction = None
+        if self._shape is not None:
+            reconstruction = Reconstruction.from_cloud(
+                self._shape, world, T_world_camera[:3, 3], T_world_camera[:3, :3], seed
+            )
+            own = reconstructed_object(reconstruction)
+        else:
+            own = seen_object(world)
+        timings = {"reconstruction": time.perf_counter() - began}
+        began = time.perf_counter()
+        grasps = self._grasps.on(points, T_world_camera, field=own.kept, seed=seed)
+        timings["score"] = time.perf_counter() - began
+        constraint = own
+        if field is not None:
+            constraint = _constraint(field, world)
+        return Sight(Target.of(constraint, grasps, grasps), world, reconstruction, timings)
+
+    def plan(
+        self,
+        points: Array,
+        T_world_camera: Array,
+        environment: Environment | None = None,
+        start: Array | None = None,
+        seed: int = 0,
+        field: Field | Literal["none"] | None = None,
+        rank: Rank | None = None,
+    ) -> Answer:
+        """Configuration and motion, or the reason why there is none.
+
+        Args:
+            points: [N, 3], the segmented object, camera frame, m.
+            T_world_camera: [4, 4].
+            environment: What stands around; the table alone if None.
+            start: [J], where the robot is; its home if None.
+            seed: Equal seeds give equal plans.
+            field: As in `see`.
+            rank: As in `Planner.plan`.
+
+        Raises:
+            InputError: The start is no configuration within the joint limits.
+        """
+        try:
+            sight = self.see(points, T_world_camera, seed, field)
+        except EmptyFieldError as error:
+            return self.nothing(error.what)
+        return self.plan_seen(sight, environment, start, seed, rank)
+
+    def plan_seen(
+        self,
+        sight: Sight,
+        environment: Environment | None = None,
+        start: Array | None = None,
+        seed: int = 0,
+        rank: Rank | None = None,
+    ) -> Answer:
+        """As `plan`, for what `see` made: `rank` may then know the target."""
+        kinds = self.kinds(sight.points)
+        plan = self.planner.plan(sight.target, environment, start, seed, kinds, rank)
+        timings = {**sight.timings, **plan.timings}
+        timings["configuration"] += sum(sight.timings.values())
+        return Answer(replace(plan, timings=timings), sight.target, sight.reconstruction)
+
+    def kinds(self, points: Array) -> tuple[str, ...]:
+        """Kinds of grasp to try, one a round, for an object seen at points [N, 3] of the world."""
+        if self.options.kind != "auto":
+            return (self.options.kind,)
+        if np.percentile(points[:, 2], 99) < LOW_OBJECT:
+            return ("top",)
+        return ("side", "side", "top")
+
+    def nothing(self, what: str) -> Answer:
+        """The answer to a cloud that shows no object."""
+        return Answer(no_plan(self.robot, "no_object", f"{what[0].upper()}{what[1:]}."), None, None)
+
+
+def _constraint(field: Field | Literal["none"], points: Array) -> ObjectField:
+    if isinstance(field, str):
+        return absent_object(points)
+    return given_object(field, points)
+
+
+def _bundled_grasps(options: PlanOptions) -> GraspModel:
+    from pointsdf_cli.models.grasp_score import load_grasp_model
+
+    return load_grasp_model(options.grasp_checkpoint, options.checkpoint, options.device)

@@ -1,0 +1,161 @@
+"""Why there is no plan, as a code for programs and a sentence that a person can act on.
+
+Two things are known when all rounds have failed: what the drawn grasps met before any solver moved
+them, and how near to acceptance the solver's best solution came. Where hardly any drawn grasp is
+free, what is in the way is the reason: the solver then gets free only by leaving the object, and
+its nearest miss would blame the grasp for being a bad one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate
+
+REASONS = (
+    "no_object",
+    "inverse_kinematics",
+    "table_collision",
+    "object_collision",
+    "self_collision",
+    "low_success_probability",
+    "objective",
+    "motion",
+    "solver",
+)
+"""Reason codes of the plan artifact."""
+
+FREE_SHARE = 0.05
+"""If fewer of the reached grasps than this are free as drawn, what they meet is the reason."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What became of the grasps that were drawn from the prior, in palms.
+
+    Attributes:
+        drawn: All.
+        above_table: Of them, those above the table.
+        reached: Of those, those that the arm reaches.
+        free: Of those, those that touch nothing.
+        object, table, obstacle, itself: The others, by what they enter deepest.
+    """
+
+    drawn: int = 0
+    above_table: int = 0
+    reached: int = 0
+    free: int = 0
+    object: int = 0
+    table: int = 0
+    obstacle: int = 0
+    itself: int = 0
+
+    def __add__(self, other: Drawn) -> Drawn:
+        return Drawn(
+            *(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True))
+        )
+
+    @property
+    def in_the_way(self) -> str:
+        """What most of the grasps that are not free enter: a field's name."""
+        return max(("object", "table", "obstacle", "itself"), key=lambda name: getattr(self, name))
+
+
+def nearest_miss(rejected: list[Candidate]) -> Candidate | None:
+    """The rejected candidate that came closest: least violation first, then best objective."""
+    if not rejected:
+        return None
+    return min(rejected, key=lambda c: (round(max(0.0, -c.worst_room), 4), -c.success, c.objective))
+
+
+def why_none(
+    drawn: Drawn,
+    rejected: list[Candidate],
+    seeds_tried: int,
+    config: AcceptanceConfig | None = None,
+) -> tuple[str, str]:
+    """Reason code and sentence where nothing was accepted."""
+    miss = nearest_miss(rejected)
+    if miss is None:
+        return "inverse_kinematics", explain("inverse_kinematics", None, seeds_tried, config)
+    if drawn.reached and drawn.free < FREE_SHARE * drawn.reached:
+        reason = {
+            "object": "object_collision",
+            "table": "table_collision",
+            "obstacle": "table_collision",
+            "itself": "self_collision",
+        }[drawn.in_the_way]
+        return reason, _in_the_way(drawn)
+    return miss.reason, explain(miss.reason, miss, seeds_tried, config)
+
+
+def _in_the_way(drawn: Drawn) -> str:
+    met = drawn.in_the_way
+    what, advice = {
+        "object": ("the object", "it may be larger than the open hand; ask for the other --kind"),
+        "table": ("the table", "the object may be too low for this kind; ask for the other --kind"),
+        "obstacle": ("an obstacle", "clear the space around the object"),
+        "itself": ("the robot itself", "move the object away from the robot's base"),
+    }[met]
+    return (
+        f"Of {drawn.reached} grasps that the arm reaches, {drawn.free} touch nothing; "
+        f"{getattr(drawn, met)} enter {what}: {advice}."
+    )
+
+
+def explain(
+    reason: str,
+    best: Candidate | None,
+    seeds_tried: int,
+    config: AcceptanceConfig | None = None,
+) -> str:
+    """One sentence for a reason code, with the numbers of the nearest miss.
+
+    Raises:
+        InputError: No such reason.
+    """
+    config = config or AcceptanceConfig()
+    if reason not in REASONS:
+        raise InputError(f"no reason {reason!r}", allowed=", ".join(REASONS))
+    if reason == "no_object":
+        return "No object was seen: check the camera's pose, the unit, and where it looks."
+    if reason == "inverse_kinematics" or best is None:
+        return (
+            "The arm reaches none of the grasps that were drawn: move the object nearer to the "
+            "robot's middle reach, or away from its base."
+        )
+    depth = f"{max(0.0, -best.worst_room) * 1000:.1f} mm"
+    if reason == "object_collision":
+        return (
+            f"All {seeds_tried} grasps that were tried meet the object (the best by {depth}): it "
+            "may be larger than the open hand; try another side or --clearance 0."
+        )
+    if reason == "table_collision":
+        what = "the table" if best.table_room <= best.obstacle_room else "an obstacle"
+        return (
+            f"All {seeds_tried} grasps that were tried meet {what} (the best by {depth}): clear "
+            "the space around the object, or ask for top grasps (--kind top) if it is low."
+        )
+    if reason == "self_collision":
+        return (
+            f"All {seeds_tried} grasps that were tried fold the robot into itself (the best by "
+            f"{depth}): move the object away from the robot's base."
+        )
+    if reason == "low_success_probability":
+        return (
+            f"The best of {seeds_tried} grasps is predicted to hold with probability "
+            f"{best.success:.2f}, not above {config.success:g}: turn the object, or look at it "
+            "from another side."
+        )
+    if reason == "objective":
+        return (
+            f"The best of {seeds_tried} grasps has an objective of {best.objective:.2f}, not below "
+            f"{config.objective:g}: it is unlike the grasps that the prior was learned from."
+        )
+    if reason == "motion":
+        return (
+            "A grasp was found, but no free path to it: start from another configuration, or clear "
+            "the space between the robot and the object."
+        )
+    return f"The solver ended outside of the joint limits from all {seeds_tried} seeds."

@@ -1,0 +1,136 @@
+"""What planning found, as the plan artifact keeps it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pointsdf_cli.io.plans import NO_PLAN, OK, AcceptedGrasps, Plan, RejectedSeeds
+from pointsdf_cli.planning.acceptance import Candidate
+from pointsdf_cli.planning.contacts import Array
+from pointsdf_cli.planning.grasp_problem import GraspProblem
+from pointsdf_cli.planning.motion import Motion
+from pointsdf_cli.planning.synthesis import Synthesis
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+
+
+def plan_of(
+    problem: GraspProblem,
+    inverse: InverseKinematics,
+    found: Synthesis,
+    best: Candidate | None,
+    motion: Motion | None,
+    timings: Mapping[str, float],
+) -> Plan:
+    """The plan: the best candidate with its motion, or the reason that `found` gives.
+
+    Args:
+        problem: With the exact field and the clearances that were asked for.
+        inverse: Of the robot; tells where the palm is.
+        found: Everything that was tried.
+        best, motion: What was chosen; both None if nothing was.
+        timings: Seconds by stage.
+    """
+    robot = problem.kinematics.robot
+    joints, links = len(robot.joint_names), shaped_links(robot)
+    q, T_world_palm = np.full(joints, np.nan), np.full((4, 4), np.nan)
+    to_object = to_table = np.full(len(links), np.nan)
+    trajectory, times = np.zeros((0, joints)), np.zeros(0)
+    if best is not None and motion is not None and motion.trajectory is not None:
+        q = best.q
+        rotation, position, _ = inverse.palm(q[None, robot.arm])
+        T_world_palm = np.eye(4)
+        T_world_palm[:3, :3], T_world_palm[:3, 3] = rotation[0], position[0]
+        to_object = link_clearance(problem, best.x, links, "object")
+        to_table = link_clearance(problem, best.x, links, "table")
+        trajectory, times = motion.trajectory.positions, motion.trajectory.times
+    return Plan(
+        status=OK if best is not None else NO_PLAN,
+        reason=found.reason,
+        sentence=found.sentence,
+        joint_names=robot.joint_names,
+        q=q,
+        trajectory=trajectory,
+        times=times,
+        T_world_palm=T_world_palm,
+        kind=best.kind if best is not None else "",
+        success_probability=best.success if best is not None else float("nan"),
+        objective=best.objective if best is not None else float("nan"),
+        seeds_tried=found.seeds_tried,
+        timings=timings,
+        link_names=links,
+        link_clearance_object=to_object,
+        link_clearance_table=to_table,
+        accepted=_accepted(joints, found.accepted),
+        rejected=_rejected(joints, found.rejected),
+    )
+
+
+def no_plan(robot: RobotDescription, reason: str, sentence: str) -> Plan:
+    """An answer where nothing could be tried."""
+    joints, links = len(robot.joint_names), shaped_links(robot)
+    nothing = np.full(len(links), np.nan)
+    return Plan(
+        status=NO_PLAN,
+        reason=reason,
+        sentence=sentence,
+        joint_names=robot.joint_names,
+        q=np.full(joints, np.nan),
+        trajectory=np.zeros((0, joints)),
+        times=np.zeros(0),
+        T_world_palm=np.full((4, 4), np.nan),
+        kind="",
+        success_probability=float("nan"),
+        objective=float("nan"),
+        seeds_tried=0,
+        timings={},
+        link_names=links,
+        link_clearance_object=nothing,
+        link_clearance_table=nothing,
+        accepted=AcceptedGrasps.none(joints),
+        rejected=RejectedSeeds.none(joints),
+    )
+
+
+def shaped_links(robot: RobotDescription) -> tuple[str, ...]:
+    """The links that have a shape, in the order of the plan's clearances."""
+    return tuple(link for link in robot.tree.links if robot.tree.shapes[link])
+
+
+def link_clearance(problem: GraspProblem, x: Array, links: tuple[str, ...], to: str) -> Array:
+    """Smallest distance [L] of each link to "object", "table" or an obstacle [m]; infinite where
+    it is not checked. Far distances are lower bounds."""
+    _, contacts = problem.contacts(x[None], gradients=False)
+    clearance = np.full(len(links), np.inf)
+    place = {link: k for k, link in enumerate(links)}
+    for m, (link, other) in enumerate(problem.names):
+        if other == to:
+            clearance[place[link]] = min(clearance[place[link]], contacts.distance[0, m])
+    return clearance
+
+
+def _accepted(joints: int, candidates: list[Candidate]) -> AcceptedGrasps:
+    if not candidates:
+        return AcceptedGrasps.none(joints)
+    return AcceptedGrasps(
+        q=np.stack([c.q for c in candidates]),
+        kinds=tuple(c.kind for c in candidates),
+        success_probability=np.array([c.success for c in candidates]),
+        objective=np.array([c.objective for c in candidates]),
+    )
+
+
+def _rejected(joints: int, candidates: list[Candidate]) -> RejectedSeeds:
+    if not candidates:
+        return RejectedSeeds.none(joints)
+    return RejectedSeeds(
+        q=np.stack([c.q for c in candidates]),
+        reasons=tuple(c.reason for c in candidates),
+        success_probability=np.array([c.success for c in candidates]),
+        objective=np.array([c.objective for c in candidates]),
+        room=np.array(
+            [[c.object_room, c.table_room, c.obstacle_room, c.self_room] for c in candidates]
+        ),
+    )

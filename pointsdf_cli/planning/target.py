@@ -1,0 +1,149 @@
+"""One object as planning sees it: a field that may not be touched, and a score of grasps of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.planning.contacts import Array
+from pointsdf_cli.planning.fields import Field, MeshField, ReconstructionField
+from pointsdf_cli.planning.grid import GridConfig, GridField, surface_box
+from pointsdf_cli.planning.objective import GraspScore
+from pointsdf_cli.planning.partial_view import partial_mesh
+from pointsdf_cli.planning.seeds import GraspPrior
+
+BOX_MARGIN = 0.01
+"""Around a reconstruction's surface [m]: beyond, distances are bounded by the way to the box."""
+
+KEPT_GRID = GridConfig(step=0.01, levels=3, band=0.0)
+"""How the field of an object is kept on a grid."""
+
+
+GIVEN_REACH = 0.25
+"""A given field's surface is looked for within this [m] of the seen points."""
+
+
+class EmptyFieldError(RgraspError):
+    """A field has no inside: there is nothing to grasp."""
+
+
+class NoField:
+    """The field of no object: far from everything."""
+
+    def __call__(self, points: Array) -> Array:
+        return np.ones(len(points))
+
+    def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        return np.ones(len(points)), np.zeros((len(points), 3))
+
+
+@dataclass(frozen=True)
+class ObjectField:
+    """What an object occupies, as far as it is known.
+
+    Attributes:
+        field: Its signed distance field, world frame.
+        low, high: [3], a box [m] around its surface.
+        kept: The same field on a grid, for everything that asks often and need not be exact.
+    """
+
+    field: Field
+    low: Array
+    high: Array
+    kept: GridField
+
+    @classmethod
+    def of(
+        cls, field: Field, low: Array, high: Array, grid: GridConfig | None = None
+    ) -> ObjectField:
+        """Keep `field` within the box of `low` and `high` [3] on a grid."""
+        return cls(field, low, high, GridField(field, low, high, grid or KEPT_GRID))
+
+
+@dataclass(frozen=True)
+class Target:
+    """One object to be grasped.
+
+    Attributes:
+        field: Its signed distance field, world frame: what the robot may not enter.
+        low, high: [3], a box [m] around its surface.
+        score: Of grasps of it.
+        prior: Where seeds come from.
+        kept: The field on a grid; the planner makes one where it is None.
+    """
+
+    field: Field
+    low: Array
+    high: Array
+    score: GraspScore
+    prior: GraspPrior
+    kept: GridField | None = None
+
+    @classmethod
+    def of(cls, shape: ObjectField, score: GraspScore, prior: GraspPrior) -> Target:
+        """A target that occupies `shape`."""
+        return cls(shape.field, shape.low, shape.high, score, prior, shape.kept)
+
+
+def reconstructed_object(
+    reconstruction: Reconstruction, grid: GridConfig | None = None
+) -> ObjectField:
+    """What a network has completed from a cloud in the world's frame.
+
+    Raises:
+        EmptyFieldError: The network sees nothing solid.
+    """
+    field, half = ReconstructionField(reconstruction), 0.75 / reconstruction.scale
+    # The network was trained in a box of ±0.6 (METHOD section 1), its meshes reach to ±0.8.
+    centre, step = reconstruction.centre, 0.15 / reconstruction.scale
+    return _boxed(field, centre - half, centre + half, step, grid)
+
+
+def mesh_object(
+    vertices: Array, faces: NDArray[np.integer], grid: GridConfig | None = None
+) -> ObjectField:
+    """A closed mesh in the world: vertices [V, 3] m, faces [F, 3]."""
+    low, high = vertices.min(axis=0) - BOX_MARGIN, vertices.max(axis=0) + BOX_MARGIN
+    return ObjectField.of(MeshField(vertices, faces), low, high, grid)
+
+
+def seen_object(points: Array, grid: GridConfig | None = None) -> ObjectField:
+    """The seen points [N, 3] (world, m) alone, meshed at 32³: partial-view grasping."""
+    vertices, faces = partial_mesh(points)
+    return mesh_object(vertices, faces, grid)
+
+
+def given_object(field: Field, points: Array, grid: GridConfig | None = None) -> ObjectField:
+    """Any field of an object that was seen at points [N, 3] of the world.
+
+    Raises:
+        EmptyFieldError: It has no inside near the points.
+    """
+    low, high = points.min(axis=0) - GIVEN_REACH, points.max(axis=0) + GIVEN_REACH
+    return _boxed(field, low, high, 0.02, grid)
+
+
+def absent_object(points: Array) -> ObjectField:
+    """Nothing that could be touched, about points [N, 3]: planning without the constraint."""
+    return ObjectField.of(NoField(), points.min(axis=0), points.max(axis=0) + BOX_MARGIN)
+
+
+def reconstruction_target(
+    reconstruction: Reconstruction, score: GraspScore, prior: GraspPrior
+) -> Target:
+    """The target whose shape a network has completed from a cloud in the world's frame."""
+    return Target.of(reconstructed_object(reconstruction), score, prior)
+
+
+def _boxed(
+    field: Field, low: Array, high: Array, step: float, grid: GridConfig | None
+) -> ObjectField:
+    try:
+        low, high = surface_box(field, low, high, step)
+    except InputError as error:
+        raise EmptyFieldError("the network sees nothing solid in this cloud") from error
+    return ObjectField.of(field, low - BOX_MARGIN, high + BOX_MARGIN, grid)
