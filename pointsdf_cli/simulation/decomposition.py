@@ -92,7 +92,7 @@ def decompose(
     if solid.volume <= 0.0 or hull.volume <= 0.0:
         raise InputError("encloses no volume", allowed="a closed mesh that faces outwards")
     if solid.volume >= config.convex_enough * hull.volume:
-        return [_with_few_corners(hull, config.most_corners)]
+        return [with_few_corners(hull, config.most_corners)]
     import coacd
 
     if len(solid.faces) > config.most_faces:
@@ -124,7 +124,7 @@ def decompose(
     return pieces
 
 
-def _with_few_corners(
+def with_few_corners(
     hull: trimesh.Trimesh, most: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """A hull of few corners that lies within a convex one and keeps its extremes."""

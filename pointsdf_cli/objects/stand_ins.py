@@ -1,0 +1,161 @@
+"""Procedural stand-ins for the eight objects of the paper's trials: same kind, same size.
+
+They are made by the generators of household objects with the parameters written here, so that the
+trials need no download. Sizes are those of the YCB scans, and of shop goods for the two objects
+that are not in YCB.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.objects.draw import Draw, Option, Value
+from pointsdf_cli.objects.families import choose_families
+from pointsdf_cli.objects.generate import build
+
+
+@dataclass(frozen=True)
+class StandIn:
+    """One object as a member of a family.
+
+    Attributes:
+        family: Of objects/families.py.
+        parameters: Draws that are fixed; all others take the middle of their range.
+        size: [m], the box that the object is then stretched to, along x, y and z.
+    """
+
+    family: str
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+    size: tuple[float, float, float] = (0.1, 0.1, 0.1)
+
+
+STAND_INS: dict[str, StandIn] = {
+    "mustard": StandIn(
+        "squeeze_bottle",
+        {
+            "half_width": 0.048,
+            "depth_ratio": 0.6,
+            "height_ratio": 3.5,
+            "cap_form": "nozzle",
+            "squareness": 2.6,
+            "waist": 0.95,
+            "top_ratio": 0.8,
+        },
+        (0.096, 0.058, 0.191),
+    ),
+    "soft_scrub": StandIn(
+        "squeeze_bottle",
+        {
+            "half_width": 0.051,
+            "depth_ratio": 0.67,
+            "height_ratio": 4.6,
+            "squareness": 3.2,
+            "waist": 0.9,
+            "top_ratio": 0.85,
+        },
+        (0.102, 0.068, 0.251),
+    ),
+    "toy_airplane": StandIn(
+        "aeroplane",
+        {
+            "length": 0.25,
+            "body_ratio": 0.16,
+            "span_ratio": 1.05,
+            "wing_thickness": 0.01,
+            "biplane": False,
+            "propeller": True,
+        },
+        (0.26, 0.255, 0.15),
+    ),
+    "lego": StandIn(
+        "brick",
+        {"pitch": 0.016, "rows": 4, "columns": 2, "height_units": 1.2, "hollow_below": False},
+        (0.032, 0.064, 0.024),
+    ),
+    "pringles": StandIn(
+        "crisps_tube", {"radius": 0.0375, "height_ratio": 6.6}, (0.077, 0.077, 0.247)
+    ),
+    "pitcher": StandIn(
+        "pitcher",
+        {
+            "radius": 0.056,
+            "height_ratio": 4.3,
+            "mouth_ratio": 1.0,
+            "belly_ratio": 1.0,
+            "closed": True,
+            "grip_bar": False,
+        },
+        (0.149, 0.116, 0.242),
+    ),
+    "juice_box": StandIn(
+        "drink_carton",
+        {"width": 0.064, "depth_ratio": 0.66, "height_ratio": 1.64, "top": "flat", "cap": False},
+        (0.064, 0.042, 0.105),
+    ),
+    "max_gel": StandIn(
+        "squeeze_bottle",
+        {
+            "half_width": 0.0375,
+            "depth_ratio": 0.73,
+            "height_ratio": 4.4,
+            "cap_form": "dome",
+            "squareness": 2.2,
+            "waist": 1.0,
+            "top_ratio": 0.95,
+        },
+        (0.075, 0.055, 0.185),
+    ),
+}
+
+
+class FixedDraw(Draw):
+    """Draws that are no draws: what is named is given, the rest is the middle of its range."""
+
+    def __init__(self, values: Mapping[str, Value]) -> None:
+        super().__init__(np.random.default_rng(0))
+        self._given = dict(values)
+
+    def uniform(self, name: str, low: float, high: float) -> float:
+        """As given, or the mean of the limits."""
+        return self._record(name, float(self._given.get(name, (low + high) / 2)))
+
+    def log_uniform(self, name: str, low: float, high: float) -> float:
+        """As given, or the geometric mean of the limits."""
+        return self._record(name, float(self._given.get(name, np.sqrt(low * high))))
+
+    def integer(self, name: str, low: int, high: int) -> int:
+        """As given, or the middle whole number."""
+        return self._record(name, int(self._given.get(name, (low + high) // 2)))
+
+    def choice(self, name: str, options: Sequence[Option]) -> Option:
+        """As given, or the first option."""
+        given: Option = self._given.get(name, options[0])  # type: ignore[assignment]
+        return self._record(name, given)
+
+    def chance(self, name: str, probability: float) -> bool:
+        """As given, or whatever is likelier."""
+        return self._record(name, bool(self._given.get(name, probability > 0.5)))
+
+
+def make_stand_in(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """The stand-in of a trial object: vertices [V, 3] float32 m and faces [F, 3] int32.
+
+    Raises:
+        InputError: No such object.
+    """
+    if name not in STAND_INS:
+        raise InputError(f"no stand-in {name!r}", allowed=", ".join(STAND_INS))
+    wanted = STAND_INS[name]
+    (family,) = choose_families([wanted.family])
+    draw = FixedDraw({"unevenness": 0.0, **wanted.parameters})
+    vertices, faces = build(family, draw)
+    unknown = set(wanted.parameters) - set(draw.values)
+    if unknown:
+        raise ValueError(f"{wanted.family} draws no {', '.join(sorted(unknown))}")
+    # A stretch by a few per cent, so that the parameters need not be solved for.
+    scale = np.asarray(wanted.size) / np.ptp(vertices, axis=0)
+    return (vertices * scale).astype(np.float32), faces

@@ -1,0 +1,130 @@
+"""Convex pieces of a fresh reconstruction in a fraction of a second, for rehearsals.
+
+CoACD searches for the best cuts and takes seconds. Here a solid is halved greedily: the part that
+is farthest from its hull is cut by the best of a few planes along its own axes, until the hulls
+are close enough. The cuts are made by manifold3d, which keeps every part closed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import trimesh
+from manifold3d import Error, Manifold, Mesh
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.simulation.decomposition import Pieces, with_few_corners
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class QuickCutConfig:
+    """How finely to cut.
+
+    Attributes:
+        most_pieces: No more pieces than this.
+        close_enough: The hulls may exceed the solid by this share of its volume.
+        places: Where a part may be cut, as shares of its extent along each axis.
+        most_corners: Of a piece.
+        most_faces: The solid is simplified to about this many faces first.
+    """
+
+    most_pieces: int = 8
+    close_enough: float = 0.08
+    places: tuple[float, ...] = (0.25, 0.5, 0.75)
+    most_corners: int = 40
+    most_faces: int = 500
+
+    def __post_init__(self) -> None:
+        if self.most_pieces < 1 or not all(0 < place < 1 for place in self.places):
+            raise InputError(f"{self}", allowed="one piece or more, places between 0 and 1")
+
+
+def quick_pieces(
+    vertices: Array, faces: NDArray[np.integer], config: QuickCutConfig | None = None
+) -> Pieces:
+    """A closed mesh as a union of convex pieces: for each, corners [V, 3] and faces [F, 3].
+
+    A mesh that is not closed, or encloses nothing, is taken as its convex hull.
+
+    Raises:
+        InputError: Its points lie in a plane.
+    """
+    config = config or QuickCutConfig()
+    solid = _solid(vertices, faces, config.most_faces)
+    if solid is None:
+        return [with_few_corners(_hull(vertices), config.most_corners)]
+    parts = [_Part(solid)]
+    whole = solid.volume()
+    while len(parts) < config.most_pieces:
+        if sum(part.excess for part in parts) <= config.close_enough * whole:
+            break
+        worst = max(range(len(parts)), key=lambda k: parts[k].excess)
+        cut = _best_cut(parts[worst], config.places)
+        if cut is None:
+            parts[worst].excess = 0.0  # no plane helps: leave it as it is
+            continue
+        parts[worst : worst + 1] = cut
+    pieces = []
+    for part in parts:
+        try:
+            hull = _hull(np.asarray(part.hull.to_mesh().vert_properties)[:, :3])
+        except InputError:
+            continue  # a sliver: nothing to collide with
+        pieces.append(with_few_corners(hull, config.most_corners))
+    return pieces
+
+
+class _Part:
+    """A solid, its hull, and by how much [m³] the hull is larger."""
+
+    def __init__(self, solid: Manifold) -> None:
+        self.solid = solid
+        self.hull = solid.hull()
+        self.excess = float(self.hull.volume() - solid.volume())
+
+
+def _best_cut(part: _Part, places: tuple[float, ...]) -> list[_Part] | None:
+    """The two halves whose hulls waste least, of cuts along the part's principal axes."""
+    corners = np.asarray(part.solid.to_mesh().vert_properties)[:, :3].astype(float)
+    _, axes = np.linalg.eigh(np.cov(corners.T))
+    best: list[_Part] | None = None
+    least = 0.98 * part.excess  # a cut that gains nothing is none
+    for axis in axes.T:
+        along = corners @ axis
+        for place in places:
+            offset = float(along.min() + place * np.ptp(along))
+            halves = part.solid.split_by_plane(tuple(axis.tolist()), offset)
+            if any(half.is_empty() for half in halves):
+                continue
+            parts = [_Part(half) for half in halves]
+            excess = parts[0].excess + parts[1].excess
+            if excess < least:
+                best, least = parts, excess
+    return best
+
+
+def _solid(vertices: Array, faces: NDArray[np.integer], most_faces: int) -> Manifold | None:
+    """The mesh as a closed solid of few faces; None if it is none."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    if len(faces) > most_faces:
+        mesh = mesh.simplify_quadric_decimation(face_count=most_faces)
+    if not mesh.is_watertight:
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+    solid = Manifold(
+        Mesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32))
+    )
+    if solid.status() != Error.NoError or solid.volume() <= 0:
+        return None
+    return solid
+
+
+def _hull(points: Any) -> trimesh.Trimesh:
+    try:
+        return trimesh.convex.convex_hull(np.asarray(points, dtype=float))
+    except ValueError as error:  # scipy's QhullError is one
+        raise InputError("the points span no volume") from error

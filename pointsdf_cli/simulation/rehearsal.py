@@ -1,0 +1,255 @@
+"""Grasps tried out in simulation on the reconstructed object before one is taken.
+
+What the camera saw has been completed to a closed surface; an attempt with it costs about 0.3 s.
+The surface, the object's place, its mass and its friction are uncertain, so each grasp is tried
+under the same few disturbances of them, and the grasp that holds most often goes first. Nothing of
+the true object is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import trimesh
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
+from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
+from pointsdf_cli.simulation.reach import Reacher
+from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, LIGHTEST, SimObject
+from pointsdf_cli.simulation.world import PhysicsConfig, World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RehearsalConfig:
+    """What is tried, and how much the truth may differ from what is believed.
+
+    Attributes:
+        repeats: Disturbances that each grasp is tried under; the first is none at all.
+        place: Standard deviation of the object's place on the table [m].
+        turn: ... of its yaw [rad].
+        scale: ... of its size, as a share, level and upright alike.
+        friction: Range of the friction of the object.
+        mass: Range of its mass over that of a household thing of this volume.
+        foot: The lowest points of an upright object that hover less than this [m] above the table
+            are put on it: it stands there.
+        physics: Coarser than the trials': what matters is who holds better.
+        cut: Convex pieces.
+    """
+
+    repeats: int = 3
+    place: float = 0.005
+    turn: float = 0.05
+    scale: float = 0.04
+    friction: tuple[float, float] = (0.45, 0.7)
+    mass: tuple[float, float] = (0.7, 1.5)
+    foot: float = 0.012
+    physics: PhysicsConfig = PhysicsConfig(step=1 / 240, iterations=40)
+    cut: QuickCutConfig = QuickCutConfig()
+
+    def __post_init__(self) -> None:
+        if self.repeats < 1 or min(self.place, self.turn, self.scale) < 0:
+            raise InputError(f"{self}", allowed="repeats ≥ 1, deviations ≥ 0")
+
+
+class Rehearsed(NamedTuple):
+    """How one grasp did.
+
+    Attributes:
+        held: Share of the tries in which it held.
+        rise: Mean height that the object rose [m], up to the lift's height: between grasps that
+            hold equally often, the one that nearly held once more is better.
+        can_lift: Whether the arm has room to lift from there at all.
+    """
+
+    held: float
+    rise: float
+    can_lift: bool
+
+
+@dataclass(frozen=True)
+class _Disturbance:
+    shift: Array
+    yaw: float
+    scale: Array
+    friction: float
+    mass: float
+
+
+class Rehearsal:
+    """Tries grasps out for one robot; one physics world is kept.
+
+    Args:
+        robot: The robot.
+        config: What is tried.
+        execution: How grasps are carried out: as it will be.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        config: RehearsalConfig | None = None,
+        execution: ExecutorConfig | None = None,
+    ) -> None:
+        self.config = config or RehearsalConfig()
+        # What rests in the hand after half a second mostly stays there.
+        self._execution = replace(execution or ExecutorConfig(), longest_settling=0.6)
+        self._world = World(robot, self.config.physics)
+        self._kinematics = Kinematics(robot)
+        self._reacher = Reacher(self._world, InverseKinematics(robot))
+        self._tries = 0
+
+    def close(self) -> None:
+        """Leave the physics client."""
+        self._world.close()
+
+    def __call__(
+        self, vertices: Array, faces: NDArray[np.integer], q: Array, seed: int = 0
+    ) -> list[Rehearsed]:
+        """Try grasps of an object.
+
+        Args:
+            vertices: [V, 3], of the reconstructed surface, world frame.
+            faces: [F, 3].
+            q: [C, J], configurations in which the hand begins to close.
+            seed: Of the disturbances; all grasps meet the same.
+
+        Raises:
+            InputError: The surface is flat.
+        """
+        believed = believed_object(vertices, faces, self.config)
+        disturbances = _disturbances(self.config, np.random.default_rng(seed))
+        return [self._try(believed, grasp, disturbances) for grasp in np.atleast_2d(q)]
+
+    def _try(self, believed: SimObject, q: Array, disturbances: list[_Disturbance]) -> Rehearsed:
+        try:
+            lift = self._reacher.lift(q, self._palm(q))
+        except InputError:
+            return Rehearsed(0.0, 0.0, False)
+        most = self._execution.lift_height
+        held, rises = 0, []
+        for disturbance in disturbances:
+            self._tries += 1
+            # The name keeps the physics client from taking one surface for another.
+            item = _disturbed(believed, disturbance, f"rehearsal {self._tries}")
+            world = self._world
+            world.physics = replace(self.config.physics, object_friction=disturbance.friction)
+            world.reset(item, np.eye(4), q)
+            outcome = Executor(world, self._execution, self._palm).run(q, lift)
+            held += outcome.held
+            rises.append(float(np.clip(outcome.lift_height, 0.0, most)) if outcome.valid else 0.0)
+        return Rehearsed(held / len(disturbances), float(np.mean(rises)), True)
+
+    def _palm(self, q: Array) -> Array:
+        with torch.no_grad():
+            return np.asarray(self._kinematics.palm(torch.from_numpy(q)).numpy())
+
+
+def best_first(tried: list[Rehearsed]) -> list[int]:
+    """Indices of grasps, the one that held most often first; equals keep their order."""
+    return sorted(
+        range(len(tried)),
+        key=lambda k: (not tried[k].can_lift, -tried[k].held, -round(tried[k].rise, 2)),
+    )
+
+
+def believed_object(
+    vertices: Array, faces: NDArray[np.integer], config: RehearsalConfig
+) -> SimObject:
+    """A reconstructed surface as something to simulate; its mesh frame is the world's.
+
+    Raises:
+        InputError: The surface is flat.
+    """
+    pieces = quick_pieces(vertices, faces, config.cut)
+    hulls = [_put_down(corners, config.foot) for corners, _ in pieces]
+    hulls = [hull for hull in hulls if hull is not None]
+    if not hulls:
+        raise InputError("the surface encloses nothing above the table")
+    volumes = np.array([hull.volume for hull in hulls])
+    mass = float(np.clip(DENSITY * volumes.sum(), LIGHTEST, HEAVIEST))
+    centre = (volumes[:, None] * [hull.center_mass for hull in hulls]).sum(0) / volumes.sum()
+    inertia = np.zeros((3, 3))
+    for hull in hulls:
+        hull.density = mass / volumes.sum()
+        away = hull.center_mass - centre
+        inertia += hull.moment_inertia + hull.mass * (away @ away * np.eye(3) - np.outer(away, away))
+    moments, axes = np.linalg.eigh(inertia)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    surface = LoadedMesh("reconstruction", np.asarray(vertices), np.asarray(faces), "", "none")
+    return SimObject(
+        mesh=surface,
+        pieces=[((np.asarray(h.vertices) - centre) @ axes, np.asarray(h.faces)) for h in hulls],
+        T_mesh_body=transform(axes, centre),
+        mass=mass,
+        inertia=np.maximum(moments, 1e-6),
+        poses=[],
+    )
+
+
+def _put_down(corners: Array, foot: float) -> trimesh.Trimesh | None:
+    """A hull of which nothing is below the table, and what nearly stands on it does; None if
+    nothing of it is left."""
+    corners = np.array(corners)
+    corners[corners[:, 2] < foot, 2] = 0.0
+    try:
+        hull = trimesh.convex.convex_hull(corners)
+    except ValueError:  # flat; scipy's QhullError is one
+        return None
+    return hull if hull.volume > 1e-9 else None
+
+
+def _disturbances(config: RehearsalConfig, rng: np.random.Generator) -> list[_Disturbance]:
+    """None at all first, then `repeats` - 1 drawn ones."""
+    middle = float(np.mean(config.friction))
+    drawn = [_Disturbance(np.zeros(2), 0.0, np.ones(3), middle, 1.0)]
+    for _ in range(config.repeats - 1):
+        level, upright = 1 + config.scale * rng.standard_normal(2)
+        drawn.append(
+            _Disturbance(
+                shift=config.place * rng.standard_normal(2),
+                yaw=config.turn * float(rng.standard_normal()),
+                scale=np.array([level, level, upright]),
+                friction=float(rng.uniform(*config.friction)),
+                mass=float(np.exp(rng.uniform(*np.log(config.mass)))),
+            )
+        )
+    return drawn
+
+
+def _disturbed(item: SimObject, disturbance: _Disturbance, name: str) -> SimObject:
+    """The object scaled and turned about where it stands, and shifted; its frame is the world's."""
+    axes, centre = item.T_mesh_body[:3, :3], item.T_mesh_body[:3, 3]
+    c, s = np.cos(disturbance.yaw), np.sin(disturbance.yaw)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    foot = np.array([centre[0], centre[1], 0.0])
+    place = foot + np.array([*disturbance.shift, 0.0])
+
+    def moved(points: Array) -> Array:
+        return ((points - foot) * disturbance.scale) @ turn.T + place
+
+    turned, middle = turn @ axes, moved(centre)
+    pieces = [
+        ((moved(corners @ axes.T + centre) - middle) @ turned, faces)
+        for corners, faces in item.pieces
+    ]
+    return replace(
+        item,
+        mesh=replace(item.mesh, sha256=name),
+        pieces=pieces,
+        T_mesh_body=transform(turned, middle),
+        mass=item.mass * disturbance.mass,
+        inertia=item.inertia * disturbance.mass,
+    )

@@ -1,0 +1,230 @@
+"""Which trials there are: objects × yaws × repeats × cameras × contenders (METHOD section 7).
+
+Both contenders of a pair meet the same object in the same place, seen by the same camera with the
+same noise. Everything is drawn from (seed, object, repeat, yaw, camera), never from the order in
+which trials run.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.meshes import find_meshes
+from pointsdf_cli.objects.stand_ins import STAND_INS
+
+RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
+METHODS = (RECONSTRUCTION, PARTIAL_VIEW)
+CAMERAS = {"high": 0.85, "low": 0.40}
+"""Heights above the table [m], 0.45 m apart as in the paper; the low one sees less."""
+
+YCB_NAMES = {
+    "mustard": ("006_",),
+    "soft_scrub": ("021_",),
+    "toy_airplane": ("072-a_",),
+    "lego": ("073-a_", "073_", "073-"),
+    "pringles": ("001_",),
+    "pitcher": ("019_",),
+}
+"""The paper's objects that are in YCB, by how their names begin; the other two are stand-ins."""
+
+PUBLISHED = {
+    RECONSTRUCTION: {"high": 0.50, "low": 0.42, "all": 0.48},
+    PARTIAL_VIEW: {"high": 0.66, "low": 0.54, "all": 0.60},
+}
+"""The paper's success rates on the real robot."""
+PUBLISHED_NO_PLAN = {RECONSTRUCTION: 11 / 48, PARTIAL_VIEW: 4 / 48}
+PUBLISHED_SECONDS = {RECONSTRUCTION: 37.81, PARTIAL_VIEW: 36.55}
+
+
+@dataclass(frozen=True)
+class TrialObject:
+    """One object of the protocol.
+
+    Attributes:
+        name: As in the results.
+        mesh: Its file; None for the stand-in of that name.
+    """
+
+    name: str
+    mesh: Path | None = None
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A method, or one with something taken away or added.
+
+    Attributes:
+        method: One of `METHODS`.
+        ablation: Empty, or one of `ABLATIONS`, or "checkpoint=PATH".
+    """
+
+    method: str
+    ablation: str = ""
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InputError(
+                f"no method {self.method!r}", where="--method", allowed=", ".join(METHODS)
+            )
+        known = self.ablation in ("", *ABLATIONS) or self.ablation.startswith(CHECKPOINT)
+        if not known:
+            raise InputError(
+                f"no ablation {self.ablation!r}",
+                where="--ablation",
+                allowed=", ".join((*ABLATIONS, f"{CHECKPOINT}PATH")),
+            )
+
+    @property
+    def name(self) -> str:
+        """For people: the method, with the ablation behind a slash."""
+        return f"{self.method}/{self.ablation}" if self.ablation else self.method
+
+
+ORACLE, NO_CONSTRAINT, NO_SUCCESS = "oracle", "no-object-constraint", "no-success-network"
+NO_REHEARSAL = "no-rehearsal"
+ABLATIONS = (ORACLE, NO_CONSTRAINT, NO_SUCCESS, NO_REHEARSAL)
+CHECKPOINT = "checkpoint="
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One trial.
+
+    Attributes:
+        object: What is grasped.
+        yaw_index, yaws: Which of how many yaws.
+        repeat: Which repetition; each has its own place, yaw offset and noise.
+        camera: A key of `CAMERAS`.
+        contender: Who plans.
+        seed: Of the whole experiment.
+    """
+
+    object: TrialObject
+    yaw_index: int
+    yaws: int
+    repeat: int
+    camera: str
+    contender: Contender
+    seed: int
+
+    @property
+    def scene_name(self) -> str:
+        """The object in its place."""
+        return f"{self.object.name}_yaw{self.yaw_index}_repeat{self.repeat}"
+
+    @property
+    def pair_name(self) -> str:
+        """What contenders share: the scene and the view of it."""
+        return f"{self.scene_name}_{self.camera}"
+
+    @property
+    def name(self) -> str:
+        """Of this trial's file."""
+        contender = self.contender.name.replace("/", "+")
+        if self.contender.ablation.startswith(CHECKPOINT):
+            # A path is no part of a file name; its check sum tells two apart.
+            contender = f"{self.contender.method}+checkpoint-{zlib.crc32(contender.encode()):08x}"
+        return f"{self.pair_name}_{contender}"
+
+    def rng(self, of: str) -> np.random.Generator:
+        """Randomness that belongs to "pose" (object and repeat), "scene" or "view"."""
+        names = {
+            "pose": f"{self.object.name} {self.repeat}",
+            "scene": self.scene_name,
+            "view": self.pair_name,
+        }
+        return np.random.default_rng([self.seed, zlib.crc32(f"{of} {names[of]}".encode())])
+
+
+def choose_objects(
+    meshes: Path | None, objects: str = "auto", pattern: str = "*"
+) -> list[TrialObject]:
+    """The objects of an experiment.
+
+    Args:
+        meshes: A folder of meshes, or one mesh; None for the eight stand-ins.
+        objects: "eight" for the paper's, of the folder where it has them; "all" for every mesh of
+            the folder; "others" for all but the paper's; "auto" for the eight if the folder holds
+            any of the paper's, else all; or names with commas.
+        pattern: Only meshes whose file name matches.
+
+    Raises:
+        InputError: No such folder or object.
+    """
+    files = [] if meshes is None else find_meshes(meshes, pattern)
+    by_paper: dict[str, Path] = {}
+    for name, starts in YCB_NAMES.items():
+        for start in starts:
+            for path in files:
+                if path.name.startswith(start):
+                    by_paper.setdefault(name, path)
+    if objects == "auto":
+        objects = "eight" if by_paper or meshes is None else "all"
+    if objects == "eight":
+        return [TrialObject(name, by_paper.get(name)) for name in STAND_INS]
+    if meshes is None and objects in ("all", "others"):
+        raise InputError(f"--objects {objects} needs a folder", hint="--meshes DIR")
+    taken = set(by_paper.values()) if objects == "others" else set()
+    every = [TrialObject(path.stem, path) for path in files if path not in taken]
+    if objects in ("all", "others"):
+        return _distinct(every)
+    known = {item.name: item for item in every}
+    known |= {name: TrialObject(name, by_paper.get(name)) for name in STAND_INS}
+    chosen = []
+    for name in objects.split(","):
+        if name not in known:
+            raise InputError(
+                f"no object {name!r}",
+                where="--objects",
+                allowed="auto, eight, all, others, or names: " + ", ".join(sorted(known)[:20]),
+            )
+        chosen.append(known[name])
+    return _distinct(chosen)
+
+
+def make_trials(
+    objects: Sequence[TrialObject],
+    contenders: Sequence[Contender],
+    yaws: int = 3,
+    cameras: Sequence[str] = ("high", "low"),
+    repeats: int = 1,
+    seed: int = 0,
+) -> list[Trial]:
+    """All trials, pair by pair: contenders of one pair follow each other.
+
+    Raises:
+        InputError: No yaw, repeat or contender, or an unknown camera.
+    """
+    if yaws < 1 or repeats < 1:
+        raise InputError(f"{yaws} yaws, {repeats} repeats", allowed="1 or more of each")
+    unknown = [camera for camera in cameras if camera not in CAMERAS]
+    if unknown or not cameras:
+        raise InputError(
+            f"no camera {', '.join(unknown)!r}", where="--cameras", allowed=", ".join(CAMERAS)
+        )
+    if len(set(contenders)) != len(contenders) or not contenders:
+        raise InputError("methods and ablations must be given, each once", where="--method")
+    return [
+        Trial(item, yaw, yaws, repeat, camera, contender, seed)
+        for item in objects
+        for repeat in range(repeats)
+        for yaw in range(yaws)
+        for camera in cameras
+        for contender in contenders
+    ]
+
+
+def _distinct(items: list[TrialObject]) -> list[TrialObject]:
+    names = [item.name for item in items]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(
+            f"two meshes are called {twice[0]}", where="--meshes", allowed="one mesh a name"
+        )
+    return items

@@ -1,0 +1,85 @@
+"""How sure a share is, and whether two methods differ on the same trials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import binomtest, norm
+
+from pointsdf_cli.errors import InputError
+
+
+class Share(NamedTuple):
+    """Successes of trials with their Wilson score interval.
+
+    Attributes:
+        successes, trials: Counts.
+        low, high: Bounds of the interval; NaN where there are no trials.
+    """
+
+    successes: int
+    trials: int
+    low: float
+    high: float
+
+    @property
+    def value(self) -> float:
+        """Successes over trials; NaN where there are none."""
+        return self.successes / self.trials if self.trials else float("nan")
+
+
+def wilson(successes: int, trials: int, confidence: float = 0.95) -> Share:
+    """A share with its Wilson (1927) score interval, which stays within 0 and 1.
+
+    Raises:
+        InputError: More successes than trials, or a confidence outside of 0 to 1.
+    """
+    if not 0 <= successes <= trials or not 0 < confidence < 1:
+        raise InputError(
+            f"{successes} of {trials} at confidence {confidence}",
+            allowed="0 ≤ successes ≤ trials, a confidence between 0 and 1",
+        )
+    if trials == 0:
+        return Share(0, 0, float("nan"), float("nan"))
+    z = float(norm.ppf(0.5 + confidence / 2))
+    p, n = successes / trials, trials
+    middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    # At the ends the bound is exact; rounding may leave it a hair inside.
+    low = 0.0 if successes == 0 else max(0.0, middle - half)
+    high = 1.0 if successes == trials else min(1.0, middle + half)
+    return Share(successes, trials, float(low), float(high))
+
+
+class Paired(NamedTuple):
+    """Two methods on the same trials.
+
+    Attributes:
+        both, neither: Pairs in which both succeeded, or none.
+        only_first, only_second: Pairs in which one did.
+        p: Two-sided exact McNemar test: that so uneven a split of the discordant pairs comes about
+            if the methods are equally good.
+    """
+
+    both: int
+    neither: int
+    only_first: int
+    only_second: int
+    p: float
+
+
+def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
+    """The exact McNemar test of two methods' outcomes on the same trials, in the same order.
+
+    Raises:
+        InputError: Of different lengths.
+    """
+    a, b = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
+    if a.shape != b.shape or a.ndim != 1:
+        raise InputError(f"outcomes of {a.shape} and {b.shape} trials", allowed="pairs")
+    only_first, only_second = int((a & ~b).sum()), int((b & ~a).sum())
+    discordant = only_first + only_second
+    p = binomtest(only_first, discordant, 0.5).pvalue if discordant else 1.0
+    return Paired(int((a & b).sum()), int((~a & ~b).sum()), only_first, only_second, float(p))
