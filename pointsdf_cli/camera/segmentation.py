@@ -113,7 +113,7 @@ def segment_object(
     candidates = index[above]
     sizes: tuple[int, ...] = ()
     if len(candidates):
-        label, counts = _clusters(points[candidates], config.gap)
+        label, counts = clusters(points[candidates], config.gap)
         order = np.argsort(-counts, kind="stable")
         sizes = tuple(int(counts[i]) for i in order)
         chosen = int(order[0])
@@ -176,7 +176,7 @@ def find_table(points: Array, config: SegmentationConfig) -> Array | None:
     return np.array([*normal, offset])
 
 
-def _clusters(points: Array, gap: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def clusters(points: Array, gap: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """A label for each point and the size of each cluster: neighbouring cells of a grid."""
     low = points.min(axis=0)
     cells = np.floor((points - low) / gap).astype(np.int64)

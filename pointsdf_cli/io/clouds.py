@@ -164,6 +164,26 @@ def check_object_cloud(cloud: Cloud, where: Any) -> Cloud:
     return cloud
 
 
+def check_scene_cloud(cloud: Cloud, where: Any) -> Cloud:
+    """`cloud`, if it can be a camera's view of a table, or of a part of it.
+
+    Raises:
+        InputError: Too few points, or another unit.
+    """
+    points = cloud.points
+    if len(points) < FEWEST_POINTS:
+        raise InputError(
+            f"holds {len(points)} point{'s' * (len(points) != 1)}, too few to see anything in",
+            where=where,
+            allowed=f"at least {FEWEST_POINTS} points",
+        )
+    size = float(np.ptp(points, axis=0).max())
+    # A camera's view of a room reaches metres far, its errors some more; another unit, thousands.
+    if size < SMALLEST or np.abs(np.median(points, axis=0)).max() > 20:
+        raise _size_error(points, size, where)
+    return cloud
+
+
 def _size_error(points: NDArray[np.float64], size: float, where: Any) -> InputError:
     allowed = f"one object, {SMALLEST * 1000:g} mm to {LARGEST:g} m across, in metres"
     if size < SMALLEST:

@@ -13,6 +13,7 @@ it by the seen points alone, meshed at 32³, and judges by an encoder that learn
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, Protocol
@@ -104,13 +105,31 @@ class PlanOptions:
 
 
 @dataclass(frozen=True)
+class View:
+    """One look at the object.
+
+    Attributes:
+        points: [N, 3], camera frame, m.
+        T_world_camera: [4, 4].
+    """
+
+    points: Array
+    T_world_camera: Array
+
+    @property
+    def in_world(self) -> Array:
+        """The points [N, 3] in the world."""
+        return apply_transform(self.T_world_camera, self.points)
+
+
+@dataclass(frozen=True)
 class Sight:
     """What is made of a cloud before anything is planned.
 
     Attributes:
         target: The object as a constraint and a score.
-        points: [N, 3], the cloud in the world, m.
-        reconstruction: Of the cloud; None in partial-view grasping.
+        points: [N, 3], all views in the world, m.
+        reconstruction: Of the first view; None in partial-view grasping.
         timings: Seconds by stage.
     """
 
@@ -175,6 +194,7 @@ class GraspPlanner:
         T_world_camera: Array,
         seed: int = 0,
         field: Field | Literal["none"] | None = None,
+        more: Sequence[View] = (),
     ) -> Sight:
         """Complete the object, keep its field on a grid, and ready the score.
 
@@ -184,28 +204,31 @@ class GraspPlanner:
             seed: Of the resampling of the cloud.
             field: Constrains the robot instead of the method's own field: the truth in trials, or
                 "none" for no constraint. The score reads the method's own all the same.
+            more: Further views of the same object. Each is completed on its own, and the mean of
+                the fields is the object; the first view is what the score is made for.
 
         Raises:
             EmptyFieldError: The network sees nothing solid.
         """
-        points = np.asarray(points, dtype=np.float64)
-        world = apply_transform(T_world_camera, points)
+        views = [View(np.asarray(points, dtype=np.float64), T_world_camera), *more]
+        world = np.concatenate([view.in_world for view in views])
         began = time.perf_counter()
-        reconstruction = None
+        made: list[Reconstruction] = []
         if self._shape is not None:
-            reconstruction = Reconstruction.from_cloud(
-                self._shape, world, T_world_camera[:3, 3], T_world_camera[:3, :3], seed
-            )
-            own = reconstructed_object(reconstruction)
+            for view in views:
+                eye, axes = view.T_world_camera[:3, 3], view.T_world_camera[:3, :3]
+                made.append(Reconstruction.from_cloud(self._shape, view.in_world, eye, axes, seed))
+            own = reconstructed_object(made)
         else:
             own = seen_object(world)
         timings = {"reconstruction": time.perf_counter() - began}
         began = time.perf_counter()
-        grasps = self._grasps.on(points, T_world_camera, field=own.kept, seed=seed)
+        grasps = self._grasps.on(views[0].points, T_world_camera, field=own.kept, seed=seed)
         timings["score"] = time.perf_counter() - began
         constraint = own
         if field is not None:
             constraint = _constraint(field, world)
+        reconstruction = made[0] if made else None
         return Sight(Target.of(constraint, grasps, grasps), world, reconstruction, timings)
 
     def plan(
@@ -217,6 +240,7 @@ class GraspPlanner:
         seed: int = 0,
         field: Field | Literal["none"] | None = None,
         rank: Rank | None = None,
+        more: Sequence[View] = (),
     ) -> Answer:
         """Configuration and motion, or the reason why there is none.
 
@@ -228,12 +252,13 @@ class GraspPlanner:
             seed: Equal seeds give equal plans.
             field: As in `see`.
             rank: As in `Planner.plan`.
+            more: As in `see`.
 
         Raises:
             InputError: The start is no configuration within the joint limits.
         """
         try:
-            sight = self.see(points, T_world_camera, seed, field)
+            sight = self.see(points, T_world_camera, seed, field, more)
         except EmptyFieldError as error:
             return self.nothing(error.what)
         return self.plan_seen(sight, environment, start, seed, rank)

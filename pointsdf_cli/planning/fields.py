@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -42,6 +43,26 @@ class ReconstructionField:
     def with_gradient(self, points: Array) -> tuple[Array, Array]:
         values, gradients = self._reconstruction.sdf_and_gradient(points)
         return values.astype(np.float64), gradients.astype(np.float64)
+
+
+class MeanField:
+    """The mean of several fields of one object: reconstructions from several views.
+
+    The mean of distances of slope 1 has a slope of at most 1. What one view guesses wrongly behind
+    the object, others saw; their mean is better than any one of them, and than one reconstruction
+    of the joined clouds, whose points no single camera could have seen (docs/planning.md).
+    """
+
+    def __init__(self, fields: Sequence[Field]) -> None:
+        self._fields = tuple(fields)
+
+    def __call__(self, points: Array) -> Array:
+        return np.asarray(np.mean([field(points) for field in self._fields], axis=0))
+
+    def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        answers = [field.with_gradient(points) for field in self._fields]
+        values, gradients = (np.mean(part, axis=0) for part in zip(*answers, strict=True))
+        return values, gradients
 
 
 class MeshField:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.planning.contacts import Array
-from pointsdf_cli.planning.fields import Field, MeshField, ReconstructionField
+from pointsdf_cli.planning.fields import Field, MeanField, MeshField, ReconstructionField
 from pointsdf_cli.planning.grid import GridConfig, GridField, surface_box
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.partial_view import partial_mesh
@@ -90,17 +91,19 @@ class Target:
 
 
 def reconstructed_object(
-    reconstruction: Reconstruction, grid: GridConfig | None = None
+    reconstructions: Sequence[Reconstruction], grid: GridConfig | None = None
 ) -> ObjectField:
-    """What a network has completed from a cloud in the world's frame.
+    """What a network has completed from one view or more, in the world's frame.
 
     Raises:
         EmptyFieldError: The network sees nothing solid.
     """
-    field, half = ReconstructionField(reconstruction), 0.75 / reconstruction.scale
+    fields = [ReconstructionField(reconstruction) for reconstruction in reconstructions]
     # The network was trained in a box of ±0.6 (METHOD section 1), its meshes reach to ±0.8.
-    centre, step = reconstruction.centre, 0.15 / reconstruction.scale
-    return _boxed(field, centre - half, centre + half, step, grid)
+    low = np.min([r.centre - 0.75 / r.scale for r in reconstructions], axis=0)
+    high = np.max([r.centre + 0.75 / r.scale for r in reconstructions], axis=0)
+    step = 0.15 / max(r.scale for r in reconstructions)
+    return _boxed(fields[0] if len(fields) == 1 else MeanField(fields), low, high, step, grid)
 
 
 def mesh_object(
@@ -136,7 +139,7 @@ def reconstruction_target(
     reconstruction: Reconstruction, score: GraspScore, prior: GraspPrior
 ) -> Target:
     """The target whose shape a network has completed from a cloud in the world's frame."""
-    return Target.of(reconstructed_object(reconstruction), score, prior)
+    return Target.of(reconstructed_object([reconstruction]), score, prior)
 
 
 def _boxed(

@@ -1,0 +1,186 @@
+"""From clouds as cameras give them to the object that is to be grasped, and to what is in the way.
+
+A cloud of the whole table is segmented (camera/segmentation.py); what else stands there becomes
+obstacles; points on the robot itself are neither. A cloud that was cut out already goes through
+unchanged, as nothing but its largest part is left to keep.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import KDTree, QhullError
+
+from pointsdf_cli.camera.segmentation import (
+    Segmentation,
+    SegmentationConfig,
+    clusters,
+    segment_object,
+)
+from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
+from pointsdf_cli.planning.answer import View
+from pointsdf_cli.planning.environment import Obstacle
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.surface import robot_surface
+
+Array = NDArray[np.float64]
+
+SEGMENT = ("auto", "none")
+
+WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
+"""Wider than what the arm reaches: what stands beyond is seen, and said to be out of reach."""
+
+ROBOT_MARGIN = 0.03
+"""Points nearer to the robot's surface than this [m] are its own."""
+
+TARGET_REACH = 0.1
+"""--target names the object whose nearest seen point is no farther than this [m]."""
+
+
+class NoObjectError(RgraspError):
+    """The clouds show nothing that could be grasped."""
+
+    exit_code = 3
+
+
+@dataclass(frozen=True)
+class TableTop:
+    """What clouds say about the object and its surroundings.
+
+    Attributes:
+        views: The object from each camera.
+        others: [N, 3], points on other things above the table, world, m.
+        report: One sentence a cloud: what was kept and what dropped.
+        table_height: Of the plane that was seen [m], None where none was.
+    """
+
+    views: tuple[View, ...]
+    others: Array
+    report: tuple[str, ...]
+    table_height: float | None
+
+
+def look_at_table(
+    clouds: Sequence[Cloud],
+    names: Sequence[str],
+    robot: RobotDescription,
+    start: Array,
+    segment: str = "auto",
+    target: Array | None = None,
+) -> TableTop:
+    """Find the object in each cloud.
+
+    Args:
+        clouds: One a camera, each with its pose.
+        names: Of the clouds, for messages.
+        robot: The robot.
+        start: [J], where it is: points on it are left out.
+        segment: "auto", or "none" where the clouds hold the object alone.
+        target: [3], a place in the world: the object there is taken instead of the largest.
+
+    Raises:
+        InputError: No pose, or no cloud of an object.
+        NoObjectError: Nothing is left of the first cloud.
+    """
+    if segment not in SEGMENT:
+        raise InputError(f"no {segment!r}", where="--segment", allowed=", ".join(SEGMENT))
+    views, others, report, heights = [], [], [], []
+    own = robot_points(robot, start)
+    for cloud, name in zip(clouds, names, strict=True):
+        if cloud.T_world_camera is None:
+            raise InputError(
+                "nothing says where the camera stood",
+                where=name,
+                allowed="a header comment `T_world_camera` with 16 numbers, row by row",
+                hint="add --camera-pose X,Y,Z,QW,QX,QY,QZ",
+            )
+        check = check_object_cloud if segment == "none" else check_scene_cloud
+        points, _ = check(cloud, name).in_camera_frame()
+        if segment == "none":
+            views.append(View(points, cloud.T_world_camera))
+            report.append(f"{name}: all {len(points)} points are the object's")
+            continue
+        world = apply_transform(cloud.T_world_camera, points)
+        off_robot = KDTree(own).query(world, distance_upper_bound=ROBOT_MARGIN)[0] == np.inf
+        points, world = points[off_robot], world[off_robot]
+        found = _segment(world, name, target, first=not views)
+        if found is None:
+            report.append(f"{name}: the object is not seen")
+            continue
+        sentence = found.report()
+        if not off_robot.all():
+            sentence += f", {int((~off_robot).sum())} on the robot"
+        report.append(f"{name}: {sentence}")
+        views.append(View(points[found.kept], cloud.T_world_camera))
+        others.append(world[found.other])
+        if found.plane is not None:
+            heights.append(float(found.plane[3]))
+        if target is None:
+            # The other cameras are asked for what the first one chose.
+            target = np.median(world[found.kept], axis=0)
+    rest = np.concatenate(others) if others else np.zeros((0, 3))
+    height = float(np.median(heights)) if heights else None
+    return TableTop(tuple(views), rest, tuple(report), height)
+
+
+def robot_points(robot: RobotDescription, q: Array) -> Array:
+    """Samples [N, 3] of the robot's surface at a configuration [J], 1 cm apart, world, m."""
+    kinematics, surface = Kinematics(robot), robot_surface(robot)
+    links = [(link, torch.from_numpy(points)) for link, points in surface.items()]
+    with torch.no_grad():
+        return np.asarray(torch.cat(kinematics.points(torch.from_numpy(q), links)).numpy())
+
+
+def clutter(points: Array, config: SegmentationConfig = WORKSPACE) -> tuple[Obstacle, ...]:
+    """Other things as obstacles: the hull of each cluster's points, down to the table.
+
+    Args:
+        points: [N, 3], world, m; what one camera saw, or several.
+    """
+    obstacles: list[Obstacle] = []
+    if not len(points):
+        return ()
+    label, counts = clusters(points, config.gap)
+    for k in np.flatnonzero(counts >= config.fewest):  # fewer are noise
+        cluster = points[label == k]
+        foot = cluster * [1.0, 1.0, 0.0]
+        try:
+            hull = trimesh.convex.convex_hull(np.concatenate([cluster, foot]))
+        except QhullError:  # a sheet on edge, seen as a line
+            continue
+        faces = np.asarray(hull.faces, dtype=np.int32)
+        name = f"seen_{len(obstacles) + 1}"
+        obstacles.append(
+            Obstacle(name, "mesh", (), np.eye(4), np.asarray(hull.vertices, dtype=float), faces)
+        )
+    return tuple(obstacles)
+
+
+def _segment(world: Array, name: str, target: Array | None, first: bool) -> Segmentation | None:
+    try:
+        found = segment_object(world, WORKSPACE, target)
+    except InputError as error:
+        if not first:
+            return None
+        raise NoObjectError(
+            error.what, where=name, allowed=error.allowed, hint=error.hint
+        ) from error
+    if target is not None:
+        away = float(np.linalg.norm(world[found.kept] - target, axis=1).min())
+        if away > TARGET_REACH:
+            if not first:
+                return None
+            raise NoObjectError(
+                f"the object nearest to --target is {away:.2f} m away from it",
+                where=name,
+                allowed=f"a place within {TARGET_REACH:g} m of an object, world, m",
+            )
+    return found
