@@ -105,6 +105,23 @@ def test_the_loss_by_hand() -> None:
     assert wrong_side > right_side
 
 
+def test_the_quantile_is_where_the_loss_is_least() -> None:
+    """A place that is 0.01 inside in 40% of worlds and 0.01 outside in 60%: the plain loss says
+    outside, a quantile of 0.3 says inside."""
+    sdf = torch.tensor([[-0.01] * 4 + [0.01] * 6])
+    levels = torch.linspace(-0.02, 0.02, 401)
+
+    def best(quantile: float) -> float:
+        loss = SdfLoss(sign_weight=0.5, quantile=quantile)
+        return float(levels[int(torch.stack([loss(sdf * 0 + s, sdf) for s in levels]).argmin())])
+
+    assert best(0.5) > 0 > best(0.3)
+    logits = torch.linspace(-3, 3, 601) * -0.02
+    sign = SdfLoss("sign", sign_weight=1.0, quantile=0.4)
+    level = logits[int(torch.stack([sign(sdf * 0 + s, sdf) for s in logits]).argmin())]
+    assert level == pytest.approx(0.0, abs=2e-4)
+
+
 def test_label_iou_counts_insides() -> None:
     truth = torch.tensor([[-1.0, -1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])
     predicted = torch.tensor([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])

@@ -32,6 +32,9 @@ def train_sdf(
     sign_scale: Annotated[
         float | None, typer.Option(help="Loss: distance at which a sign is sure (network units).")
     ] = None,
+    quantile: Annotated[
+        float | None, typer.Option(help="Loss: chance of being inside where the surface is put.")
+    ] = None,
     start_from: Annotated[
         Path | None, typer.Option(help="Begin with the weights of this checkpoint.")
     ] = None,
@@ -85,6 +88,7 @@ def train_sdf(
         config, seed=common.check_seed(seed), **{k: v for k, v in chosen.items() if v is not None}
     )
     shape_of_loss = {"near": near, "sign_weight": sign_weight, "temperature": sign_scale}
+    shape_of_loss["quantile"] = quantile
     changes: dict[str, Any] = {k: v for k, v in shape_of_loss.items() if v is not None}
     config = replace(config, loss=replace(config.loss, **changes))
     if not 0.0 < held_out < 1.0:

@@ -40,8 +40,8 @@ class HeuristicConfig:
             objects are then grasped from too far above instead of being labelled -2.
     """
 
-    top_standoff: float = 0.05
-    side_standoff: float = 0.07
+    top_standoff: float = 0.035
+    side_standoff: float = 0.03
     standoff_noise: float = 0.03
     position_noise: float = 0.005
     turn_noise: float = 0.005
