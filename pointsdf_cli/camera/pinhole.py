@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.untrusted import read_json
 
 LARGEST_IMAGE = 8192
 
@@ -99,7 +99,7 @@ def load_camera(name: str) -> Camera:
     if path.suffix.lower() != ".json" or not path.is_file():
         raise InputError(f"no camera {name!r}", where="--camera", allowed=form)
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = read_json(path)
         matrix = np.asarray(data["K"], dtype=np.float64)
         width, height = data["width"], data["height"]
         if matrix.size != 9 or not isinstance(width, int) or not isinstance(height, int):

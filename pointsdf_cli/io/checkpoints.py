@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 import json
 import os
-import pickle
 import shutil
 import uuid
 from collections.abc import Mapping
@@ -25,6 +24,7 @@ from torch import Tensor
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import TEMPORARY_MARK, unwritable
+from pointsdf_cli.io.untrusted import read_json
 
 WEIGHTS, CONFIG, TRAIN_STATE = "model.safetensors", "config.json", "train_state.pt"
 SCHEMA, VERSION = "checkpoint", 1
@@ -132,10 +132,7 @@ def read_config(path: Path | str) -> dict[str, Any]:
             allowed=f"a directory with {WEIGHTS} and {CONFIG}",
             hint="rgrasp train-sdf --views DIR --labels DIR --out CKPT",
         )
-    try:
-        config = json.loads(config_file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"is no readable JSON ({error})", where=config_file) from error
+    config = read_json(config_file)
     if not isinstance(config, dict) or config.get("schema") != SCHEMA:
         raise InputError("does not describe a checkpoint", where=config_file)
     if config.get("schema_version") != VERSION:
@@ -160,7 +157,7 @@ def read_train_state(path: Path | str) -> dict[str, Any]:
         )
     try:
         state = torch.load(state_file, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
+    except Exception as error:  # the unpickler raises whatever the bytes provoke
         raise InputError(
             "is damaged, or holds more than plain types and tensors, and is not opened",
             where=state_file,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.ply import RawCloud
+from pointsdf_cli.io.untrusted import read_npy_array
 
 _HEAD_LINES = 100
 """Comments and column titles may take up so many lines."""
@@ -60,10 +61,7 @@ def read_npy(path: Path) -> RawCloud:
     Raises:
         InputError: Damaged, holds Python objects, or is of another shape or type.
     """
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise InputError("is not a NumPy array, or is cut short", where=path) from error
+    array = read_npy_array(path)
     if array.dtype.kind not in "fiu" or array.ndim not in (2, 3) or array.shape[-1] < 3:
         raise InputError(
             f"is an array {list(array.shape)} of {array.dtype}",

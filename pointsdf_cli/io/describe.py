@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.hdf5 import open_hdf5
+from pointsdf_cli.io.hdf5 import open_hdf5, unreadable
 from pointsdf_cli.io.meshes import MESH_SUFFIXES, load_mesh
 
 
@@ -17,7 +17,7 @@ def describe(path: Path | str) -> dict[str, Any]:
     """`{"facts": {...}, "datasets": {name: {"dtype", "shape", "units", "frame"}}}` of one file.
 
     Raises:
-        InputError: No such file, or of no kind that rgrasp knows.
+        InputError: No such file, damaged, or of no kind that rgrasp knows.
     """
     path = Path(path)
     if not path.exists():
@@ -34,6 +34,13 @@ def describe(path: Path | str) -> dict[str, Any]:
 
 
 def _hdf5(path: Path) -> dict[str, Any]:
+    try:
+        return _contents(path)
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        raise unreadable(path, error) from error
+
+
+def _contents(path: Path) -> dict[str, Any]:
     with open_hdf5(path) as file:
         facts = {name: _plain(value) for name, value in file.attrs.items()}
         datasets: dict[str, Any] = {}
@@ -66,6 +73,11 @@ def _mesh(path: Path) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return value.item() if isinstance(value, np.generic) else value
+    """What JSON can hold, of whatever an attribute may be."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    if isinstance(value, bytes):
+        return value.decode(errors="replace")
+    return value if isinstance(value, (str, int, float, bool)) else str(value)

@@ -10,9 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
 
 SCHEMA, VERSION = "grasps", 1
+LAYOUT = {
+    "cloud": "f4 [G, P, 3]",
+    "T_world_camera": "f8 [G, 4, 4]",
+    "T_world_object": "f8 [G, 4, 4]",
+    "T_world_palm": "f8 [G, 4, 4]",
+    "q": "f8 [G, J]",
+    "label": "i1 [G]",
+    "kind": "i1 [G]",
+    "cause": "i1 [G]",
+    "lift_height": "f4 [G]",
+    "slip": "f4 [G]",
+    "attempt": "i4 [G]",
+    "scene": "i4 [G]",
+}
 
 HELD, LOST, NO_MOTION, NO_CONFIGURATION, INVALID = 1, 0, -1, -2, -3
 """Labels. A grasp counts as executed if it is held or lost; INVALID is a simulation that failed."""
@@ -152,19 +167,27 @@ def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:
     Raises:
         InputError: Not a grasps file of this version.
     """
-    names = [field.name for field in fields(Grasps)]
-    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=names)
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT)
     attributes = artifact.attributes
-    meta = GraspsMeta(
-        mesh_file=str(attributes["mesh_file"]),
-        mesh_hash=str(attributes["mesh_hash"]),
-        split=str(attributes["split"]),
-        robot=str(attributes["robot"]),
-        joint_names=tuple(str(name) for name in attributes["joint_names"]),
-        preshape_joints=tuple(str(name) for name in attributes["preshape_joints"]),
-        complete=bool(attributes["complete"]),
-    )
-    return Grasps(**{name: artifact.datasets[name] for name in names}), meta
+    grasps = Grasps(**artifact.datasets)
+    for name, values, known in (("kind", grasps.kind, KINDS), ("cause", grasps.cause, CAUSES)):
+        if len(values) and not 0 <= values.min() <= values.max() < len(known):
+            raise InputError(
+                f"{name} runs from {values.min()} to {values.max()}",
+                where=path,
+                allowed=f"0 to {len(known) - 1}: {', '.join(known)}",
+            )
+    with sense_of(path):
+        meta = GraspsMeta(
+            mesh_file=str(attributes["mesh_file"]),
+            mesh_hash=str(attributes["mesh_hash"]),
+            split=str(attributes["split"]),
+            robot=str(attributes["robot"]),
+            joint_names=tuple(str(name) for name in attributes["joint_names"]),
+            preshape_joints=tuple(str(name) for name in attributes["preshape_joints"]),
+            complete=bool(attributes["complete"]),
+        )
+    return grasps, meta
 
 
 def join_grasps(parts: list[Grasps]) -> Grasps:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import atomic_path
+from pointsdf_cli.io.layout import Layout, check_layout, check_stored
 from pointsdf_cli.io.provenance import created_by, git_commit
 
 
@@ -105,13 +107,18 @@ def write_artifact(
 
 
 def read_artifact(
-    path: Path | str, *, schema: str, version: int, names: Iterable[str] | None = None
+    path: Path | str, *, schema: str, version: int, names: Iterable[str] | Layout | None = None
 ) -> Artifact:
     """Read an artifact of the given schema, all of its datasets or those in `names`.
 
+    Args:
+        path: The file.
+        schema, version: What it must be.
+        names: The datasets to read; a `Layout` (see `layout.py`) is checked as well.
+
     Raises:
         InputError: No such file, not HDF5, cut short, another schema or version, or a dataset
-            of `names` is missing.
+            of `names` is missing or not of its layout.
     """
     path = Path(path)
     try:
@@ -126,10 +133,36 @@ def read_artifact(
                     allowed=f"a {schema} file (version {version}); this one holds "
                     + (", ".join(sorted(file)) or "nothing"),
                 )
+            if isinstance(names, Mapping):
+                check_layout(path, file, names)
+            for name in wanted:
+                check_stored(path, file, name)
             datasets = {name: np.asarray(file[name][()]) for name in wanted}
-            return Artifact(path, dict(file.attrs), datasets)
+            artifact = Artifact(path, dict(file.attrs), datasets)
     except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
+    with sense_of(path):
+        _ = artifact.config
+    return artifact
+
+
+@contextmanager
+def sense_of(path: Path | str) -> Iterator[None]:
+    """For the lines that make numbers and names of an artifact's attributes.
+
+    Raises:
+        InputError: One of them is missing or of another kind: not a file that rgrasp wrote.
+    """
+    try:
+        yield
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise InputError(
+            "lacks an attribute, or holds one that makes no sense "
+            f"({type(error).__name__}: {str(error)[:80]})",
+            where=path,
+            allowed="a file as rgrasp writes it",
+            hint="make it again",
+        ) from error
 
 
 def open_hdf5(path: Path | str) -> h5py.File:
@@ -146,7 +179,7 @@ def open_hdf5(path: Path | str) -> h5py.File:
     try:
         return h5py.File(path, "r")
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
 
 
 def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[str, Any]) -> bool:
@@ -162,7 +195,8 @@ def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[
         return False
     with open_hdf5(path) as file:
         _require_schema(path, file, schema, version)
-        theirs = json.loads(str(file.attrs.get("config_json", "{}")))
+        with sense_of(path):
+            theirs = dict(json.loads(str(file.attrs.get("config_json", "{}"))))
     ours = json.loads(json.dumps(dict(config)))
     if theirs != ours:
         changed = sorted(k for k in ours.keys() | theirs.keys() if ours.get(k) != theirs.get(k))
@@ -201,11 +235,12 @@ def _require_schema(path: Path, file: h5py.File, schema: str, version: int) -> N
         )
 
 
-def _unreadable(path: Path, error: Exception) -> InputError:
+def unreadable(path: Path, error: Exception) -> InputError:
+    """The user's view of whatever the HDF5 library says about a damaged file."""
     return InputError(
         "cannot be read as HDF5: not such a file, or cut short",
         where=path,
         allowed="a whole .h5 file written by rgrasp",
         hint="delete it and run the stage again: it makes only what is missing "
-        f"({str(error).splitlines()[0][:120]})",
+        f"({(str(error).splitlines() or ['no more is known'])[0][:120]})",
     )

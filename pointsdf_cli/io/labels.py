@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
 
 SCHEMA, VERSION = "labels", 1
+LAYOUT = {"points": "f4 [N, 3]", "sdf": "f4 [N]"}
 
 
 @dataclass(frozen=True)
@@ -56,10 +57,11 @@ def read_labels(path: Path | str) -> Labels:
     Raises:
         InputError: Not a labels file of this version.
     """
-    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=["points", "sdf"])
-    return Labels(
-        points=artifact.datasets["points"],
-        sdf=artifact.datasets["sdf"],
-        mesh_file=str(artifact.attributes["mesh_file"]),
-        mesh_hash=str(artifact.attributes["mesh_hash"]),
-    )
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT)
+    with sense_of(path):
+        return Labels(
+            points=artifact.datasets["points"],
+            sdf=artifact.datasets["sdf"],
+            mesh_file=str(artifact.attributes["mesh_file"]),
+            mesh_hash=str(artifact.attributes["mesh_hash"]),
+        )

@@ -13,9 +13,28 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import write_text_atomic
-from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
 
 SCHEMA, VERSION = "plan", 1
+LAYOUT = {
+    "joint_names": "S [J]",
+    "q": "f8 [J]",
+    "trajectory": "f8 [T, J]",
+    "times": "f8 [T]",
+    "T_world_palm": "f8 [4, 4]",
+    "link_names": "S [L]",
+    "link_clearance_object": "f8 [L]",
+    "link_clearance_table": "f8 [L]",
+    "rejected_q": "f8 [R, J]",
+    "rejected_reason": "S [R]",
+    "rejected_success_probability": "f8 [R]",
+    "rejected_objective": "f8 [R]",
+    "rejected_room": "f8 [R, 4]",
+    "accepted_q": "f8 [A, *]",
+    "accepted_kind": "S [A]",
+    "accepted_success_probability": "f8 [A]",
+    "accepted_objective": "f8 [A]",
+}
 OK, NO_PLAN = "ok", "no_plan"
 ROOMS = ("object", "table", "obstacles", "self")
 
@@ -170,9 +189,9 @@ def read_plan(path: Path | str) -> Plan:
     Raises:
         InputError: Not a plan of this version.
     """
-    artifact = read_artifact(path, schema=SCHEMA, version=VERSION)
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT)
     data, facts = artifact.datasets, artifact.attributes
-    try:
+    with sense_of(path):
         return Plan(
             status=str(facts["status"]),
             reason=str(facts["reason"]),
@@ -185,7 +204,7 @@ def read_plan(path: Path | str) -> Plan:
             success_probability=float(facts["success_probability"]),
             objective=float(facts["objective"]),
             seeds_tried=int(facts["seeds_tried"]),
-            timings=json.loads(facts["timings_json"]),
+            timings=dict(json.loads(facts["timings_json"])),
             link_names=_strings(data["link_names"]),
             link_clearance_object=data["link_clearance_object"],
             link_clearance_table=data["link_clearance_table"],
@@ -204,8 +223,6 @@ def read_plan(path: Path | str) -> Plan:
                 objective=data["accepted_objective"],
             ),
         )
-    except KeyError as error:
-        raise InputError(f"lacks {error.args[0]!r}", where=path, allowed="a whole plan") from error
 
 
 def plan_as_json(plan: Plan) -> dict[str, Any]:

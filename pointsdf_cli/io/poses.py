@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import is_rigid, rotation_from_wxyz, transform
+from pointsdf_cli.io.untrusted import read_json, read_npy_array
 
 ALLOWED = (
     "X,Y,Z,QW,QX,QY,QZ (m, quaternion scalar first), or 16 numbers of a 4×4 matrix by rows, typed "
@@ -39,10 +39,10 @@ def _numbers(text: str) -> NDArray[np.float64]:
     try:
         if path.is_file():
             if path.suffix == ".npy":
-                return np.load(path, allow_pickle=False).astype(np.float64).ravel()
-            text = path.read_text(encoding="utf-8")
+                return read_npy_array(path).astype(np.float64).ravel()
             if path.suffix == ".json":
-                return np.asarray(json.loads(text), dtype=np.float64).ravel()
+                return np.asarray(read_json(path), dtype=np.float64).ravel()
+            text = path.read_text(encoding="utf-8")
         words = text.replace(",", " ").replace(";", " ").split()
         numbers = np.array([float(word) for word in words])
     except (ValueError, TypeError, OSError) as error:

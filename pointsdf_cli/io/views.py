@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
 
 SCHEMA, VERSION = "views", 1
+LAYOUT = {"cloud": "f4 [V, P, 3]", "T_camera_object": "f8 [V, 4, 4]"}
+DEPTH = {"depth": "f4 [V, H, W]"}
 
 
 @dataclass(frozen=True)
@@ -76,21 +78,22 @@ def read_views(path: Path | str, with_depth: bool = False) -> Views:
     Raises:
         InputError: Not a views file of this version.
     """
-    names = ["cloud", "T_camera_object", *(["depth"] if with_depth else [])]
+    names = LAYOUT | (DEPTH if with_depth else {})
     artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=names)
     attributes, datasets = artifact.attributes, artifact.datasets
-    width, height = (int(n) for n in attributes["image_size"])
-    return Views(
-        cloud=datasets["cloud"],
-        T_camera_object=datasets["T_camera_object"],
-        K=np.asarray(attributes["K"]),
-        image_size=(width, height),
-        noise=float(attributes["noise"]),
-        mesh_file=str(attributes["mesh_file"]),
-        mesh_hash=str(attributes["mesh_hash"]),
-        mesh_repair=str(attributes["mesh_repair"]),
-        depth=datasets.get("depth"),
-    )
+    with sense_of(path):
+        width, height = (int(n) for n in attributes["image_size"])
+        return Views(
+            cloud=datasets["cloud"],
+            T_camera_object=datasets["T_camera_object"],
+            K=np.asarray(attributes["K"], np.float64).reshape(3, 3),
+            image_size=(width, height),
+            noise=float(attributes["noise"]),
+            mesh_file=str(attributes["mesh_file"]),
+            mesh_hash=str(attributes["mesh_hash"]),
+            mesh_repair=str(attributes["mesh_repair"]),
+            depth=datasets.get("depth"),
+        )
 
 
 @dataclass(frozen=True)
@@ -113,4 +116,7 @@ def read_views_header(path: Path | str) -> ViewsHeader:
         InputError: Not a views file of this version.
     """
     artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=[])
-    return ViewsHeader(str(artifact.attributes["mesh_hash"]), str(artifact.config.get("unit", "m")))
+    with sense_of(path):
+        return ViewsHeader(
+            str(artifact.attributes["mesh_hash"]), str(artifact.config.get("unit", "m"))
+        )

@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import rotation_from_wxyz, transform
 from pointsdf_cli.io.meshes import load_mesh
+from pointsdf_cli.io.untrusted import read_yaml
 
 Array = NDArray[np.float64]
 
@@ -91,10 +91,7 @@ def read_environment(path: Path | str) -> Environment:
     path = Path(path)
     if not path.is_file():
         raise InputError("no such environment file", where=path, allowed="a YAML file")
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"is not YAML ({str(error).splitlines()[0]})", where=path) from error
+    data = read_yaml(path) or {}
     if not isinstance(data, Mapping) or set(data) - {"table", "obstacles"}:
         raise InputError("has unknown keys", where=path, allowed="table, obstacles")
     table, entries = data.get("table", True), data.get("obstacles") or []

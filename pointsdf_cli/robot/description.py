@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import rotation_from_wxyz, transform
+from pointsdf_cli.io.untrusted import read_yaml
 from pointsdf_cli.robot.urdf import MOVING, Joint, Tree, read_urdf
 
 Array = NDArray[np.float64]
@@ -132,12 +132,7 @@ def load_robot(path: Path | str | None = None) -> RobotDescription:
     path = asset_path(BUNDLED) if path is None else Path(path)
     if not path.is_file():
         raise InputError("no such robot file", where=path, allowed="a YAML file beside its URDF")
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        text = str(error).splitlines()[0]
-        raise InputError(f"is not YAML ({text})", where=path) from error
-    return _Reader(path, data).robot()
+    return _Reader(path, read_yaml(path)).robot()
 
 
 class _Reader:
@@ -232,7 +227,7 @@ class _Reader:
         if not isinstance(names, list) or not names:
             raise self.wrong(key, "is no list of joints", ", ".join(known))
         for name in names:
-            if name not in known:
+            if not isinstance(name, str) or name not in known:
                 raise self.wrong(key, f"names {name!r}", "moving joints: " + ", ".join(known))
         if len(set(names)) != len(names):
             raise self.wrong(key, "names a joint twice", "each joint once")
@@ -283,6 +278,8 @@ class _Reader:
 
     def links(self, key: str, tree: Tree) -> list[str]:
         value = self.data.get(key) or []
+        if not isinstance(value, list):
+            raise self.wrong(key, f"is {value!r}", "a list of links")
         for link in value:
             if link not in tree.links:
                 raise self.wrong(key, f"names {link!r}", ", ".join(tree.links))
@@ -290,9 +287,13 @@ class _Reader:
 
     def pairs(self, tree: Tree) -> frozenset[frozenset[str]]:
         pairs = set()
-        for pair in self.data.get("may_touch") or []:
+        value = self.data.get("may_touch") or []
+        if not isinstance(value, list):
+            raise self.wrong("may_touch", f"is {value!r}", "a list of pairs of links")
+        for pair in value:
             if (
                 not isinstance(pair, list)
+                or not all(isinstance(link, str) for link in pair)
                 or len(set(pair)) != 2
                 or not set(pair) <= set(tree.links)
             ):

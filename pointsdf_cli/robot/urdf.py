@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.io.untrusted import read_xml
 from pointsdf_cli.robot.shapes import Shape, mesh_shape
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -70,10 +71,7 @@ def read_urdf(path: Path) -> Tree:
     """
     if not path.is_file():
         raise InputError("no such URDF file", where=path)
-    try:
-        root = ET.fromstring(path.read_bytes())
-    except ET.ParseError as error:
-        raise InputError(f"is not XML ({error})", where=path) from error
+    root = read_xml(path)
     if root.tag != "robot":
         raise InputError(f"has the root <{root.tag}>", where=path, allowed="a URDF: <robot>")
     names = [_attribute(link, "name", path) for link in root.findall("link")]

@@ -1,0 +1,69 @@
+"""What the datasets of an artifact look like, and whether a file's datasets do.
+
+A layout is a mapping from name to a text such as `"f4 [V, 1000, 3]"`: a kind of number and a shape.
+Letters stand for lengths that must agree wherever the same letter stands in one file; `*` for any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import h5py
+
+from pointsdf_cli.errors import InputError
+
+Layout = Mapping[str, str]
+
+_KINDS = {"f": "f", "i": "iu", "S": "S"}
+_MOST_SQUEEZED = 1100
+"""gzip shrinks by no more than about 1030: what promises more holds nothing."""
+
+
+def check_layout(path: Path, file: h5py.File, layout: Layout) -> None:
+    """Refuse datasets that are not as `layout` says, before any of them is read.
+
+    Raises:
+        InputError: A group or another kind of number where an array of the layout is expected,
+            another shape, lengths that do not agree, or numbers that are not stored.
+    """
+    lengths: dict[str, int] = {}
+    for name, text in layout.items():
+        kind, _, shape = text.partition(" ")
+        sides = [side.strip() for side in shape.strip("[] ").split(",") if side.strip()]
+        found = _array(path, file, name)
+        ok = found.dtype.kind in _KINDS[kind[0]] and found.shape is not None
+        if ok and len(found.shape) == len(sides):
+            for side, length in zip(sides, found.shape, strict=True):
+                if side.isdecimal():
+                    ok = ok and length == int(side)
+                elif side != "*":
+                    ok = ok and lengths.setdefault(side, length) == length
+        else:
+            ok = False
+        if not ok:
+            known = ", ".join(f"{side} = {n}" for side, n in lengths.items())
+            raise InputError(
+                f"{name} is {found.dtype} {list(found.shape or ())}",
+                where=path,
+                allowed=text + (f" with {known}" if known else ""),
+            )
+
+
+def check_stored(path: Path, file: h5py.File, name: str) -> None:
+    """Refuse a dataset that promises far more numbers than the file can hold.
+
+    Raises:
+        InputError: It does, or `name` is no dataset.
+    """
+    found = _array(path, file, name)
+    promised = (found.size or 0) * found.dtype.itemsize
+    if promised > 1 << 20 and promised > _MOST_SQUEEZED * found.id.get_storage_size():
+        raise InputError(f"{name} promises {promised} bytes that are not there", where=path)
+
+
+def _array(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
+    found = file[name]
+    if not isinstance(found, h5py.Dataset):
+        raise InputError(f"{name} is a group, and a dataset is needed", where=path)
+    return found

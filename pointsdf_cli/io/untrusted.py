@@ -1,0 +1,142 @@
+"""Text and arrays from strangers: YAML, JSON, XML and NPY that may be damaged, or made to harm.
+
+A file of a few hundred bytes can ask for terabytes: by a length in a header, by aliases of aliases,
+by entities of entities, by a thousand brackets. Each reader here refuses that in one message.
+"""
+
+from __future__ import annotations
+
+import json
+import tokenize
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+
+LARGEST_TEXT = 16 << 20
+"""Bytes of the largest description that is read: meshes and clouds are not text of this kind."""
+LARGEST_YAML = 1 << 20
+"""Bytes; PyYAML takes seconds for a megabyte."""
+MOST_NODES = 100_000
+DEEPEST = 100
+
+
+def read_yaml(path: Path) -> Any:
+    """The plain data of a YAML file.
+
+    Raises:
+        InputError: Not YAML, or more than `MOST_NODES` nodes once its aliases are followed.
+    """
+    text = _text(path, LARGEST_YAML, "YAML")
+    try:
+        data = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a 13th month
+        raise InputError(f"is not YAML ({_first_line(error)})", where=path) from error
+    _check_nodes(data, path)
+    return data
+
+
+def read_json(path: Path) -> Any:
+    """The data of a JSON file.
+
+    Raises:
+        InputError: Not JSON.
+    """
+    try:
+        return json.loads(_text(path, LARGEST_TEXT, "JSON"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"is no readable JSON ({_first_line(error)})", where=path) from error
+
+
+def read_xml(path: Path) -> ET.Element:
+    """The root element of an XML file without entities of its own.
+
+    Raises:
+        InputError: Not XML, entities are declared, or elements nest deeper than `DEEPEST`.
+    """
+    data = _bytes(path, LARGEST_TEXT)
+    try:
+        _check_xml(data)
+        return ET.fromstring(data)
+    except (ET.ParseError, expat.ExpatError, ValueError, LookupError) as error:
+        raise InputError(f"is not XML ({_first_line(error)})", where=path) from error
+
+
+def read_npy_array(path: Path) -> NDArray[Any]:
+    """The array in a .npy file, mapped, not read: what is not stored is not allocated.
+
+    Raises:
+        InputError: Damaged, cut short, or of Python objects.
+    """
+    try:
+        return np.lib.format.open_memmap(path, mode="r")
+    except (
+        ValueError, EOFError, OSError, SyntaxError, TypeError, OverflowError, RecursionError,
+        MemoryError, tokenize.TokenError,
+    ) as error:  # fmt: skip
+        # The header is a Python expression, and its parser answers in all of these ways.
+        raise InputError("is not a NumPy array, or is cut short", where=path) from error
+
+
+def _bytes(path: Path, most: int) -> bytes:
+    with open(path, "rb") as handle:
+        data = handle.read(most + 1)
+    if len(data) > most:
+        raise InputError(f"is larger than {most >> 20} MB", where=path)
+    return data
+
+
+def _text(path: Path, most: int, kind: str) -> str:
+    try:
+        return _bytes(path, most).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not {kind} (no UTF-8 text)", where=path) from error
+
+
+def _check_nodes(data: Any, path: Path) -> None:
+    """Aliases share memory until someone walks through them or prints them."""
+    waiting, seen = [data], 0
+    while waiting:
+        node = waiting.pop()
+        seen += 1
+        if seen > MOST_NODES:
+            raise InputError(
+                "holds too much once its aliases are followed",
+                where=path,
+                allowed=f"{MOST_NODES} entries",
+            )
+        if isinstance(node, dict):
+            waiting += [*node.keys(), *node.values()]
+        elif isinstance(node, (list, tuple, set)):
+            waiting += node
+
+
+def _check_xml(data: bytes) -> None:
+    parser, depth = expat.ParserCreate(), 0
+
+    def start(_name: str, _attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > DEEPEST:
+            raise ValueError(f"elements nest deeper than {DEEPEST}")
+
+    def end(_name: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def entity(*_about: object) -> None:
+        raise ValueError("it declares entities")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.EntityDeclHandler = entity
+    parser.Parse(data, True)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:120]

@@ -1,0 +1,1 @@
+"""Damaged files through the real readers: `python -m tests.fuzz --count 20000`."""

@@ -1,0 +1,78 @@
+"""Damages below a checksum: HDF5 files rewritten with other contents, archives packed again.
+
+A flipped bit in such a file only tests its checksum; a stranger can make a file whose checksums
+hold.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import zlib
+
+import h5py
+import numpy as np
+
+from .mutations import mutate
+
+
+def mutate_hdf5(data: bytes, rng: np.random.Generator) -> bytes:
+    """An HDF5 file in which one to three attributes or datasets are of another kind or gone."""
+    image = io.BytesIO(data)
+    with h5py.File(image, "a") as file:
+        for _ in range(rng.integers(1, 4)):
+            if rng.random() < 0.5:
+                _spoil_attribute(file, rng)
+            else:
+                _spoil_dataset(file, rng)
+    return image.getvalue()
+
+
+def mutate_gzip(data: bytes, rng: np.random.Generator) -> bytes:
+    """A gzip file whose contents are damaged and whose checksum fits them."""
+    try:
+        return gzip.compress(mutate(gzip.decompress(data), rng), 1, mtime=0)
+    except (OSError, EOFError, zlib.error):
+        return mutate(data, rng)
+
+
+def _value(rng: np.random.Generator) -> object:
+    values = (
+        "", "x" * 3000, "{", "[1, 2]", '"a"', "[" * 3000, b"\xff\xfe", -1, 2**40, np.nan, np.inf,
+        1e300, True, [], ["a"], np.zeros((2, 2)), np.array([b"\xff"]), np.zeros(0), None,
+        {"shape": (1 << 40,)}, h5py.Empty("f4"), np.arange(3), np.array(3.5),
+    )  # fmt: skip
+    return values[rng.integers(len(values))]
+
+
+def _spoil_attribute(file: h5py.File, rng: np.random.Generator) -> None:
+    names = list(file.attrs)
+    if not names:
+        return
+    name, value = names[rng.integers(len(names))], _value(rng)
+    if value is None:
+        del file.attrs[name]
+    elif not isinstance(value, dict):
+        file.attrs[name] = value
+
+
+def _spoil_dataset(file: h5py.File, rng: np.random.Generator) -> None:
+    names = list(file)
+    if not names:
+        return
+    name = names[rng.integers(len(names))]
+    found, value = file.get(name), _value(rng)
+    whole = isinstance(found, h5py.Dataset) and found.shape and found.size < 1 << 20
+    array = found[()] if whole else np.zeros(3)
+    del file[name]
+    if value is None:
+        file.create_group(name)
+    elif isinstance(value, dict):  # promises a terabyte and holds nothing
+        file.create_dataset(name, shape=value["shape"], dtype="f8", chunks=(1 << 16,))
+    elif rng.random() < 0.5:
+        shapes = (array[:1], array[:0], array[..., :1], array.astype("S5"), array.ravel())
+        file[name] = shapes[rng.integers(len(shapes))]
+    elif isinstance(value, str) and not value:
+        file[name] = h5py.SoftLink("/nowhere")
+    else:
+        file[name] = value

@@ -1,0 +1,196 @@
+"""Files made to harm: they cost one message, no memory, no time, nothing outside their folder."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import json
+import tarfile
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import torch
+from fuzz.inputs import INPUTS, write_inputs
+from fuzz.runner import fuzz
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.checkpoints import read_train_state
+from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+from pointsdf_cli.io.untrusted import read_json, read_npy_array, read_xml, read_yaml
+from pointsdf_cli.objects.archive import extract_mesh
+
+
+@pytest.fixture(autouse=True)
+def _quick() -> object:
+    started = time.monotonic()
+    yield
+    assert time.monotonic() - started < 60
+
+
+def test_the_undamaged_files_are_read(tmp_path: Path) -> None:
+    # What the fuzzer damages must be good: else it would only ever test the first check.
+    write_inputs(tmp_path)
+    for kind in INPUTS:
+        assert kind.read(tmp_path / kind.name) is not None, kind.name
+
+
+def test_damaged_files_are_read_or_refused() -> None:
+    # A slice of `python -m tests.fuzz`; docs/results.md has the run over 20 000 files.
+    outcome = fuzz(first=1_000_000, count=300, seed=1)
+    assert outcome.failures == []
+    assert outcome.refused + outcome.read == 300
+    assert outcome.read > 10  # or the damages would be too coarse to reach anything
+
+
+def test_yaml_aliases_of_aliases(tmp_path: Path) -> None:
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 12)]
+    (tmp_path / "bomb.yaml").write_text("\n".join(lines))
+    with pytest.raises(InputError, match="aliases"):
+        read_yaml(tmp_path / "bomb.yaml")
+    (tmp_path / "ring.yaml").write_text("&a [*a]")
+    with pytest.raises(InputError, match="aliases"):
+        read_yaml(tmp_path / "ring.yaml")
+
+
+def test_yaml_makes_no_python_objects(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("!!python/object/apply:os.system ['touch owned']")
+    with pytest.raises(InputError, match="not YAML"):
+        read_yaml(tmp_path / "a.yaml")
+
+
+@pytest.mark.parametrize("text", ["[" * 3_000, '{"a":' * 9_000, "\x00", "2026-99-99", "\\ud800"])
+def test_deep_and_odd_text(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(InputError):
+        read_json(tmp_path / "a.json")
+    (tmp_path / "a.yaml").write_text(text)
+    with contextlib.suppress(InputError):
+        assert isinstance(read_yaml(tmp_path / "a.yaml"), (str, dict))
+
+
+def test_xml_entities_of_entities(tmp_path: Path) -> None:
+    entities = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10 if k else "x"}">' for k in range(12))
+    bomb = f"<!DOCTYPE robot [{entities}]><robot name='&e11;'/>"
+    outside = "<!DOCTYPE r [<!ENTITY x SYSTEM 'file:///etc/passwd'>]><robot>&x;</robot>"
+    for text in (bomb, outside):
+        for encoding in ("utf-8", "utf-16"):
+            (tmp_path / "a.urdf").write_bytes(text.encode(encoding))
+            with pytest.raises(InputError, match="entities"):
+                read_xml(tmp_path / "a.urdf")
+    (tmp_path / "deep.urdf").write_text("<a>" * 100_000)
+    with pytest.raises(InputError, match="nest"):
+        read_xml(tmp_path / "deep.urdf")
+
+
+def test_an_array_that_promises_terabytes(tmp_path: Path) -> None:
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999, 3), }"
+    size = np.array([len(header)], "<u2").tobytes()
+    (tmp_path / "a.npy").write_bytes(b"\x93NUMPY\x01\x00" + size + header)
+    with pytest.raises(InputError, match="cut short"):
+        read_npy_array(tmp_path / "a.npy")
+    np.save(tmp_path / "objects.npy", np.array([{}], dtype=object))
+    with pytest.raises(InputError):
+        read_npy_array(tmp_path / "objects.npy")
+
+
+def test_a_dataset_that_promises_terabytes(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.attrs["schema"], file.attrs["schema_version"] = "labels", 1
+        file.create_dataset("sdf", shape=(1 << 40,), dtype="f4", chunks=(1 << 16,))
+    with pytest.raises(InputError, match="bytes that are not there"):
+        read_artifact(tmp_path / "a.h5", schema="labels", version=1)
+
+
+def test_a_well_squeezed_dataset_is_read(tmp_path: Path) -> None:
+    zeros = Dataset(np.zeros((4, 500, 500), np.float32), "m", compress=True)
+    write_artifact(tmp_path / "a.h5", schema="s", version=1, datasets={"depth": zeros})
+    assert (tmp_path / "a.h5").stat().st_size < 100_000
+    assert read_artifact(tmp_path / "a.h5", schema="s", version=1).datasets["depth"].size == 10**6
+
+
+@pytest.mark.parametrize(
+    ("layout", "told"),
+    [
+        ({"points": "f4 [N, 4]"}, "points is float32"),
+        ({"points": "i4 [N, 3]"}, "points is float32"),
+        ({"points": "f4 [N, 3]", "sdf": "f4 [N]"}, "sdf is float32.*\n.*N = 5"),
+        ({"group": "f4 [N]"}, "is a group"),
+    ],
+)
+def test_what_is_not_of_its_layout_is_named(
+    tmp_path: Path, layout: dict[str, str], told: str
+) -> None:
+    write_artifact(
+        tmp_path / "a.h5", schema="s", version=1,
+        datasets={
+            "points": Dataset(np.zeros((5, 3), np.float32)),
+            "sdf": Dataset(np.zeros(4, np.float32)),
+        },
+    )  # fmt: skip
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        file.create_group("group")
+    with pytest.raises(InputError, match=told):
+        read_artifact(tmp_path / "a.h5", schema="s", version=1, names=layout)
+    good = {"points": "f4 [N, 3]", "sdf": "f4 [*]"}
+    assert set(read_artifact(tmp_path / "a.h5", schema="s", version=1, names=good).datasets) == set(
+        good
+    )
+
+
+class _Owns:
+    """Pickles as a call that would leave a file behind."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (Path.touch, (self.path,))
+
+
+def test_a_training_state_runs_no_code(tmp_path: Path) -> None:
+    owned = tmp_path / "owned"
+    torch.save({"step": 1, "payload": _Owns(owned)}, tmp_path / "train_state.pt")
+    with pytest.raises(InputError, match="not opened"):
+        read_train_state(tmp_path)
+    assert not owned.exists()
+
+
+def test_a_checkpoint_with_pickled_weights_is_not_opened(tmp_path: Path) -> None:
+    from pointsdf_cli.models.registry import load_model
+
+    owned = tmp_path / "owned"
+    torch.save(_Owns(owned), tmp_path / "model.safetensors")
+    about = {"schema": "checkpoint", "schema_version": 1, "architecture": "pointsdf-ray"}
+    (tmp_path / "config.json").write_text(json.dumps({**about, "model": {}}))
+    with pytest.raises(InputError):
+        load_model(tmp_path)
+    assert not owned.exists()
+
+
+@pytest.mark.parametrize("name", ["../../evil.ply", "/tmp/evil.ply", "a/../../../nontextured.ply"])
+def test_an_archive_writes_nowhere_else(tmp_path: Path, name: str) -> None:
+    from fuzz.inputs import tar_of
+
+    (tmp_path / "in").mkdir()
+    archive = tmp_path / "in" / "a.tgz"
+    archive.write_bytes(tar_of({name: b"x", "nontextured.ply": b"ply"}))
+    with pytest.raises(InputError, match="leads outside"):
+        extract_mesh(archive, tmp_path / "in" / "mesh")
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["a.tgz", "in"]
+
+
+def test_an_archive_of_zeros_is_not_unpacked(tmp_path: Path) -> None:
+    archive = tmp_path / "a.tgz"
+    with gzip.open(archive, "wb") as packed, tarfile.open(fileobj=packed, mode="w|") as tar:
+        info = tarfile.TarInfo("nontextured.ply")
+        info.size = 64 << 20
+        with open("/dev/zero", "rb") as zeros:
+            tar.addfile(info, zeros)
+    assert archive.stat().st_size < 1 << 20
+    with pytest.raises(InputError, match="unpacks to"):
+        extract_mesh(archive, tmp_path / "mesh", largest=1 << 20)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.tgz"]
