@@ -33,7 +33,7 @@ from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.planner import Planner, PlannerConfig, Rank
 from pointsdf_cli.planning.record import no_plan
 from pointsdf_cli.planning.seeds import KINDS, GraspPrior
-from pointsdf_cli.planning.synthesis import SynthesisConfig
+from pointsdf_cli.planning.synthesis import Satisfied, SynthesisConfig
 from pointsdf_cli.planning.target import (
     EmptyFieldError,
     ObjectField,
@@ -270,10 +270,11 @@ class GraspPlanner:
         start: Array | None = None,
         seed: int = 0,
         rank: Rank | None = None,
+        satisfied: Satisfied | None = None,
     ) -> Answer:
-        """As `plan`, for what `see` made: `rank` may then know the target."""
+        """As `plan`, for what `see` made: `rank` and `satisfied` may then know the target."""
         kinds = self.kinds(sight.points)
-        plan = self.planner.plan(sight.target, environment, start, seed, kinds, rank)
+        plan = self.planner.plan(sight.target, environment, start, seed, kinds, rank, satisfied)
         timings = {**sight.timings, **plan.timings}
         timings["configuration"] += sum(sight.timings.values())
         return Answer(replace(plan, timings=timings), sight.target, sight.reconstruction)

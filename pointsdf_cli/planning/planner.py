@@ -25,7 +25,13 @@ from pointsdf_cli.planning.record import plan_of
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.slsqp import Slsqp
 from pointsdf_cli.planning.sqp import Sqp
-from pointsdf_cli.planning.synthesis import Problems, Synthesis, SynthesisConfig, synthesise
+from pointsdf_cli.planning.synthesis import (
+    Problems,
+    Satisfied,
+    Synthesis,
+    SynthesisConfig,
+    synthesise,
+)
 from pointsdf_cli.planning.target import KEPT_GRID, Target
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
@@ -128,6 +134,7 @@ class Planner:
         seed: int = 0,
         kinds: tuple[str, ...] | None = None,
         rank: Rank | None = None,
+        satisfied: Satisfied | None = None,
     ) -> Plan:
         """Configuration and motion, or the reason why there is none.
 
@@ -138,6 +145,7 @@ class Planner:
             seed: Equal seeds give equal plans.
             kinds: Kinds of grasp, one a round; those of the configuration if None.
             rank: Applied to the accepted candidates before motions are looked for.
+            satisfied: As in `synthesise`.
 
         Raises:
             InputError: The start is no configuration within the joint limits.
@@ -156,7 +164,9 @@ class Planner:
         rng = np.random.default_rng(seed)
         asked = self.config.synthesis
         asked = asked if kinds is None else replace(asked, kinds=kinds)
-        found = synthesise(problems, target.prior, self.inverse, self.solver, rng, asked)
+        found = synthesise(
+            problems, target.prior, self.inverse, self.solver, rng, asked, satisfied
+        )
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began
         if rank is not None and found.accepted:

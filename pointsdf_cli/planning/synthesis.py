@@ -8,6 +8,7 @@ returned has been judged by the exact problem.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -74,6 +75,10 @@ class Synthesis:
     timings: dict[str, float]
 
 
+Satisfied = Callable[[list[Candidate]], bool]
+"""Told the candidates that a round has added: whether to look no further."""
+
+
 @dataclass(frozen=True)
 class Problems:
     """One planning problem at two prices.
@@ -96,8 +101,17 @@ def synthesise(
     solver: Solver,
     rng: np.random.Generator,
     config: SynthesisConfig | None = None,
+    satisfied: Satisfied | None = None,
 ) -> Synthesis:
-    """Look for the best acceptable configuration; equal generators give equal results."""
+    """Look for the best acceptable configuration; equal generators give equal results.
+
+    Args:
+        problems, prior, kinematics, solver: What is solved, where seeds come from, and how.
+        rng: Of the seeds.
+        config: How long to look.
+        satisfied: Asked after every round that has added to the accepted candidates whether to
+            stop; the first accepted one ends the search if None.
+    """
     config = config or SynthesisConfig()
     timings = dict.fromkeys(("seeds", "solve", "polish", "check"), 0.0)
     accepted: list[Candidate] = []
@@ -123,9 +137,10 @@ def synthesise(
         others = found.x[order[config.polished :]]
         candidates += judge(problems.quick, others, config.acceptance, kind)
         _lap(timings, "check", start)
-        accepted += [c for c in candidates[: len(top)] if not c.reason]
+        new = [c for c in candidates[: len(top)] if not c.reason]
+        accepted += new
         rejected += [c for c in candidates if c.reason]
-        if accepted:
+        if new and (satisfied is None or satisfied(new)):
             break
     accepted.sort(key=lambda c: (c.objective, -c.success))
     reason = sentence = ""
