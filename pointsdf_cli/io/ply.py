@@ -83,6 +83,15 @@ def read_ply(path: Path) -> RawCloud:
     )
 
 
+def ply_has_faces(path: Path) -> bool:
+    """Whether a PLY file is a mesh and no cloud.
+
+    Raises:
+        InputError: Not PLY, or a damaged header.
+    """
+    return any(e.name == "face" and e.length > 0 for e in _read_header(path).elements)
+
+
 def write_ply(
     path: Path,
     points: NDArray[np.floating],

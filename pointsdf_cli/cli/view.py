@@ -1,0 +1,96 @@
+"""`rgrasp view`: artifacts in three dimensions, in a browser or as one HTML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+
+def view(
+    artifacts: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Clouds, meshes, and the files of render, label-sdf, collect-grasps and plan; "
+            "several are shown in one world.",
+            metavar="ARTIFACT...",
+        ),
+    ],
+    export: Annotated[
+        Path | None,
+        typer.Option(metavar="PAGE.html", help="Write one HTML file instead of serving."),
+    ] = None,
+    robot: Annotated[
+        Path | None,
+        typer.Option(help="Robot YAML [default: the bundled LBR4 + Allegro].", show_default=False),
+    ] = None,
+    meshes: Annotated[
+        Path | None, typer.Option(help="Meshes that artifacts name.  [default: beside them]")
+    ] = None,
+    most: Annotated[int, typer.Option(help="Views or attempts to show, spread over all.")] = 200,
+    unit: Annotated[str, typer.Option(help="Of clouds and meshes: m, cm, mm or inch.")] = "m",
+    port: Annotated[
+        int, typer.Option(help="To serve at; the next free one if it is taken.")
+    ] = 8080,
+    host: Annotated[
+        str, typer.Option(help="Address to serve at; 0.0.0.0 lets other machines look.")
+    ] = "127.0.0.1",
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Look at artifacts in 3D: serve them to a browser, or --export a page that works offline.
+
+    Example: rgrasp view plan.h5 cloud.ply
+    """
+    from pointsdf_cli.io.atomic import require_new, write_text_atomic
+    from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.viz.artifact_scene import scenes_of
+    from pointsdf_cli.viz.html_scene import scene_page
+    from pointsdf_cli.viz.scene_sources import SceneOptions
+
+    reporter = common.Reporter(quiet, as_json)
+    if export:
+        require_new(export, force)
+    options = SceneOptions(load_robot(robot), meshes, most, unit)
+    scene = scenes_of(artifacts, options)
+    facts = {"title": scene.title, "frames": scene.frames, "parts": len(scene.parts)}
+    if export:
+        write_text_atomic(export, scene_page(scene))
+        size = export.stat().st_size
+        reporter.result(
+            {"written": export, "bytes": size, **facts},
+            [f"{export}: {scene.frames} frames, {size / 1e6:.1f} MB; open it in any browser"],
+        )
+        return
+    from pointsdf_cli.viz.viewer import Viewer
+
+    with Viewer(scene, host, port) as viewer:
+        reporter.result({"url": url(host, viewer.port), **facts}, address(host, viewer.port))
+        try:
+            viewer.run()
+        except KeyboardInterrupt:
+            reporter.say("closed")
+
+
+def url(host: str, port: int) -> str:
+    """Where a browser on this machine finds the page."""
+    return f"http://{'localhost' if host in ('0.0.0.0', '127.0.0.1', '::') else host}:{port}"
+
+
+def address(host: str, port: int) -> list[str]:
+    """What to open, and what to type first where this machine is reached by SSH."""
+    import os
+    import socket
+
+    lines = [f"open {url(host, port)} (Ctrl-C ends)"]
+    if os.environ.get("SSH_CONNECTION"):
+        name = socket.gethostname()
+        lines += [
+            "you are here by SSH: type this on your own machine first, then open the same address",
+            f"  ssh -L {port}:localhost:{port} {os.environ.get('USER', 'you')}@{name}",
+        ]
+    return lines

@@ -1,0 +1,97 @@
+"""Any artifact as a scene, and several in one world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, read_cloud
+from pointsdf_cli.io.hdf5 import open_hdf5
+from pointsdf_cli.io.meshes import MESH_SUFFIXES
+from pointsdf_cli.io.ply import ply_has_faces
+from pointsdf_cli.viz.grasp_scenes import grasps_scene, plan_scene
+from pointsdf_cli.viz.scene import Scene, joined
+from pointsdf_cli.viz.scene_sources import SceneOptions
+from pointsdf_cli.viz.shape_scenes import (
+    cloud_place,
+    cloud_scene,
+    labels_scene,
+    mesh_scene,
+    views_scene,
+)
+
+
+def scene_of(path: Path, options: SceneOptions) -> Scene:
+    """One artifact as a scene in the world's frame (a mesh, views and labels in the mesh's).
+
+    Raises:
+        InputError: No such file, or of a kind that cannot be shown.
+    """
+    suffix = path.suffix.lower()
+    if not path.exists():
+        raise InputError("no such file", where=path)
+    if path.is_dir():
+        raise InputError("is a folder", where=path, allowed="one file: a cloud, mesh or artifact")
+    if suffix == ".ply":
+        faces = ply_has_faces(path)
+        return mesh_scene(path, options) if faces else cloud_scene(path, options)
+    if suffix in CLOUD_SUFFIXES:
+        return cloud_scene(path, options)
+    if suffix in MESH_SUFFIXES:
+        return mesh_scene(path, options)
+    if suffix in (".h5", ".hdf5"):
+        with open_hdf5(path) as file:
+            schema = str(file.attrs.get("schema", "nothing that rgrasp wrote"))
+        if schema in _ARTIFACTS:
+            return _ARTIFACTS[schema](path, options)
+        raise InputError(
+            f"holds {schema}, which has no picture", where=path, allowed=", ".join(_ARTIFACTS)
+        )
+    raise InputError(
+        f"{suffix or 'a file without suffix'} cannot be shown",
+        where=path,
+        allowed=", ".join([*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".h5"]),
+    )
+
+
+def scenes_of(paths: Sequence[Path], options: SceneOptions) -> Scene:
+    """Several artifacts in one world.
+
+    A mesh beside a cloud is taken to lie in the cloud's frame, as `rgrasp mesh` writes it.
+
+    Raises:
+        InputError: One of them cannot be shown, or two of them move.
+    """
+    scenes, T_world_mesh = [scene_of(path, options) for path in paths], np.eye(4)
+    for path, scene in zip(paths, scenes, strict=True):
+        if any(part.layer == "cloud" and part.frame is None for part in scene.parts):
+            T_world_mesh = cloud_place(read_cloud(path, options.unit, drop_invalid=True))
+            break
+    placed = []
+    for scene in scenes:
+        still = all(part.layer in ("mesh", "axes") for part in scene.parts)
+        placed.append(_set_down(scene, T_world_mesh) if still else scene)
+    return joined(placed)
+
+
+_ARTIFACTS = {
+    "views": views_scene,
+    "labels": labels_scene,
+    "grasps": grasps_scene,
+    "plan": plan_scene,
+}
+
+
+def _set_down(scene: Scene, T_world_mesh: NDArray[np.float64]) -> Scene:
+    """A scene of meshes, moved as a whole."""
+    parts = tuple(
+        replace(part, vertices=apply_transform(T_world_mesh, part.vertices).astype(np.float32))
+        for part in scene.parts
+    )
+    return replace(scene, parts=parts)

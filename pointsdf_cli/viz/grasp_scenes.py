@@ -1,0 +1,85 @@
+"""Grasps and plans as scenes: the robot moves through attempts or along its trajectory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.grasps import CAUSES, KINDS, read_grasps
+from pointsdf_cli.io.plans import OK, read_plan
+from pointsdf_cli.viz.robot_scene import MovingRobot, table_part
+from pointsdf_cli.viz.scene import Part, Scene, axes, by_height
+from pointsdf_cli.viz.scene_sources import SceneOptions, named_mesh, require_joints, spread
+
+OBJECT_COLOUR = (0.25, 0.60, 0.35)
+
+
+def grasps_scene(path: Path, options: SceneOptions) -> Scene:
+    """Attempts with one object, one a frame: the cloud, the hand before it closes, the object."""
+    grasps, meta = read_grasps(path)
+    require_joints(path, meta.joint_names, options.robot)
+    chosen = spread(len(grasps), options.most)
+    if not len(chosen):
+        raise InputError("holds no attempt", where=path)
+    robot = MovingRobot(options.robot)
+    thing, palm = len(robot.bodies), len(robot.bodies) + 1
+    parts = [*robot.parts, table_part(), axes("palm", "palm", 0.08, palm)]
+    for part in named_mesh(meta.mesh_file, meta.mesh_hash, path, options):
+        parts.append(replace(part, layer="object", colour=OBJECT_COLOUR, body=thing, opacity=0.6))
+    captions = []
+    for frame, k in enumerate(chosen):
+        points = apply_transform(grasps.T_world_camera[k], grasps.cloud[k]).astype(np.float32)
+        colours = by_height(points)
+        parts.append(Part(f"cloud {k}", "cloud", "points", points, None, colours, frame=frame))
+        cause, kind = CAUSES[grasps.cause[k]], KINDS[grasps.kind[k]]
+        captions.append(f"attempt {int(grasps.attempt[k])}: {kind}, {cause}")
+    poses = np.concatenate(
+        [
+            robot.poses(grasps.q[chosen]),
+            grasps.T_world_object[chosen][:, None],
+            grasps.T_world_palm[chosen][:, None],
+        ],
+        axis=1,
+    )
+    counts = ", ".join(f"{cause} {n}" for cause, n in grasps.count().items() if n)
+    facts = (("object", meta.mesh_file), ("attempts", str(len(grasps))), ("causes", counts))
+    bodies = (*robot.bodies, "object", "palm")
+    return Scene(path.name, tuple(parts), bodies, poses, tuple(captions), "attempt", 1.0, facts)
+
+
+def plan_scene(path: Path, options: SceneOptions) -> Scene:
+    """The motion to the grasp; without one, the robot at home and the reason."""
+    plan = read_plan(path)
+    require_joints(path, plan.joint_names, options.robot)
+    robot = MovingRobot(options.robot)
+    parts = [*robot.parts, table_part(), axes("world", "axes", 0.1)]
+    if plan.status == OK and len(plan.times):
+        chosen = spread(len(plan.times), 400)
+        q = plan.trajectory[chosen]
+        captions = tuple(f"{plan.times[k]:.2f} s" for k in chosen)
+        rate = len(chosen) / max(float(plan.times[-1]), 0.1)
+    else:
+        q, captions, rate = options.robot.home[None], ("at home",), 4.0
+    poses = robot.poses(q)
+    bodies = robot.bodies
+    if np.isfinite(plan.T_world_palm).all():
+        bodies = (*bodies, "grasp")
+        parts.append(axes("grasp", "grasp", 0.1, len(bodies) - 1))
+        goal = np.broadcast_to(plan.T_world_palm, (len(poses), 1, 4, 4))
+        poses = np.concatenate([poses, goal], axis=1)
+    facts = [("status", plan.status)]
+    if plan.status == OK:
+        facts += [
+            ("probability of success", f"{plan.success_probability:.3f}"),
+            ("seconds of motion", f"{plan.times[-1]:.2f}" if len(plan.times) else "none"),
+        ]
+    else:
+        facts += [("reason", plan.reason), ("", plan.sentence)]
+    facts.append(("seeds tried", str(plan.seeds_tried)))
+    return Scene(
+        path.name, tuple(parts), bodies, poses, captions, "time", min(rate, 60.0), tuple(facts)
+    )

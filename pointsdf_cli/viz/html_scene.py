@@ -1,0 +1,73 @@
+"""A scene as one HTML file: WebGL without a library; nothing is fetched, so it works offline."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.viz.scene import Scene
+
+_MARK = "<!--SCENE-->"
+_START = '<script id="scene" type="application/json">'
+
+
+def scene_page(scene: Scene) -> str:
+    """The page. Its data is one JSON object; arrays are base64 of little-endian numbers."""
+    template = resources.files("pointsdf_cli.viz").joinpath("scene_page.html")
+    # "<" cannot close the script element early if it is never written.
+    data = json.dumps(scene_as_json(scene)).replace("<", "\\u003c")
+    page = template.read_text(encoding="utf-8").replace("<!--TITLE-->", html.escape(scene.title))
+    return page.replace(_MARK, f"{_START}{data}</script>")
+
+
+def scene_as_json(scene: Scene) -> dict[str, Any]:
+    """The scene in plain types."""
+    low, high = scene.bounds()
+    return {
+        "title": scene.title,
+        "slider": scene.slider,
+        "rate": scene.rate,
+        "captions": list(scene.captions),
+        "facts": [list(fact) for fact in scene.facts],
+        "bodies": list(scene.bodies),
+        "layers": list(scene.layers),
+        "low": low.tolist(),
+        "high": high.tolist(),
+        # By columns, as WebGL takes matrices.
+        "poses": _base64(np.swapaxes(scene.poses, -1, -2), "<f4"),
+        "parts": [
+            {
+                "name": part.name,
+                "layer": part.layer,
+                "kind": part.kind,
+                "body": part.body,
+                "frame": part.frame,
+                "opacity": part.opacity,
+                "vertices": _base64(part.vertices, "<f4"),
+                "colours": _base64(np.clip(part.vertex_colours() * 255, 0, 255).round(), "u1"),
+                "faces": None if part.faces is None else _base64(part.faces, "<u4"),
+            }
+            for part in scene.parts
+        ],
+    }
+
+
+def scene_of_page(page: str) -> dict[str, Any]:
+    """The data of a page that `scene_page` wrote.
+
+    Raises:
+        ValueError: The page holds no scene.
+    """
+    start = page.index(_START) + len(_START)
+    data: dict[str, Any] = json.loads(page[start : page.index("</script>", start)])
+    return data
+
+
+def _base64(array: NDArray[Any], kind: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).astype(kind).tobytes()).decode("ascii")

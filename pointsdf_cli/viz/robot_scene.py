@@ -1,0 +1,72 @@
+"""The robot, its table and its frames as parts of a scene."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import Kinematics, homogeneous
+from pointsdf_cli.viz.robot_picture import ARM_COLOURS, HAND_COLOUR, TIP_COLOUR
+from pointsdf_cli.viz.scene import Part
+from pointsdf_cli.viz.shading import table_mesh
+
+
+class MovingRobot:
+    """The links of a robot as the first bodies of a scene.
+
+    Args:
+        robot: The robot.
+        sections: Facets of a cylinder.
+
+    Attributes:
+        bodies: Names of all links.
+        parts: Their shapes.
+    """
+
+    def __init__(self, robot: RobotDescription, sections: int = 24) -> None:
+        self._kinematics = Kinematics(robot)
+        self.bodies = robot.tree.links
+        hand = set(robot.hand_links)
+        parts = []
+        for i, link in enumerate(robot.tree.links):
+            for shape in robot.tree.shapes[link]:
+                mesh = shape.as_mesh(sections)
+                colour = ARM_COLOURS[i % 2]
+                if link in hand:
+                    colour = TIP_COLOUR if shape.kind == "sphere" else HAND_COLOUR
+                parts.append(
+                    Part(
+                        link,
+                        "robot",
+                        "mesh",
+                        np.asarray(mesh.vertices, np.float32),
+                        np.asarray(mesh.faces, np.int32),
+                        colour,
+                        i,
+                    )
+                )
+        self.parts = tuple(parts)
+
+    def poses(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """[F, L, 4, 4] of all links in the world at configurations [F, J]; NaN where q is."""
+        with torch.no_grad():
+            rotation, position = self._kinematics(torch.from_numpy(np.array(q, dtype=np.float64)))
+            poses: NDArray[np.float64] = homogeneous(rotation, position).numpy()
+        # A link is there if it and the whole robot are known: half a robot would mislead.
+        poses[~np.isfinite(poses).all(axis=(1, 2, 3))] = np.nan
+        return poses
+
+
+def table_part() -> Part:
+    """The table top."""
+    table = table_mesh()
+    return Part(
+        "table",
+        "table",
+        "mesh",
+        table.vertices.astype(np.float32),
+        table.faces.astype(np.int32),
+        table.colour,
+    )

@@ -1,0 +1,77 @@
+"""What scenes of artifacts share: options, meshes known by their hash, a selection of frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.meshes import load_mesh
+from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.viz.scene import Part
+
+MESH_COLOUR = (0.55, 0.66, 0.78)
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """What artifacts do not say themselves.
+
+    Attributes:
+        robot: The robot of plans and grasps.
+        meshes: A folder with the meshes that artifacts name; they are known by their hash.
+        most: Frames to show of views and grasps, spread evenly over all.
+        unit: Unit of clouds and meshes.
+    """
+
+    robot: RobotDescription
+    meshes: Path | None = None
+    most: int = 200
+    unit: str = "m"
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.most <= 5000:
+            raise InputError(f"{self.most} frames", where="--most", allowed="1 to 5000")
+
+
+def require_joints(path: Path, names: Sequence[str], robot: RobotDescription) -> None:
+    if tuple(names) != robot.joint_names:
+        raise InputError(
+            f"is of a robot with the joints {', '.join(names[:3])}, … ({len(names)}), and "
+            f"{robot.name} has {', '.join(robot.joint_names[:3])}, … ({len(robot.joint_names)})",
+            where=path,
+            hint="give the robot that it was made for by --robot",
+        )
+
+
+def spread(count: int, most: int) -> NDArray[np.int64]:
+    """At most `most` of 0 … count − 1, evenly."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
+
+
+def mesh_part(name: str, vertices: NDArray, faces: NDArray, opacity: float = 1.0) -> Part:
+    return Part(
+        name,
+        "mesh",
+        "mesh",
+        np.asarray(vertices, np.float32),
+        np.asarray(faces, np.int32),
+        MESH_COLOUR,
+        opacity=opacity,
+    )
+
+
+def named_mesh(name: str, digest: str, artifact: Path, options: SceneOptions) -> list[Part]:
+    """The mesh that an artifact was made from, if it lies where it was looked for."""
+    folders = [options.meshes] if options.meshes else [artifact.parent]
+    for folder in folders:
+        for path in sorted(folder.rglob(name)) if folder.is_dir() else []:
+            if path.is_file() and file_sha256(path) == digest:
+                mesh = load_mesh(path, options.unit)
+                return [mesh_part(name, mesh.vertices, mesh.faces, 0.35)]
+    return []

@@ -1,0 +1,215 @@
+"""Scenes put things where they are in the world, and the exported page holds all of it."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from plan_files import turning_plan_file
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import invert_transform, rotation_from_wxyz, transform
+from pointsdf_cli.io.clouds import Cloud, write_cloud
+from pointsdf_cli.io.grasps import Grasps, GraspsMeta, write_grasps
+from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.io.views import Views, write_views
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.viz.artifact_scene import scene_of, scenes_of
+from pointsdf_cli.viz.html_scene import scene_of_page, scene_page
+from pointsdf_cli.viz.scene import Part, Scene, joined
+from pointsdf_cli.viz.scene_sources import SceneOptions
+
+ROBOT = load_robot()
+OPTIONS = SceneOptions(ROBOT)
+LOOKING_DOWN = transform([[0, -1, 0], [-1, 0, 0], [0, 0, -1]], [0.6, 0.0, 1.0])
+
+
+def part(scene: Scene, layer: str) -> Part:
+    return next(part for part in scene.parts if part.layer == layer)
+
+
+def test_a_cloud_of_a_camera_that_looks_down_lies_below_it(tmp_path: Path) -> None:
+    points = np.array([[0.0, 0.0, 0.9], [0.1, 0.0, 0.9], [0.0, 0.2, 0.8]])
+    write_cloud(tmp_path / "c.ply", Cloud(points, T_world_camera=LOOKING_DOWN))
+    shown = part(scene_of(tmp_path / "c.ply", OPTIONS), "cloud").vertices
+    # 0.9 m in front of a camera at 1 m that looks down is 0.1 m above the table; the image's
+    # right is the world's -y, its lower side the world's -x.
+    assert np.allclose(shown, [[0.6, 0, 0.1], [0.6, -0.1, 0.1], [0.4, 0, 0.2]], atol=1e-6)
+
+
+def test_a_cloud_without_a_pose_is_set_upright(tmp_path: Path) -> None:
+    points = np.array([[0.0, 0.0, 1.0], [0.0, 0.3, 1.0], [0.2, 0.0, 1.0]])
+    write_cloud(tmp_path / "c.ply", Cloud(points))
+    ahead, lower, right = part(scene_of(tmp_path / "c.ply", OPTIONS), "cloud").vertices
+    assert lower[2] - ahead[2] == pytest.approx(-0.3, abs=1e-6)
+    assert right[1] - ahead[1] == pytest.approx(-0.2, abs=1e-6)
+
+
+def test_a_mesh_beside_a_cloud_lies_in_the_clouds_frame(tmp_path: Path) -> None:
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    box.apply_translation((0, 0, 0.9))
+    box.export(tmp_path / "mesh.ply")
+    points = np.asarray(box.vertices)
+    write_cloud(tmp_path / "c.ply", Cloud(points, T_world_camera=LOOKING_DOWN))
+    scene = scenes_of([tmp_path / "mesh.ply", tmp_path / "c.ply"], OPTIONS)
+    mesh, cloud = part(scene, "mesh").vertices, part(scene, "cloud").vertices
+    assert np.allclose(mesh.min(axis=0), cloud.min(axis=0), atol=1e-6)
+    assert np.allclose(mesh.max(axis=0), cloud.max(axis=0), atol=1e-6)
+
+
+def test_views_are_seen_from_their_cameras(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    on_ball = rng.standard_normal((1000, 3))
+    on_ball *= 0.05 / np.linalg.norm(on_ball, axis=1, keepdims=True)
+    poses = np.array(
+        [transform(rotation_from_wxyz(rng.standard_normal(4)), [0, 0, 1.5]) for _ in range(3)]
+    )
+    clouds = np.array([on_ball @ T[:3, :3].T + T[:3, 3] for T in poses], dtype=np.float32)
+    write_views(
+        tmp_path / "v.h5",
+        Views(clouds, poses, np.diag([500.0, 500, 1]), (640, 480), 0.0, "ball.ply", "0"),
+        seed=0,
+    )
+    scene = scene_of(tmp_path / "v.h5", OPTIONS)
+    assert (scene.frames, scene.slider) == (3, "view")
+    for k, shown in enumerate(p for p in scene.parts if p.layer == "cloud"):
+        assert shown.frame == k
+        assert np.allclose(np.linalg.norm(shown.vertices, axis=1), 0.05, atol=1e-5)
+        assert np.allclose(scene.poses[k, 0], invert_transform(poses[k]))
+
+
+def test_a_plan_turns_the_robot_about_its_first_axis(tmp_path: Path) -> None:
+    scene = scene_of(turning_plan_file(tmp_path, ROBOT), OPTIONS)
+    assert scene.frames == 11
+    assert scene.rate == pytest.approx(11 / 2)
+    assert scene.captions[-1] == "2.00 s"
+    palm = scene.bodies.index("allegro_palm")
+    start, end = scene.poses[0, palm, :3, 3], scene.poses[-1, palm, :3, 3]
+    turn = np.array([[np.cos(1), -np.sin(1)], [np.sin(1), np.cos(1)]])
+    assert np.allclose(end[:2], turn @ start[:2], atol=1e-9)
+    assert end[2] == pytest.approx(start[2])
+    base = scene.bodies.index("lbr4_link_0")
+    assert np.allclose(scene.poses[:, base], np.eye(4))
+
+
+def write_two_grasps(tmp_path: Path) -> Path:
+    trimesh.creation.box((0.06, 0.06, 0.1)).export(tmp_path / "box.ply")
+    q = np.tile(ROBOT.home, (2, 1))
+    q[1, ROBOT.arm] = np.nan  # no inverse kinematics: there is no robot to show
+    poses = np.tile(transform(np.eye(3), [0.6, 0, 0.05]), (2, 1, 1))
+    grasps = Grasps(
+        cloud=np.tile(np.float32([0.0, 0.0, 0.9]), (2, 1000, 1)),
+        T_world_camera=np.tile(LOOKING_DOWN, (2, 1, 1)),
+        T_world_object=poses,
+        T_world_palm=poses,
+        q=q,
+        label=np.array([1, -2], np.int8),
+        kind=np.array([0, 1], np.int8),
+        cause=np.array([0, 6], np.int8),
+        lift_height=np.float32([0.15, np.nan]),
+        slip=np.float32([0.0, np.nan]),
+        attempt=np.arange(2, dtype=np.int32),
+        scene=np.zeros(2, np.int32),
+    )
+    meta = GraspsMeta(
+        "box.ply",
+        file_sha256(tmp_path / "box.ply"),
+        "train",
+        ROBOT.name,
+        ROBOT.joint_names,
+        ROBOT.preshape_joints,
+    )
+    write_grasps(tmp_path / "g.h5", grasps, meta, seed=0)
+    return tmp_path / "g.h5"
+
+
+def test_an_attempt_without_an_arm_shows_object_and_palm_only(tmp_path: Path) -> None:
+    scene = scene_of(write_two_grasps(tmp_path), OPTIONS)
+    assert scene.captions == ("attempt 0: side, held", "attempt 1: top, no_ik")
+    robot = slice(0, len(ROBOT.tree.links))
+    assert np.isfinite(scene.poses[0]).all()
+    assert np.isnan(scene.poses[1, robot]).all()
+    assert np.isfinite(scene.poses[1, robot.stop :]).all()
+    thing = part(scene, "object")  # the mesh beside the file, known by its hash
+    world = thing.vertices @ scene.poses[0, thing.body, :3, :3].T
+    world += scene.poses[0, thing.body, :3, 3]
+    assert np.allclose(
+        [world.min(axis=0), world.max(axis=0)], [[0.57, -0.03, 0], [0.63, 0.03, 0.1]]
+    )
+
+
+def test_two_that_move_are_refused_and_one_with_a_still_one_is_not(tmp_path: Path) -> None:
+    plan, grasps = turning_plan_file(tmp_path, ROBOT), write_two_grasps(tmp_path)
+    with pytest.raises(InputError, match="slider of their own"):
+        scenes_of([plan, grasps], OPTIONS)
+    both = scenes_of([tmp_path / "box.ply", plan], OPTIONS)
+    alone = scene_of(plan, OPTIONS)
+    assert both.frames == alone.frames
+    assert np.array_equal(both.poses, alone.poses)
+    assert len(both.parts) == len(alone.parts) + 2
+
+
+def test_a_plan_of_another_robot_is_refused(tmp_path: Path) -> None:
+    gripper = load_robot(Path(__file__).parent / "robots" / "gripper.yaml")
+    path = turning_plan_file(tmp_path, gripper)
+    with pytest.raises(InputError, match="--robot"):
+        scene_of(path, OPTIONS)
+    assert scene_of(path, SceneOptions(gripper)).frames == 11
+
+
+def test_bounds_leave_out_table_and_what_is_not_there() -> None:
+    corner = np.float32([[0, 0, 0], [1, 1, 1]])
+    poses = np.stack([np.eye(4), np.full((4, 4), np.nan)])[None]
+    parts = (
+        Part("a", "thing", "points", corner, body=0),
+        Part("b", "thing", "points", corner + 50, body=1),
+        Part("c", "table", "points", corner * 100),
+    )
+    scene = Scene("s", parts, ("there", "gone"), poses)
+    assert np.array_equal(scene.bounds(), [[0, 0, 0], [1, 1, 1]])
+    assert joined([scene]) is scene
+
+
+def test_the_page_holds_the_whole_scene_and_fetches_nothing(tmp_path: Path) -> None:
+    scene = scene_of(turning_plan_file(tmp_path, ROBOT), OPTIONS)
+    page = scene_page(scene)
+    data = scene_of_page(page)
+    poses = np.frombuffer(base64.b64decode(data["poses"]), "<f4")
+    stored = np.swapaxes(poses.reshape(scene.poses.shape), -1, -2)
+    assert np.allclose(stored, scene.poses, atol=1e-6)
+    assert len(data["parts"]) == len(scene.parts)
+    for kept, mine in zip(data["parts"], scene.parts, strict=True):
+        vertices = np.frombuffer(base64.b64decode(kept["vertices"]), "<f4").reshape(-1, 3)
+        assert np.array_equal(vertices, mine.vertices)
+        if mine.faces is not None:
+            faces = np.frombuffer(base64.b64decode(kept["faces"]), "<u4").reshape(-1, 3)
+            assert np.array_equal(faces, mine.faces)
+    assert not re.search(r"https?://", page)
+    assert page.count("<script") == page.count("</script>") == 2
+
+
+def test_a_name_cannot_leave_its_place_in_the_page() -> None:
+    scene = Scene("</script><script>alert(1)</script>", ())
+    page = scene_page(scene)
+    assert page.count("<script") == 2
+    assert scene_of_page(page)["title"] == scene.title
+
+
+def test_view_exports_and_refuses(tmp_path: Path, cli: Callable) -> None:
+    plan, page = turning_plan_file(tmp_path, ROBOT), tmp_path / "p.html"
+    done = cli("view", plan, "--export", page)
+    assert done.code == 0, done.err
+    assert scene_of_page(page.read_text())["slider"] == "time"
+    assert cli("view", plan, "--export", page).code == 2
+    assert cli("view", plan, "--export", page, "--force").code == 0
+    (tmp_path / "note.md").write_text("hello")
+    for bad in (tmp_path / "note.md", tmp_path, tmp_path / "absent.h5"):
+        refused = cli("view", bad, "--export", tmp_path / "q.html")
+        assert refused.code == 2
+        assert str(bad) in refused.err
+    assert not (tmp_path / "q.html").exists()
