@@ -1,0 +1,65 @@
+"""A depth image as a point cloud."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.clouds import Cloud
+
+
+def cloud_of_depth(
+    depth: NDArray[np.float64],
+    camera: Camera,
+    T_world_camera: NDArray[np.float64] | None = None,
+    colours: NDArray[np.uint8] | None = None,
+    nearest: float = 0.05,
+    farthest: float = 5.0,
+) -> Cloud:
+    """Every pixel that has a depth, back-projected; camera frame.
+
+    Args:
+        depth: [height, width], m along z; 0 where there is none.
+        camera: Its intrinsics.
+        T_world_camera: [4, 4], kept with the cloud; None if it is not known.
+        colours: [height, width, 3], registered to the depth image; None for none.
+        nearest, farthest: Depths [m] beyond which a reading is not believed.
+
+    Raises:
+        InputError: The sizes differ, or no pixel has a depth within the limits.
+    """
+    if not 0 <= nearest < farthest:
+        raise InputError(
+            f"depths from {nearest} to {farthest} m",
+            where="--near, --far",
+            allowed="0 or more, the nearer one first",
+        )
+    if depth.shape != (camera.height, camera.width):
+        raise InputError(
+            f"a depth image of {depth.shape[::-1]} for a camera of {camera.width, camera.height}"
+        )
+    if colours is not None and colours.shape[:2] != depth.shape:
+        raise InputError(
+            f"the colour image has {colours.shape[1]} × {colours.shape[0]} pixels and the depth "
+            f"image {depth.shape[1]} × {depth.shape[0]}",
+            where="--color",
+            allowed="a colour image registered to the depth image, pixel by pixel",
+        )
+    v, u = np.nonzero((depth >= nearest) & (depth <= farthest) & (depth > 0))
+    if not len(v):
+        seen = depth[depth > 0]
+        found = f"{seen.min():.4g} to {seen.max():.4g} m" if seen.size else "none at all"
+        raise InputError(
+            f"no depth between {nearest:g} and {farthest:g} m (there is {found})",
+            allowed="depths of a table-top scene",
+            hint="check --depth-scale: 0.001 if the numbers are millimetres, 0.00025 for a "
+            "RealSense L515, 1 for metres",
+        )
+    return Cloud(
+        points=camera.back_project(u, v, depth[v, u]),
+        colours=None if colours is None else np.ascontiguousarray(colours[v, u]),
+        frame="camera",
+        T_world_camera=T_world_camera,
+    )

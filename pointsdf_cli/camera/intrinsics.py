@@ -1,0 +1,170 @@
+"""Intrinsics in the forms in which cameras and their drivers write them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from pointsdf_cli.camera.pinhole import CAMERAS, Camera
+from pointsdf_cli.errors import InputError
+
+FORMS = (
+    "a 3×3 matrix K; {K: …, width, height}; ROS camera_info (k or K, d or D, width, height; also "
+    "the calibration file with camera_matrix); RealSense (fx, fy, ppx, ppy, coeffs, width, "
+    "height); Open3D (intrinsic_matrix by columns); or the name of a camera: " + ", ".join(CAMERAS)
+)
+_FOCAL = {"fx": ("fx",), "fy": ("fy",), "cx": ("cx", "ppx"), "cy": ("cy", "ppy")}
+_MATRIX = ("K", "k", "camera_matrix", "intrinsic_matrix", "intrinsics", "matrix")
+_NESTED = ("depth", "depth_intrinsics", "intrinsics", "intrinsic", "camera")
+_DISTORTION = ("D", "d", "coeffs", "distortion_coefficients", "distortion", "dist_coeffs")
+SMALLEST_DISTORTION = 1e-6
+
+
+def read_intrinsics(name: str, width: int, height: int) -> Camera:
+    """The camera of a depth image of `width` × `height` pixels.
+
+    Args:
+        name: A file in one of `FORMS` (JSON or YAML), or a camera's name.
+        width, height: Of the image; a file that gives another size is refused.
+
+    Raises:
+        InputError: No such file or form, another image size, or a camera that bends the picture.
+    """
+    if name in CAMERAS:
+        camera = CAMERAS[name]
+        _check_size(camera.width, camera.height, width, height, name)
+        return camera
+    path = Path(name)
+    data = _load(path)
+    if isinstance(data, Mapping):
+        _check_distortion(data, path)
+        size = data.get("width"), data.get("height")
+        if None not in size:
+            _check_size(_whole(size[0], path), _whole(size[1], path), width, height, path)
+        fx, fy, cx, cy = _numbers(data, path)
+    else:
+        fx, fy, cx, cy = _of_matrix(data, False, path)
+    try:
+        camera = Camera(width, height, fx, fy, cx, cy)
+    except InputError as error:
+        raise InputError(error.what, where=path, allowed=error.allowed) from error
+    if not (0 <= cx < width and 0 <= cy < height):
+        raise InputError(
+            f"has its principal point ({cx:g}, {cy:g}) outside the image of {width} × {height}",
+            where=path,
+            allowed="intrinsics of this image: those of its own size and crop, in pixels",
+        )
+    return camera
+
+
+def _load(path: Path) -> Any:
+    if not path.is_file():
+        raise InputError("no such intrinsics", where=str(path), allowed=FORMS)
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = json.loads(text) if path.suffix.lower() == ".json" else yaml.safe_load(text)
+    except (ValueError, yaml.YAMLError, RecursionError) as error:
+        kind = "JSON" if path.suffix.lower() == ".json" else "YAML"
+        raise InputError(f"is not {kind}", where=path, allowed=FORMS) from error
+    if isinstance(data, Mapping) and not _has_intrinsics(data):
+        inner = [data[key] for key in _NESTED if isinstance(data.get(key), Mapping)]
+        if len(inner) == 1:
+            return inner[0]
+    return data
+
+
+def _has_intrinsics(data: Mapping[str, Any]) -> bool:
+    has_matrix = any(_entries(data.get(key)) is not None for key in _MATRIX)
+    return has_matrix or all(any(n in data for n in names) for names in _FOCAL.values())
+
+
+def _numbers(data: Mapping[str, Any], path: Path) -> tuple[float, float, float, float]:
+    if all(any(name in data for name in names) for names in _FOCAL.values()):
+        found = [next(data[n] for n in names if n in data) for names in _FOCAL.values()]
+        try:
+            fx, fy, cx, cy = (float(value) for value in found)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                "fx, fy and the principal point are not numbers", where=path, allowed=FORMS
+            ) from error
+        return fx, fy, cx, cy
+    for key in _MATRIX:
+        if _entries(data.get(key)) is not None:
+            # Open3D alone writes columns first.
+            return _of_matrix(data[key], key == "intrinsic_matrix", path)
+    raise InputError(
+        f"holds no intrinsics, but {', '.join(map(str, data)) or 'nothing'}",
+        where=path,
+        allowed=FORMS,
+    )
+
+
+def _entries(value: Any) -> np.ndarray | None:
+    """The 9 numbers of a matrix however it is nested; None if it is no matrix."""
+    if isinstance(value, Mapping):
+        value = value.get("data")
+    try:
+        matrix = np.asarray(value, dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        return None
+    return matrix if matrix.size == 9 else None
+
+
+def _of_matrix(value: Any, by_columns: bool, path: Path) -> tuple[float, float, float, float]:
+    entries = _entries(value)
+    if entries is None:
+        raise InputError("holds no 3×3 matrix", where=path, allowed=FORMS)
+    matrix = entries.reshape(3, 3)
+    if by_columns and np.abs(matrix[:2, 2]).max() == 0:
+        matrix = matrix.T
+    rest = matrix.copy()
+    rest[[0, 1, 0, 1, 2], [0, 1, 2, 2, 2]] -= [*matrix[[0, 1, 0, 1], [0, 1, 2, 2]], 1.0]
+    if not np.isfinite(matrix).all() or np.abs(rest).max() > 1e-9:
+        raise InputError(
+            "has skew or is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", where=path, allowed=FORMS
+        )
+    return tuple(float(v) for v in matrix[[0, 1, 0, 1], [0, 1, 2, 2]])  # type: ignore[return-value]
+
+
+def _check_distortion(data: Mapping[str, Any], path: Path) -> None:
+    for key in _DISTORTION:
+        value = data.get(key)
+        if isinstance(value, Mapping):
+            value = value.get("data")
+        if value is None:
+            continue
+        try:
+            largest = float(np.abs(np.asarray(value, dtype=np.float64)).max(initial=0.0))
+        except (TypeError, ValueError):
+            continue  # a name of a model, not its numbers
+        if not largest <= SMALLEST_DISTORTION:
+            raise InputError(
+                f"`{key}` says that the camera bends the picture (up to {largest:g}), and a "
+                "pinhole camera is needed",
+                where=path,
+                allowed="all distortion coefficients 0",
+                hint="rectify the depth image first (ROS: depth_image_proc or image_proc; OpenCV: "
+                "initUndistortRectifyMap with nearest-neighbour remap) and give the rectified K. "
+                "RealSense depth images are rectified already: their own coefficients are 0",
+            )
+
+
+def _whole(value: Any, path: Path) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value):
+        raise InputError(f"has a width or height of {value!r}", where=path, allowed="whole numbers")
+    return int(value)
+
+
+def _check_size(mine: int, my_height: int, width: int, height: int, where: Any) -> None:
+    if (mine, my_height) != (width, height):
+        raise InputError(
+            f"is for images of {mine} × {my_height}, and the depth image has {width} × {height}",
+            where=where,
+            allowed="intrinsics of the depth image itself (not of the colour camera, or of "
+            "another resolution)",
+        )

@@ -1,0 +1,110 @@
+"""Depth and colour images from files: what cameras' own tools and ROS write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from pointsdf_cli.errors import InputError
+
+DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy")
+LARGEST_PIXELS = 64_000_000
+
+
+def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float64]:
+    """A depth image f8 [height, width] in m along z; 0 where the camera saw nothing.
+
+    Args:
+        path: 16-bit (or 32-bit float) PNG, TIFF or PGM, or an NPY array.
+        scale: Metres a unit. None takes 0.001 (millimetres) for whole numbers, 1 for others.
+
+    Raises:
+        InputError: No such file, no depth image, or a scale that is not positive.
+    """
+    path = Path(path)
+    if scale is not None and not 1e-6 <= scale <= 10:
+        raise InputError(
+            f"{scale} m a unit", where="--depth-scale", allowed="0.000001 to 10; 0.001 for mm"
+        )
+    values = _array(path) if path.suffix.lower() == ".npy" else _image(path)
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    if values.ndim != 2 or not values.size:
+        raise InputError(
+            f"is of shape {values.shape}, and a depth image has one number a pixel",
+            where=path,
+            allowed="[height, width]",
+        )
+    if values.dtype == np.uint8 or values.dtype.kind not in "uif":
+        raise InputError(
+            f"holds {values.dtype} values: a picture of depths, not depths",
+            where=path,
+            allowed="16-bit whole numbers or floats, as the camera measured them",
+        )
+    whole = values.dtype.kind in "ui"
+    depth = values.astype(np.float64) * (scale if scale is not None else 0.001 if whole else 1.0)
+    return np.where(np.isfinite(depth) & (depth > 0), depth, 0.0)
+
+
+def read_colour(path: Path | str) -> NDArray[np.uint8]:
+    """A colour image u1 [height, width, 3].
+
+    Raises:
+        InputError: No such file, or no image.
+    """
+    with _open(Path(path)) as image:
+        try:
+            return np.asarray(image.convert("RGB"))
+        except (OSError, ValueError, SyntaxError) as error:
+            raise InputError("is damaged or cut short", where=path) from error
+
+
+def _image(path: Path) -> NDArray:
+    if path.suffix.lower() not in DEPTH_SUFFIXES:
+        raise InputError(
+            f"unknown format of depth images {path.suffix!r}",
+            where=path,
+            allowed=", ".join(DEPTH_SUFFIXES),
+        )
+    with _open(path) as image:
+        if image.mode in ("RGB", "RGBA", "P", "CMYK"):
+            raise InputError(
+                "is a colour picture, and depths are one number a pixel",
+                where=path,
+                allowed="the camera's 16-bit depth image, not its coloured preview",
+            )
+        try:
+            values = np.asarray(image)
+        except (OSError, ValueError, SyntaxError) as error:
+            raise InputError("is damaged or cut short", where=path) from error
+    return values
+
+
+def _open(path: Path) -> Image.Image:
+    if not path.is_file():
+        raise InputError("no such image", where=path)
+    try:
+        image = Image.open(path)
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
+        raise InputError("is no image, or damaged", where=path) from error
+    except Image.DecompressionBombError as error:
+        raise InputError("is far too large for a camera's image", where=path) from error
+    if image.width * image.height > LARGEST_PIXELS:
+        image.close()
+        raise InputError(f"has {image.width} × {image.height} pixels", where=path)
+    return image
+
+
+def _array(path: Path) -> NDArray:
+    if not path.is_file():
+        raise InputError("no such image", where=path)
+    try:
+        values = np.load(path, allow_pickle=False, mmap_mode="r")
+        if not isinstance(values, np.ndarray) or values.size > LARGEST_PIXELS:
+            raise ValueError("no single array of an image's size")
+        return np.array(values)
+    except (ValueError, OSError, EOFError) as error:
+        raise InputError("is no NPY array of an image", where=path) from error
