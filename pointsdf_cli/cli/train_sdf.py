@@ -68,6 +68,7 @@ def train_sdf(
     from pointsdf_cli.io.provenance import git_commit
     from pointsdf_cli.models.registry import build_model, load_model, use_threads
     from pointsdf_cli.training import sdf_loop
+    from pointsdf_cli.training.distributed import join_workers
     from pointsdf_cli.training.precision import idle_processors
     from pointsdf_cli.training.presets import preset as settings
     from pointsdf_cli.training.sdf_data import split_views
@@ -98,61 +99,71 @@ def train_sdf(
         raise InputError(
             "holds a training run already", where=f"--out {out}", hint="add --resume, or --force"
         )
-    use_threads(threads or idle_processors())
-
-    reporter = common.Reporter(quiet, as_json)
-    pairs = pair_artifacts(views, labels)
-    limits = _limits(views_per_object or [])
-    with reporter.progress("packing", len(pairs)) as bar:
-        data = open_pack(
-            pairs, pack or out.with_name(out.name + "-pack"), limits, lambda n, _: bar.advance("")
+    with join_workers(device) as (workers, device):
+        reporter = common.Reporter(quiet or not workers.is_first, as_json)
+        use_threads(threads or max(1, idle_processors() // workers.local_count))
+        pairs = pair_artifacts(views, labels)
+        limits = _limits(views_per_object or [])
+        folder = pack or out.with_name(out.name + "-pack")
+        if not workers.is_first:
+            workers.wait()
+        with reporter.progress("packing", len(pairs)) as bar:
+            data = open_pack(pairs, folder, limits, lambda n, _: bar.advance(""))
+        if workers.is_first:
+            workers.wait()
+        split = split_views(data, held_out, seed)
+        network = build_model(model, arguments, seed=seed)
+        if start_from is not None:
+            network = load_model(start_from)
+            if network.architecture != model:
+                raise InputError(
+                    f"is a {network.architecture}",
+                    where=f"--start-from {start_from}",
+                    allowed=model,
+                )
+            network.requires_grad_(True)
+        reporter.say(
+            f"{model} with {sum(p.numel() for p in network.parameters()) / 1e6:.1f} M weights; "
+            f"{len(data.names)} objects, {len(split.train)} views to train on, "
+            f"{len(split.held_out_objects)} of held-out objects"
         )
-    split = split_views(data, held_out, seed)
-    network = build_model(model, arguments, seed=seed)
-    if start_from is not None:
-        network = load_model(start_from)
-        if network.architecture != model:
-            raise InputError(
-                f"is a {network.architecture}", where=f"--start-from {start_from}", allowed=model
+        with stop_requests() as should_stop:
+            result = sdf_loop.train_sdf(
+                data,
+                split,
+                network,
+                config,
+                out,
+                provenance={
+                    "preset": preset,
+                    "started_from": None if start_from is None else read_config(start_from),
+                    "data": {"objects": len(data.names), "views": len(data.scale)},
+                    "git_commit": git_commit(),
+                },
+                resume=resume,
+                device=device,
+                workers=workers,
+                on_progress=lambda progress: reporter.say(_line(progress)),
+                should_stop=should_stop,
+                report_every=10.0,
             )
-        network.requires_grad_(True)
-    reporter.say(
-        f"{model} with {sum(p.numel() for p in network.parameters()) / 1e6:.1f} M weights; "
-        f"{len(data.names)} objects, {len(split.train)} views to train on, "
-        f"{len(split.held_out_objects)} of held-out objects"
-    )
-    with stop_requests() as should_stop:
-        result = sdf_loop.train_sdf(
-            data,
-            split,
-            network,
-            config,
-            out,
-            provenance={
-                "preset": preset,
-                "started_from": None if start_from is None else read_config(start_from),
-                "data": {"objects": len(data.names), "views": len(data.scale)},
-                "git_commit": git_commit(),
-            },
-            resume=resume,
-            device=device,
-            on_progress=lambda progress: reporter.say(_line(progress)),
-            should_stop=should_stop,
-            report_every=10.0,
+        if not workers.is_first:
+            return
+        if result.history:
+            draw_loss_curve(result.history, out / "loss.png")
+        reporter.result(
+            {
+                "out": out,
+                "finished": result.finished,
+                "steps": result.step,
+                "seconds": round(result.seconds, 1),
+                "best": result.best,
+            }
         )
-    if result.history:
-        draw_loss_curve(result.history, out / "loss.png")
-    reporter.result(
-        {
-            "out": out,
-            "finished": result.finished,
-            "steps": result.step,
-            "seconds": round(result.seconds, 1),
-            "best": result.best,
-        }
-    )
-    if not result.finished:
-        reporter.say(f"stopped; the same command with --resume carries on at step {result.step}")
+        if not result.finished:
+            reporter.say(
+                f"stopped; the same command with --resume carries on at step {result.step}"
+            )
 
 
 def _limits(entries: list[str]) -> dict[str, int]:

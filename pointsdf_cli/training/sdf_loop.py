@@ -16,6 +16,7 @@ from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.checkpoints import read_train_state, write_checkpoint
 from pointsdf_cli.models.processor import keep_large_allocations
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.distributed import ALONE, Workers
 from pointsdf_cli.training.ema import WeightAverage
 from pointsdf_cli.training.precision import autocast_dtype
 from pointsdf_cli.training.sdf_data import Split, augment, predict, read_batch, training_views
@@ -142,6 +143,7 @@ def train_sdf(
     provenance: Mapping[str, Any] | None = None,
     resume: bool = False,
     device: str = "cpu",
+    workers: Workers = ALONE,
     on_progress: Callable[[Progress], None] = lambda progress: None,
     should_stop: Callable[[], bool] = lambda: False,
     report_every: float = 2.0,
@@ -160,6 +162,7 @@ def train_sdf(
         provenance: Goes into config.json.
         resume: Carry on from the state in `out`.
         device: Where to compute.
+        workers: The processes that train together; the first one writes and reports.
         on_progress: Called every `report_every` seconds and after each validation.
         should_stop: Asked before each step; True writes the state and returns.
 
@@ -180,17 +183,20 @@ def train_sdf(
     average = WeightAverage(model, config.average)
     low_precision = autocast_dtype(config.precision, target)
     step, seconds, history = 0, 0.0, list[dict[str, float]]()
-    torch.manual_seed(config.seed)
+    torch.manual_seed(config.seed + workers.rank)
     if resume:
         state = read_train_state(out)
         _check_same_run(state, model, config, out)
         model.load_state_dict(state["model"])
         optimiser.load_state_dict(state["optimiser"])
         average.load(state["average"])
-        torch.set_rng_state(state["rng"])
+        if workers.is_first:
+            torch.set_rng_state(state["rng"])
         step, seconds, history = state["step"], state["seconds"], list(state["history"])
 
     def save(weights: dict[str, torch.Tensor] | None) -> None:
+        if not workers.is_first:
+            return
         write_checkpoint(
             out,
             config={
@@ -225,7 +231,7 @@ def train_sdf(
     since_report, since_validation, total = 0, 0, 0.0
     clock = reported = time.monotonic()
     while fraction_done() < 1.0:
-        if should_stop():
+        if workers.most(should_stop()):
             save(None if history else average.weights())
             return TrainResult(False, step, seconds, history, _best(history))
 
@@ -233,7 +239,8 @@ def train_sdf(
         rng = np.random.default_rng([config.seed, 2, step])
         views = training_views(split.train, config.batch_size, step, config.seed)
         batch = read_batch(pack, views, config.queries, rng)
-        batch = (augment(batch, rng) if config.augmentation else batch).to(target)
+        batch = augment(batch, rng) if config.augmentation else batch
+        batch = workers.share(batch).to(target)
 
         for group in optimiser.param_groups:
             group["lr"] = config.rate(step, fraction_done())
@@ -242,6 +249,7 @@ def train_sdf(
         loss = config.loss(predicted, batch.sdf)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
+        workers.average_gradients(model)
         if config.clip:
             torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
         optimiser.step()
@@ -253,6 +261,8 @@ def train_sdf(
         losses += loss.detach()
         now = time.monotonic()
         seconds, clock = seconds + now - clock, now
+        if config.minutes is not None:
+            seconds = workers.most(seconds)  # one clock, or they would not end at the same step
         if now - reported >= report_every:
             mean = float(losses) / since_report
             if not math.isfinite(mean):
@@ -266,7 +276,7 @@ def train_sdf(
             losses.zero_()
             since_report, reported = 0, now
         if step % config.validate_every == 0 or fraction_done() >= 1.0:
-            total += float(losses)
+            total = workers.mean(total + float(losses))
             result = validate(pack, split, average.model, config.loss, low_precision, target)
             history.append(_entry(step, seconds, total / since_validation, result))
             is_best = _best(history) is history[-1]

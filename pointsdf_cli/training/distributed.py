@@ -1,0 +1,127 @@
+"""One training run by several processes, as `torchrun` starts them: on several GPUs, or machines.
+
+Every worker holds the whole network and sees its share of each batch; gradients are averaged before
+each step, so that all take the same step. What a batch holds depends on seed and step alone, so n
+workers see together what one would have seen (batch norm and dropout apart: those act on a share).
+
+    torchrun --nproc-per-node 4 --no-python rgrasp train-sdf --device cuda …
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+
+import torch
+import torch.distributed as dist
+from torch import nn
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.training.sdf_data import Batch
+
+PATIENCE = timedelta(minutes=60)
+"""How long workers wait for each other: the first packs the data while the others wait."""
+
+
+@dataclass(frozen=True)
+class Workers:
+    """The processes of one run, seen from one of them; a run of one process is the default.
+
+    Attributes:
+        rank: Which one this is, from 0.
+        count: How many there are.
+        local_rank, local_count: The same among those of this machine.
+    """
+
+    rank: int = 0
+    count: int = 1
+    local_rank: int = 0
+    local_count: int = 1
+
+    @property
+    def is_first(self) -> bool:
+        """Whether this one writes files and talks to the user."""
+        return self.rank == 0
+
+    def share(self, batch: Batch) -> Batch:
+        """The rows of a batch that are this worker's.
+
+        Raises:
+            InputError: The batch cannot be shared out evenly.
+        """
+        if len(batch.cloud) % self.count:
+            raise InputError(
+                f"{len(batch.cloud)} clouds cannot be shared out among {self.count} processes",
+                where="--batch-size",
+                allowed=f"multiples of {self.count}, and as many training views",
+            )
+        rows = len(batch.cloud) // self.count
+        return Batch(*(t[self.rank * rows : (self.rank + 1) * rows] for t in batch))
+
+    def average_gradients(self, model: nn.Module) -> None:
+        """Replace each gradient by its mean over all workers, in one exchange."""
+        if self.count == 1:
+            return
+        gradients = [p.grad for p in model.parameters() if p.grad is not None]
+        flat = torch.cat([gradient.reshape(-1) for gradient in gradients])
+        dist.all_reduce(flat)
+        flat /= self.count
+        at = 0
+        for gradient in gradients:
+            gradient.copy_(flat[at : at + gradient.numel()].view_as(gradient))
+            at += gradient.numel()
+
+    def mean(self, value: float) -> float:
+        """The mean of a number over all workers."""
+        return self._reduced(value, dist.ReduceOp.SUM) / self.count if self.count > 1 else value
+
+    def most(self, value: float) -> float:
+        """The largest of a number over all workers: what one says counts for all."""
+        return self._reduced(value, dist.ReduceOp.MAX) if self.count > 1 else value
+
+    def wait(self) -> None:
+        """Until all workers are here."""
+        self.most(0.0)
+
+    def _reduced(self, value: float, how: dist.ReduceOp.RedOpType) -> float:
+        on_gpu = dist.get_backend() == "nccl"
+        tensor = torch.tensor(value, dtype=torch.float64, device="cuda" if on_gpu else "cpu")
+        dist.all_reduce(tensor, how)
+        return float(tensor)
+
+
+ALONE = Workers()
+
+
+@contextmanager
+def join_workers(device: str) -> Iterator[tuple[Workers, str]]:
+    """The workers that `torchrun` started with this one, and the device that this one computes on.
+
+    Without torchrun's environment variables there is one worker. `cuda` becomes this worker's GPU.
+
+    Raises:
+        InputError: Several workers and one numbered GPU, or fewer GPUs than workers.
+    """
+    count = int(os.environ.get("WORLD_SIZE", "1"))
+    if count == 1 or "RANK" not in os.environ:
+        yield ALONE, device
+        return
+    local_rank = int(os.environ["LOCAL_RANK"])
+    local_count = int(os.environ.get("LOCAL_WORLD_SIZE", count))
+    if device.startswith("cuda"):
+        if device != "cuda" or torch.cuda.device_count() < local_count:
+            raise InputError(
+                f"{local_count} processes and {torch.cuda.device_count()} GPUs",
+                where=f"--device {device}",
+                allowed="cuda, with a GPU for each process",
+            )
+        device = f"cuda:{local_rank}"
+        torch.cuda.set_device(local_rank)
+    dist.init_process_group("nccl" if device.startswith("cuda") else "gloo", timeout=PATIENCE)
+    try:
+        yield Workers(int(os.environ["RANK"]), count, local_rank, local_count), device
+    finally:
+        dist.destroy_process_group()
