@@ -109,9 +109,8 @@ WRONG: dict[str, tuple[Any, str]] = {
 def test_intrinsics_that_cannot_be_used_say_why(folder: Path, cli: Callable, name: str) -> None:
     data, message = WRONG[name]
     (folder / name).write_text(json.dumps(data))
-    done = cli(
-        "cloud", folder / "depth.png", "--intrinsics", folder / name, "--out", folder / "o.ply"
-    )
+    out = folder / "o.ply"
+    done = cli("cloud", folder / "depth.png", "--intrinsics", folder / name, "--out", out)
     assert done.code == 2
     assert message in done.err
     assert not out.exists()
