@@ -1,4 +1,4 @@
-"""Camera poses as a user types or stores them."""
+"""Camera poses, places and lists of numbers as a user types or stores them."""
 
 from __future__ import annotations
 
@@ -17,24 +17,46 @@ ALLOWED = (
 )
 
 
-def camera_pose(text: str) -> NDArray[np.float64]:
-    """T_world_camera [4, 4] from `--camera-pose`: numbers, or a file that holds them.
+def camera_pose(text: str, option: str = "--camera-pose") -> NDArray[np.float64]:
+    """T_world_camera [4, 4] from `option`: numbers, or a file that holds them.
 
     Raises:
         InputError: Neither, or no rotation and translation.
     """
-    numbers = _numbers(text)
+    numbers = numbers_in(text, option, ALLOWED)
     if len(numbers) == 7 and np.linalg.norm(numbers[3:]) > 1e-6:
         return transform(rotation_from_wxyz(numbers[3:]), numbers[:3])
     matrix = numbers.reshape(4, 4) if len(numbers) == 16 else np.zeros((4, 4))
     if not is_rigid(matrix):
         raise InputError(
-            f"{len(numbers)} numbers that are no pose", where="--camera-pose", allowed=ALLOWED
+            f"{len(numbers)} numbers that are no pose", where=option, allowed=ALLOWED
         )
     return matrix
 
 
-def _numbers(text: str) -> NDArray[np.float64]:
+def place(text: str, where: str) -> NDArray[np.float64]:
+    """A point [3] of the world, m, as a user types it.
+
+    Raises:
+        InputError: Not three finite numbers.
+    """
+    allowed = "X,Y,Z in the world, m"
+    numbers = numbers_in(text, where, allowed)
+    if len(numbers) != 3:
+        raise InputError(f"{len(numbers)} numbers", where=where, allowed=allowed)
+    return numbers
+
+
+def numbers_in(text: str, where: str, allowed: str) -> NDArray[np.float64]:
+    """Numbers [N] typed with commas or spaces between, or those of a text, JSON or NPY file.
+
+    Args:
+        text: The numbers, or a path.
+        where, allowed: The option and what it takes, for messages.
+
+    Raises:
+        InputError: Neither numbers nor a file of them, or not all finite.
+    """
     path = Path(text)
     try:
         if path.is_file():
@@ -47,10 +69,8 @@ def _numbers(text: str) -> NDArray[np.float64]:
         numbers = np.array([float(word) for word in words])
     except (ValueError, TypeError, OSError) as error:
         raise InputError(
-            f"{text[:60]!r} is neither numbers nor a file of them",
-            where="--camera-pose",
-            allowed=ALLOWED,
+            f"{text[:60]!r} is neither numbers nor a file of them", where=where, allowed=allowed
         ) from error
     if not np.isfinite(numbers).all():
-        raise InputError("holds NaN or infinity", where="--camera-pose", allowed=ALLOWED)
+        raise InputError("holds NaN or infinity", where=where, allowed=allowed)
     return numbers
