@@ -8,6 +8,7 @@ import typer
 
 from pointsdf_cli import __version__
 from pointsdf_cli.cli import (
+    cloud,
     collect_grasps,
     doctor,
     eval_sdf,
@@ -15,9 +16,11 @@ from pointsdf_cli.cli import (
     label_sdf,
     mesh,
     objects,
+    plan,
     render,
     report,
     train_sdf,
+    view,
 )
 
 app = typer.Typer(
@@ -53,8 +56,11 @@ app.command("render")(render.render)
 app.command("label-sdf")(label_sdf.label_sdf)
 app.command("train-sdf")(train_sdf.train_sdf)
 app.command("eval-sdf")(eval_sdf.eval_sdf)
+app.command("cloud")(cloud.cloud)
 app.command("mesh")(mesh.mesh)
 app.command("collect-grasps")(collect_grasps.collect_grasps)
+app.command("plan")(plan.plan)
 app.command("info")(info.info)
 app.command("doctor")(doctor.doctor)
 app.command("report")(report.report)
+app.command("view")(view.view)

@@ -99,6 +99,10 @@ class GridField:
         value, _, bound = self._look_up(points, bound=True)
         return value, bound
 
+    def nodes(self) -> tuple[Array, Array]:
+        """Kept values [X, Y, Z] on nodes `config.step` apart, and the first node's place [3]."""
+        return self._values, self._low
+
     def _build(self, field: Field, cells: NDArray[np.int64], step: float) -> None:
         slope, band = self.config.slope, self.config.band
         exact = np.ones(cells + 1, dtype=bool)

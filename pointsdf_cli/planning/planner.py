@@ -164,9 +164,7 @@ class Planner:
         rng = np.random.default_rng(seed)
         asked = self.config.synthesis
         asked = asked if kinds is None else replace(asked, kinds=kinds)
-        found = synthesise(
-            problems, target.prior, self.inverse, self.solver, rng, asked, satisfied
-        )
+        found = synthesise(problems, target.prior, self.inverse, self.solver, rng, asked, satisfied)
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began
         if rank is not None and found.accepted:

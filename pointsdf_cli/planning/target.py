@@ -7,8 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from skimage.measure import marching_cubes
 
 from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.geometry.smoothing import taubin_smooth
+from pointsdf_cli.models.meshing import SMOOTHING
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.fields import Field, MeanField, MeshField, ReconstructionField
@@ -133,6 +136,23 @@ def given_object(field: Field, points: Array, grid: GridConfig | None = None) ->
 def absent_object(points: Array) -> ObjectField:
     """Nothing that could be touched, about points [N, 3]: planning without the constraint."""
     return ObjectField.of(NoField(), points.min(axis=0), points.max(axis=0) + BOX_MARGIN)
+
+
+def surface_of(target: Target, step: float = 0.004) -> tuple[Array, NDArray[np.int32]] | None:
+    """The target's surface as planning takes it, for pictures: vertices [V, 3] m in the world and
+    faces [F, 3], or None where it has none.
+
+    Args:
+        target: The object.
+        step: Side of the cells of marching cubes [m].
+    """
+    fine = GridConfig(step=step, levels=3, band=step)
+    values, low = GridField(target.field, target.low, target.high, fine).nodes()
+    if not values.min() < 0 < values.max():
+        return None
+    vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent")
+    faces = faces.astype(np.int32)
+    return taubin_smooth(low + step * vertices, faces, SMOOTHING), faces
 
 
 def reconstruction_target(

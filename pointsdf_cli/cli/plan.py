@@ -1,0 +1,238 @@
+"""`rgrasp plan`: clouds of a table top to a grasp, the motion to it, or the reason for none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pointsdf_cli.cli import common
+
+if TYPE_CHECKING:
+    from pointsdf_cli.io.plans import Plan
+
+
+def plan(
+    clouds: Annotated[
+        list[Path],
+        typer.Argument(help="Clouds of one scene, one a camera: PLY, PCD, XYZ, TXT, CSV or NPY."),
+    ],
+    out: Annotated[Path, typer.Option(help="The plan.")] = Path("plan.h5"),
+    method: Annotated[str, typer.Option(help="reconstruction or partial-view.")] = "reconstruction",
+    solver: Annotated[str, typer.Option(help="sqp, or slsqp: the paper's, slow.")] = "sqp",
+    kind: Annotated[
+        str, typer.Option(help="side, top, or auto: side first, top if low or if that fails.")
+    ] = "auto",
+    target: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z", help="Grasp the object at this place of the world [m]."),
+    ] = None,
+    camera_pose: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="POSE",
+            help="Camera in the world: X,Y,Z,QW,QX,QY,QZ, or a file; one for each cloud.",
+            show_default=False,
+        ),
+    ] = None,
+    frame: Annotated[
+        str | None, typer.Option(help="camera or world [default: as the file says, else camera].")
+    ] = None,
+    unit: Annotated[str, typer.Option(help="Unit of the clouds: m, cm, mm or inch.")] = "m",
+    drop_invalid: Annotated[
+        bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
+    ] = False,
+    segment: Annotated[
+        str, typer.Option(help="auto, or none: the clouds hold the object alone.")
+    ] = "auto",
+    environment: Annotated[
+        Path | None, typer.Option(help="YAML of the table and known obstacles.", show_default=False)
+    ] = None,
+    ignore_others: Annotated[
+        bool, typer.Option("--ignore-others", help="Other things that are seen are no obstacles.")
+    ] = False,
+    clearance: Annotated[
+        float | None,
+        typer.Option(
+            help="Least distance to everything [m] [default: object and self 0.001, table 0.002].",
+            show_default=False,
+        ),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="Q", help="Where the robot is [rad], or a file [default: its home]."),
+    ] = None,
+    robot: Annotated[
+        Path | None, typer.Option(help="Robot YAML [default: LBR4 + Allegro].", show_default=False)
+    ] = None,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(help="Reconstruction weights [default: bundled].", show_default=False),
+    ] = None,
+    grasp_checkpoint: Annotated[
+        Path | None, typer.Option(help="Success weights [default: bundled].", show_default=False)
+    ] = None,
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(help="Also write the motion as a ROS JointTrajectory in JSON."),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Where to draw it [default: beside the plan].", show_default=False),
+    ] = None,
+    no_picture: Annotated[bool, typer.Option("--no-picture", help="Draw nothing.")] = False,
+    threads: Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")] = 0,
+    seed: common.Seed = 0,
+    device: common.Device = "cpu",
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Plan a grasp of an object that nobody has modelled: configuration, motion, scores.
+
+    Exit code 3 says that no plan exists; the plan file then holds the reason.
+
+    Example: rgrasp plan cloud.ply --camera-pose 1.4,0,0.8,0.24,-0.66,-0.66,0.24
+    """
+    from pointsdf_cli.errors import NoPlanError
+    from pointsdf_cli.io.atomic import require_new
+    from pointsdf_cli.io.plans import OK, write_plan, write_trajectory
+    from pointsdf_cli.io.poses import place
+
+    reporter = common.Reporter(quiet, as_json)
+    common.check_seed(seed)
+    picture = None if no_picture else picture or out.with_suffix(".png")
+    for path in (out, picture, trajectory):
+        if path is not None:
+            require_new(path, force)
+    wanted = None if target is None else place(target, "--target")
+    views = _read_clouds(clouds, camera_pose or [], frame, unit, drop_invalid)
+
+    # Seconds of imports: only for clouds that can be read.
+    from pointsdf_cli.models.registry import use_threads
+    from pointsdf_cli.planning.answer import GraspPlanner, PlanOptions
+    from pointsdf_cli.planning.environment import Environment, read_environment
+    from pointsdf_cli.planning.grasp_problem import Clearances
+    from pointsdf_cli.planning.table_session import plan_on_table
+    from pointsdf_cli.training.precision import idle_processors
+    from pointsdf_cli.viz.plan_picture import plan_picture
+    from pointsdf_cli.viz.robot_picture import RobotMeshes
+
+    options = PlanOptions(
+        method=method,
+        solver=solver,
+        kind=kind,
+        robot=robot,
+        checkpoint=checkpoint,
+        grasp_checkpoint=grasp_checkpoint,
+        clearances=Clearances() if clearance is None else Clearances(*[clearance] * 3),
+        device=common.torch_device(device),
+    )
+    around = Environment() if environment is None else read_environment(environment)
+    use_threads(threads or idle_processors())
+    planner = GraspPlanner(options)
+    session = plan_on_table(
+        planner,
+        views,
+        [str(path) for path in clouds],
+        around,
+        start=start,
+        seed=seed,
+        segment=segment,
+        target=wanted,
+        others=not ignore_others,
+    )
+    for line in session.report:
+        reporter.say(line)
+    answer = session.answer.plan
+    config = _config(options, clouds, seed)
+    write_plan(out, answer, seed=seed, config=config)
+    found = answer.status == OK
+    if trajectory is not None:
+        if found:
+            write_trajectory(trajectory, answer)
+        else:
+            trajectory.unlink(missing_ok=True)  # a motion to another object must not stay there
+    if picture is not None:
+        title, below = _headline(answer), "; ".join(session.report)
+        q = answer.q if found else session.start
+        plan_picture(picture, RobotMeshes(planner.robot), q, session.scene(), title, below)
+    _report(reporter, answer, session.report, out, picture, trajectory if found else None)
+    if not found:
+        raise NoPlanError(f"no plan ({answer.reason}): {answer.sentence.rstrip('.')}", where=out)
+
+
+def _read_clouds(
+    paths: list[Path], poses: list[str], frame: str | None, unit: str, drop_invalid: bool
+) -> list[Any]:
+    """The clouds, with what the options say about where they lie.
+
+    Raises:
+        InputError: A cloud cannot be read, or the options do not fit.
+    """
+    from dataclasses import replace
+
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.clouds import read_cloud
+    from pointsdf_cli.io.poses import camera_pose
+
+    if frame not in (None, "camera", "world"):
+        raise InputError(f"no frame {frame!r}", where="--frame", allowed="camera, world")
+    if poses and len(poses) != len(paths):
+        raise InputError(
+            f"{len(poses)} poses for {len(paths)} clouds",
+            where="--camera-pose",
+            allowed="one for each cloud, in their order",
+        )
+    views = []
+    for k, path in enumerate(paths):
+        view = read_cloud(path, unit, drop_invalid)
+        pose = camera_pose(poses[k]) if poses else view.T_world_camera
+        views.append(replace(view, frame=frame or view.frame, T_world_camera=pose))
+    return views
+
+
+def _config(options: Any, clouds: list[Path], seed: int) -> dict[str, Any]:
+    """What the plan file keeps of how it was made."""
+    from dataclasses import asdict
+
+    config = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
+    return config | {"clouds": [str(path) for path in clouds], "seed": seed}
+
+
+def _headline(plan: Plan) -> str:
+    if plan.reason:
+        return f"no plan: {plan.reason}. {plan.sentence}"
+    return (
+        f"{plan.kind} grasp, predicted to hold with probability {plan.success_probability:.2f}, "
+        f"objective {plan.objective:.2f}"
+    )
+
+
+def _report(
+    reporter: common.Reporter,
+    plan: Plan,
+    report: tuple[str, ...],
+    out: Path,
+    picture: Path | None,
+    trajectory: Path | None,
+) -> None:
+    from pointsdf_cli.io.plans import plan_as_json
+
+    files = {"out": out, "picture": picture, "trajectory_file": trajectory}
+    lines = []  # why there is no plan is the message with which the command fails
+    if not plan.reason:
+        lines.append(f"{out}: {_headline(plan)}")
+        near = float(plan.link_clearance_object.min()) * 1000
+        lines.append(
+            f"configuration in {plan.timings['configuration']:.2f} s from {plan.seeds_tried} seeds "
+            f"({len(plan.accepted.kinds)} accepted), motion in {plan.timings['motion']:.2f} s: "
+            f"{len(plan.times)} points, {plan.times[-1]:.1f} s; nearest to the object {near:.1f} mm"
+        )
+    lines += [
+        f"{path}: {what}"
+        for what, path in (("the picture", picture), ("the motion", trajectory))
+        if path
+    ]
+    reporter.result({**plan_as_json(plan), "clouds": list(report), **files}, lines)

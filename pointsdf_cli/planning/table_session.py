@@ -1,0 +1,116 @@
+"""One question to the planner: clouds of a table top in, an answer with its surroundings out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.planning.answer import Answer, GraspPlanner
+from pointsdf_cli.planning.contacts import Array
+from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
+from pointsdf_cli.planning.table_top import NoObjectError, clutter, look_at_table
+from pointsdf_cli.planning.target import surface_of
+from pointsdf_cli.robot.start import start_configuration
+from pointsdf_cli.viz.plan_picture import PlanScene
+
+TABLE_OFF = 0.005
+"""A seen table that is farther from z = 0 than this [m] is worth a warning."""
+
+
+@dataclass(frozen=True)
+class TableSession:
+    """An answer and everything that it was made from.
+
+    Attributes:
+        answer: Of the planner.
+        report: Sentences about what was seen.
+        start: [J], where the robot is.
+        points: [N, 3], the object's seen points, world, m.
+        camera: [3], the first camera's place.
+        obstacles: Everything that stood around.
+    """
+
+    answer: Answer
+    report: tuple[str, ...]
+    start: Array
+    points: Array
+    camera: Array
+    obstacles: tuple[Obstacle, ...]
+
+    def scene(self) -> PlanScene:
+        """For the picture."""
+        target = self.answer.target
+        return PlanScene(
+            self.points,
+            self.camera,
+            None if target is None else surface_of(target),
+            [obstacle_mesh(obstacle) for obstacle in self.obstacles],
+        )
+
+
+def plan_on_table(
+    planner: GraspPlanner,
+    clouds: Sequence[Cloud],
+    names: Sequence[str],
+    environment: Environment | None = None,
+    start: str | None = None,
+    seed: int = 0,
+    segment: str = "auto",
+    target: Array | None = None,
+    others: bool = True,
+) -> TableSession:
+    """Find the object in the clouds and plan a grasp of it.
+
+    Args:
+        planner: Loaded.
+        clouds: One a camera, each with its pose.
+        names: Of the clouds, for messages.
+        environment: What is known to stand around; the table alone if None.
+        start: Where the robot is, as typed; its home if None.
+        seed: Equal seeds give equal plans.
+        segment: "auto", or "none" where the clouds hold the object alone.
+        target: [3], where the object is that is meant.
+        others: Whether other things that are seen are obstacles.
+
+    Raises:
+        InputError: The clouds or the start cannot be used.
+    """
+    environment = environment or Environment()
+    q = start_configuration(start, planner.robot)
+    try:
+        seen = look_at_table(clouds, names, planner.robot, q, segment, target)
+    except NoObjectError as error:
+        world = np.concatenate([_in_world(cloud) for cloud in clouds])
+        camera = np.asarray(clouds[0].T_world_camera)[:3, 3]
+        answer = planner.nothing(f"{error.what}; {error.hint or error.allowed}")
+        said = (f"{error.where}: {error.what}",)
+        return TableSession(answer, said, q, world, camera, environment.obstacles)
+    report = list(seen.report)
+    height = seen.table_height
+    if height is not None and abs(height) > TABLE_OFF:
+        report.append(
+            f"the table is seen at z = {height * 1000:.0f} mm, not 0: check the camera's pose"
+        )
+    if others and len(seen.others):
+        beside = clutter(seen.others)
+        if beside:
+            report.append(f"{len(beside)} other things are obstacles")
+        environment = replace(environment, obstacles=(*environment.obstacles, *beside))
+    first, *more = seen.views
+    answer = planner.plan(
+        first.points, first.T_world_camera, environment, q, seed, more=tuple(more)
+    )
+    points = np.concatenate([view.in_world for view in seen.views])
+    camera = first.T_world_camera[:3, 3]
+    return TableSession(answer, tuple(report), q, points, camera, environment.obstacles)
+
+
+def _in_world(cloud: Cloud) -> Array:
+    if cloud.frame == "world" or cloud.T_world_camera is None:
+        return cloud.points
+    return apply_transform(cloud.T_world_camera, cloud.points)
