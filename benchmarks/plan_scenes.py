@@ -1,4 +1,4 @@
-"""Scenes for benchmarks of planning: meshes standing on the table, seen by a high or a low camera."""
+"""Scenes for benchmarks of planning: meshes on the table, seen by a high or a low camera."""
 
 from __future__ import annotations
 

@@ -1,0 +1,181 @@
+"""From a cloud to an answer, by both methods, on a can whose grasps have a known score."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from planning_worlds import AroundObject, CylinderField, NearPalm
+from torch import Tensor
+
+from pointsdf_cli.camera.pinhole import CAMERAS
+from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import invert_transform
+from pointsdf_cli.io.plans import OK
+from pointsdf_cli.planning.answer import GraspPlanner, PlanOptions, View
+from pointsdf_cli.planning.fields import Field, MeanField
+from pointsdf_cli.planning.seeds import SeedConfig
+from pointsdf_cli.planning.synthesis import SynthesisConfig
+from pointsdf_cli.planning.target import EmptyFieldError, Target, given_object, surface_of
+from pointsdf_cli.viz.shading import look_at
+
+Array = np.ndarray
+RADIUS, HEIGHT = 0.035, 0.2
+CAN = (0.6, 0.0, HEIGHT / 2)
+REST = np.array([0.0] * 6 + [1.3, 0.5])
+SMALL = SynthesisConfig(rounds=1, seeds=SeedConfig(palms=12, seeds=4))
+
+
+class CanGrasps:
+    """The palm 9 cm before the can's axis, facing it, is best; seeds stand around the can."""
+
+    def __init__(self, field: Field) -> None:
+        self.field = field
+        self._score = NearPalm((CAN[0] - 0.09, CAN[1], CAN[2]), (1.0, 0.0, 0.0), REST, width=0.08)
+        self._prior = AroundObject(CAN, 0.09, REST)
+
+    def log_success(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        return self._score.log_success(preshape, T_world_palm)
+
+    def log_prior(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        return self._score.log_prior(preshape, T_world_palm)
+
+    def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        return self._prior.sample(kind, count, rng)
+
+
+class CanModel:
+    """Knows every object to be the can."""
+
+    def on(
+        self, points: Array, T_world_camera: Array, field: Field | None = None, seed: int = 0
+    ) -> CanGrasps:
+        assert field is not None
+        return CanGrasps(field)
+
+
+def can_view(azimuth: float = 0.0) -> View:
+    """The can as a camera across the table sees it, without noise."""
+    can = trimesh.creation.cylinder(RADIUS, HEIGHT, sections=64)
+    can.apply_translation(CAN)
+    eye = (CAN[0] + 0.9 * np.cos(azimuth), 0.9 * np.sin(azimuth), 0.6)
+    T_world_camera = look_at(eye, CAN)
+    camera = CAMERAS["kinect2"]
+    vertices = np.asarray(can.vertices)
+    patch = MeshCaster(vertices, can.faces, camera).cast(invert_transform(T_world_camera))
+    return View(camera.back_project(patch.u, patch.v, patch.depth), T_world_camera)
+
+
+VIEW = can_view()
+
+
+@pytest.fixture(scope="module")
+def planner() -> GraspPlanner:
+    return GraspPlanner(PlanOptions(synthesis=SMALL), CanModel())
+
+
+@pytest.fixture(scope="module")
+def partial() -> GraspPlanner:
+    return GraspPlanner(PlanOptions(method="partial-view", synthesis=SMALL), CanModel())
+
+
+def test_a_can_gets_a_plan_that_the_true_can_allows(planner: GraspPlanner) -> None:
+    answer = planner.plan(*vars(VIEW).values(), seed=1)
+    assert answer.plan.status == OK, answer.plan.sentence
+    assert answer.plan.kind == "side"
+    assert answer.reconstruction is not None
+    np.testing.assert_array_equal(answer.candidates[0], answer.plan.q)
+    stages = ("reconstruction", "score", "configuration", "motion")
+    assert all(answer.plan.timings[stage] >= 0 for stage in stages)
+    again = planner.plan(*vars(VIEW).values(), seed=1)
+    np.testing.assert_array_equal(again.plan.trajectory, answer.plan.trajectory)
+
+
+def test_reconstruction_fills_the_can_and_the_partial_view_does_not(
+    planner: GraspPlanner, partial: GraspPlanner
+) -> None:
+    middle = np.array([CAN])
+    filled = planner.see(*vars(VIEW).values()).target
+    seen = partial.see(*vars(VIEW).values()).target
+    assert filled.field(middle)[0] < -0.02
+    # Nothing was seen within a radius of the axis: the surface there is one voxel thick.
+    assert 0.02 < seen.field(middle)[0] < RADIUS + 0.005
+    on_the_far_side = np.array([[CAN[0] - RADIUS, 0.0, CAN[2]]])
+    assert abs(filled.field(on_the_far_side)[0]) < 0.015
+    assert seen.field(on_the_far_side)[0] > 0.02
+    assert partial.see(*vars(VIEW).values()).reconstruction is None
+
+
+def test_the_score_reads_the_methods_own_field_whatever_constrains(planner: GraspPlanner) -> None:
+    truth = CylinderField(RADIUS, HEIGHT, CAN)
+    own = planner.see(*vars(VIEW).values())
+    given = planner.see(*vars(VIEW).values(), field=truth)
+    assert given.target.field is truth
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3)) + CAN
+    assert isinstance(given.target.score, CanGrasps)
+    assert isinstance(own.target.score, CanGrasps)
+    np.testing.assert_array_equal(given.target.score.field(points), own.target.score.field(points))
+    without = planner.see(*vars(VIEW).values(), field="none")
+    assert without.target.field(points).min() > 0.5
+
+
+def test_two_views_are_the_mean_of_both(planner: GraspPlanner) -> None:
+    other = can_view(2.0)
+    one = planner.see(*vars(VIEW).values()).target.field
+    two = planner.see(*vars(other).values()).target.field
+    both = planner.see(*vars(VIEW).values(), more=(other,)).target.field
+    points = np.random.default_rng(0).uniform(-0.08, 0.08, (50, 3)) + CAN
+    np.testing.assert_allclose(both(points), (one(points) + two(points)) / 2, atol=1e-6)
+    truth = CylinderField(RADIUS, HEIGHT, CAN)(points)
+    apart = [np.abs(field(points) - truth).mean() for field in (one, both)]
+    assert apart[1] < apart[0]
+
+
+def test_the_mean_has_the_mean_gradient() -> None:
+    ball, can = CylinderField(0.03, 0.1), CylinderField(0.05, 0.2, (0.02, 0.0, 0.0))
+    points = np.random.default_rng(1).uniform(-0.2, 0.2, (10, 3))
+    values, gradients = MeanField((ball, can)).with_gradient(points)
+    np.testing.assert_allclose(values, (ball(points) + can(points)) / 2)
+    expected = (ball.with_gradient(points)[1] + can.with_gradient(points)[1]) / 2
+    np.testing.assert_allclose(gradients, expected)
+
+
+def test_low_things_are_grasped_from_the_top_only(planner: GraspPlanner) -> None:
+    low = np.random.default_rng(0).uniform((0.5, -0.1, 0.0), (0.6, 0.1, 0.025), (200, 3))
+    assert set(planner.kinds(low)) == {"top"}
+    high = low * [1, 1, 4]
+    assert planner.kinds(high)[0] == "side"
+    assert "top" in planner.kinds(high)
+
+
+def test_what_no_ranking_wants_is_no_plan(planner: GraspPlanner) -> None:
+    answer = planner.plan(*vars(VIEW).values(), seed=1, rank=lambda candidates: [])
+    assert (answer.plan.status, answer.plan.reason) == ("no_plan", "low_success_probability")
+    assert not len(answer.candidates)
+
+
+def test_the_surface_is_where_the_field_is_zero() -> None:
+    truth = CylinderField(RADIUS, HEIGHT, CAN)
+    points = np.array([CAN])
+    shape, grasps = given_object(truth, points), CanGrasps(truth)
+    made = surface_of(Target.of(shape, grasps, grasps))
+    assert made is not None
+    assert np.abs(truth(made[0])).max() < 0.004
+    assert trimesh.Trimesh(*made).is_watertight
+
+
+def test_a_field_without_inside_is_no_object(planner: GraspPlanner) -> None:
+    far = CylinderField(0.01, 0.02, (9.0, 9.0, 9.0))
+    with pytest.raises(EmptyFieldError):
+        given_object(far, np.array([CAN]))
+    answer = planner.plan(*vars(VIEW).values(), field=far)
+    assert (answer.plan.status, answer.plan.reason) == ("no_plan", "no_object")
+    assert answer.target is None
+
+
+def test_bad_options_are_refused() -> None:
+    with pytest.raises(InputError, match="reconstruction, partial-view"):
+        PlanOptions(method="guess")
+    with pytest.raises(InputError, match="auto, side, top"):
+        PlanOptions(kind="below")
