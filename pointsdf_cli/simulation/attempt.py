@@ -239,7 +239,7 @@ class Attempter:
             T_world_camera = self.config.placement.draw(np.array([*place, 0.08]), rng)
             if resting is None:
                 continue
-            pose = _placed(resting, item, float(yaw), place)
+            pose = placed(resting, item, float(yaw), place)
             try:
                 cloud = self._observer.object_cloud(item, pose, T_world_camera, rng)
             except InputError as error:
@@ -264,7 +264,7 @@ class Attempter:
         return np.random.default_rng([self.seed, name, stream, index])
 
 
-def _placed(resting: Array, item: SimObject, yaw: float, place: Array) -> Array:
+def placed(resting: Array, item: SimObject, yaw: float, place: Array) -> Array:
     """A settled pose turned about the vertical, the middle of its outline at `place` [2]."""
     c, s = np.cos(yaw), np.sin(yaw)
     turned = transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [0, 0, 0]) @ resting

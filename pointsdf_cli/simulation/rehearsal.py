@@ -23,8 +23,8 @@ from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
+from pointsdf_cli.simulation.lift import lift_path
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
-from pointsdf_cli.simulation.reach import Reacher
 from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, LIGHTEST, SimObject
 from pointsdf_cli.simulation.world import PhysicsConfig, World
 
@@ -36,7 +36,9 @@ class RehearsalConfig:
     """What is tried, and how much the truth may differ from what is believed.
 
     Attributes:
-        repeats: Disturbances that each grasp is tried under; the first is none at all.
+        repeats: Disturbances that the finalists are tried under; the first is none at all.
+        first: ... that every grasp is tried under; who does best becomes a finalist.
+        finalists: How many.
         place: Standard deviation of the object's place on the table [m].
         turn: ... of its yaw [rad].
         scale: ... of its size, as a share, level and upright alike.
@@ -48,7 +50,9 @@ class RehearsalConfig:
         cut: Convex pieces.
     """
 
-    repeats: int = 3
+    repeats: int = 5
+    first: int = 1
+    finalists: int = 5
     place: float = 0.005
     turn: float = 0.05
     scale: float = 0.04
@@ -59,23 +63,30 @@ class RehearsalConfig:
     cut: QuickCutConfig = QuickCutConfig()
 
     def __post_init__(self) -> None:
-        if self.repeats < 1 or min(self.place, self.turn, self.scale) < 0:
-            raise InputError(f"{self}", allowed="repeats ≥ 1, deviations ≥ 0")
+        if not 1 <= self.first <= self.repeats or self.finalists < 1:
+            raise InputError(f"{self}", allowed="1 ≤ first ≤ repeats, finalists ≥ 1")
+        if min(self.place, self.turn, self.scale) < 0:
+            raise InputError(f"{self}", allowed="deviations ≥ 0")
 
 
 class Rehearsed(NamedTuple):
     """How one grasp did.
 
     Attributes:
-        held: Share of the tries in which it held.
+        tries: How often it was tried; 0 where the arm has no room to lift from there.
+        held: In how many of them it held.
         rise: Mean height that the object rose [m], up to the lift's height: between grasps that
             hold equally often, the one that nearly held once more is better.
-        can_lift: Whether the arm has room to lift from there at all.
     """
 
-    held: float
+    tries: int
+    held: int
     rise: float
-    can_lift: bool
+
+    @property
+    def share(self) -> float:
+        """Of tries in which it held."""
+        return self.held / self.tries if self.tries else 0.0
 
 
 @dataclass(frozen=True)
@@ -107,7 +118,7 @@ class Rehearsal:
         self._execution = replace(execution or ExecutorConfig(), longest_settling=0.6)
         self._world = World(robot, self.config.physics)
         self._kinematics = Kinematics(robot)
-        self._reacher = Reacher(self._world, InverseKinematics(robot))
+        self._solver = InverseKinematics(robot)
         self._tries = 0
 
     def close(self) -> None:
@@ -128,17 +139,27 @@ class Rehearsal:
         Raises:
             InputError: The surface is flat.
         """
-        believed = believed_object(vertices, faces, self.config)
-        disturbances = _disturbances(self.config, np.random.default_rng(seed))
-        return [self._try(believed, grasp, disturbances) for grasp in np.atleast_2d(q)]
+        config = self.config
+        believed = believed_object(vertices, faces, config)
+        disturbances = _disturbances(config, np.random.default_rng(seed))
+        grasps = [(grasp, self._lift(grasp)) for grasp in np.atleast_2d(q)]
+        tried = [self._try(believed, g, lift, disturbances[: config.first]) for g, lift in grasps]
+        if config.first < config.repeats:
+            for k in best_first(tried)[: config.finalists]:
+                if tried[k].held or not any(one.held for one in tried):
+                    more = self._try(believed, *grasps[k], disturbances[config.first :])
+                    tried[k] = _together(tried[k], more)
+        return tried
 
-    def _try(self, believed: SimObject, q: Array, disturbances: list[_Disturbance]) -> Rehearsed:
-        try:
-            lift = self._reacher.lift(q, self._palm(q))
-        except InputError:
-            return Rehearsed(0.0, 0.0, False)
-        most = self._execution.lift_height
-        held, rises = 0, []
+    def _lift(self, q: Array) -> Array | None:
+        return lift_path(self._solver, self._world.robot, q, self._execution.lift_height)
+
+    def _try(
+        self, believed: SimObject, q: Array, lift: Array | None, disturbances: list[_Disturbance]
+    ) -> Rehearsed:
+        if lift is None:
+            return Rehearsed(0, 0, 0.0)
+        most, held, rises = self._execution.lift_height, 0, []
         for disturbance in disturbances:
             self._tries += 1
             # The name keeps the physics client from taking one surface for another.
@@ -149,7 +170,7 @@ class Rehearsal:
             outcome = Executor(world, self._execution, self._palm).run(q, lift)
             held += outcome.held
             rises.append(float(np.clip(outcome.lift_height, 0.0, most)) if outcome.valid else 0.0)
-        return Rehearsed(held / len(disturbances), float(np.mean(rises)), True)
+        return Rehearsed(len(disturbances), held, float(np.mean(rises)))
 
     def _palm(self, q: Array) -> Array:
         with torch.no_grad():
@@ -157,11 +178,23 @@ class Rehearsal:
 
 
 def best_first(tried: list[Rehearsed]) -> list[int]:
-    """Indices of grasps, the one that held most often first; equals keep their order."""
-    return sorted(
-        range(len(tried)),
-        key=lambda k: (not tried[k].can_lift, -tried[k].held, -round(tried[k].rise, 2)),
-    )
+    """Indices of grasps, the one most likely to hold first; equals keep their order.
+
+    The share is (held + 1/2) / (tries + 1), so that one success of one try is less than five of
+    five, and no try at all comes last.
+    """
+
+    def cost(k: int) -> tuple[bool, float, float]:
+        one = tried[k]
+        return not one.tries, -(one.held + 0.5) / (one.tries + 1), -round(one.rise, 2)
+
+    return sorted(range(len(tried)), key=cost)
+
+
+def _together(first: Rehearsed, second: Rehearsed) -> Rehearsed:
+    tries = first.tries + second.tries
+    rise = (first.tries * first.rise + second.tries * second.rise) / max(tries, 1)
+    return Rehearsed(tries, first.held + second.held, rise)
 
 
 def believed_object(

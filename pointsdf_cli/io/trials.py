@@ -1,0 +1,194 @@
+"""The `trials` artifact, a row a trial, and the `trial` artifact: one trial with its evidence."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
+
+SCHEMA, VERSION = "trials", 1
+TRIAL_SCHEMA, TRIAL_VERSION = "trial", 1
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrialRow:
+    """What became of one trial.
+
+    Attributes:
+        object: Name.
+        yaw_index, repeat: Counters.
+        yaw: Of the object about the vertical [rad].
+        camera: "high" or "low".
+        method: "reconstruction" or "partial-view".
+        ablation: Empty, or what was changed.
+        status: "ok" or "no_plan".
+        reason: Reason code where there is no plan, else empty.
+        kind: "side" or "top"; empty where there is no plan.
+        cause: "held", or how it ended: a cause of the executor, or "no_plan".
+        planning_time: Wall time from the cloud to the trajectory [s].
+        planning_cpu: The same as processor time [s], which a busy machine does not change.
+        success_probability: Predicted; NaN where there is none.
+        rehearsed: Share of rehearsals in which the grasp held; NaN where there were none.
+        contact: The robot touched the object before the hand closed.
+        moved: How far the object had moved by then [m].
+        penetration: Of the planned grasp into the true mesh [m], 0 if none.
+        lifted: The object rose at least 0.105 m at some time.
+        held: It was still held in the end.
+        final_height: How much it had risen in the end [m].
+        seed: Of the experiment.
+    """
+
+    object: str
+    yaw_index: int
+    repeat: int
+    yaw: float
+    camera: str
+    method: str
+    ablation: str
+    status: str
+    reason: str
+    kind: str
+    cause: str
+    planning_time: float
+    planning_cpu: float
+    success_probability: float
+    rehearsed: float
+    contact: bool
+    moved: float
+    penetration: float
+    lifted: bool
+    held: bool
+    final_height: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is needed to draw a trial.
+
+    Attributes:
+        cloud: f4 [N, 3], world, m.
+        T_world_camera: [4, 4].
+        vertices, faces: f4 [V, 3] world m, i4 [F, 3]: the surface that the planner believed in;
+            empty where there is none.
+        phases: [M], names of the moments shown.
+        q: [M, J], the robot then.
+        T_world_object: [M, 4, 4], the object then; where nothing was executed, M = 1.
+        trajectory: [T, J], the planned motion; T = 0 where there is none.
+        times: [T] s.
+    """
+
+    cloud: NDArray[np.float32]
+    T_world_camera: Array
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    phases: tuple[str, ...]
+    q: Array
+    T_world_object: Array
+    trajectory: Array
+    times: Array
+
+
+_UNITS = {
+    "yaw": "rad",
+    "planning_time": "s",
+    "planning_cpu": "s",
+    "moved": "m",
+    "penetration": "m",
+    "final_height": "m",
+}
+_TYPES: dict[str, type] = {"int": np.int64, "float": np.float64, "bool": np.bool_}
+
+
+def write_trial(
+    path: Path | str, row: TrialRow, evidence: Evidence, config: Mapping[str, Any]
+) -> None:
+    """Write one trial as a whole."""
+    write_artifact(
+        path,
+        schema=TRIAL_SCHEMA,
+        version=TRIAL_VERSION,
+        datasets={
+            "cloud": Dataset(evidence.cloud, "m", "world"),
+            "T_world_camera": Dataset(evidence.T_world_camera, "m", "world"),
+            "vertices": Dataset(evidence.vertices, "m", "world"),
+            "faces": Dataset(evidence.faces),
+            "phases": Dataset(_bytes(evidence.phases)),
+            "q": Dataset(evidence.q, "rad", "joints"),
+            "T_world_object": Dataset(evidence.T_world_object, "m", "world"),
+            "trajectory": Dataset(evidence.trajectory, "rad", "joints"),
+            "times": Dataset(evidence.times, "s"),
+        },
+        attributes={"row_json": json.dumps(asdict(row))},
+        seed=row.seed,
+        config=config,
+    )
+
+
+def read_trial(path: Path | str) -> tuple[TrialRow, Evidence]:
+    """Read one trial.
+
+    Raises:
+        InputError: Not a trial file of this version.
+    """
+    names = [field.name for field in fields(Evidence)]
+    artifact = read_artifact(path, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, names=names)
+    data = dict(artifact.datasets)
+    with sense_of(path):
+        row = TrialRow(**json.loads(str(artifact.attributes["row_json"])))
+        data["phases"] = tuple(name.decode() for name in data["phases"].tolist())
+        return row, Evidence(**data)
+
+
+def write_trials(
+    path: Path | str, rows: Sequence[TrialRow], *, seed: int, config: Mapping[str, Any]
+) -> None:
+    """Write all rows as one table: a dataset a column.
+
+    Raises:
+        InputError: There are no rows.
+    """
+    if not rows:
+        raise InputError("there are no trials", where=path)
+    columns = {}
+    for field in fields(TrialRow):
+        values = [getattr(row, field.name) for row in rows]
+        array = (
+            _bytes(values)
+            if field.type == "str"
+            else np.array(values, dtype=_TYPES[str(field.type)])
+        )
+        columns[field.name] = Dataset(array, _UNITS.get(field.name, ""))
+    write_artifact(
+        path, schema=SCHEMA, version=VERSION, datasets=columns, seed=seed, config=config
+    )
+
+
+def read_trials(path: Path | str) -> list[TrialRow]:
+    """Read a table of trials.
+
+    Raises:
+        InputError: Not a trials file of this version.
+    """
+    names = [field.name for field in fields(TrialRow)]
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=names)
+    columns = []
+    with sense_of(path):
+        for field in fields(TrialRow):
+            values = artifact.datasets[field.name].tolist()
+            columns.append([v.decode() for v in values] if field.type == "str" else values)
+        return [TrialRow(*values) for values in zip(*columns, strict=True)]
+
+
+def _bytes(names: Sequence[str]) -> NDArray[np.bytes_]:
+    return np.array([name.encode() for name in names], dtype="S" if any(names) else "S1")

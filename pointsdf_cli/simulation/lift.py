@@ -1,0 +1,99 @@
+"""How the arm lifts what the hand holds: straight up, turning as little as it must."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+
+Array = NDArray[np.float64]
+
+STEPS = 15
+"""Of the path."""
+TURN_WEIGHTS = (1.0, 0.1, 0.02)
+"""How much a turn of the palm by 1 rad is to be avoided, in metres off the line: first as if it
+must not turn at all, then ever less."""
+OFF_LINE = 0.003
+"""Farther off the line [m] no step of a path may be."""
+MOST_TURN = 0.6
+"""A palm that turns by more than this [rad] on the way pours out what it holds."""
+
+
+def lift_path(
+    solver: InverseKinematics, robot: RobotDescription, q: Array, height: float = 0.15
+) -> Array | None:
+    """Arm joints [K + 1, A] from configuration q [J] to one with the palm `height` [m] above.
+
+    The palm keeps its orientation where the arm can. Where it cannot, the palm may turn a little:
+    with seven joints there is nearly always a way straight up.
+
+    Returns:
+        None where the arm has no room even so.
+    """
+    for weight in TURN_WEIGHTS:
+        path = _follow(solver, robot, q[robot.arm], height, weight)
+        if path is not None:
+            return path
+    return None
+
+
+def _follow(
+    solver: InverseKinematics, robot: RobotDescription, arm: Array, height: float, weight: float
+) -> Array | None:
+    """Newton steps along the line, within the joint limits."""
+    rotation, position, _ = solver.palm(arm[None])
+    low, high = robot.lower[robot.arm], robot.upper[robot.arm]
+    # A plan may begin a little beyond the range that plans keep to.
+    low, high = np.minimum(low, arm), np.maximum(high, arm)
+    path = [arm]
+    rows = np.diag([1.0, 1.0, 1.0, weight, weight, weight])
+    for k in range(1, STEPS + 1):
+        goal = position[0] + [0.0, 0.0, height * k / STEPS]
+        now = path[-1].copy()
+        for _ in range(12):
+            turned, at, jacobian = solver.palm(now[None])
+            error = np.concatenate([goal - at[0], _turn(rotation[0] @ turned[0].T)])
+            J = rows @ jacobian[0]
+            free = np.ones(len(now), dtype=bool)
+            step = _least_squares(J, rows @ error)
+            for _ in range(len(now)):  # joints at their limits stay there, the others take over
+                beyond = free & ((now + step < low) | (now + step > high))
+                if not beyond.any():
+                    break
+                free &= ~beyond
+                step = np.zeros(len(now))
+                step[free] = _least_squares(J[:, free], rows @ error)
+            now = np.clip(now + np.clip(step, -0.15, 0.15), low, high)
+            if np.abs(step).max() < 1e-5:
+                break
+        turned, at, _ = solver.palm(now[None])
+        off = float(np.linalg.norm(at[0] - goal))
+        turn = float(np.linalg.norm(_turn(rotation[0] @ turned[0].T)))
+        most = 0.005 if weight == 1.0 else MOST_TURN
+        if off > OFF_LINE or turn > most or np.abs(now - path[-1]).max() > 0.3:
+            return None
+        path.append(now)
+    return np.array(path)
+
+
+def _least_squares(matrix: Array, right: Array) -> Array:
+    """A slightly damped least-squares step."""
+    normal = matrix @ matrix.T + 1e-6 * np.eye(len(matrix))
+    step: Array = matrix.T @ np.linalg.solve(normal, right)
+    return step
+
+
+def _turn(relative: Array) -> Array:
+    """The rotation vector [3] of a rotation [3, 3] of less than half a turn."""
+    skew = np.array(
+        [
+            relative[2, 1] - relative[1, 2],
+            relative[0, 2] - relative[2, 0],
+            relative[1, 0] - relative[0, 1],
+        ]
+    )
+    sine = float(np.linalg.norm(skew)) / 2
+    angle = float(np.arctan2(sine, (np.trace(relative) - 1) / 2))
+    return skew / 2 * (angle / sine if sine > 1e-9 else 1.0)

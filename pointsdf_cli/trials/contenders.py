@@ -1,0 +1,161 @@
+"""Who plans in a trial: the two methods, and what the ablations change in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pointsdf_cli.models.grasp_score import load_grasp_model
+from pointsdf_cli.planning.answer import GraspModel, GraspPlanner, ObjectGrasps, PlanOptions
+from pointsdf_cli.planning.fields import Field, MeshField
+from pointsdf_cli.planning.partial_view import partial_mesh
+from pointsdf_cli.planning.seeds import SeedConfig
+from pointsdf_cli.planning.synthesis import SynthesisConfig
+from pointsdf_cli.trials import protocol
+from pointsdf_cli.trials.protocol import Contender
+from pointsdf_cli.trials.rehearsed import (
+    RehearsedAnswer,
+    RehearsedPlanner,
+    RehearsedPlannerConfig,
+    Surface,
+    believed_surface,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ContenderOptions:
+    """What all contenders share.
+
+    Attributes:
+        solver: "sqp" or "slsqp".
+        robot: YAML file; the bundled robot if None.
+        checkpoint: Of the reconstruction network; the bundled one if None.
+        grasp_checkpoint: Of the success network of the method "reconstruction"; bundled if None.
+        rehearse: Grasps of a round that are rehearsed; 0 for none.
+        device: Where networks compute.
+    """
+
+    solver: str = "sqp"
+    robot: Path | None = None
+    checkpoint: Path | None = None
+    grasp_checkpoint: Path | None = None
+    rehearse: int = 12
+    device: str = "cpu"
+
+
+REHEARSED_SEARCH = SynthesisConfig(polished=8, seeds=SeedConfig(palms=48, seeds=12))
+"""More grasps a round than the paper's search needs: a rehearsal tells them apart."""
+
+
+class Mind:
+    """A contender ready to plan; networks are loaded once.
+
+    Args:
+        contender: Who.
+        options: What all share.
+        grasps: Success network to use instead of a checkpoint's.
+    """
+
+    def __init__(
+        self, contender: Contender, options: ContenderOptions, grasps: GraspModel | None = None
+    ) -> None:
+        self.contender = contender
+        ablation = contender.ablation
+        if ablation.startswith(protocol.CHECKPOINT):
+            options = replace(
+                options, checkpoint=Path(ablation.removeprefix(protocol.CHECKPOINT))
+            )
+        reconstructs = contender.method == protocol.RECONSTRUCTION
+        rehearses = reconstructs and options.rehearse > 0 and ablation != protocol.NO_REHEARSAL
+        plan_options = PlanOptions(
+            method=contender.method,
+            solver=options.solver,
+            robot=options.robot,
+            checkpoint=options.checkpoint if reconstructs else None,
+            grasp_checkpoint=options.grasp_checkpoint if reconstructs else None,
+            device=options.device,
+            synthesis=REHEARSED_SEARCH if rehearses else SynthesisConfig(),
+        )
+        if ablation == protocol.NO_SUCCESS:
+            grasps = Indifferent(grasps or load_grasp_model(
+                options.grasp_checkpoint, options.checkpoint, options.device
+            ))
+        planner = GraspPlanner(plan_options, grasps)
+        self._planner = planner
+        self._rehearsed = None
+        if rehearses:
+            self._rehearsed = RehearsedPlanner(
+                planner, RehearsedPlannerConfig(count=options.rehearse)
+            )
+
+    def plan(
+        self, points: Array, T_world_camera: Array, truth: Callable[[], Surface], seed: int
+    ) -> RehearsedAnswer:
+        """A plan for a cloud.
+
+        Args:
+            points: [N, 3], the segmented object, camera frame, m.
+            T_world_camera: [4, 4].
+            truth: The object's true surface in the world; only the oracle asks.
+            seed: Of all draws.
+        """
+        field: Field | Literal["none"] | None = None
+        surface: Surface | None = None
+        if self.contender.ablation == protocol.NO_CONSTRAINT:
+            field = "none"
+        elif self.contender.ablation == protocol.ORACLE:
+            surface = truth()
+            field = MeshField(*surface)
+        if self._rehearsed is not None:
+            return self._rehearsed.plan(
+                points, T_world_camera, seed=seed, field=field, surface=surface
+            )
+        answer = self._planner.plan(points, T_world_camera, seed=seed, field=field)
+        return RehearsedAnswer(answer, None, None)
+
+    def believed(self, answer: RehearsedAnswer, points: Array) -> Surface | None:
+        """The surface that the contender believed in, for pictures; points [N, 3] in the world."""
+        if answer.surface is not None:
+            return answer.surface
+        if self.contender.method == protocol.PARTIAL_VIEW:
+            return partial_mesh(points)
+        reconstruction = answer.answer.reconstruction
+        if reconstruction is None:
+            return None
+        return believed_surface(reconstruction)
+
+
+class Indifferent:
+    """A success network that finds all grasps equally good; its prior is kept."""
+
+    def __init__(self, model: GraspModel) -> None:
+        self._model = model
+
+    def on(
+        self, points: Array, T_world_camera: Array, field: Field | None = None, seed: int = 0
+    ) -> ObjectGrasps:
+        """Of one object."""
+        return _IndifferentScore(self._model.on(points, T_world_camera, field=field, seed=seed))
+
+
+class _IndifferentScore:
+    def __init__(self, score: ObjectGrasps) -> None:
+        self._score = score
+
+    def log_success(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        return torch.zeros(len(preshape), dtype=preshape.dtype)
+
+    def log_prior(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        return self._score.log_prior(preshape, T_world_palm)
+
+    def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        return self._score.sample(kind, count, rng)

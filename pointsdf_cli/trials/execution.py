@@ -1,0 +1,138 @@
+"""A planned motion and grasp carried out with contacts, as the robot would."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.simulation.executor import (
+    HELD_FRACTION,
+    Executor,
+    ExecutorConfig,
+    Outcome,
+)
+from pointsdf_cli.simulation.lift import lift_path
+from pointsdf_cli.simulation.record import Moment
+from pointsdf_cli.simulation.sim_object import SimObject
+from pointsdf_cli.simulation.world import World
+
+Array = NDArray[np.float64]
+Watch = Callable[[World, str], None]
+
+APPROACH = "approach"
+NO_LIFT = "no_lift"
+"""Cause of a trial whose arm has no room to lift from where it grasped."""
+
+
+@dataclass(frozen=True)
+class Executed:
+    """What happened.
+
+    Attributes:
+        outcome: Of closing, gripping and lifting; None if the arm could not lift from there.
+        contact: The robot touched the object before the hand closed.
+        moved: How far the object had moved by then [m].
+        lifted: The object rose high enough at some time.
+        lag: Farthest that a joint was from where it should have been when the hand closed [rad].
+        moments: The end of each phase, in order.
+    """
+
+    outcome: Outcome | None
+    contact: bool
+    moved: float
+    lifted: bool
+    lag: float
+    moments: list[Moment]
+
+
+def execute_plan(
+    world: World,
+    solver: InverseKinematics,
+    palm: Callable[[Array], Array],
+    item: SimObject,
+    T_world_object: Array,
+    trajectory: Array,
+    times: Array,
+    config: ExecutorConfig | None = None,
+    watch: Watch | None = None,
+) -> Executed:
+    """Follow a timed trajectory to a grasp, then close, grip, lift, hold and judge.
+
+    The object is free all the while: what the robot bumps into moves.
+
+    Args:
+        world: Is built anew.
+        solver: Of the world's robot; finds the lift.
+        palm: T_world_palm [4, 4] of a configuration [J].
+        item, T_world_object: The true object and where it stands [4, 4].
+        trajectory: [T, J], from where the robot waits to the grasp.
+        times: [T] s, when each is reached.
+        config: As in the collection of grasps.
+        watch: Called after every step.
+
+    Raises:
+        InputError: There is no trajectory.
+    """
+    config = config or ExecutorConfig()
+    if not len(trajectory) or trajectory.shape[0] != len(times):
+        raise InputError(f"a trajectory of {len(trajectory)} points", allowed="one or more")
+    q = trajectory[-1]
+    last = _Last(watch)
+    lift = lift_path(solver, world.robot, q, config.lift_height)
+    world.reset(item, T_world_object, trajectory[0])
+    stood = world.object_centre()
+    contact, lag = _follow(world, trajectory, times, last)
+    moved = float(np.linalg.norm(world.object_centre() - stood))
+    if lift is None:
+        return Executed(None, contact, moved, False, lag, last.moments)
+    outcome = Executor(world, config, palm, last).run(q, lift)
+    lifted = last.highest - stood[2] >= HELD_FRACTION * config.lift_height
+    return Executed(outcome, contact, moved, lifted, lag, last.moments)
+
+
+def _follow(world: World, trajectory: Array, times: Array, last: _Last) -> tuple[bool, float]:
+    """Drive all joints along the trajectory; whether the object was touched, and the final lag."""
+    robot = world.robot
+    columns = np.arange(len(robot.joint_names))
+    steps = max(1, round(float(times[-1] - times[0]) / world.physics.step))
+    touched = False
+    for k in range(steps + round(REST / world.physics.step)):
+        at = times[0] + min(k + 1, steps) * world.physics.step
+        q = np.array([np.interp(at, times, column) for column in trajectory.T])
+        world.drive_to(q, columns, robot.effort)
+        world.step()
+        touched = touched or world.hand_contact().links > 0
+        last(world, APPROACH)
+    lag = float(np.abs(world.configuration() - trajectory[-1]).max())
+    return touched, lag
+
+
+REST = 0.3
+"""Time that the arm is given to come to rest before the hand closes [s]."""
+
+
+class _Last:
+    """Keeps the last moment of every phase, and the object's greatest height."""
+
+    def __init__(self, watch: Watch | None) -> None:
+        self._watch = watch
+        self._steps = 0
+        self.moments: list[Moment] = []
+        self.highest = -np.inf
+
+    def __call__(self, world: World, phase: str) -> None:
+        self._steps += 1
+        if self._steps % 8 == 0 or not self.moments or self.moments[-1].phase != phase:
+            self.highest = max(self.highest, float(world.object_centre()[2]))
+            moment = Moment(phase, world.time, world.configuration(), world.object_pose())
+            if self.moments and self.moments[-1].phase == phase:
+                self.moments[-1] = replace(moment)
+            else:
+                self.moments.append(moment)
+        if self._watch:
+            self._watch(world, phase)

@@ -1,0 +1,172 @@
+"""Planning that tries its grasps out on the reconstructed object before one is taken.
+
+`GraspPlanner` stops at the first round of seeds in which a grasp is accepted. Here the accepted
+grasps of a round are rehearsed; if none holds often enough, another round is drawn, and the best of
+all rounds is taken in the end, whatever it promises.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.isosurface import EmptySurfaceError
+from pointsdf_cli.io.plans import OK
+from pointsdf_cli.models.meshing import mesh_reconstruction
+from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.planning.acceptance import Candidate
+from pointsdf_cli.planning.answer import Answer, GraspPlanner, Sight
+from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.fields import Field
+from pointsdf_cli.planning.target import EmptyFieldError
+from pointsdf_cli.simulation.rehearsal import Rehearsal, RehearsalConfig, Rehearsed, best_first
+
+Array = NDArray[np.float64]
+Surface = tuple[Array, NDArray[np.int32]]
+"""Vertices [V, 3] m and faces [F, 3]."""
+
+
+@dataclass(frozen=True)
+class RehearsedPlannerConfig:
+    """How long to look.
+
+    Attributes:
+        count: Grasps of a round that are rehearsed, the best by the objective.
+        enough: A grasp that holds in this share of its rehearsals ends the search.
+        most_motions: Grasps to which motions are looked for.
+        resolution: Of the surface that is rehearsed on, cells along the network's box.
+        rehearsal: See there.
+    """
+
+    count: int = 12
+    enough: float = 0.75
+    most_motions: int = 6
+    resolution: int = 64
+    rehearsal: RehearsalConfig = RehearsalConfig()
+
+    def __post_init__(self) -> None:
+        if self.count < 1 or not 0 <= self.enough <= 1:
+            raise InputError(f"{self.count} grasps", where="--rehearse", allowed="1 or more")
+
+
+@dataclass(frozen=True)
+class RehearsedAnswer:
+    """A plan, and how its grasp did.
+
+    Attributes:
+        answer: As from `GraspPlanner`.
+        rehearsed: Of the grasp taken; None where nothing was rehearsed.
+        surface: What the planner believed the object to be; None where it has no idea.
+    """
+
+    answer: Answer
+    rehearsed: Rehearsed | None
+    surface: Surface | None
+
+
+class RehearsedPlanner:
+    """A `GraspPlanner` whose grasps are rehearsed.
+
+    Args:
+        planner: Of the method "reconstruction": partial views enclose nothing to rehearse on.
+        config: How long to look.
+    """
+
+    def __init__(self, planner: GraspPlanner, config: RehearsedPlannerConfig | None = None) -> None:
+        self.planner, self.config = planner, config or RehearsedPlannerConfig()
+        self._rehearsal = Rehearsal(planner.robot, self.config.rehearsal)
+
+    def plan(
+        self,
+        points: Array,
+        T_world_camera: Array,
+        environment: Environment | None = None,
+        start: Array | None = None,
+        seed: int = 0,
+        field: Field | Literal["none"] | None = None,
+        surface: Surface | None = None,
+    ) -> RehearsedAnswer:
+        """As `GraspPlanner.plan`.
+
+        Args:
+            surface: To rehearse on, world frame, instead of the reconstruction's: the oracle.
+
+        Raises:
+            InputError: The start is no configuration within the joint limits.
+        """
+        try:
+            sight = self.planner.see(points, T_world_camera, seed, field)
+        except EmptyFieldError as error:
+            return RehearsedAnswer(self.planner.nothing(error.what), None, None)
+        began = time.perf_counter()
+        if surface is None and sight.reconstruction is not None:
+            surface = believed_surface(sight.reconstruction, self.config.resolution)
+        if surface is None:
+            answer = self.planner.plan_seen(sight, environment, start, seed)
+            return RehearsedAnswer(answer, None, None)
+        meshing = time.perf_counter() - began
+        pool = _Pool(self._rehearsal, surface, self.config, seed)
+        answer = self.planner.plan_seen(
+            sight, environment, start, seed, rank=pool.ranked, satisfied=pool.satisfied
+        )
+        plan = answer.plan
+        timings = {**plan.timings, "surface": meshing, "rehearsal": pool.seconds}
+        answer = replace(answer, plan=replace(plan, timings=timings))
+        return RehearsedAnswer(answer, pool.of(answer), surface)
+
+
+class _Pool:
+    """Rehearsed candidates of all rounds."""
+
+    def __init__(
+        self, rehearsal: Rehearsal, surface: Surface, config: RehearsedPlannerConfig, seed: int
+    ) -> None:
+        self._rehearsal, self._surface, self._config = rehearsal, surface, config
+        self._seed = seed
+        self._candidates: list[Candidate] = []
+        self._tried: list[Rehearsed] = []
+        self.seconds = 0.0
+
+    def satisfied(self, new: list[Candidate]) -> bool:
+        """Rehearse the candidates of a round; whether any holds often enough."""
+        new = sorted(new, key=lambda c: (c.objective, -c.success))
+        began = time.perf_counter()
+        chosen = new[: self._config.count]
+        try:
+            tried = self._rehearsal(*self._surface, np.stack([c.q for c in chosen]), self._seed)
+        except InputError:  # nothing solid to rehearse on: the objective alone decides
+            tried = [Rehearsed(0, 0, 0.0)] * len(chosen)
+        self._candidates += chosen
+        self._tried += tried
+        self.seconds += time.perf_counter() - began
+        return any(one.tries > 1 and one.share >= self._config.enough for one in tried)
+
+    def ranked(self, accepted: list[Candidate]) -> list[Candidate]:
+        """The best candidates of all rounds, best first; those not rehearsed come last.
+
+        No more than a few: if there is no motion to them, there hardly is one to the others.
+        """
+        order = [self._candidates[k] for k in best_first(self._tried)]
+        order += [c for c in accepted if not any(c is one for one in order)]
+        return order[: self._config.most_motions]
+
+    def of(self, answer: Answer) -> Rehearsed | None:
+        """How the answer's grasp did."""
+        for candidate, tried in zip(self._candidates, self._tried, strict=True):
+            if np.array_equal(candidate.q, answer.plan.q):
+                return tried
+        return None
+
+
+def believed_surface(reconstruction: Reconstruction, resolution: int = 64) -> Surface | None:
+    """The reconstructed surface; None where the network sees no inside."""
+    try:
+        mesh = mesh_reconstruction(reconstruction, resolution)
+    except EmptySurfaceError:
+        return None
+    return mesh.vertices, mesh.faces

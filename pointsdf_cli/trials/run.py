@@ -1,0 +1,303 @@
+"""One trial from the object in its place to the verdict, and one process's share of trials."""
+
+from __future__ import annotations
+
+import functools
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.hdf5 import is_complete
+from pointsdf_cli.io.plans import OK, Plan
+from pointsdf_cli.io.trials import (
+    TRIAL_SCHEMA,
+    TRIAL_VERSION,
+    Evidence,
+    TrialRow,
+    read_trial,
+    write_trial,
+)
+from pointsdf_cli.planning.answer import GraspModel
+from pointsdf_cli.planning.contacts import link_poses
+from pointsdf_cli.planning.fields import MeshField
+from pointsdf_cli.planning.object_distance import ObjectDistances
+from pointsdf_cli.planning.robot_geometry import RobotGeometry
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.simulation.executor import ExecutorConfig
+from pointsdf_cli.simulation.observe import Observer
+from pointsdf_cli.simulation.record import Recorder
+from pointsdf_cli.simulation.sim_object import SimObject
+from pointsdf_cli.simulation.world import PhysicsConfig, World
+from pointsdf_cli.trials.contenders import ContenderOptions, Mind
+from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
+from pointsdf_cli.trials.protocol import Contender, Trial, TrialObject
+from pointsdf_cli.trials.rehearsed import RehearsedAnswer, Surface
+from pointsdf_cli.trials.scenes import SceneConfig, load_object, place_camera, place_object
+
+Array = NDArray[np.float64]
+NO_PLAN = "no_plan"
+SHOWN_POINTS = 1500
+SHOWN_FACES = 4000
+
+
+@dataclass(frozen=True)
+class TrialConfig:
+    """Everything that decides outcomes but the trial itself."""
+
+    contenders: ContenderOptions = field(default_factory=ContenderOptions)
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+    execution: ExecutorConfig = field(default_factory=ExecutorConfig)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For `config_json`."""
+        plain: dict[str, Any] = asdict(self)
+        options = plain["contenders"]
+        for name in ("robot", "checkpoint", "grasp_checkpoint"):
+            options[name] = None if options[name] is None else str(options[name])
+        return plain
+
+
+@dataclass(frozen=True)
+class TrialTask:
+    """One trial for one worker process.
+
+    Attributes:
+        trial: What is tried.
+        out: Its file.
+        config: How.
+        film: Where to put a film of it; None for none.
+        force: Do it again even if the file is there.
+    """
+
+    trial: Trial
+    out: Path
+    config: TrialConfig
+    film: Path | None = None
+    force: bool = False
+
+
+class TrialRunner:
+    """Runs trials in one process; trial by trial the same, whoever runs it.
+
+    Args:
+        config: How.
+        grasps: A success network to use instead of checkpoints.
+    """
+
+    def __init__(self, config: TrialConfig, grasps: GraspModel | None = None) -> None:
+        self.config = config
+        self._robot = load_robot(config.contenders.robot)
+        self._world = World(self._robot, config.physics)
+        self._kinematics = Kinematics(self._robot)
+        self._geometry = RobotGeometry(self._kinematics)
+        self._solver = InverseKinematics(self._robot)
+        self._observer = Observer(self._robot)
+        self._grasps = grasps
+        self._minds: dict[Contender, Mind] = {}
+        self._object: tuple[TrialObject, SimObject] | None = None
+
+    def close(self) -> None:
+        """Leave the physics client."""
+        self._world.close()
+
+    def run(self, trial: Trial, recorder: Recorder | None = None) -> tuple[TrialRow, Evidence]:
+        """One trial.
+
+        Raises:
+            InputError: The mesh cannot be used, or the object never rests.
+        """
+        item = self._item(trial.object)
+        T_world_object, yaw = place_object(self._world, item, trial, self.config.scene)
+        T_world_camera = place_camera(item, T_world_object, trial, self.config.scene)
+        rng = trial.rng("view")
+        vertices = apply_transform(T_world_object, item.mesh.vertices)
+        truth = vertices, item.mesh.faces
+        mind = self._mind(trial.contender)
+        began = time.perf_counter(), time.process_time()
+        try:
+            cloud = self._observer.object_cloud(item, T_world_object, T_world_camera, rng)
+        except InputError:
+            cloud = np.zeros((0, 3))
+        answer = None
+        if len(cloud):
+            began = time.perf_counter(), time.process_time()
+            seed = int(trial.rng("view").integers(2**31))
+            answer = mind.plan(cloud, T_world_camera, lambda: truth, seed)
+        spent = time.perf_counter() - began[0], time.process_time() - began[1]
+        plan = None if answer is None else answer.answer.plan
+        executed = None
+        if plan is not None and plan.status == OK:
+            executed = execute_plan(
+                self._world,
+                self._solver,
+                self.palm,
+                item,
+                T_world_object,
+                plan.trajectory,
+                plan.times,
+                self.config.execution,
+                recorder,
+            )
+        row = self._row(trial, yaw, plan, answer, executed, spent, truth)
+        world_cloud = apply_transform(T_world_camera, cloud)
+        believed = None
+        if answer is not None and answer.answer.target is not None:
+            believed = mind.believed(answer, world_cloud)
+        evidence = _evidence(
+            world_cloud, T_world_camera, T_world_object, believed, plan, executed, self._robot.home
+        )
+        return row, evidence
+
+    def palm(self, q: Array) -> Array:
+        """T_world_palm [4, 4] of a configuration [J]."""
+        with torch.no_grad():
+            return np.asarray(self._kinematics.palm(torch.from_numpy(q)).numpy())
+
+    def penetration(self, q: Array, surface: Surface) -> float:
+        """How deep the robot at q [J] is in a closed surface in the world [m]; 0 if it is not."""
+        distances = ObjectDistances(self._geometry, MeshField(*surface))
+        found = distances(link_poses(self._kinematics, q[None]), gradients=False)
+        return max(0.0, -float(found.distance.min()))
+
+    def _item(self, item: TrialObject) -> SimObject:
+        if self._object is None or self._object[0] != item:
+            self._object = item, load_object(item)
+        return self._object[1]
+
+    def _mind(self, contender: Contender) -> Mind:
+        if contender not in self._minds:
+            self._minds[contender] = Mind(contender, self.config.contenders, self._grasps)
+        return self._minds[contender]
+
+    def _row(
+        self,
+        trial: Trial,
+        yaw: float,
+        plan: Plan | None,
+        answer: RehearsedAnswer | None,
+        executed: Executed | None,
+        spent: tuple[float, float],
+        truth: Surface,
+    ) -> TrialRow:
+        outcome = None if executed is None else executed.outcome
+        cause = NO_PLAN
+        if executed is not None:
+            cause = NO_LIFT if outcome is None else outcome.cause
+        rehearsed = float("nan")
+        if answer is not None and answer.rehearsed is not None and answer.rehearsed.tries:
+            rehearsed = answer.rehearsed.share
+        planned = plan is not None and plan.status == OK
+        return TrialRow(
+            object=trial.object.name,
+            yaw_index=trial.yaw_index,
+            repeat=trial.repeat,
+            yaw=yaw,
+            camera=trial.camera,
+            method=trial.contender.method,
+            ablation=trial.contender.ablation,
+            status="no_plan" if plan is None else plan.status,
+            reason="no_object" if plan is None else plan.reason,
+            kind="" if plan is None else plan.kind,
+            cause=cause,
+            planning_time=spent[0],
+            planning_cpu=spent[1],
+            success_probability=float("nan") if plan is None else plan.success_probability,
+            rehearsed=rehearsed,
+            contact=executed is not None and executed.contact,
+            moved=0.0 if executed is None else executed.moved,
+            penetration=self.penetration(plan.q, truth) if plan is not None and planned else 0.0,
+            lifted=executed is not None and executed.lifted,
+            held=outcome is not None and outcome.held,
+            final_height=0.0 if outcome is None else outcome.lift_height,
+            seed=trial.seed,
+        )
+
+
+def run_trial_task(task: TrialTask) -> TrialRow | None:
+    """One trial into its file; None if the file is there already.
+
+    Raises:
+        InputError: The object cannot be used.
+        OptionsDifferError: The file was made with other options.
+    """
+    torch.set_num_threads(1)
+    trial = task.trial
+    config = task.config.as_dict() | {"seed": trial.seed, "yaws": trial.yaws, "trial": trial.name}
+    config["mesh"] = "" if trial.object.mesh is None else trial.object.mesh.name
+    if not task.force and is_complete(
+        task.out, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, config=config
+    ):
+        return None
+    runner = _runner(task.config)
+    recorder = Recorder(rate=10.0) if task.film is not None else None
+    row, evidence = runner.run(trial, recorder)
+    if task.film is not None and recorder is not None and recorder.moments:
+        from pointsdf_cli.trials.pictures import write_film
+
+        write_film(task.film, load_object(trial.object).mesh, recorder.moments)
+    write_trial(task.out, row, evidence, config)
+    return row
+
+
+def read_rows(tasks: list[TrialTask]) -> list[TrialRow]:
+    """The rows of all trials whose files are there, in the order of the tasks."""
+    return [read_trial(task.out)[0] for task in tasks if task.out.is_file()]
+
+
+@functools.lru_cache(maxsize=1)
+def _runner(config: TrialConfig) -> TrialRunner:
+    """One per process: networks and the physics client are kept."""
+    return TrialRunner(config)
+
+
+def _evidence(
+    cloud: Array,
+    T_world_camera: Array,
+    T_world_object: Array,
+    believed: Surface | None,
+    plan: Plan | None,
+    executed: Executed | None,
+    home: Array,
+) -> Evidence:
+    vertices, faces = (np.zeros((0, 3)), np.zeros((0, 3))) if believed is None else believed
+    vertices, faces = _few_faces(vertices, faces)
+    moments = [] if executed is None else executed.moments
+    planned = plan is not None and plan.status == OK
+    stride = max(1, len(cloud) // SHOWN_POINTS)
+    if moments:
+        phases = ("planned", *(m.phase for m in moments))
+        q = np.stack([plan.q if planned and plan is not None else home, *(m.q for m in moments)])
+        poses = np.stack([T_world_object, *(m.T_world_object for m in moments)])
+    else:
+        phases, q, poses = ("home",), home[None], T_world_object[None]
+    return Evidence(
+        cloud=cloud[::stride].astype(np.float32),
+        T_world_camera=T_world_camera,
+        vertices=np.asarray(vertices, dtype=np.float32),
+        faces=np.asarray(faces, dtype=np.int32),
+        phases=phases,
+        q=q,
+        T_world_object=poses,
+        trajectory=np.zeros((0, len(home))) if plan is None else plan.trajectory,
+        times=np.zeros(0) if plan is None else plan.times,
+    )
+
+
+def _few_faces(vertices: Array, faces: NDArray[np.integer]) -> tuple[Any, Any]:
+    if len(faces) <= SHOWN_FACES:
+        return vertices, faces
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh = mesh.simplify_quadric_decimation(face_count=SHOWN_FACES)
+    return mesh.vertices, mesh.faces

@@ -1,0 +1,110 @@
+"""An object in its place on the table, and what one of the two cameras sees of it.
+
+The camera stands opposite the robot and looks back at it, so that the side which the hand comes
+from is the side that is not seen.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
+from pointsdf_cli.objects.stand_ins import make_stand_in
+from pointsdf_cli.simulation.attempt import placed
+from pointsdf_cli.simulation.settle import SettleConfig, settle
+from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
+from pointsdf_cli.simulation.stable_poses import StandingConfig, draw_pose
+from pointsdf_cli.simulation.world import World
+from pointsdf_cli.trials.protocol import CAMERAS, Trial, TrialObject
+from pointsdf_cli.viz.shading import look_at
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SceneConfig:
+    """Where things stand.
+
+    Attributes:
+        place: Where the object is put [m].
+        place_spread: Standard deviation of that, level [m].
+        camera_distance: Level, from the object to the camera [m].
+        azimuth: The camera stands within this [rad] of straight opposite the robot.
+        look_height: It looks at the object at this height [m].
+        standing: As in the collection of grasps, but what can stand always does.
+        settling: When an object rests.
+    """
+
+    place: tuple[float, float] = (0.60, 0.0)
+    place_spread: float = 0.02
+    camera_distance: float = 0.95
+    azimuth: float = 0.35
+    look_height: float = 0.08
+    standing: StandingConfig = StandingConfig(standing=1.0)
+    settling: SettleConfig = SettleConfig()
+
+
+def load_object(item: TrialObject) -> SimObject:
+    """The object ready to be simulated.
+
+    Raises:
+        InputError: Its mesh cannot be used.
+    """
+    if item.mesh is not None:
+        mesh = load_mesh(item.mesh)
+    else:
+        vertices, faces = make_stand_in(item.name)
+        sha = f"stand-in {item.name} {hash_of(vertices, faces)}"
+        mesh = LoadedMesh(item.name, vertices.astype(np.float64), faces, sha, "none")
+    return prepare_object(mesh)
+
+
+def hash_of(*arrays: NDArray[np.generic]) -> str:
+    """A check sum of arrays, the same in every process."""
+    total = hashlib.sha256()
+    for array in arrays:
+        total.update(np.ascontiguousarray(array).tobytes())
+    return total.hexdigest()
+
+
+def place_object(
+    world: World, item: SimObject, trial: Trial, config: SceneConfig
+) -> tuple[Array, float]:
+    """T_world_object [4, 4] of a trial and its yaw [rad]; the same for all views and contenders.
+
+    Yaws of one repeat are evenly spaced from an offset that is drawn for the repeat.
+
+    Raises:
+        InputError: The object never comes to rest.
+    """
+    rng = trial.rng("pose")
+    resting = None
+    for _ in range(12):
+        which, _ = draw_pose(item.poses, config.standing, rng)
+        resting = settle(world, item, item.poses[which], config.settling)
+        if resting is not None:
+            break
+    if resting is None:
+        raise InputError("never comes to rest on a table", where=trial.object.name)
+    yaw = float(rng.uniform(0, 2 * np.pi)) + 2 * np.pi * trial.yaw_index / trial.yaws
+    yaw = float(np.mod(yaw, 2 * np.pi))
+    shift = config.place_spread * trial.rng("scene").standard_normal(2)
+    return placed(resting, item, yaw, np.asarray(config.place) + shift), yaw
+
+
+def place_camera(
+    item: SimObject, T_world_object: Array, trial: Trial, config: SceneConfig
+) -> Array:
+    """T_world_camera [4, 4]: opposite the robot, at the camera's height."""
+    azimuth = float(trial.rng("scene").uniform(-config.azimuth, config.azimuth))
+    outline = apply_transform(T_world_object, item.mesh.vertices)[:, :2]
+    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+    toward = np.array([np.cos(azimuth), np.sin(azimuth)])
+    eye = np.array([*(middle + config.camera_distance * toward), CAMERAS[trial.camera]])
+    return look_at(eye, np.array([*middle, config.look_height]))
