@@ -105,6 +105,20 @@ def test_a_dataset_that_promises_terabytes(tmp_path: Path) -> None:
         read_artifact(tmp_path / "a.h5", schema="labels", version=1)
 
 
+def test_a_heap_of_strings_that_never_ends(tmp_path: Path) -> None:
+    # libhdf5 walks from string to string; one of index 0 and size 0 would hold it for ever.
+    path = tmp_path / "a.h5"
+    write_artifact(path, schema="s", version=1, datasets={"x": Dataset(np.zeros(3))})
+    data = bytearray(path.read_bytes())
+    at = data.index(b"GCOL") + 16
+    while int.from_bytes(data[at : at + 2], "little"):
+        at += 16 + -(-int.from_bytes(data[at + 8 : at + 16], "little") // 8) * 8
+    data[at + 8 : at + 16] = bytes(8)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="heap"):
+        read_artifact(path, schema="s", version=1)
+
+
 def test_a_well_squeezed_dataset_is_read(tmp_path: Path) -> None:
     zeros = Dataset(np.zeros((4, 500, 500), np.float32), "m", compress=True)
     write_artifact(tmp_path / "a.h5", schema="s", version=1, datasets={"depth": zeros})

@@ -28,7 +28,15 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EROFS, errno.EPERM):
+        if error.errno in (
+            errno.ENOSPC,
+            errno.EDQUOT,
+            errno.EACCES,
+            errno.EROFS,
+            errno.EPERM,
+            errno.ENAMETOOLONG,
+            errno.EFBIG,
+        ):
             print(f"rgrasp: {error.filename or 'output'}: {error.strerror}", file=sys.stderr)
             sys.exit(2)
         raise

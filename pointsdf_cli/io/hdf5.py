@@ -19,6 +19,7 @@ import numpy as np
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import atomic_path
+from pointsdf_cli.io.hdf5_heap import heaps_end
 from pointsdf_cli.io.layout import Layout, check_layout, check_stored
 from pointsdf_cli.io.provenance import created_by, git_commit
 
@@ -177,6 +178,8 @@ def open_hdf5(path: Path | str) -> h5py.File:
     if path.is_dir():
         raise InputError("is a folder, and an HDF5 file is needed", where=path)
     try:
+        if not heaps_end(path):
+            raise OSError("a damaged heap of strings")
         return h5py.File(path, "r")
     except OSError as error:
         raise unreadable(path, error) from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -123,6 +124,20 @@ def load_mesh(path: Path | str, unit: str = "m") -> LoadedMesh:
     return LoadedMesh(path.stem, closed.vertices, closed.faces, file_sha256(path), closed.repair)
 
 
+def read_triangles(path: Path | str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Corners [V, 3] and faces [F, 3] as the file has them: any scale, open or closed.
+
+    Raises:
+        InputError: The file cannot be read, or holds fewer than four finite corners of faces.
+    """
+    path = Path(path)
+    vertices, faces = _read(path)
+    used = vertices[np.unique(faces)] if len(faces) else vertices[:0]
+    if len(used) < 4 or not np.isfinite(used).all():
+        raise InputError("holds no solid: fewer than four finite corners", where=path)
+    return vertices, faces
+
+
 def save_mesh(path: Path | str, vertices: ArrayLike, faces: ArrayLike) -> None:
     """Write a mesh [m], as a whole or not at all, in the format of the path's suffix."""
     mesh = trimesh.Trimesh(np.asarray(vertices), np.asarray(faces), process=False)
@@ -137,9 +152,9 @@ def centred(mesh: LoadedMesh) -> LoadedMesh:
 
 
 def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError("is a folder, and a mesh file is needed", where=path)
-    if not path.exists():
+    if not os.path.exists(path):  # unlike Path's, it takes names of any length
         raise InputError("no such file", where=path)
     kind = path.suffix.lower()
     if kind not in MESH_SUFFIXES:
@@ -153,7 +168,9 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         )
         mesh = loaded.to_mesh()
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
-        faces = np.asarray(mesh.faces, dtype=np.int64)
+        faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+        if vertices.shape[1:] != (3,):
+            raise ValueError(f"vertices of {vertices.shape[1:]} numbers")
     except PermissionError as error:
         raise InputError("cannot be read (permission denied)", where=path) from error
     except Exception as error:  # trimesh's readers raise whatever the bytes provoke
@@ -165,7 +182,7 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         ) from error
     if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
         raise InputError("has faces that name vertices it does not hold", where=path)
-    return vertices, faces.reshape(-1, 3)
+    return vertices, faces
 
 
 def _check_size(path: Path, vertices: NDArray[np.float64], unit: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,8 +59,20 @@ class Tree:
     shapes: dict[str, tuple[Shape, ...]]
 
     def neighbours(self) -> set[frozenset[str]]:
-        """Pairs of links that one joint connects."""
-        return {frozenset((joint.parent, joint.child)) for joint in self.joints}
+        """Pairs of links that cannot be kept apart by moving: those that one joint connects,
+        directly or across links without shape, and those that fixed joints make one body."""
+        above = {joint.child: joint for joint in self.joints}
+        body: dict[str, str] = {}
+        pairs = set()
+        for link in self.links:  # parents first
+            joint = above.get(link)
+            fixed = joint is not None and joint.kind == "fixed"
+            body[link] = body[joint.parent] if joint and fixed else link
+            pairs |= {frozenset((link, other)) for other in body if body[other] == body[link]}
+            while joint is not None:
+                pairs.add(frozenset((link, joint.parent)))
+                joint = above.get(joint.parent) if not self.shapes[joint.parent] else None
+        return {pair for pair in pairs if len(pair) == 2}
 
 
 def read_urdf(path: Path) -> Tree:
@@ -69,7 +82,7 @@ def read_urdf(path: Path) -> Tree:
         InputError: Not XML, not a URDF, a joint kind or shape that is not supported, a name used
             twice, no or several roots, or a mesh that cannot be found.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):  # unlike Path's, it takes names of any length
         raise InputError("no such URDF file", where=path)
     root = read_xml(path)
     if root.tag != "robot":
@@ -185,7 +198,7 @@ def _mesh_file(name: str, urdf: Path) -> Path:
     candidates += [parent / bare for parent in urdf.parents[1:4]]
     candidates += [parent.parent / bare for parent in urdf.parents[:3]]
     for candidate in candidates:
-        if candidate.is_file():
+        if os.path.isfile(candidate):
             return candidate
     raise InputError(f"names the mesh {name!r}, which is not there", where=urdf)
 
