@@ -42,6 +42,13 @@ class ShapeModel(nn.Module, ABC):
     packed_neighbours: tuple[int, int] | None = None
     """(M, K) if `encode` takes a third argument: the first layer's neighbours, int64 [B, M, K]."""
 
+    encoder_parts: tuple[str, ...] = ("layers", "to_embedding")
+    """The submodules that the embedding depends on."""
+
+    def embed(self, cloud: Tensor, camera: Tensor) -> Tensor:
+        """The embedding [B, 256] alone, of what `encode` takes."""
+        return self.encode(cloud, camera).embedding
+
     @abstractmethod
     def config(self) -> dict[str, Any]:
         """The arguments that rebuild this architecture (plain types)."""

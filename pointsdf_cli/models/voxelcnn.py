@@ -31,6 +31,7 @@ class VoxelCNN(ShapeModel):
     architecture = "voxelcnn"
     box = VOXEL * GRID / 2.0
     gives_distances = False
+    encoder_parts = ("encoder", "to_embedding")
 
     def __init__(self) -> None:
         super().__init__()
@@ -67,8 +68,11 @@ class VoxelCNN(ShapeModel):
     def config(self) -> dict[str, Any]:
         return {}
 
+    def embed(self, cloud: Tensor, camera: Tensor) -> Tensor:
+        return self.to_embedding(self.encoder(occupancy(cloud).unsqueeze(1)))
+
     def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
-        embedding = self.to_embedding(self.encoder(occupancy(cloud).unsqueeze(1)))
+        embedding = self.embed(cloud, camera)
         logits = self.decoder(self.from_embedding(embedding).view(-1, 1, 7, 7, 7))
         return Encoding(embedding, {"logits": logits})
 

@@ -1,0 +1,239 @@
+"""Checkpoints of `train-gs`: network, prior, and the shape network that they read.
+
+A frozen encoder is not stored again: config.json names the checkpoint it came from, with a hash of
+its weights. An encoder that was trained along is stored, without the decoder that nobody trained.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from pointsdf_cli.assets import asset_path, assets_folder
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.checkpoints import WEIGHTS, Checkpoint, read_checkpoint, write_checkpoint
+from pointsdf_cli.models.grasp_prior import GraspPrior
+from pointsdf_cli.models.grasp_success import NETWORKS, EmbeddingNet, GeometryNet
+from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
+from pointsdf_cli.models.registry import build_model, load_model
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.robot.description import RobotDescription, load_robot
+
+ARCHITECTURE = "grasp-success"
+BUNDLED = "weights/grasp_geometry"
+BUNDLED_PREFIX = "bundled:"
+
+FIXED, FINE_TUNED, SCRATCH = "fixed", "fine-tuned", "scratch"
+MODES = (FIXED, FINE_TUNED, SCRATCH)
+
+
+class GraspParts(NamedTuple):
+    """What a checkpoint holds, rebuilt.
+
+    Attributes:
+        network, prior, encoder, robot, sweep: As in `GraspModel`.
+        config: Everything in config.json.
+    """
+
+    network: EmbeddingNet | GeometryNet
+    prior: GraspPrior
+    encoder: ShapeModel
+    robot: RobotDescription
+    sweep: HandSweep
+    config: dict[str, Any]
+
+
+class EncoderSource(NamedTuple):
+    """A shape network and the checkpoint it was read from."""
+
+    model: ShapeModel
+    path: Path
+
+
+def write_grasp_checkpoint(
+    path: Path | str,
+    *,
+    network: EmbeddingNet | GeometryNet,
+    network_weights: Mapping[str, Tensor],
+    prior: GraspPrior,
+    encoder: ShapeModel,
+    encoder_weights: Mapping[str, Tensor] | None,
+    encoder_path: Path | None,
+    mode: str,
+    robot: RobotDescription,
+    sweep: HandSweep,
+    provenance: Mapping[str, Any],
+    train_state: Mapping[str, Any] | None = None,
+    half: bool = False,
+) -> None:
+    """Write or replace a checkpoint.
+
+    Args:
+        path: The directory.
+        network, network_weights: The architecture, and the weights to keep.
+        prior: Kept in double precision.
+        encoder, encoder_weights: The architecture; the weights, where they were trained here.
+        encoder_path: The checkpoint that frozen weights came from.
+        mode: One of `MODES`.
+        robot, sweep: Of the data.
+        provenance: Goes into config.json.
+        train_state: To resume from.
+        half: Store weights of the networks in float16.
+    """
+
+    def stored(prefix: str, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        return {
+            f"{prefix}.{name}": tensor.half() if half and tensor.is_floating_point() else tensor
+            for name, tensor in weights.items()
+        }
+
+    weights = stored("network", network_weights) | prior.state()
+    if encoder_weights is not None:
+        parts = tuple(f"{part}." for part in encoder.encoder_parts)
+        weights |= stored(
+            "encoder", {n: t for n, t in encoder_weights.items() if n.startswith(parts)}
+        )
+    config = {
+        "architecture": ARCHITECTURE,
+        "inputs": network.inputs,
+        "mode": mode,
+        "network": network.config(),
+        "encoder": {
+            "architecture": encoder.architecture,
+            "model": encoder.config(),
+            **(_reference(encoder_path) if encoder_path is not None else {}),
+        },
+        "sweep": asdict(sweep.config),
+        "robot": {
+            "name": robot.name,
+            "preshape_joints": list(robot.preshape_joints),
+        },
+        **provenance,
+    }
+    write_checkpoint(path, config=config, weights=weights, train_state=train_state)
+
+
+def read_grasp_checkpoint(
+    path: Path | str | None = None,
+    sdf_checkpoint: Path | str | None = None,
+    robot: RobotDescription | None = None,
+) -> GraspParts:
+    """Read and rebuild everything, in float32 and evaluation mode.
+
+    Args:
+        path: The checkpoint; the bundled default where None.
+        sdf_checkpoint: Where the frozen encoder is, if not where it was.
+        robot: The robot; the bundled one where None.
+
+    Raises:
+        InputError: No such checkpoint, of another kind or robot, or its encoder is missing or
+            another one.
+    """
+    checkpoint = read_checkpoint(path if path is not None else asset_path(BUNDLED))
+    config, where = checkpoint.config, checkpoint.path
+    if config.get("architecture") != ARCHITECTURE:
+        raise InputError(
+            f"is a {config.get('architecture')}, not a success network",
+            where=where,
+            hint="rgrasp train-gs --grasps DIR --out CKPT",
+        )
+    robot = robot or load_robot()
+    check_robot(robot, config["robot"]["name"], config["robot"]["preshape_joints"], where)
+    try:
+        network = NETWORKS[config["inputs"]](**config["network"])
+        sizes = config["sweep"]
+        sweep = HandSweep(robot, SweepConfig(**{**sizes, "grid": tuple(sizes["grid"])}))
+        network.load_state_dict(_part(checkpoint, "network"))
+    except (KeyError, TypeError, RuntimeError) as error:
+        raise InputError(
+            f"does not fit its config.json ({str(error).splitlines()[0]})", where=where
+        ) from error
+    network.requires_grad_(False)
+    return GraspParts(
+        network.eval(),
+        GraspPrior.from_state(checkpoint.weights),
+        _encoder(checkpoint, sdf_checkpoint),
+        robot,
+        sweep,
+        config,
+    )
+
+
+def check_robot(
+    robot: RobotDescription, name: str, preshape_joints: list[str] | tuple[str, ...], where: object
+) -> None:
+    """Refuse what was made with another hand.
+
+    Raises:
+        InputError: The names differ.
+    """
+    if robot.name != name or list(robot.preshape_joints) != list(preshape_joints):
+        raise InputError(
+            f"was made with the robot {name!r} ({len(preshape_joints)} preshape joints), "
+            f"not {robot.name!r} ({len(robot.preshape_joints)})",
+            where=where,
+            hint="give that robot's YAML with --robot",
+        )
+
+
+def weights_hash(path: Path | str) -> str:
+    """SHA-256 of a checkpoint's weights file.
+
+    Raises:
+        InputError: There is none.
+    """
+    file = Path(path) / WEIGHTS
+    if not file.is_file():
+        raise InputError(f"has no {WEIGHTS}", where=path, allowed="a checkpoint directory")
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _reference(path: Path) -> dict[str, str]:
+    path = path.resolve()
+    home = (assets_folder() / "weights").resolve()
+    name = f"{BUNDLED_PREFIX}{path.name}" if path.parent == home else str(path)
+    return {"checkpoint": name, "sha256": weights_hash(path)}
+
+
+def _encoder(checkpoint: Checkpoint, override: Path | str | None) -> ShapeModel:
+    config = checkpoint.config["encoder"]
+    if checkpoint.config["mode"] != FIXED:
+        model = build_model(config["architecture"], config["model"])
+        weights = _part(checkpoint, "encoder")
+        missing, unexpected = model.load_state_dict(weights, strict=False)
+        parts = tuple(f"{part}." for part in model.encoder_parts)
+        if unexpected or any(name.startswith(parts) for name in missing):
+            raise InputError("holds no complete encoder", where=checkpoint.path)
+        return model.requires_grad_(False).eval()
+    stored = str(config.get("checkpoint"))
+    path = Path(override) if override is not None else Path(stored)
+    if override is None and stored.startswith(BUNDLED_PREFIX):
+        path = asset_path(f"weights/{stored.removeprefix(BUNDLED_PREFIX)}")
+    if not path.is_dir():
+        raise InputError(
+            f"the encoder that it was trained with is not there ({path})",
+            where=checkpoint.path,
+            hint="give its checkpoint directory with --sdf",
+        )
+    if weights_hash(path) != config.get("sha256"):
+        raise InputError(
+            f"was trained with other weights than those in {path}",
+            where=checkpoint.path,
+            hint="give the encoder's checkpoint with --sdf, or train again",
+        )
+    return load_model(path)
+
+
+def _part(checkpoint: Checkpoint, prefix: str) -> dict[str, Tensor]:
+    start = f"{prefix}."
+    return {
+        name.removeprefix(start): tensor.to(torch.float32) if tensor.is_floating_point() else tensor
+        for name, tensor in checkpoint.weights.items()
+        if name.startswith(start)
+    }

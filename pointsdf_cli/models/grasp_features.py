@@ -1,0 +1,169 @@
+"""What the reconstruction says at the grasp itself, as numbers for the success network.
+
+An embedding of the whole cloud blurs what the fingers touch. These features do not: signed
+distances where the closing links pass and in the region between them, in the palm's own frame, so
+that the same contact looks the same wherever it happens. Beside them stand what gravity and the
+table do: how high the links are, which way is down, how large and how heavy the object seems.
+
+The gradient of the field is in there as differences between neighbouring points. All of it is
+differentiable in the preshape and in the palm's pose; frame: world, z up, table top at z = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pointsdf_cli.models.hand_sweep import HandSweep
+
+Array = NDArray[np.float64]
+
+NEAR, FAR = 0.01, 0.04
+"""Lengths [m] at which the two saturating copies of a distance bend: contact, and closeness."""
+
+LENGTH = 0.1
+"""Lengths are given in units of this [m]."""
+
+BODY_CELLS = 10
+"""Cells along each side of the box in which the object's body is measured."""
+
+BODY_SIZE = 6
+
+
+@dataclass(frozen=True)
+class ObjectBody:
+    """What the features need to know of the object besides its field, in the world.
+
+    Attributes:
+        centre: f4 [3], centre of the seen points' upright bounding box, m.
+        mass_centre: f4 [3], centre of the reconstructed volume, m.
+        numbers: f4 [BODY_SIZE], standing for its size: see `object_body`.
+    """
+
+    centre: Tensor
+    mass_centre: Tensor
+    numbers: Tensor
+
+
+def object_body(points: Array, field: Callable[[Array], NDArray[np.floating]]) -> ObjectBody:
+    """Size, volume and centre of one object.
+
+    Args:
+        points: [N, 3], seen points, world, m.
+        field: Signed distances of its reconstruction [m] at points of the world.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    extent = high - low
+    spare = 0.25 * extent.max()
+    a, b = low - spare, high + spare
+    a[2] = min(0.0, low[2])  # what is unseen rests on the table
+    cell = (b - a) / BODY_CELLS
+    axes = [a[k] + (np.arange(BODY_CELLS) + 0.5) * cell[k] for k in range(3)]
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    distance = np.asarray(field(places), dtype=np.float64)
+    # A soft step half a cell wide: thin bodies between the samples still count.
+    inside = 1.0 / (1.0 + np.exp(np.clip(4.0 * distance / cell.mean(), -30, 30)))
+    total = inside.sum()
+    volume = float(total * cell.prod())
+    centre = (low + high) / 2
+    mass_centre = (inside @ places) / total if total > 1e-6 else centre
+    level = np.sqrt(np.clip(np.linalg.eigvalsh(np.cov(points[:, :2].T)), 0, None))
+    numbers = [
+        np.cbrt(volume) / LENGTH,
+        volume / LENGTH**3,
+        high[2] / LENGTH,
+        level[0] / LENGTH,
+        level[1] / LENGTH,
+        extent.max() / LENGTH,
+    ]
+    return ObjectBody(*(torch.tensor(np.array(v), dtype=torch.float32) for v in
+                        (centre, mass_centre, numbers)))  # fmt: skip
+
+
+class GraspFeatures:
+    """Features of grasps of one object.
+
+    Args:
+        sweep: The hand.
+        preshape_ranges: [K, 2], to scale the preshape with.
+    """
+
+    def __init__(self, sweep: HandSweep, preshape_ranges: NDArray[np.floating]) -> None:
+        self._sweep = sweep
+        ranges = torch.tensor(np.array(preshape_ranges), dtype=torch.float32)
+        self._middle, self._half = ranges.mean(1), (ranges[:, 1] - ranges[:, 0]) / 2
+
+    @property
+    def size(self) -> int:
+        """How many features there are."""
+        still, moving = self._sweep.sizes
+        stages = self._sweep.config.stages
+        sampled = still + stages * moving + len(self._sweep.region)
+        return (
+            2 * (still + stages * moving)
+            + len(self._sweep.region)
+            + stages
+            + (sampled > 0)
+            + len(self._middle)
+            + 3
+            + 3
+            + 3
+            + 1
+            + BODY_SIZE
+        )
+
+    def __call__(
+        self,
+        preshape: Tensor,
+        T_world_palm: Tensor,
+        body: ObjectBody,
+        field: Callable[[Tensor], Tensor],
+    ) -> Tensor:
+        """Features [B, F], float32.
+
+        Args:
+            preshape: [B, K].
+            T_world_palm: [B, 4, 4].
+            body: The object.
+            field: Its signed distances [...] m at points [..., 3] of the world, differentiable.
+        """
+        preshape, palm = preshape.float(), T_world_palm.float()
+        rotation, position = palm[:, :3, :3], palm[:, :3, 3]
+        still, moving = self._sweep(preshape)
+        count, stages, links = moving.shape[:3]
+        region = self._sweep.region.expand(count, -1, -1)
+        local = torch.cat([moving.reshape(count, stages * links, 3), still, region], dim=1)
+        world = local @ rotation.transpose(1, 2) + position[:, None]
+        distance = field(world)
+        on_links = distance[:, : stages * links + still.shape[1]]
+        lowest = world[:, : stages * links, 2].reshape(count, stages, links).amin(-1)
+        up = rotation[:, 2]
+        to_centre = _turned_back(rotation, body.centre - position)
+        to_mass = _turned_back(rotation, body.mass_centre - position)
+        return torch.cat(
+            [
+                torch.tanh(on_links / NEAR),
+                torch.tanh(on_links / FAR),
+                torch.tanh(distance[:, on_links.shape[1] :] / FAR),
+                torch.tanh(lowest / FAR),
+                position[:, 2:] / LENGTH,
+                (preshape - self._middle) / self._half,
+                up,
+                to_centre / LENGTH,
+                to_mass / LENGTH,
+                # What the weight does about the palm: a lever.
+                torch.linalg.cross(up, to_mass).norm(dim=1, keepdim=True) / LENGTH,
+                body.numbers.expand(count, -1),
+            ],
+            dim=1,
+        )
+
+
+def _turned_back(rotation: Tensor, vector: Tensor) -> Tensor:
+    """Rᵀ v for [B, 3, 3] and [B, 3]."""
+    return (vector[:, None] @ rotation).squeeze(1)

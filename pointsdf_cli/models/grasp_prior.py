@@ -1,0 +1,182 @@
+"""The prior g(q_g; ψ) over grasp configurations (paper section IV): a mixture of two Gaussians.
+
+One component for side grasps and one for top grasps, as published. Both kinds are known in the
+training data, so the components are fitted to them directly and never have to be guessed by EM;
+each can then have a chart of its own, about its own mean rotation. Coordinates of a grasp:
+
+    y = [ (Rᵀ (c − t) − (b, 0, 0)) / ℓ ,  log(R̄ₖᵀ A⁻¹ R) ,  (preshape − middle) / width ]
+
+t, R is the palm in the world, c the centre of the seen points' upright box, b how far that box
+reaches from c along the palm's x, ℓ = 0.1 m, A the turn about the vertical that looks from the
+robot at the object, R̄ₖ the component's mean rotation; middle and width are those of the
+ranges that preshapes are drawn from. Neither the camera's place nor the
+object's turn on the table enters but through the box: the same prior serves any view.
+
+The density is exact: with respect to dt / ℓ³ · dR · d(preshape / width), dR the invariant volume of
+rotations. (A shift by b and a turn by R have unit Jacobian; the rotation's chart has the one in
+`rotations.py`.) With these units a preshape that is as good as any other counts for nothing,
+whatever the hand. Offsets are lengths, not shares of the object's size: it is the hand that sets
+them, and held-out grasps are likelier so (docs/grasp-success.md).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.models.rotations import log_volume, rotation_of, rotation_vector
+
+Array = NDArray[np.float64]
+
+KINDS = ("side", "top")
+LENGTH = 0.1
+"""ℓ [m]."""
+
+
+@dataclass(frozen=True)
+class ObjectPlace:
+    """Where one object is, for the prior.
+
+    Attributes:
+        centre: f8 [3], of the seen points' upright box in the world, m.
+        extent: f8 [3], its sides, m.
+        azimuth: Direction from the robot's base to the centre, about the vertical [rad].
+    """
+
+    centre: Tensor
+    extent: Tensor
+    azimuth: float
+
+    @classmethod
+    def of(cls, points: Array, base: Array) -> ObjectPlace:
+        """From seen points [N, 3] and the robot's base [3], both in the world."""
+        low, high = points.min(axis=0), points.max(axis=0)
+        centre = (low + high) / 2
+        azimuth = math.atan2(centre[1] - base[1], centre[0] - base[0])
+        return cls(torch.tensor(centre), torch.tensor(high - low), azimuth)
+
+    def heading(self) -> Tensor:
+        """A, f8 [3, 3]."""
+        c, s = math.cos(self.azimuth), math.sin(self.azimuth)
+        return torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+
+    def reach(self, rotation: Tensor) -> Tensor:
+        """b [B]: half the box's extent along the palm's x, for palm rotations [B, 3, 3]."""
+        return (rotation[:, :, 0].abs() @ self.extent) / 2
+
+
+class GraspPrior:
+    """The mixture, in float64.
+
+    Args:
+        weights: [2], shares of side and top grasps; zero for a kind that was not seen.
+        rotations: [2, 3, 3], R̄ₖ.
+        means: [2, D] with D = 6 + K.
+        choleskys: [2, D, D], lower triangular factors of the covariances.
+        ranges: [K, 2], of the preshape joints: samples are clipped to them.
+    """
+
+    def __init__(
+        self, weights: Tensor, rotations: Tensor, means: Tensor, choleskys: Tensor, ranges: Tensor
+    ) -> None:
+        self.weights, self.rotations, self.means, self.choleskys, self.ranges = (
+            tensor.double() for tensor in (weights, rotations, means, choleskys, ranges)
+        )
+        self._middle = self.ranges.mean(1)
+        self._width = (self.ranges[:, 1] - self.ranges[:, 0]).clamp(min=1e-3)
+
+    def coordinates(
+        self, kind: int, preshape: Tensor, T_world_palm: Tensor, place: ObjectPlace
+    ) -> Tensor:
+        """y [B, D] in the chart of component `kind`."""
+        rotation, position = T_world_palm[:, :3, :3].double(), T_world_palm[:, :3, 3].double()
+        offset = ((place.centre - position)[:, None] @ rotation).squeeze(1)
+        offset = offset - torch.nn.functional.pad(place.reach(rotation)[:, None], (0, 2))
+        turn = (place.heading() @ self.rotations[kind]).T @ rotation
+        joints = (preshape.double() - self._middle) / self._width
+        return torch.cat([offset / LENGTH, rotation_vector(turn), joints], dim=1)
+
+    def log_density(self, preshape: Tensor, T_world_palm: Tensor, place: ObjectPlace) -> Tensor:
+        """log g [B]; differentiable in both.
+
+        Args:
+            preshape: [B, K] rad.
+            T_world_palm: [B, 4, 4].
+            place: The object.
+        """
+        parts = []
+        for kind in range(len(KINDS)):
+            if self.weights[kind] <= 0:
+                continue
+            y = self.coordinates(kind, preshape, T_world_palm, place)
+            factor = self.choleskys[kind]
+            white = torch.linalg.solve_triangular(factor, (y - self.means[kind]).T, upper=False)
+            normal = -0.5 * (white**2).sum(0) - factor.diagonal().log().sum()
+            normal = normal - 0.5 * y.shape[1] * math.log(2 * math.pi)
+            parts.append(self.weights[kind].log() + normal - log_volume(y[:, 3:6]))
+        return torch.logsumexp(torch.stack(parts), dim=0)
+
+    def sample(
+        self, kind: str, count: int, place: ObjectPlace, rng: np.random.Generator
+    ) -> tuple[Array, Array]:
+        """Preshapes [N, K], within their ranges, and palms T_world_palm [N, 4, 4] of one component.
+
+        Raises:
+            InputError: `kind` is neither "side" nor "top", or was not seen in training.
+        """
+        if kind not in KINDS:
+            raise InputError(f"no kind of grasp {kind!r}", allowed=", ".join(KINDS))
+        k = KINDS.index(kind)
+        if self.weights[k] <= 0:
+            raise InputError(f"the prior has seen no {kind} grasps", allowed=", ".join(self.kinds))
+        noise = torch.from_numpy(rng.standard_normal((count, self.means.shape[1])))
+        y = self.means[k] + noise @ self.choleskys[k].T
+        turn = y[:, 3:6]
+        # Beyond π a rotation vector means the turn the other way round: the chart ends there.
+        angle = turn.norm(dim=1, keepdim=True)
+        turn = turn * (angle.clamp(max=math.pi - 1e-6) / angle.clamp(min=1e-12))
+        rotation = place.heading() @ self.rotations[k] @ rotation_of(turn)
+        offset = y[:, :3] * LENGTH
+        offset = offset + torch.nn.functional.pad(place.reach(rotation)[:, None], (0, 2))
+        palm = torch.eye(4, dtype=torch.float64).repeat(count, 1, 1)
+        palm[:, :3, :3] = rotation
+        palm[:, :3, 3] = place.centre - (rotation @ offset[:, :, None]).squeeze(-1)
+        preshape = (self._middle + y[:, 6:] * self._width).clamp(
+            self.ranges[:, 0], self.ranges[:, 1]
+        )
+        return preshape.numpy(), palm.numpy()
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kinds that were seen."""
+        return tuple(k for k, weight in zip(KINDS, self.weights, strict=True) if weight > 0)
+
+    def state(self) -> dict[str, Tensor]:
+        """Tensors by name, as `from_state` takes them."""
+        return {
+            "prior.weights": self.weights,
+            "prior.rotations": self.rotations,
+            "prior.means": self.means,
+            "prior.choleskys": self.choleskys,
+            "prior.ranges": self.ranges,
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Tensor]) -> GraspPrior:
+        """From the tensors of a checkpoint.
+
+        Raises:
+            InputError: One is missing.
+        """
+        names = ("weights", "rotations", "means", "choleskys", "ranges")
+        missing = [name for name in names if f"prior.{name}" not in state]
+        if missing:
+            raise InputError(f"holds no prior ({', '.join(missing)} missing)")
+        return cls(*(state[f"prior.{name}"] for name in names))

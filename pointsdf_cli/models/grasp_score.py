@@ -1,0 +1,196 @@
+"""A trained success network and its prior, for one object in the world: what planning asks.
+
+    grasps = load_grasp_model().on(points, T_world_camera)
+    grasps.log_success(preshape, T_world_palm)      [B], differentiable
+    grasps.log_prior(preshape, T_world_palm)        [B], differentiable
+    grasps.sample("side", 32, rng)                  preshapes and palms
+
+`ObjectGrasps` satisfies `planning.objective.GraspScore` and `planning.seeds.GraspPrior`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform, is_rigid
+from pointsdf_cli.models.field_grid import FieldGrid
+from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
+from pointsdf_cli.models.grasp_features import FAR, GraspFeatures, ObjectBody, object_body
+from pointsdf_cli.models.grasp_prior import GraspPrior, ObjectPlace
+from pointsdf_cli.models.grasp_success import EmbeddingNet, GeometryNet, grasp_numbers
+from pointsdf_cli.models.hand_sweep import HandSweep
+from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.robot.description import RobotDescription
+
+Array = NDArray[np.float64]
+
+GRID_STEP = 0.008
+"""Of the grid on which the geometry's field is kept [m]."""
+
+OWN_NODES = 8_000
+"""Nodes of that grid when the network itself has to be asked."""
+
+
+class Field(Protocol):
+    """A signed distance field of the world [m], such as those of planning."""
+
+    def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        """Values [N] and gradients [N, 3] at points [N, 3]."""
+
+
+@dataclass(frozen=True)
+class GraspModel:
+    """A loaded checkpoint of `train-gs`.
+
+    Attributes:
+        network: Of either kind, calibrated, in evaluation mode.
+        prior: The mixture.
+        encoder: The shape network whose embedding or distances are read.
+        robot: The robot that it was trained with.
+        sweep: Its closing hand.
+    """
+
+    network: EmbeddingNet | GeometryNet
+    prior: GraspPrior
+    encoder: ShapeModel
+    robot: RobotDescription
+    sweep: HandSweep
+
+    def on(
+        self,
+        points: ArrayLike,
+        T_world_camera: ArrayLike,
+        field: Field | None = None,
+        seed: int = 0,
+    ) -> ObjectGrasps:
+        """The scores of one object.
+
+        Args:
+            points: [N, 3], the segmented object as seen, camera frame, m.
+            T_world_camera: [4, 4]; z is up in the world and the table top at 0.
+            field: The object's signed distances in the world, for the features of geometry; the
+                reconstruction by `encoder` where None. A network on embeddings does not read it.
+            seed: Of the resampling of the cloud.
+
+        Raises:
+            InputError: The points are no cloud, or the pose is not rigid.
+        """
+        pose = np.asarray(T_world_camera, dtype=np.float64)
+        if not is_rigid(pose):
+            raise InputError("is not a rigid transform", where="T_world_camera")
+        points = np.asarray(points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise InputError(f"a cloud of shape {points.shape}", allowed="finite [N, 3]")
+        world = apply_transform(pose, points)
+        place = ObjectPlace.of(world, self.robot.T_world_base[:3, 3])
+        if isinstance(self.network, EmbeddingNet) or field is None:
+            shape = Reconstruction.from_cloud(
+                self.encoder, world, pose[:3, 3], pose[:3, :3], seed=seed
+            )
+        if isinstance(self.network, EmbeddingNet):
+            return EmbeddingGrasps(self, place, shape)
+        values = shape.sdf if field is None else (lambda x: field.with_gradient(x)[0])
+        return GeometryGrasps(self, place, world, values, own=field is None)
+
+
+class ObjectGrasps:
+    """The scores of grasps of one object, world frame."""
+
+    def __init__(self, model: GraspModel, place: ObjectPlace) -> None:
+        self._model, self._place = model, place
+
+    def logit(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        """Calibrated logits of success [B]."""
+        raise NotImplementedError
+
+    def log_success(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        """log h [B] of preshapes [B, K] and palms [B, 4, 4]; differentiable in both."""
+        return torch.nn.functional.logsigmoid(self.logit(preshape, T_world_palm))
+
+    def log_prior(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        """log g [B] of the same, in the units of `grasp_prior.py`."""
+        return self._model.prior.log_density(preshape, T_world_palm, self._place)
+
+    def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Preshapes [N, K] and palms [N, 4, 4] of the prior's "side" or "top" component."""
+        return self._model.prior.sample(kind, count, self._place, rng)
+
+
+class EmbeddingGrasps(ObjectGrasps):
+    """Scores by the embedding of the cloud, as published."""
+
+    def __init__(self, model: GraspModel, place: ObjectPlace, shape: Reconstruction) -> None:
+        super().__init__(model, place)
+        self._embedding = shape.encoding.embedding.float()
+        self._size = torch.tensor(shape.size, dtype=torch.float32)[None]
+        self._axes = torch.tensor(shape.R_frame_camera.T.copy(), dtype=torch.float32)
+        self._centre, self._scale = torch.tensor(shape.centre), shape.scale
+
+    def logit(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        palm = T_world_palm.double()
+        # Places in the world are large numbers beside what decides: subtract before rounding.
+        position = ((palm[:, :3, 3] - self._centre) * self._scale).float()
+        top = torch.cat([palm[:, :3, :3].float(), position[:, :, None]], dim=2)
+        numbers = grasp_numbers(preshape.float(), self._axes @ top)
+        network = self._model.network
+        return network.calibration(network(numbers, self._embedding, self._size))
+
+
+class GeometryGrasps(ObjectGrasps):
+    """Scores by what the reconstruction says at the grasp itself."""
+
+    def __init__(
+        self,
+        model: GraspModel,
+        place: ObjectPlace,
+        points: Array,
+        field: object,
+        own: bool,
+    ) -> None:
+        super().__init__(model, place)
+        self.body: ObjectBody = object_body(points, field)  # type: ignore[arg-type]
+        low, high = points.min(axis=0), points.max(axis=0)
+        # The unseen side may reach as far back as the seen one is wide.
+        spare = 0.5 * float((high - low).max()) + FAR
+        low, high = low - spare, high + spare
+        low[2] = max(low[2], -FAR)
+        nodes = OWN_NODES if own else 4 * OWN_NODES
+        self._field = FieldGrid(field, low, high, GRID_STEP, nodes)  # type: ignore[arg-type]
+        self._features = GraspFeatures(model.sweep, model.robot.preshape_ranges)
+
+    def logit(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        features = self._features(preshape, T_world_palm, self.body, self._field)
+        network = self._model.network
+        return network.calibration(network(features))
+
+
+def load_grasp_model(
+    path: Path | str | None = None,
+    sdf_checkpoint: Path | str | None = None,
+    device: str = "cpu",
+    robot: RobotDescription | None = None,
+) -> GraspModel:
+    """The model of a checkpoint that `train-gs` wrote.
+
+    Args:
+        path: The checkpoint; the bundled default where None.
+        sdf_checkpoint: The frozen shape network, if it is not where it was when it was trained.
+        device: Where the shape network computes; the success network is too small to gain by it.
+        robot: The robot; the bundled one where None.
+
+    Raises:
+        InputError: As `read_grasp_checkpoint`.
+    """
+    parts = read_grasp_checkpoint(path, sdf_checkpoint, robot)
+    return GraspModel(
+        parts.network, parts.prior, parts.encoder.to(device), parts.robot, parts.sweep
+    )

@@ -1,0 +1,180 @@
+"""Where the hand's links pass while the hand closes: points of the palm frame, from a preshape.
+
+The robot's description says which joints close and how fast. All of them are advanced together, as
+the hand does until something stops them, and a few points of every link are followed. Nothing here
+knows a particular hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.cluster.vq import kmeans2
+from torch import Tensor
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import invert_transform
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.surface import robot_surface
+from pointsdf_cli.robot.urdf import Tree
+
+
+@dataclass(frozen=True)
+class SweepConfig:
+    """How finely the closing hand is followed.
+
+    Attributes:
+        stages: Moments of the closing motion, the preshape among them.
+        share: Of the longest time that a joint needs to its limit: the last moment.
+        points_per_link: Points along each link.
+        grid: Points of the closing region along the palm's x, y and z.
+    """
+
+    stages: int = 6
+    share: float = 0.8
+    points_per_link: int = 2
+    grid: tuple[int, int, int] = (5, 5, 6)
+
+    def __post_init__(self) -> None:
+        counts = (self.stages - 1, self.points_per_link, *self.grid)
+        if min(counts) < 1 or not 0 < self.share <= 1 or len(self.grid) != 3:
+            raise InputError(f"{self}", allowed="stages ≥ 2, counts ≥ 1, share in (0, 1]")
+
+
+class HandSweep:
+    """The points of one hand; differentiable in the preshape.
+
+    Args:
+        robot: The robot.
+        config: How finely.
+
+    Attributes:
+        still: Points of links that closing does not move, counted once.
+        moving: Points of links that closing moves, at every stage.
+        region: f4 [G, 3], points of the box that the moving links sweep, fixed in the palm frame.
+    """
+
+    def __init__(self, robot: RobotDescription, config: SweepConfig | None = None) -> None:
+        self.config = config or SweepConfig()
+        hand = _hand_alone(robot)
+        self._kinematics = Kinematics(hand, dtype=torch.float32)
+        count = len(robot.hand_joints)
+        self._joints = count
+        names = list(robot.hand_joints)
+        self._preshape = torch.tensor([names.index(name) for name in robot.preshape_joints])
+        self._closing = torch.tensor([names.index(name) for name in robot.closing_joints])
+        lower = torch.tensor(hand.lower, dtype=torch.float32)
+        upper = torch.tensor(hand.upper, dtype=torch.float32)
+        self._rest = torch.zeros(count).clamp(lower, upper)
+        self._lower, self._upper = lower[self._closing], upper[self._closing]
+        speed = torch.tensor(robot.closing_speeds.copy(), dtype=torch.float32)
+        # From the middle of what a preshape may be; joints that start elsewhere just arrive
+        # earlier or later.
+        start = self._rest.clone()
+        middle = torch.tensor(robot.preshape_ranges.mean(axis=1), dtype=torch.float32)
+        start[self._preshape] = middle
+        end = torch.where(speed > 0, self._upper, self._lower)
+        duration = float(((end - start[self._closing]) / speed).max())
+        times = torch.linspace(0.0, self.config.share * duration, self.config.stages)
+        self._advance = times[:, None] * speed
+        self._place_points(robot, hand)
+        self.region = self._closing_region(robot)
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """How many still points, and how many moving ones at each stage."""
+        return len(self._still), len(self._moving)
+
+    def __call__(self, preshape: Tensor) -> tuple[Tensor, Tensor]:
+        """Points in the palm frame.
+
+        Args:
+            preshape: [B, K], float32.
+
+        Returns:
+            Still points [B, P, 3], and moving points [B, S, M, 3] at S stages.
+        """
+        q = self._rest.expand(len(preshape), -1).index_copy(1, self._preshape, preshape)
+        closing = (q[:, None, self._closing] + self._advance).clamp(self._lower, self._upper)
+        stages = q[:, None].expand(-1, self.config.stages, -1)
+        stages = stages.index_copy(2, self._closing, closing)
+        rotation, position = self._kinematics(stages)
+        moving = _placed(rotation, position, self._moving_link, self._moving)
+        still = _placed(rotation[:, 0], position[:, 0], self._still_link, self._still)
+        return still, moving
+
+    def _place_points(self, robot: RobotDescription, hand: RobotDescription) -> None:
+        closes = set(robot.closing_joints)
+        moves = {hand.tree.links[0]: False}
+        for joint in hand.tree.joints:
+            moves[joint.child] = moves[joint.parent] or joint.name in closes
+        surface = robot_surface(robot)
+        points: dict[bool, list[NDArray[np.float64]]] = {True: [], False: []}
+        links: dict[bool, list[int]] = {True: [], False: []}
+        for link in hand.tree.links:
+            if not len(surface.get(link, ())):
+                continue
+            chosen = _middles(surface[link], self.config.points_per_link)
+            points[moves[link]].append(chosen)
+            links[moves[link]] += [hand.tree.links.index(link)] * len(chosen)
+        if not points[True]:
+            raise InputError(
+                "no link with a shape moves when the hand closes",
+                where=robot.name,
+                allowed="closing_joints that move links with collision shapes",
+            )
+        self._moving = torch.tensor(np.concatenate(points[True]), dtype=torch.float32)
+        self._moving_link = torch.tensor(links[True])
+        still = points[False] or [np.zeros((0, 3))]
+        self._still = torch.tensor(np.concatenate(still), dtype=torch.float32)
+        self._still_link = torch.tensor(links[False], dtype=torch.long)
+
+    def _closing_region(self, robot: RobotDescription) -> Tensor:
+        """A grid over the box that the moving points sweep, from the middle preshape."""
+        middle = torch.tensor(robot.preshape_ranges.mean(axis=1), dtype=torch.float32)
+        with torch.no_grad():
+            swept = self(middle[None])[1].reshape(-1, 3)
+        low, high = swept.amin(0), swept.amax(0)
+        axes = [
+            # Middles of cells, so that no point lies on the box's border.
+            low[k] + (torch.arange(n) + 0.5) / n * (high[k] - low[k])
+            for k, n in enumerate(self.config.grid)
+        ]
+        return torch.cartesian_prod(*axes)
+
+
+def _placed(rotation: Tensor, position: Tensor, link: Tensor, points: Tensor) -> Tensor:
+    """Points [P, 3] fixed to links [P], at link poses [..., L, 3, 3] and [..., L, 3]."""
+    turned = (rotation[..., link, :, :] @ points[:, :, None]).squeeze(-1)
+    return turned + position[..., link, :]
+
+
+def _middles(points: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """`count` points that stand for a cloud [P, 3]: the means of its parts along its length."""
+    along = points - points.mean(axis=0)
+    axis = np.linalg.svd(along, full_matrices=False)[2][0]
+    order = np.quantile(along @ axis, (np.arange(count) + 0.5) / count)
+    start = points.mean(axis=0) + order[:, None] * axis
+    if count == 1 or len(points) <= count:
+        return start
+    return kmeans2(points, start, minit="matrix")[0]
+
+
+def _hand_alone(robot: RobotDescription) -> RobotDescription:
+    """The robot from the palm's link on, standing so that the world is the palm frame."""
+    links = robot.hand_links
+    joints = tuple(joint for joint in robot.tree.joints if joint.parent in links)
+    tree = Tree(links, joints, {link: robot.tree.shapes[link] for link in links})
+    hand = slice(len(robot.arm_joints), None)
+    return replace(
+        robot,
+        tree=tree,
+        T_world_base=invert_transform(robot.T_link_palm),
+        arm_joints=(),
+        lower=robot.lower[hand],
+        upper=robot.upper[hand],
+    )

@@ -1,0 +1,92 @@
+"""Fitting the prior over grasps (`models/grasp_prior.py`) to data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from sklearn.mixture import GaussianMixture
+from torch import Tensor
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.models.grasp_prior import KINDS, GraspPrior, ObjectPlace
+
+FLOORS = (0.1, 0.1, 0.1)
+"""Standard deviations added to the fitted ones: of the offset (in units of 0.1 m), of the turn
+[rad], of the preshape (in widths of its ranges). No direction can become narrower than these."""
+
+FEWEST = 8
+"""Grasps that a component needs."""
+
+
+def fit_prior(
+    preshape: NDArray[np.float64],
+    T_world_palm: NDArray[np.float64],
+    kind: NDArray[np.integer],
+    places: Sequence[ObjectPlace],
+    ranges: NDArray[np.float64],
+) -> GraspPrior:
+    """One Gaussian for each kind, in the chart about that kind's mean rotation.
+
+    Scikit-learn fits each (`GaussianMixture` of one component with `reg_covar`); coordinates are
+    scaled so that its single regulariser means `FLOORS`.
+
+    Args:
+        preshape: [N, K] rad.
+        T_world_palm: [N, 4, 4].
+        kind: [N], indices into `KINDS`.
+        places: N, the object of each grasp.
+        ranges: [K, 2], of the preshape joints.
+
+    Raises:
+        InputError: Fewer than `FEWEST` grasps of every kind.
+    """
+    joints = preshape.shape[1]
+    size = 6 + joints
+    floors = np.repeat(FLOORS, (3, 3, joints))
+    weights = np.array([(kind == k).sum() for k in range(len(KINDS))], dtype=float)
+    weights[weights < FEWEST] = 0.0
+    if not weights.any():
+        raise InputError(
+            f"{len(kind)} grasps are too few for a prior", allowed=f"{FEWEST} or more of one kind"
+        )
+    rotations = torch.eye(3, dtype=torch.float64).repeat(len(KINDS), 1, 1)
+    means = torch.zeros(len(KINDS), size, dtype=torch.float64)
+    factors = torch.eye(size, dtype=torch.float64).repeat(len(KINDS), 1, 1)
+    prior = GraspPrior(
+        torch.tensor(weights / weights.sum()), rotations, means, factors, torch.tensor(ranges)
+    )
+    for k in np.flatnonzero(weights):
+        chosen = np.flatnonzero(kind == k).tolist()
+        palm = torch.tensor(T_world_palm[chosen])
+        prior.rotations[k] = mean_rotation(
+            torch.stack(
+                [
+                    places[i].heading().T @ rotation
+                    for i, rotation in zip(chosen, palm[:, :3, :3], strict=True)
+                ]
+            )
+        )
+        y = torch.cat(
+            [
+                prior.coordinates(
+                    int(k), torch.tensor(preshape[i : i + 1]), palm[n, None], places[i]
+                )
+                for n, i in enumerate(chosen)
+            ]
+        ).numpy()
+        mixture = GaussianMixture(1, covariance_type="full", reg_covar=1.0).fit(y / floors)
+        prior.means[k] = torch.tensor(mixture.means_[0] * floors)
+        covariance = mixture.covariances_[0] * np.outer(floors, floors)
+        prior.choleskys[k] = torch.linalg.cholesky(torch.tensor(covariance))
+    return prior
+
+
+def mean_rotation(rotations: Tensor) -> Tensor:
+    """The rotation [3, 3] nearest to all of [N, 3, 3] by squared chord length."""
+    u, _, v = torch.linalg.svd(rotations.mean(0))
+    flip = torch.ones(3, dtype=u.dtype)
+    flip[2] = torch.linalg.det(u @ v)
+    return u @ torch.diag(flip) @ v
