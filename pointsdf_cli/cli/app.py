@@ -20,6 +20,7 @@ from pointsdf_cli.cli import (
     render,
     report,
     train_sdf,
+    trial,
     view,
 )
 
@@ -60,6 +61,7 @@ app.command("cloud")(cloud.cloud)
 app.command("mesh")(mesh.mesh)
 app.command("collect-grasps")(collect_grasps.collect_grasps)
 app.command("plan")(plan.plan)
+app.command("trial")(trial.trial)
 app.command("info")(info.info)
 app.command("doctor")(doctor.doctor)
 app.command("report")(report.report)

@@ -143,11 +143,12 @@ def read_trial(path: Path | str) -> tuple[TrialRow, Evidence]:
     """
     names = [field.name for field in fields(Evidence)]
     artifact = read_artifact(path, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, names=names)
-    data = dict(artifact.datasets)
+    data = artifact.datasets
     with sense_of(path):
         row = TrialRow(**json.loads(str(artifact.attributes["row_json"])))
-        data["phases"] = tuple(name.decode() for name in data["phases"].tolist())
-        return row, Evidence(**data)
+        phases = tuple(name.decode() for name in data["phases"].tolist())
+    arrays: dict[str, Any] = {name: data[name] for name in names if name != "phases"}
+    return row, Evidence(phases=phases, **arrays)
 
 
 def write_trials(
@@ -169,9 +170,7 @@ def write_trials(
             else np.array(values, dtype=_TYPES[str(field.type)])
         )
         columns[field.name] = Dataset(array, _UNITS.get(field.name, ""))
-    write_artifact(
-        path, schema=SCHEMA, version=VERSION, datasets=columns, seed=seed, config=config
-    )
+    write_artifact(path, schema=SCHEMA, version=VERSION, datasets=columns, seed=seed, config=config)
 
 
 def read_trials(path: Path | str) -> list[TrialRow]:

@@ -125,7 +125,7 @@ class FixedDraw(Draw):
 
     def log_uniform(self, name: str, low: float, high: float) -> float:
         """As given, or the geometric mean of the limits."""
-        return self._record(name, float(self._given.get(name, np.sqrt(low * high))))
+        return self._record(name, float(self._given.get(name, float(np.sqrt(low * high)))))
 
     def integer(self, name: str, low: int, high: int) -> int:
         """As given, or the middle whole number."""

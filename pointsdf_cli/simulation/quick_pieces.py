@@ -115,9 +115,7 @@ def _solid(vertices: Array, faces: NDArray[np.integer], most_faces: int) -> Mani
         mesh = mesh.simplify_quadric_decimation(face_count=most_faces)
     if not mesh.is_watertight:
         mesh = trimesh.Trimesh(vertices, faces, process=False)
-    solid = Manifold(
-        Mesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32))
-    )
+    solid = Manifold(Mesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)))
     if solid.status() != Error.NoError or solid.volume() <= 0:
         return None
     return solid

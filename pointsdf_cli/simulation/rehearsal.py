@@ -8,7 +8,7 @@ the true object is used.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -59,8 +59,8 @@ class RehearsalConfig:
     friction: tuple[float, float] = (0.45, 0.7)
     mass: tuple[float, float] = (0.7, 1.5)
     foot: float = 0.012
-    physics: PhysicsConfig = PhysicsConfig(step=1 / 240, iterations=40)
-    cut: QuickCutConfig = QuickCutConfig()
+    physics: PhysicsConfig = field(default_factory=lambda: PhysicsConfig(step=1 / 240))
+    cut: QuickCutConfig = field(default_factory=QuickCutConfig)
 
     def __post_init__(self) -> None:
         if not 1 <= self.first <= self.repeats or self.finalists < 1:
@@ -206,18 +206,21 @@ def believed_object(
         InputError: The surface is flat.
     """
     pieces = quick_pieces(vertices, faces, config.cut)
-    hulls = [_put_down(corners, config.foot) for corners, _ in pieces]
-    hulls = [hull for hull in hulls if hull is not None]
+    standing = [_put_down(corners, config.foot) for corners, _ in pieces]
+    hulls = [hull for hull in standing if hull is not None]
     if not hulls:
         raise InputError("the surface encloses nothing above the table")
     volumes = np.array([hull.volume for hull in hulls])
-    mass = float(np.clip(DENSITY * volumes.sum(), LIGHTEST, HEAVIEST))
-    centre = (volumes[:, None] * [hull.center_mass for hull in hulls]).sum(0) / volumes.sum()
+    whole = float(volumes.sum())
+    mass = float(np.clip(DENSITY * whole, LIGHTEST, HEAVIEST))
+    centre = np.sum([hull.volume * hull.center_mass for hull in hulls], axis=0) / whole
     inertia = np.zeros((3, 3))
     for hull in hulls:
-        hull.density = mass / volumes.sum()
+        hull.density = mass / whole
         away = hull.center_mass - centre
-        inertia += hull.moment_inertia + hull.mass * (away @ away * np.eye(3) - np.outer(away, away))
+        # Steiner: about the whole's centre instead of the piece's.
+        inertia += hull.moment_inertia
+        inertia += hull.mass * (away @ away * np.eye(3) - np.outer(away, away))
     moments, axes = np.linalg.eigh(inertia)
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1

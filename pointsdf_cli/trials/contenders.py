@@ -71,9 +71,7 @@ class Mind:
         self.contender = contender
         ablation = contender.ablation
         if ablation.startswith(protocol.CHECKPOINT):
-            options = replace(
-                options, checkpoint=Path(ablation.removeprefix(protocol.CHECKPOINT))
-            )
+            options = replace(options, checkpoint=Path(ablation.removeprefix(protocol.CHECKPOINT)))
         reconstructs = contender.method == protocol.RECONSTRUCTION
         rehearses = reconstructs and options.rehearse > 0 and ablation != protocol.NO_REHEARSAL
         plan_options = PlanOptions(
@@ -86,9 +84,9 @@ class Mind:
             synthesis=REHEARSED_SEARCH if rehearses else SynthesisConfig(),
         )
         if ablation == protocol.NO_SUCCESS:
-            grasps = Indifferent(grasps or load_grasp_model(
-                options.grasp_checkpoint, options.checkpoint, options.device
-            ))
+            grasps = Indifferent(
+                grasps or load_grasp_model(options.grasp_checkpoint, None, options.device)
+            )
         planner = GraspPlanner(plan_options, grasps)
         self._planner = planner
         self._rehearsed = None

@@ -8,7 +8,7 @@ all rounds is taken in the end, whatever it promises.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
-from pointsdf_cli.io.plans import OK
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.planning.answer import Answer, GraspPlanner, Sight
+from pointsdf_cli.planning.answer import Answer, GraspPlanner
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.target import EmptyFieldError
@@ -47,7 +46,7 @@ class RehearsedPlannerConfig:
     enough: float = 0.75
     most_motions: int = 6
     resolution: int = 64
-    rehearsal: RehearsalConfig = RehearsalConfig()
+    rehearsal: RehearsalConfig = field(default_factory=RehearsalConfig)
 
     def __post_init__(self) -> None:
         if self.count < 1 or not 0 <= self.enough <= 1:

@@ -39,6 +39,7 @@ from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import PhysicsConfig, World
 from pointsdf_cli.trials.contenders import ContenderOptions, Mind
 from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
+from pointsdf_cli.trials.pictures import write_film
 from pointsdf_cli.trials.protocol import Contender, Trial, TrialObject
 from pointsdf_cli.trials.rehearsed import RehearsedAnswer, Surface
 from pointsdf_cli.trials.scenes import SceneConfig, load_object, place_camera, place_object
@@ -96,12 +97,12 @@ class TrialRunner:
 
     def __init__(self, config: TrialConfig, grasps: GraspModel | None = None) -> None:
         self.config = config
-        self._robot = load_robot(config.contenders.robot)
-        self._world = World(self._robot, config.physics)
-        self._kinematics = Kinematics(self._robot)
+        self.robot = load_robot(config.contenders.robot)
+        self._world = World(self.robot, config.physics)
+        self._kinematics = Kinematics(self.robot)
         self._geometry = RobotGeometry(self._kinematics)
-        self._solver = InverseKinematics(self._robot)
-        self._observer = Observer(self._robot)
+        self._solver = InverseKinematics(self.robot)
+        self._observer = Observer(self.robot)
         self._grasps = grasps
         self._minds: dict[Contender, Mind] = {}
         self._object: tuple[TrialObject, SimObject] | None = None
@@ -154,7 +155,7 @@ class TrialRunner:
         if answer is not None and answer.answer.target is not None:
             believed = mind.believed(answer, world_cloud)
         evidence = _evidence(
-            world_cloud, T_world_camera, T_world_object, believed, plan, executed, self._robot.home
+            world_cloud, T_world_camera, T_world_object, believed, plan, executed, self.robot.home
         )
         return row, evidence
 
@@ -242,9 +243,8 @@ def run_trial_task(task: TrialTask) -> TrialRow | None:
     recorder = Recorder(rate=10.0) if task.film is not None else None
     row, evidence = runner.run(trial, recorder)
     if task.film is not None and recorder is not None and recorder.moments:
-        from pointsdf_cli.trials.pictures import write_film
-
-        write_film(task.film, load_object(trial.object).mesh, recorder.moments)
+        mesh = load_object(trial.object).mesh
+        write_film(task.film, runner.robot, mesh, recorder.moments, recorder.rate)
     write_trial(task.out, row, evidence, config)
     return row
 
@@ -269,8 +269,8 @@ def _evidence(
     executed: Executed | None,
     home: Array,
 ) -> Evidence:
-    vertices, faces = (np.zeros((0, 3)), np.zeros((0, 3))) if believed is None else believed
-    vertices, faces = _few_faces(vertices, faces)
+    nothing = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32)
+    vertices, faces = _few_faces(*(nothing if believed is None else believed))
     moments = [] if executed is None else executed.moments
     planned = plan is not None and plan.status == OK
     stride = max(1, len(cloud) // SHOWN_POINTS)

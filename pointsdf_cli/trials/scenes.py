@@ -7,7 +7,7 @@ from is the side that is not seen.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,8 +46,8 @@ class SceneConfig:
     camera_distance: float = 0.95
     azimuth: float = 0.35
     look_height: float = 0.08
-    standing: StandingConfig = StandingConfig(standing=1.0)
-    settling: SettleConfig = SettleConfig()
+    standing: StandingConfig = field(default_factory=lambda: StandingConfig(standing=1.0))
+    settling: SettleConfig = field(default_factory=SettleConfig)
 
 
 def load_object(item: TrialObject) -> SimObject:

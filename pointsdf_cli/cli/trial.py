@@ -1,0 +1,189 @@
+"""`rgrasp trial`: the paper's experiment in simulation, from depth image to lifted object."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+if TYPE_CHECKING:
+    from pointsdf_cli.io.trials import TrialRow
+    from pointsdf_cli.trials.protocol import Contender
+    from pointsdf_cli.trials.run import TrialTask
+
+
+def trial(
+    out: Annotated[Path, typer.Option(help="Trials, table and report go here.")] = Path("trials"),
+    meshes: Annotated[
+        Path | None,
+        typer.Option(help="A folder of meshes, YCB or any.  [default: stand-ins of the eight]"),
+    ] = None,
+    objects: Annotated[
+        str,
+        typer.Option(
+            help="eight, all, others (all but the eight), names with commas, or auto: the eight "
+            "if the folder is of YCB, else all."
+        ),
+    ] = "auto",
+    method: Annotated[str, typer.Option(help="reconstruction, partial-view, or both.")] = "both",
+    ablation: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Also the reconstruction method so changed: oracle, no-object-constraint, "
+            "no-success-network, no-rehearsal, checkpoint=PATH.",
+            show_default=False,
+        ),
+    ] = None,
+    yaws: Annotated[int, typer.Option(help="Yaws of each object, evenly spaced.")] = 3,
+    cameras: Annotated[str, typer.Option(help="high, low, or both with a comma.")] = "high,low",
+    repeats: Annotated[int, typer.Option(help="Each with its own yaws, place and noise.")] = 1,
+    solver: Annotated[str, typer.Option(help="sqp, or slsqp: the paper's, slow.")] = "sqp",
+    rehearse: Annotated[
+        int, typer.Option(help="Grasps of a round to try on the reconstruction; 0 for none.")
+    ] = 12,
+    checkpoint: Annotated[
+        Path | None, typer.Option(help="Reconstruction weights.", show_default="bundled")
+    ] = None,
+    grasp_checkpoint: Annotated[
+        Path | None, typer.Option(help="Success weights.", show_default="bundled")
+    ] = None,
+    robot: Annotated[
+        Path | None, typer.Option(help="Robot YAML.", show_default="LBR4 + Allegro")
+    ] = None,
+    shake: Annotated[
+        float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
+    ] = 0.0,
+    pattern: Annotated[str, typer.Option(help="Only meshes of such names, such as '*.ply'.")] = "*",
+    record: Annotated[int, typer.Option(help="Write this many trials as GIF films.")] = 0,
+    pictures: Annotated[int, typer.Option(help="Failures to draw in the report.")] = 40,
+    seed: common.Seed = 0,
+    jobs: common.Jobs = 0,
+    shard: common.Shard = None,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Repeat the paper's 96 trials in simulation: both methods, eight objects, two cameras.
+
+    An interrupted run resumes. The report is report.html and report.md beside trials.h5.
+
+    Example: rgrasp trial --out trials/ --meshes ycb/
+    """
+    common.check_seed(seed)
+    jobs = common.job_count(jobs)
+    reporter = common.Reporter(quiet, as_json)
+
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.atomic import remove_leftovers, require_folder, write_text_atomic
+    from pointsdf_cli.io.batch import run_stage, shard_of
+    from pointsdf_cli.io.trials import write_trials
+    from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.simulation.executor import ExecutorConfig
+    from pointsdf_cli.trials.contenders import ContenderOptions
+    from pointsdf_cli.trials.protocol import choose_objects, make_trials
+    from pointsdf_cli.trials.report import html_report, markdown_report, percent
+    from pointsdf_cli.trials.run import TrialConfig, TrialTask, read_rows, run_trial_task
+    from pointsdf_cli.trials.summary import summarise
+
+    load_robot(robot)  # a wrong robot file is said once, not by every worker
+    contenders = _contenders(method, ablation or [])
+    config = TrialConfig(
+        contenders=ContenderOptions(solver, robot, checkpoint, grasp_checkpoint, rehearse=rehearse),
+        execution=ExecutorConfig(shake=shake),
+    )
+    chosen = choose_objects(meshes, objects, pattern)
+    trials = make_trials(
+        chosen, contenders, yaws, [c for c in cameras.split(",") if c], repeats, seed
+    )
+    out = require_folder(out)
+    folder = require_folder(out / "trials")
+    remove_leftovers(folder)
+    filmed = {round(i * len(trials) / record) for i in range(record)} if record > 0 else set()
+    tasks = {
+        one.name: TrialTask(
+            one,
+            folder / f"{one.name}.h5",
+            config,
+            out / "films" / f"{one.name}.gif" if i in filmed else None,
+            force,
+        )
+        for i, one in enumerate(trials)
+    }
+    started = time.monotonic()
+    mine = shard_of(list(tasks.items()), shard)
+    with reporter.progress("trial", len(mine)) as progress:
+        report = run_stage(mine, run_trial_task, jobs=jobs, on_done=progress.advance)
+    refused = {tasks[name].trial.object.name: error.what for name, error in report.refused}
+    for name, why in refused.items():
+        reporter.say(f"skipped: {name}: {why}")
+    rows = read_rows(list(tasks.values()))
+    if not rows:
+        raise InputError(
+            "no trial could be run: " + "; ".join(f"{k}: {v}" for k, v in refused.items()),
+            where=meshes,
+        )
+    write_trials(out / "trials.h5", rows, seed=seed, config=config.as_dict())
+    title = f"rgrasp trials: {out.resolve().name}"
+    strips = _failures(list(tasks.values()), pictures)
+    write_text_atomic(out / "report.html", html_report(rows, strips, title, refused))
+    write_text_atomic(out / "report.md", markdown_report(rows, title) + "\n")
+    summaries = summarise(rows)
+    reporter.result(
+        {
+            "out": out,
+            "trials": len(rows),
+            "refused": refused,
+            "held": {s.name: s.held.value for s in summaries},
+            "no_plan": {s.name: s.no_plan.value for s in summaries},
+            "contact": {s.name: s.contact.value for s in summaries},
+            "report": out / "report.html",
+            "seconds": round(time.monotonic() - started, 3),
+        },
+        [f"{s.name}: {percent(s.held)} held, no plan {percent(s.no_plan)}" for s in summaries]
+        + [f"{out / 'report.html'}"],
+    )
+
+
+def _contenders(method: str, ablations: list[str]) -> list[Contender]:
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.trials.protocol import METHODS, RECONSTRUCTION, Contender
+
+    if method not in ("both", *METHODS):
+        raise InputError(
+            f"no method {method!r}", where="--method", allowed="both, " + ", ".join(METHODS)
+        )
+    contenders = [Contender(one) for one in METHODS if method in ("both", one)]
+    return contenders + [Contender(RECONSTRUCTION, one) for one in ablations]
+
+
+def _failures(tasks: list[TrialTask], most: int) -> list[tuple[str, bytes]]:
+    """Captions and pictures of trials that failed, those of the whole method first."""
+    from pointsdf_cli.io.trials import read_trial
+    from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.trials.pictures import caption, trial_strip
+    from pointsdf_cli.trials.scenes import load_object
+    from pointsdf_cli.viz.grasp_report import png_bytes
+    from pointsdf_cli.viz.robot_picture import RobotMeshes
+
+    failed = []
+    for task in tasks:
+        if task.out.is_file():
+            row, evidence = read_trial(task.out)
+            if not row.held:
+                failed.append((_importance(row), task, row, evidence))
+    failed.sort(key=lambda one: one[0])
+    robot = None
+    strips = []
+    for _, task, row, evidence in failed[:most]:
+        robot = robot or RobotMeshes(load_robot(task.config.contenders.robot), sections=20)
+        mesh = load_object(task.trial.object).mesh
+        strips.append((caption(row), png_bytes(trial_strip(robot, mesh, evidence))))
+    return strips
+
+
+def _importance(row: TrialRow) -> tuple[bool, bool, str]:
+    return bool(row.ablation), row.method != "reconstruction", row.object

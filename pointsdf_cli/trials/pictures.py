@@ -1,0 +1,122 @@
+"""What a trial looked like: the view, what was believed against the truth, the grasp, the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.io.trials import Evidence, TrialRow
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.simulation.record import Moment
+from pointsdf_cli.viz.grasp_report import OBJECT_COLOUR, Film, write_gif
+from pointsdf_cli.viz.robot_picture import RobotMeshes
+from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh
+
+BELIEVED_COLOUR = (0.86, 0.45, 0.20)
+CLOUD_COLOUR = (0.15, 0.35, 0.80)
+SIZE = (260, 230)
+POINT = 0.0022
+"""Half the side of the cubes that points are drawn as [m]."""
+
+Image = NDArray[np.uint8]
+Array = NDArray[np.float64]
+
+
+def trial_strip(robot: RobotMeshes, mesh: LoadedMesh, evidence: Evidence) -> Image:
+    """Five pictures side by side [height, width, 3].
+
+    The cloud on the true object as the camera stands; the believed surface (orange) with the true
+    object (green) from the robot's side; the planned grasp; the moment before the lift; the end.
+    """
+    before = evidence.T_world_object[0]
+    true = Painted(apply_transform(before, mesh.vertices), mesh.faces.astype(int), OBJECT_COLOUR)
+    middle = (true.vertices.min(axis=0) + true.vertices.max(axis=0)) / 2
+    reach = float(np.ptp(true.vertices, axis=0).max())
+    eye = evidence.T_world_camera[:3, 3]
+    near = middle + (eye - middle) / np.linalg.norm(eye - middle) * max(0.35, 2.2 * reach)
+    table = table_mesh()
+    pictures = [shaded_image([table, true, *_points(evidence.cloud)], look_at(near, middle), SIZE)]
+    behind = middle + np.array([-0.45, -0.75, 0.45]) * max(0.4, 2.2 * reach)
+    pictures.append(_side_by_side(true, evidence, behind, middle, table))
+    for which in _shown(evidence.phases):
+        scene = Painted(
+            apply_transform(evidence.T_world_object[which], mesh.vertices),
+            mesh.faces.astype(int),
+            OBJECT_COLOUR,
+        )
+        target = np.array([middle[0], middle[1], 0.13])
+        camera = look_at(target + (0.42, -0.62, 0.3), target)
+        parts = [*robot.at(evidence.q[which]), table, scene]
+        pictures.append(shaded_image(parts, camera, SIZE, 0.62))
+    return np.concatenate(pictures, axis=1)
+
+
+def caption(row: TrialRow) -> str:
+    """One line on a trial."""
+    who = f"{row.method}/{row.ablation}" if row.ablation else row.method
+    what = f"{row.object}, yaw {np.degrees(row.yaw):.0f}°, {row.camera} camera, {who}: "
+    if row.status != "ok":
+        return what + f"no plan ({row.reason})"
+    facts = [f"{row.cause}, rose {100 * row.final_height:.1f} cm", f"{row.kind} grasp"]
+    if np.isfinite(row.success_probability):
+        facts.append(f"predicted {row.success_probability:.2f}")
+    if np.isfinite(row.rehearsed):
+        facts.append(f"held in {row.rehearsed:.0%} of rehearsals")
+    if row.contact:
+        facts.append(f"touched before closing, moved {1000 * row.moved:.0f} mm")
+    if row.penetration > 0:
+        facts.append(f"planned {1000 * row.penetration:.1f} mm into the true object")
+    return what + "; ".join(facts)
+
+
+def write_film(
+    path: Path, robot: RobotDescription, mesh: LoadedMesh, moments: list[Moment], rate: float
+) -> None:
+    """A trial as an animated GIF."""
+    frames = [(moment.q, moment.T_world_object) for moment in moments]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_gif(path, RobotMeshes(robot, sections=16), Film("", mesh, frames), rate)
+
+
+def _shown(phases: tuple[str, ...]) -> list[int]:
+    """Indices of the planned grasp, of the hand closed, and of the end."""
+    closed = [i for i, phase in enumerate(phases) if phase in ("close", "grip")]
+    chosen = [0, closed[-1] if closed else len(phases) - 1, len(phases) - 1]
+    return chosen if len(phases) > 1 else [0]
+
+
+def _side_by_side(
+    true: Painted, evidence: Evidence, eye: Array, target: Array, table: Painted
+) -> Image:
+    """Belief and truth, one above the other half through: the belief cut where it is nearer."""
+    width, height = SIZE
+    camera = look_at(eye, target)
+    parts = [table, true]
+    if len(evidence.faces):
+        believed = Painted(
+            evidence.vertices.astype(float), evidence.faces.astype(int), BELIEVED_COLOUR
+        )
+        upper = shaded_image([table, believed], camera, (width, height))
+        lower = shaded_image([table, true], camera, (width, height))
+        mixed = upper.astype(float) * 0.5 + lower.astype(float) * 0.5
+        return mixed.astype(np.uint8)
+    return shaded_image(parts, camera, (width, height))
+
+
+def _points(cloud: NDArray[np.float32]) -> list[Painted]:
+    """Points as little cubes in one mesh."""
+    if not len(cloud):
+        return []
+    points = cloud[:: max(1, len(cloud) // 500)].astype(float)
+    corners = POINT * np.array(
+        [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float
+    )
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    vertices = (points[:, None] + corners).reshape(-1, 3)
+    every = (faces[None] + 8 * np.arange(len(points))[:, None, None]).reshape(-1, 3)
+    return [Painted(vertices, every, CLOUD_COLOUR)]

@@ -1,0 +1,253 @@
+"""The report on an experiment: one HTML page that needs nothing else, and the same as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from pointsdf_cli.io.trials import TrialRow
+from pointsdf_cli.trials.protocol import (
+    METHODS,
+    PARTIAL_VIEW,
+    PUBLISHED,
+    PUBLISHED_NO_PLAN,
+    PUBLISHED_SECONDS,
+    RECONSTRUCTION,
+)
+from pointsdf_cli.trials.statistics import Share
+from pointsdf_cli.trials.summary import Summary, compare, summarise
+from pointsdf_cli.viz import html
+
+COLOURS = {RECONSTRUCTION: "#2e7d4f", PARTIAL_VIEW: "#c0622d"}
+Table = tuple[str, Sequence[str], list[Sequence[object]]]
+"""Title, header, rows."""
+
+
+def trial_tables(rows: Sequence[TrialRow]) -> list[Table]:
+    """Everything that the report says in numbers."""
+    summaries = summarise(rows)
+    tables = [_success(summaries), _tests(rows, summaries), _plans(summaries), _contacts(summaries)]
+    if any(summary.ablation for summary in summaries):
+        tables.append(_ablations(rows, summaries))
+    return [*tables, _objects(summaries), _causes(summaries)]
+
+
+def html_report(
+    rows: Sequence[TrialRow],
+    pictures: Sequence[tuple[str, bytes]],
+    title: str,
+    refused: Mapping[str, str] | None = None,
+) -> str:
+    """The page.
+
+    Args:
+        rows: All trials.
+        pictures: Caption and PNG of every trial to show.
+        title: Of the page.
+        refused: Objects that could not be used, with the reason.
+    """
+    summaries = [summary for summary in summarise(rows) if not summary.ablation]
+    parts = []
+    if summaries:
+        parts.append(html.picture(success_figure(summaries), "success by camera and object"))
+    for name, header, body in trial_tables(rows):
+        parts += [html.heading(name), html.table(header, body)]
+    if refused:
+        parts += [html.heading("Skipped"), html.table(("object", "reason"), refused.items())]
+    if pictures:
+        parts += [html.heading("What failed"), html.note(PICTURE_NOTE)]
+        for text, image in pictures:
+            parts += [html.note(text), html.png(image, text)]
+    return html.page(title, parts)
+
+
+def markdown_report(rows: Sequence[TrialRow], title: str) -> str:
+    """The tables as Markdown."""
+    lines = [f"# {title}", ""]
+    for name, header, body in trial_tables(rows):
+        lines += [f"## {name}", "", "| " + " | ".join(header) + " |"]
+        lines.append("|" + "---|" * len(header))
+        lines += ["| " + " | ".join(_plain(cell) for cell in row) + " |" for row in body]
+        lines.append("")
+    return "\n".join(lines)
+
+
+PICTURE_NOTE = (
+    "From left to right: the points seen (blue) on the true object, as the camera stands; the "
+    "surface that the planner believed in (orange) over the true object (green), from the side; "
+    "the planned grasp; the hand closed; the end."
+)
+
+
+def success_figure(summaries: Sequence[Summary]) -> Figure:
+    """Bars by camera beside the published ones, and by object, with Wilson intervals."""
+    objects = list(summaries[0].by_object)[:24]
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(13, 3.8), width_ratios=(1, max(1.2, 0.18 * len(objects)))
+    )
+    cameras = [*summaries[0].by_camera, "all"]
+    width = 0.8 / (2 * len(summaries))
+    for i, summary in enumerate(summaries):
+        colour = COLOURS[summary.method]
+        shares = [summary.by_camera.get(c, summary.held) for c in cameras]
+        _bars(left, np.arange(len(cameras)) + 2 * i * width, shares, width, colour, summary.name)
+        published = [PUBLISHED[summary.method].get(c, np.nan) for c in cameras]
+        at = np.arange(len(cameras)) + (2 * i + 1) * width
+        left.bar(at, published, width, color=colour, alpha=0.35, label=f"{summary.name}, published")
+        wide = 0.8 / len(summaries)
+        shares = [summary.by_object[item] for item in objects if item in summary.by_object]
+        _bars(right, np.arange(len(shares)) + i * wide, shares, wide, colour, summary.name)
+    left.set_xticks(np.arange(len(cameras)) + 0.4 - width / 2, cameras)
+    right.set_xticks(np.arange(len(objects)) + 0.3, objects, rotation=40, ha="right", fontsize=8)
+    for axes in (left, right):
+        axes.set_ylim(0, 1)
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
+        axes.spines[["top", "right"]].set_visible(False)
+    left.set_ylabel("held")
+    left.legend(fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
+    return figure
+
+
+def _bars(axes, at, shares: Sequence[Share], width: float, colour: str, label: str) -> None:  # type: ignore[no-untyped-def]
+    values = np.array([share.value for share in shares])
+    errors = np.array([[s.value - s.low, s.high - s.value] for s in shares]).T
+    axes.bar(at, values, width, color=colour, label=label)
+    axes.errorbar(at, values, np.maximum(errors, 0), fmt="none", ecolor="#333", lw=0.8, capsize=2)
+
+
+def _success(summaries: Sequence[Summary]) -> Table:
+    cameras = list(summaries[0].by_camera)
+    body: list[Sequence[object]] = [
+        (s.name, *(percent(s.by_camera[c]) for c in cameras if c in s.by_camera), percent(s.held))
+        for s in summaries
+    ]
+    for method in _whole_methods(summaries):
+        published = [f"{PUBLISHED[method][c]:.0%}" for c in (*cameras, "all")]
+        body.append((f"{method}, published", *published))
+    return "Success (95% Wilson interval)", ("contender", *cameras, "all"), body
+
+
+def _whole_methods(summaries: Sequence[Summary]) -> list[str]:
+    """Methods that took part unchanged."""
+    return [m for m in METHODS if any(s.method == m and not s.ablation for s in summaries)]
+
+
+def _tests(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
+    names = [summary.name for summary in summaries if not summary.ablation]
+    body: list[Sequence[object]] = []
+    for i, first in enumerate(names):
+        for second in names[i + 1 :]:
+            test = compare(rows, first, second)
+            body.append(
+                (
+                    f"{first} against {second}",
+                    test.both,
+                    test.only_first,
+                    test.only_second,
+                    test.neither,
+                    f"{test.p:.4f}",
+                )
+            )
+    header = ("pairs of trials", "both held", "only first", "only second", "neither", "p (McNemar)")
+    return "Paired test", header, body
+
+
+def _plans(summaries: Sequence[Summary]) -> Table:
+    body: list[Sequence[object]] = []
+    for s in summaries:
+        reasons = ", ".join(f"{name} {count}" for name, count in s.reasons.items()) or "–"
+        body.append(
+            (s.name, percent(s.no_plan), reasons, f"{s.seconds:.1f} s", f"{s.cpu_seconds:.1f} s")
+        )
+    for method in _whole_methods(summaries):
+        no_plan, seconds = f"{PUBLISHED_NO_PLAN[method]:.0%}", f"{PUBLISHED_SECONDS[method]} s"
+        body.append((f"{method}, published", no_plan, "", seconds, ""))
+    header = ("contender", "no plan", "reasons", "planning, median", "processor time")
+    return "Plans", header, body
+
+
+def _contacts(summaries: Sequence[Summary]) -> Table:
+    body: list[Sequence[object]] = [
+        (
+            s.name,
+            percent(s.contact),
+            percent(s.penetrated),
+            f"{1000 * s.penetration[1]:.1f} mm",
+            f"{1000 * s.penetration[0]:.1f} mm",
+        )
+        for s in summaries
+    ]
+    header = (
+        "contender",
+        "touched before closing",
+        "planned into the true object",
+        "mean depth",
+        "deepest",
+    )
+    return "Contact with the true object", header, body
+
+
+def _ablations(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
+    body: list[Sequence[object]] = []
+    for s in summaries:
+        whole = next((t for t in summaries if t.method == s.method and not t.ablation), None)
+        p = ""
+        if whole is not None and s.ablation:
+            p = f"{compare(rows, s.name, whole.name).p:.3f}"
+        body.append(
+            (
+                s.name,
+                percent(s.held),
+                percent(s.no_plan),
+                percent(s.contact),
+                f"{1000 * s.penetration[1]:.1f} mm",
+                f"{s.cpu_seconds:.1f} s",
+                p,
+            )
+        )
+    header = (
+        "contender",
+        "held",
+        "no plan",
+        "touched before closing",
+        "mean depth in the truth",
+        "processor time",
+        "p against the whole method",
+    )
+    return "When does geometry matter? (ablations)", header, body
+
+
+def _objects(summaries: Sequence[Summary]) -> Table:
+    items = list(dict.fromkeys(item for s in summaries for item in s.by_object))
+    body: list[Sequence[object]] = [
+        (item, *(counts(s.by_object[item]) if item in s.by_object else "–" for s in summaries))
+        for item in items
+    ]
+    return "By object", ("object", *(s.name for s in summaries)), body
+
+
+def _causes(summaries: Sequence[Summary]) -> Table:
+    causes = list(dict.fromkeys(cause for s in summaries for cause in s.causes))
+    body: list[Sequence[object]] = [
+        (cause, *(s.causes.get(cause, 0) for s in summaries)) for cause in causes
+    ]
+    return "How executed trials ended", ("cause", *(s.name for s in summaries)), body
+
+
+def percent(share: Share) -> str:
+    """A share as "85% [76, 91] of 48"."""
+    if not share.trials:
+        return "–"
+    return f"{share.value:.0%} [{100 * share.low:.0f}, {100 * share.high:.0f}] of {share.trials}"
+
+
+def counts(share: Share) -> str:
+    """A share as "5 of 6"."""
+    return f"{share.successes} of {share.trials}"
+
+
+def _plain(cell: object) -> str:
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)

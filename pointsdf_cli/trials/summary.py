@@ -1,0 +1,104 @@
+"""The numbers of an experiment: shares by contender, camera and object, tests, causes, times."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pointsdf_cli.io.trials import TrialRow
+from pointsdf_cli.trials.statistics import Paired, Share, mcnemar, wilson
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One contender's results.
+
+    Attributes:
+        name: "method" or "method/ablation".
+        method, ablation: Its parts.
+        held: Share of all trials in which the object was held.
+        by_camera, by_object: The same by camera and object.
+        no_plan: Share without a plan.
+        contact: Share of trials with a plan in which the robot touched the object too early.
+        reasons: How often each reason for no plan was given.
+        causes: How often executed trials ended in each cause.
+        seconds, cpu_seconds: Median planning time, wall and processor.
+        penetration: Largest and mean penetration of the true mesh by planned grasps [m].
+        penetrated: Share of planned grasps that enter the true mesh at all.
+    """
+
+    name: str
+    method: str
+    ablation: str
+    held: Share
+    by_camera: dict[str, Share]
+    by_object: dict[str, Share]
+    no_plan: Share
+    contact: Share
+    reasons: dict[str, int]
+    causes: dict[str, int]
+    seconds: float
+    cpu_seconds: float
+    penetration: tuple[float, float]
+    penetrated: Share
+
+
+def contender_of(row: TrialRow) -> str:
+    """Name of who planned."""
+    return f"{row.method}/{row.ablation}" if row.ablation else row.method
+
+
+def summarise(rows: Sequence[TrialRow]) -> list[Summary]:
+    """A summary for each contender, in order of appearance."""
+    return [
+        _summary(name, [row for row in rows if contender_of(row) == name])
+        for name in dict.fromkeys(contender_of(row) for row in rows)
+    ]
+
+
+def compare(rows: Sequence[TrialRow], first: str, second: str) -> Paired:
+    """The paired test of two contenders on the trials that both have."""
+
+    def key(row: TrialRow) -> tuple[object, ...]:
+        return row.object, row.yaw_index, row.repeat, row.camera, row.seed
+
+    outcomes = {
+        name: {key(row): row.held for row in rows if contender_of(row) == name}
+        for name in (first, second)
+    }
+    shared = [k for k in outcomes[first] if k in outcomes[second]]
+    return mcnemar([outcomes[first][k] for k in shared], [outcomes[second][k] for k in shared])
+
+
+def _summary(name: str, rows: list[TrialRow]) -> Summary:
+    planned = [row for row in rows if row.status == "ok"]
+    depths = np.array([row.penetration for row in planned] or [0.0])
+
+    def held(chosen: list[TrialRow]) -> Share:
+        return wilson(sum(row.held for row in chosen), len(chosen))
+
+    return Summary(
+        name=name,
+        method=rows[0].method,
+        ablation=rows[0].ablation,
+        held=held(rows),
+        by_camera={
+            camera: held([row for row in rows if row.camera == camera])
+            for camera in dict.fromkeys(row.camera for row in rows)
+        },
+        by_object={
+            item: held([row for row in rows if row.object == item])
+            for item in dict.fromkeys(row.object for row in rows)
+        },
+        no_plan=wilson(len(rows) - len(planned), len(rows)),
+        contact=wilson(sum(row.contact for row in planned), len(planned)),
+        reasons=dict(Counter(row.reason for row in rows if row.reason).most_common()),
+        causes=dict(Counter(row.cause for row in planned).most_common()),
+        seconds=float(np.median([row.planning_time for row in rows])),
+        cpu_seconds=float(np.median([row.planning_cpu for row in rows])),
+        penetration=(float(depths.max()), float(depths.mean())),
+        penetrated=wilson(int((depths > 0).sum()), len(planned)),
+    )
