@@ -301,4 +301,4 @@ def _constraint(field: Field | Literal["none"], points: Array) -> ObjectField:
 def _bundled_grasps(options: PlanOptions) -> GraspModel:
     from pointsdf_cli.models.grasp_score import load_grasp_model
 
-    return load_grasp_model(options.grasp_checkpoint, options.checkpoint, options.device)
+    return load_grasp_model(options.grasp_checkpoint, None, options.device)
