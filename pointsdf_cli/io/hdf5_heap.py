@@ -1,4 +1,4 @@
-"""A check that the HDF5 library lacks: a damaged heap of strings sends it round in circles for ever.
+"""A check that the HDF5 library lacks: a damaged heap of strings holds it for ever.
 
 Strings of variable length lie in "global heap collections" (HDF5 file format, III.E): a signature,
 a size, then objects, each with an index, a size and its data, ending in a free one of index 0 that

@@ -1,0 +1,164 @@
+"""README and docs say what is true: every code block runs, parses, or names what exists.
+
+`doc_blocks.py` says what the blocks' first words mean.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+import typer.main
+import yaml
+from doc_blocks import LANGUAGES, Block, blocks, commands
+
+from pointsdf_cli.cli.app import app
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+BLOCKS = [block for page in PAGES for block in blocks(page)]
+LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
+CODE_NAME = re.compile(r"`((?:pointsdf_cli/)?[a-z_]+/[a-z_]+\.py)(?::([A-Za-z_.]+))?`")
+
+
+def name(block: Block) -> str:
+    return f"{block.page.name}:{block.line}"
+
+
+def parse_rgrasp(words: Sequence[str]) -> None:
+    """Parse a command line with the real commands, and run nothing.
+
+    Raises:
+        AssertionError: An option, command or value is not known.
+    """
+    command, context, rest = typer.main.get_command(app), None, list(words)
+    told = io.StringIO()
+    while True:
+        try:
+            with contextlib.redirect_stdout(told), contextlib.redirect_stderr(told):
+                parsed = command.make_context("rgrasp", rest, parent=context)
+        except SystemExit:  # --help and --version leave
+            return
+        except Exception as error:
+            if type(error).__name__ == "Exit":
+                return
+            message = error.format_message() if hasattr(error, "format_message") else str(error)
+            raise AssertionError(f"rgrasp {' '.join(words)}: {message}") from error
+        if not hasattr(command, "resolve_command"):
+            return
+        remaining = [*getattr(parsed, "_protected_args", []), *parsed.args]
+        try:
+            _, command, rest = command.resolve_command(parsed, remaining)
+        except Exception as error:
+            raise AssertionError(f"rgrasp {' '.join(words)}: {error}") from error
+        context = parsed
+
+
+def check_command(words: list[str]) -> None:
+    """A command of a `sh` block, not run: it must be one that could be."""
+    program, *rest = words
+    if "rgrasp" in words and program in ("rgrasp", "torchrun", "time", "nice"):
+        parse_rgrasp(words[words.index("rgrasp") + 1 :])
+    elif program == "make":
+        targets = re.findall(r"^([a-z]+):", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
+        wanted = [word for word in rest if not word.startswith("-") and "=" not in word]
+        assert set(wanted) <= set(targets), words
+    elif program in ("python", ".venv/bin/python", "bash", "snakemake") or "/" in program:
+        check_script(rest if program in ("python", ".venv/bin/python", "bash") else words)
+
+
+def check_script(words: list[str]) -> None:
+    """A script or module of the repository with its options, which must stand in its text."""
+    if words[:1] == ["-m"]:
+        folder = REPOSITORY / words[1].replace(".", "/")
+        if not folder.exists() and not folder.with_suffix(".py").exists():
+            return  # a module of someone else's
+        script, options = (folder / "__main__.py"), words[2:]
+    elif words[:1] == ["snakemake"]:
+        script, options = REPOSITORY / words[words.index("-s") + 1], []
+    elif words and not words[0].startswith("-"):
+        script, options = REPOSITORY / words[0], words[1:]
+    else:
+        return
+    assert script.is_file(), f"{script} is not there"
+    text = script.read_text(encoding="utf-8")
+    for option in options:
+        if option.startswith("--"):
+            assert f'"{option.split("=")[0]}"' in text, f"{script.name} has no {option}"
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=name)
+def test_a_block_is_what_it_says(block: Block) -> None:
+    assert block.language in LANGUAGES, f"{name(block)}: write ```{'|'.join(LANGUAGES)}"
+    if block.language == "sh":
+        for words in commands(block.text):
+            check_command(words)
+    elif block.language == "python":
+        compile(block.text, name(block), "exec")
+    elif block.language == "yaml":
+        assert yaml.safe_load(block.text) is not None
+    elif block.language == "json":
+        json.loads(block.text)
+    elif block.language == "xml":
+        ET.fromstring(block.text)
+
+
+RUN = [page for page in PAGES if any(block.run for block in blocks(page))]
+
+
+@pytest.mark.parametrize("page", RUN, ids=lambda page: page.name)
+def test_the_blocks_marked_run_do(page: Path, tmp_path: Path) -> None:
+    (tmp_path / "assets").symlink_to(REPOSITORY / "assets")
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    for block in blocks(page):
+        if block.run:
+            shell = [sys.executable, "-c"] if block.language == "python" else ["bash", "-euc"]
+            done = subprocess.run(
+                [*shell, block.text], cwd=tmp_path, env={**os.environ, "PATH": path},
+                capture_output=True, text=True, check=False, timeout=300,
+            )  # fmt: skip
+            assert done.returncode == 0, f"{name(block)}\n{done.stdout}\n{done.stderr}"
+
+
+def test_some_blocks_are_run() -> None:
+    assert RUN
+    assert sum(len(commands(b.text)) for b in BLOCKS if b.language == "sh") > 20
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_what_a_page_links_to_is_there(page: Path) -> None:
+    for target in LINK.findall(page.read_text(encoding="utf-8")):
+        if "://" not in target and not target.startswith("mailto:"):
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def test_the_code_that_the_method_page_names_is_there() -> None:
+    text = (REPOSITORY / "docs" / "method.md").read_text(encoding="utf-8")
+    found = CODE_NAME.findall(text)
+    assert len(found) > 30
+    for file, symbol in found:
+        path = REPOSITORY / "pointsdf_cli" / file.removeprefix("pointsdf_cli/")
+        assert path.is_file(), file
+        last = symbol.rpartition(".")[2]
+        pattern = rf"^\s*(?:def|class) {last}\b|^{last}\b\s*[:=]"
+        assert not symbol or re.search(pattern, path.read_text(), re.MULTILINE), (file, symbol)
+
+
+def test_a_wrong_command_would_be_noticed() -> None:
+    for wrong in (["rendr"], ["render", "--vews", "3"], ["render", "--meshes", "m", "--views", "x"],
+                  ["mesh"], ["objects", "fetch"]):  # fmt: skip
+        with pytest.raises(AssertionError):
+            parse_rgrasp(wrong)
+    with pytest.raises(AssertionError):
+        check_command(["make", "coffee"])
+    with pytest.raises(AssertionError):
+        check_command(["python", "benchmarks/bench_render.py", "--tea"])
