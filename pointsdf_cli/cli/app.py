@@ -19,6 +19,7 @@ from pointsdf_cli.cli import (
     plan,
     render,
     report,
+    robot,
     train_sdf,
     trial,
     view,
@@ -65,4 +66,5 @@ app.command("trial")(trial.trial)
 app.command("info")(info.info)
 app.command("doctor")(doctor.doctor)
 app.command("report")(report.report)
+app.add_typer(robot.app, name="robot")
 app.command("view")(view.view)

@@ -42,6 +42,8 @@ class RobotDescription:
         palm_link: The link that carries the palm frame.
         T_link_palm: [4, 4], the palm frame (x out of the palm, z along the fingers, y towards the
             thumb's side) in that link.
+        palm_reach: How far along z [m] from the palm frame's origin the middle of what is
+            grasped belongs; None leaves it to the heuristic.
         lower, upper: [J], limits to plan within.
         hard_lower, hard_upper: [J], limits of the URDF.
         velocity, effort: [J], largest speeds and torques.
@@ -62,6 +64,7 @@ class RobotDescription:
     closing_speeds: Array
     palm_link: str
     T_link_palm: Array
+    palm_reach: float | None
     lower: Array
     upper: Array
     hard_lower: Array
@@ -94,8 +97,9 @@ class RobotDescription:
 
     @cached_property
     def hand_links(self) -> tuple[str, ...]:
-        """The palm's link, what is fixed to it and all links beyond: what a grasp touches with."""
-        inside = {self.palm_link}
+        """The palm's link, what carries the fingers, and all links beyond: what a grasp touches."""
+        fingers = [joint for joint in self.tree.joints if joint.name in self.hand_joints]
+        inside = {self.palm_link} | {joint.parent for joint in fingers}
         for joint in self.tree.joints:
             if joint.parent in inside:
                 inside.add(joint.child)
@@ -193,9 +197,12 @@ class _Reader:
         palm = self.data["palm"]
         if not isinstance(palm, Mapping) or palm.get("link") not in tree.links:
             raise self.wrong("palm", "has no such `link`", ", ".join(tree.links))
+        reach = palm.get("reach")
         home = np.clip(np.zeros(len(joints)), lower, upper)
         if "home" in self.data:
-            home[: len(arm)] = self.vector("home", self.data["home"], len(arm))
+            given = self.data["home"]
+            count = len(joints) if isinstance(given, list) and len(given) > len(arm) else len(arm)
+            home[:count] = self.vector("home", given, count)
         if ((home < lower - 1e-9) | (home > upper + 1e-9)).any():
             raise self.wrong("home", "is outside the joint limits", "within arm limits less margin")
         return RobotDescription(
@@ -211,6 +218,7 @@ class _Reader:
             closing_speeds=_read_only(speeds),
             palm_link=str(palm["link"]),
             T_link_palm=self.pose("palm", palm),
+            palm_reach=None if reach is None else float(self.vector("palm", [reach], 1)[0]),
             lower=_read_only(lower),
             upper=_read_only(upper),
             hard_lower=_read_only(hard_lower),

@@ -9,11 +9,12 @@ import numpy as np
 import torch
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import QhullError, cKDTree
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
-from pointsdf_cli.io.meshes import load_mesh
+from pointsdf_cli.io.meshes import read_triangles
 
 KINDS = ("box", "cylinder", "sphere", "hull")
 
@@ -118,10 +119,14 @@ def mesh_shape(path: Path, scale: NDArray[np.float64], pose: NDArray[np.float64]
     """The convex hull of a mesh file, as physics engines take a link's mesh.
 
     Raises:
-        InputError: The mesh cannot be read.
+        InputError: The mesh cannot be read, or has no inside.
     """
-    mesh = load_mesh(path)
-    hull = trimesh.convex.convex_hull(mesh.vertices * scale)
+    # A hull needs neither a closed surface nor metres: drawings in millimetres come with a scale.
+    vertices, faces = read_triangles(path)
+    try:
+        hull = trimesh.convex.convex_hull(vertices[np.unique(faces)] * scale)
+    except QhullError as error:
+        raise InputError("is flat: it has no convex hull", where=path) from error
     return Shape("hull", (), pose, np.asarray(hull.vertices), np.asarray(hull.faces))
 
 
@@ -146,11 +151,25 @@ def cover_points(shape: Shape, step: float) -> NDArray[np.float64]:
         local = _cover_sphere(shape.size[0], step)
     else:
         # Subdivided until no edge is longer: every point of a triangle is then within
-        # edge / √3 of a corner.
-        local, _ = trimesh.remesh.subdivide_to_size(
-            *shape.triangles(), max_edge=step * np.sqrt(3) * 0.999, max_iter=20
+        # edge / √3 of a corner. Corners of a finely drawn hull stand far denser than needed, so
+        # they are thinned; both distances together stay below the step.
+        fine, _ = trimesh.remesh.subdivide_to_size(
+            *shape.triangles(), max_edge=0.4 * step * np.sqrt(3) * 0.999, max_iter=20
         )
+        local = _thinned(fine, 0.6 * step)
     return apply_transform(shape.pose, local)
+
+
+def _thinned(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+    """Some of the points [N, 3]; none of the others is farther than `radius` from all of them."""
+    near = cKDTree(points)
+    left = np.ones(len(points), dtype=bool)
+    kept = []
+    for i in range(len(points)):
+        if left[i]:
+            kept.append(i)
+            left[near.query_ball_point(points[i], radius)] = False
+    return points[kept]
 
 
 def _line(length: float, step: float) -> NDArray[np.float64]:

@@ -171,6 +171,9 @@ class Executor:
         ends = np.where(
             speeds > 0, robot.hard_upper[self._closing], robot.hard_lower[self._closing]
         )
+        # 0.02 rad of a finger; of a jaw that slides a few centimetres, as small a part.
+        travel = (robot.hard_upper - robot.hard_lower)[self._closing]
+        at_end = np.minimum(0.02, 0.02 * travel)
         moving = np.ones(len(speeds), dtype=bool)
         slow = np.zeros(len(speeds))
         check = max(1, round(0.0125 / world.physics.step))
@@ -183,7 +186,7 @@ class Executor:
             position = world.configuration()[self._closing]
             stalled = velocity * np.sign(speeds) < config.stall_speed * np.abs(speeds)
             slow = np.where(stalled, slow + check * world.physics.step, 0.0)
-            stop = moving & ((slow >= config.stall_time) | (np.abs(position - ends) < 0.02))
+            stop = moving & ((slow >= config.stall_time) | (np.abs(position - ends) < at_end))
             if stop.any():
                 moving &= ~stop
                 q = np.zeros(len(robot.joint_names))

@@ -6,7 +6,7 @@ Only the partial cloud, the camera's place and the robot's are used, as on the r
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -33,7 +33,8 @@ class HeuristicConfig:
         turn_noise: ... of the orientation, about each axis [rad].
         low_object: An object lower than this [m] is grasped from the top only.
         finger_reach: How far along the fingers from the palm's origin the object's middle is
-            put [m]: between the fingers and the thumb rather than at the fingers' roots.
+            put [m]: between the fingers and the thumb rather than at the fingers' roots. A hand
+            that says so itself (`palm: {reach: …}`) is believed.
         table_gap: For a side grasp the palm is raised until the whole opened hand is this [m]
             above the table.
         raise_top: Raise it for top grasps too: the opposed thumb points down 0.145 m, so low
@@ -108,10 +109,12 @@ class Hand:
     Attributes:
         ranges: [K, 2], of the preshape joints.
         outline: Points [P, 3] of the hand opened with preshape joints [K], palm frame, m.
+        reach: Replaces `HeuristicConfig.finger_reach`, if the robot's description has its own.
     """
 
     ranges: Array
     outline: Callable[[Array], Array]
+    reach: float | None = None
 
 
 def hand_of(robot: RobotDescription) -> Hand:
@@ -129,7 +132,7 @@ def hand_of(robot: RobotDescription) -> Hand:
             T_palm_world = invert_transform(kinematics.palm(q).numpy())
         return apply_transform(T_palm_world, points)
 
-    return Hand(robot.preshape_ranges, outline)
+    return Hand(robot.preshape_ranges, outline, robot.palm_reach)
 
 
 def upright_box(points: Array) -> Box:
@@ -193,6 +196,8 @@ def draw_preshape(
         rng: Source of the noise.
         kind: "side" or "top" to insist on one; the face is drawn among all otherwise.
     """
+    if hand.reach is not None:
+        config = replace(config, finger_reach=hand.reach)
     box = upright_box(points)
     faces = graspable_faces(box, camera, base, config)
     wanted = [face for face in faces if kind in (None, face.kind)] or faces

@@ -15,7 +15,9 @@ from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, read_cloud
 from pointsdf_cli.io.hdf5 import open_hdf5
 from pointsdf_cli.io.meshes import MESH_SUFFIXES
 from pointsdf_cli.io.ply import ply_has_faces
+from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.grasp_scenes import grasps_scene, plan_scene
+from pointsdf_cli.viz.robot_check_picture import robot_scene
 from pointsdf_cli.viz.scene import Scene, joined
 from pointsdf_cli.viz.scene_sources import SceneOptions
 from pointsdf_cli.viz.shape_scenes import (
@@ -45,6 +47,8 @@ def scene_of(path: Path, options: SceneOptions) -> Scene:
         return cloud_scene(path, options)
     if suffix in MESH_SUFFIXES:
         return mesh_scene(path, options)
+    if suffix in (".yaml", ".yml"):
+        return robot_scene(load_robot(path), path.name)
     if suffix in (".h5", ".hdf5"):
         with open_hdf5(path) as file:
             schema = str(file.attrs.get("schema", "nothing that rgrasp wrote"))
@@ -56,7 +60,7 @@ def scene_of(path: Path, options: SceneOptions) -> Scene:
     raise InputError(
         f"{suffix or 'a file without suffix'} cannot be shown",
         where=path,
-        allowed=", ".join([*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".h5"]),
+        allowed=", ".join([*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".h5", ".yaml"]),
     )
 
 

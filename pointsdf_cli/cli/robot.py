@@ -1,0 +1,104 @@
+"""`rgrasp robot`: check a robot's description, or begin one from a URDF."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+app = typer.Typer(help="Check a robot's description, or begin one.", no_args_is_help=True)
+
+
+@app.command()
+def check(
+    robot: Annotated[Path, typer.Argument(help="A robot's YAML beside its URDF.")],
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Draw frames, the ways of the fingertips and surface samples (PNG)."),
+    ] = None,
+    seed: common.Seed = 0,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Read a robot's description, try it, and say what is wrong with it and how to mend it.
+
+    Example: rgrasp robot check my_robot.yaml --picture my_robot.png
+    """
+    from dataclasses import asdict
+
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.atomic import atomic_path, require_new
+    from pointsdf_cli.robot.check import check_robot
+    from pointsdf_cli.robot.description import load_robot
+
+    reporter = common.Reporter(quiet, as_json)
+    if picture:
+        require_new(picture, force)
+    described = load_robot(robot)
+    found = check_robot(described, common.check_seed(seed))
+    if picture:
+        from PIL import Image
+
+        from pointsdf_cli.viz.robot_check_picture import check_picture
+
+        image = check_picture(described)
+        with atomic_path(picture) as temporary:
+            Image.fromarray(image).save(temporary, format="png")
+    start, end = found.closing.paths[0], found.closing.paths[-1]
+    reporter.result(
+        {
+            "robot": described.name,
+            "passed": found.passed,
+            "arm_joints": list(described.arm_joints),
+            "hand_joints": list(described.hand_joints),
+            "fingertips": {
+                tip: {"open": start[k], "closed": end[k]}
+                for k, tip in enumerate(found.closing.tips)
+            },
+            "nearer": found.closing.nearer,
+            "samples": found.samples,
+            "farthest": found.farthest,
+            "reached": found.reached,
+            "self_distance": found.self_distance,
+            "table_distance": found.table_distance,
+            "findings": [asdict(finding) for finding in found.findings],
+            "picture": picture,
+        },
+        [
+            f"{described.name}: {len(described.arm_joints)} arm joints, "
+            f"{len(described.hand_joints)} hand joints, {len(described.preshape_joints)} of them "
+            "chosen by a grasp",
+            f"fingertips: {', '.join(found.closing.tips)}; from open to closed, in the palm's "
+            "frame [m]:",
+            *(
+                f"  {tip}: ({_numbers(start[k])}) to ({_numbers(end[k])})"
+                for k, tip in enumerate(found.closing.tips)
+            ),
+            f"at home: {_length(found.self_distance)} between links, "
+            f"{_length(found.table_distance)} above the table",
+            f"inverse kinematics: {found.reached:.0%} of palm poses that the arm can take",
+            f"surface: {found.samples} samples, no point farther than "
+            f"{found.farthest * 1e3:.1f} mm from one",
+            *(f"{f.level}: {f.what}\n  try: {f.fix}" for f in found.findings),
+            *([f"{picture}: written"] if picture else []),
+        ],
+    )
+    errors = sum(finding.level == "error" for finding in found.findings)
+    if errors:
+        raise InputError(
+            f"{errors} error{'s' * (errors != 1)} in the robot's description, listed above",
+            where=robot,
+        )
+    reporter.say("no errors")
+
+
+def _numbers(values: object) -> str:
+    return ", ".join(f"{float(v):.3f}" for v in values)  # type: ignore[attr-defined]
+
+
+def _length(metres: float) -> str:
+    return f"{metres * 1e3:.1f} mm" if metres < 1 else f"{metres:.2f} m"

@@ -1,0 +1,261 @@
+"""Whether a robot's description makes sense: what a reader of files cannot see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from pointsdf_cli.robot.closing import NEARER, Closing, closing_of, open_hand
+from pointsdf_cli.robot.collision import SelfCollision, table_clearance
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.surface import SPACING, link_surface
+from pointsdf_cli.robot.urdf import MOVING
+
+ERROR, WARNING = "error", "warning"
+POSES, ANYWHERE = 60, 24
+"""Palm poses that inverse kinematics is tried on; configurations that are looked at."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong, or may be.
+
+    Attributes:
+        level: "error" stops planning or makes it meaningless; "warning" may be meant.
+        what: One sentence.
+        fix: What to change in the YAML.
+    """
+
+    level: str
+    what: str
+    fix: str
+
+
+@dataclass(frozen=True)
+class RobotCheck:
+    """What was found and measured.
+
+    Attributes:
+        findings: Errors first.
+        closing: How the hand closes.
+        samples: Surface samples of all links.
+        farthest: The farthest that any point of a link's surface was found from them [m].
+        reached: Share of random palm poses, taken from within the limits, that inverse kinematics
+            solves.
+        self_distance, table_distance: Least at home with the hand open [m].
+    """
+
+    findings: tuple[Finding, ...]
+    closing: Closing = field(repr=False)
+    samples: int
+    farthest: float
+    reached: float
+    self_distance: float
+    table_distance: float
+
+    @property
+    def passed(self) -> bool:
+        """No errors."""
+        return all(finding.level != ERROR for finding in self.findings)
+
+
+def check_robot(robot: RobotDescription, seed: int = 0) -> RobotCheck:
+    """Look at a robot from every side that grasping needs."""
+    rng = np.random.default_rng(seed)
+    kinematics = Kinematics(robot)
+    closing = closing_of(robot)
+    samples, farthest = _coverage(robot, rng)
+    self_distance, own = _self_collisions(robot, kinematics, rng)
+    table_distance, table = _table(robot, kinematics)
+    reached = _reached(robot, kinematics, rng)
+    findings = [*_closes(robot, closing), *own, *table, *_joints(robot)]
+    if farthest > SPACING:
+        findings.append(
+            Finding(
+                ERROR, f"a surface point is {farthest * 1e3:.1f} mm from any sample", "report it"
+            )
+        )
+    if reached < 0.9:
+        findings.append(
+            Finding(
+                WARNING,
+                f"inverse kinematics solves {reached:.0%} of palm poses that the arm can take",
+                "check `arm_joints`: all joints of the arm, and none that does not move the palm",
+            )
+        )
+    findings.sort(key=lambda finding: finding.level != ERROR)
+    return RobotCheck(
+        tuple(findings), closing, samples, farthest, reached, self_distance, table_distance
+    )
+
+
+def _closes(robot: RobotDescription, closing: Closing) -> list[Finding]:
+    """Fingers close towards what is in front of the palm."""
+    found = []
+    if not closing.tips:
+        found.append(
+            Finding(ERROR, "no hand joint moves a link with a shape", "name the finger joints")
+        )
+        return found
+    for joint, nearer in closing.nearer.items():
+        if nearer < NEARER:
+            speed = float(robot.closing_speeds[robot.closing_joints.index(joint)])
+            found.append(
+                Finding(
+                    ERROR,
+                    f"{joint} brings no fingertip nearer to the palm's axis when it closes",
+                    f"closing_joints: {{{joint}: {-speed:g}}}, if it opens instead; or turn the "
+                    "palm frame so that x points from the palm to where the fingers meet",
+                )
+            )
+    x = float(closing.middle[0])
+    if x <= 0:
+        found.append(
+            Finding(
+                ERROR,
+                f"the fingertips are behind the palm frame (at x = {x:.3f} m on average)",
+                "palm: x must point out of the palm, to where the fingers close",
+            )
+        )
+    parent = {joint.child: joint.parent for joint in robot.tree.joints}
+    if robot.palm_link in parent and not _carried(robot):
+        found.append(
+            Finding(
+                ERROR,
+                "the last arm joint does not move the palm",
+                "arm_joints must lead from the base to the palm",
+            )
+        )
+    return found
+
+
+def _carried(robot: RobotDescription) -> bool:
+    """Whether every arm joint lies on the way from the root to the palm."""
+    above = {joint.child: joint for joint in robot.tree.joints}
+    at, way = robot.palm_link, set()
+    while at in above:
+        way.add(above[at].name)
+        at = above[at].parent
+    return set(robot.arm_joints) <= way
+
+
+def _self_collisions(
+    robot: RobotDescription, kinematics: Kinematics, rng: np.random.Generator
+) -> tuple[float, list[Finding]]:
+    """At home, and pairs of links that touch whatever the robot does."""
+    fine, coarse = SelfCollision(kinematics), SelfCollision(kinematics, 0.03, 0.0)
+    if not fine.pairs:
+        return float("inf"), []
+    q = rng.uniform(robot.lower, robot.upper, (ANYWHERE, len(robot.lower)))
+    with torch.no_grad():
+        home = torch.from_numpy(np.stack([robot.home, open_hand(robot)]))
+        distance = fine(*kinematics(home)).numpy()
+        anywhere = coarse(*kinematics(torch.from_numpy(q))).numpy() < 0
+    found = []
+    for k, (a, b) in enumerate(fine.pairs):
+        share = float(anywhere[:, k].mean())
+        if distance[:, k].min() < 0:
+            where = "at home" if distance[0, k] < 0 else "at home with the hand open"
+            found.append(
+                Finding(
+                    ERROR,
+                    f"{a} and {b} overlap by {-distance[:, k].min() * 1e3:.1f} mm {where}",
+                    f"may_touch: [[{a}, {b}]], if their shapes merely overlap; otherwise another "
+                    "`home` (it may also give the hand's joints, after the arm's)",
+                )
+            )
+        elif share > 0.95:
+            found.append(
+                Finding(
+                    WARNING,
+                    f"{a} and {b} overlap in {share:.0%} of random configurations",
+                    f"may_touch: [[{a}, {b}]], if they cannot be kept apart",
+                )
+            )
+    return float(distance.min()), found
+
+
+def _table(robot: RobotDescription, kinematics: Kinematics) -> tuple[float, list[Finding]]:
+    q = torch.from_numpy(np.stack([robot.home, open_hand(robot)]))
+    with torch.no_grad():
+        links, height = table_clearance(robot, *kinematics(q))
+    least = height.amin(dim=0).numpy()
+    found = [
+        Finding(
+            ERROR,
+            f"{link} reaches {-value * 1e3:.1f} mm below the table at home",
+            f"links_on_table: [{link}], if it stands there; otherwise `mount` or `home`",
+        )
+        for link, value in zip(links, least, strict=True)
+        if value < 0
+    ]
+    return float(least.min()), found
+
+
+def _joints(robot: RobotDescription) -> list[Finding]:
+    known = set(robot.joint_names)
+    left = [j.name for j in robot.tree.joints if j.kind in MOVING and j.name not in known]
+    found = []
+    if left:
+        found.append(
+            Finding(
+                WARNING,
+                f"{', '.join(left)} can move and will be kept at 0",
+                "list them among arm_joints or hand_joints if they are to move",
+            )
+        )
+    fast = [
+        name
+        for name, speed, column in zip(
+            robot.closing_joints, robot.closing_speeds, robot.closing_columns, strict=True
+        )
+        if abs(speed) > robot.velocity[column]
+    ]
+    if fast:
+        found.append(
+            Finding(
+                WARNING,
+                f"{', '.join(fast)} would close faster than the URDF's velocity limit",
+                "smaller numbers in closing_joints",
+            )
+        )
+    return found
+
+
+def _coverage(robot: RobotDescription, rng: np.random.Generator) -> tuple[int, float]:
+    """Number of surface samples, and how far random surface points are from them at most [m]."""
+    count, farthest = 0, 0.0
+    for shapes in robot.tree.shapes.values():
+        if not shapes:
+            continue
+        points = link_surface(shapes)
+        count += len(points)
+        tree = cKDTree(points)
+        for i, shape in enumerate(shapes):
+            seed = int(rng.integers(2**31))
+            drawn, _ = trimesh.sample.sample_surface(shape.as_mesh(), 500, seed=seed)
+            probe = torch.from_numpy(np.array(drawn, dtype=np.float64))
+            open_air = np.ones(len(drawn), dtype=bool)
+            for j, other in enumerate(shapes):
+                if j != i:  # what lies inside another shape is no surface of the link
+                    open_air &= other.signed_distance(probe).numpy() > 0
+            if open_air.any():
+                farthest = max(farthest, float(tree.query(drawn[open_air])[0].max()))
+    return count, farthest
+
+
+def _reached(robot: RobotDescription, kinematics: Kinematics, rng: np.random.Generator) -> float:
+    q = rng.uniform(robot.lower, robot.upper, (POSES, len(robot.lower)))
+    with torch.no_grad():
+        palms = kinematics.palm(torch.from_numpy(q)).numpy()
+    solver = InverseKinematics(robot, IkConfig(library=4000))
+    return float(solver.solve(palms).any.mean())

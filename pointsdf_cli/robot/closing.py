@@ -1,0 +1,112 @@
+"""How a hand closes: where its fingertips are, in the palm's frame, from open to closed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.surface import robot_surface
+
+Array = NDArray[np.float64]
+
+NEARER = 0.002
+"""A joint closes if it brings a fingertip nearer to the palm's axis by more than this [m]."""
+
+
+@dataclass(frozen=True)
+class Closing:
+    """The closing of a hand from the middle of its preshapes, in T steps.
+
+    Attributes:
+        q: [T, J], the arm at home.
+        tips: Names of the fingers' last links that have a shape; F of them.
+        paths: [T, F, 3], the middle of each of them, palm frame, m.
+        nearer: By closing joint, how much nearer [m] to the palm's axis a fingertip comes when
+            that joint alone runs to its end; 0 if it only moves away.
+    """
+
+    q: Array
+    tips: tuple[str, ...]
+    paths: Array
+    nearer: dict[str, float]
+
+    @property
+    def middle(self) -> Array:
+        """[3], where the fingertips are on average while they close, palm frame."""
+        return np.asarray(self.paths.mean(axis=(0, 1)))
+
+
+def open_hand(robot: RobotDescription) -> Array:
+    """The configuration [J] at home with preshape joints in the middle of their ranges."""
+    q = robot.home.copy()
+    q[robot.preshape_columns] = robot.preshape_ranges.mean(axis=1)
+    return q
+
+
+def closing_of(robot: RobotDescription, steps: int = 25) -> Closing:
+    """Close the hand without anything in it."""
+    kinematics = Kinematics(robot)
+    surface = robot_surface(robot)
+    start = open_hand(robot)
+    ends = np.where(
+        robot.closing_speeds > 0,
+        robot.hard_upper[robot.closing_columns],
+        robot.hard_lower[robot.closing_columns],
+    )
+    share = np.linspace(0.0, 1.0, steps)[:, None]
+    q = np.repeat(start[None], steps, axis=0)
+    q[:, robot.closing_columns] = (1 - share) * start[robot.closing_columns] + share * ends
+    tips = fingertips(robot)
+    middles = [(tip, torch.from_numpy(surface[tip].mean(axis=0)[None])) for tip in tips]
+
+    def in_palm(q: Array) -> Array:
+        with torch.no_grad():
+            points = kinematics.points(torch.from_numpy(q), middles)
+            palm = kinematics.palm(torch.from_numpy(q)).numpy()
+        world = np.stack([p.numpy()[:, 0] for p in points], axis=1)
+        apart = world - palm[:, None, :3, 3]
+        return np.asarray(np.einsum("tba,tfb->tfa", palm[:, :3, :3], apart))
+
+    nearer = {}
+    for joint, column, end in zip(robot.closing_joints, robot.closing_columns, ends, strict=True):
+        alone = np.repeat(start[None], steps, axis=0)
+        alone[:, column] = (1 - share[:, 0]) * start[column] + share[:, 0] * end
+        moved = [k for k, tip in enumerate(tips) if tip in beyond(robot, joint)]
+        away = to_palm_axis(robot, in_palm(alone)[:, moved])
+        nearer[joint] = float((away[0] - away.min(axis=0)).max()) if moved else 0.0
+    return Closing(q, tips, in_palm(q), nearer)
+
+
+def fingertips(robot: RobotDescription) -> tuple[str, ...]:
+    """Links beyond a hand joint, with a shape, beyond which there is no other such link."""
+    shaped = [link for joint in robot.hand_joints for link in beyond(robot, joint)]
+    shaped = [link for link in dict.fromkeys(shaped) if robot.tree.shapes[link]]
+    parents = {joint.child: joint.parent for joint in robot.tree.joints}
+    inner = set()
+    for link in shaped:
+        while link in parents:
+            link = parents[link]
+            inner.add(link)
+    return tuple(link for link in shaped if link not in inner)
+
+
+def beyond(robot: RobotDescription, joint: str) -> tuple[str, ...]:
+    """The links that a joint moves."""
+    moved: set[str] = set()
+    for other in robot.tree.joints:  # from the root outwards
+        if other.name == joint or other.parent in moved:
+            moved.add(other.child)
+    return tuple(link for link in robot.tree.links if link in moved)
+
+
+def to_palm_axis(robot: RobotDescription, points: Array) -> Array:
+    """Distances [...] of points [..., 3], palm frame, to the half-line out of the palm along which
+    what is grasped comes: from (0, 0, reach) in the direction of x."""
+    local = points - [0.0, 0.0, robot.palm_reach or 0.0]
+    local = np.concatenate([np.minimum(local[..., :1], 0.0), local[..., 1:]], axis=-1)
+    return np.asarray(np.linalg.norm(local, axis=-1))

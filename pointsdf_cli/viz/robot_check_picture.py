@@ -1,0 +1,150 @@
+"""A robot's description drawn: frames, how the fingers close, surface samples."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import torch
+import trimesh
+from numpy.typing import NDArray
+
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.robot.closing import Closing, closing_of, open_hand
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.surface import robot_surface
+from pointsdf_cli.viz.robot_picture import RobotMeshes
+from pointsdf_cli.viz.robot_scene import MovingRobot, table_part
+from pointsdf_cli.viz.scene import Part, Scene, axes
+from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh
+
+AXES = ((0.85, 0.1, 0.1), (0.1, 0.6, 0.1), (0.15, 0.25, 0.9))
+PATH_COLOUR, SAMPLE_COLOUR = (0.95, 0.65, 0.05), (1.0, 0.55, 0.25)
+Array = NDArray[np.float64]
+
+
+def check_picture(robot: RobotDescription, size: int = 620) -> NDArray[np.uint8]:
+    """Three pictures side by side [size, 3·size, 3].
+
+    The robot at home on its table with the base's and the palm's frames; the opened hand with the
+    palm's frame (x red, out of the palm; z blue) and the ways of the fingertips as they close; the
+    surface samples.
+    """
+    closing, q = closing_of(robot), open_hand(robot)
+    meshes = RobotMeshes(robot)
+    kinematics = Kinematics(robot)
+    with torch.no_grad():
+        palm = kinematics.palm(torch.from_numpy(q)).numpy()
+    drawn = meshes.at(q)
+    corners = np.concatenate([part.vertices for part in drawn])
+    high = corners.max(axis=0)
+    middle = (corners.min(axis=0) + high) / 2
+    far = 1.5 * float(np.linalg.norm(np.ptp(corners, axis=0)))
+    whole = look_at(middle + far * np.array([0.62, -0.68, 0.4]), middle)
+    frames = [*_frame(robot.T_world_base, 0.15), *_frame(palm, 0.15)]
+    hand, links = _hand(robot, kinematics, q)
+    centre = (hand.min(axis=0) + hand.max(axis=0)) / 2
+    near = 1.9 * float(np.linalg.norm(np.ptp(hand, axis=0)))
+    side = palm[:3, :3] @ np.array([0.75, 0.35, 0.56]) + [0, 0, 0.25]
+    close = look_at(centre + near * side / np.linalg.norm(side), centre, palm[:3, 2])
+    ways = _ways(closing, palm)
+    arm = [part for part in drawn if not _inside(part, hand)]
+    scale = float(np.linalg.norm(np.ptp(hand, axis=0)))
+    only = [part for part in drawn if _inside(part, hand)]
+    return np.concatenate(
+        [
+            shaded_image([*arm, *only, table_mesh(), *frames], whole, (size, size)),
+            shaded_image([*only, *_frame(palm, 0.4 * scale), *ways], close, (size, size)),
+            shaded_image([*only, _dots(links, 0.013 * scale)], close, (size, size)),
+        ],
+        axis=1,
+    )
+
+
+def robot_scene(robot: RobotDescription, name: str) -> Scene:
+    """The robot at home, closing its hand frame by frame, with frames and samples as layers."""
+    closing = closing_of(robot)
+    moving = MovingRobot(robot)
+    kinematics = Kinematics(robot)
+    with torch.no_grad():
+        palm = kinematics.palm(torch.from_numpy(closing.q)).numpy()
+    parts = [*moving.parts, table_part(), axes("world", "axes", 0.2)]
+    parts.append(axes("palm", "palm", 0.12, len(moving.bodies)))
+    for k, tip in enumerate(closing.tips):
+        way = closing.paths[:, k].astype(np.float32)
+        segments = np.repeat(way, 2, axis=0)[1:-1]
+        body = len(moving.bodies)
+        parts.append(Part(tip, "ways of fingertips", "lines", segments, None, PATH_COLOUR, body))
+    for link, points in robot_surface(robot).items():
+        body = kinematics.index(link)
+        samples = points.astype(np.float32)
+        parts.append(Part(link, "samples", "points", samples, None, SAMPLE_COLOUR, body))
+    poses = np.concatenate([moving.poses(closing.q), palm[:, None]], axis=1)
+    share = np.linspace(0, 100, len(closing.q))
+    facts = (
+        ("robot", robot.name),
+        ("joints", f"{len(robot.arm_joints)} of the arm, {len(robot.hand_joints)} of the hand"),
+        ("fingertips", ", ".join(closing.tips)),
+    )
+    captions = tuple(f"{value:.0f} % closed" for value in share)
+    bodies = (*moving.bodies, "palm frame")
+    return Scene(name, tuple(parts), bodies, poses, captions, "closing", 12.0, facts)
+
+
+def _hand(robot: RobotDescription, kinematics: Kinematics, q: Array) -> tuple[Array, Array]:
+    """Corners of the hand's shapes, and its surface samples, in the world at q."""
+    with torch.no_grad():
+        rotation, position = (v.numpy() for v in kinematics(torch.from_numpy(q)))
+    surface = robot_surface(robot)
+    corners, samples = [], []
+    for link in robot.hand_links:
+        i = kinematics.index(link)
+        for shape in robot.tree.shapes[link]:
+            corners.append(np.asarray(shape.as_mesh().vertices) @ rotation[i].T + position[i])
+        if link in surface:
+            samples.append(surface[link] @ rotation[i].T + position[i])
+    return np.concatenate(corners), np.concatenate(samples)
+
+
+def _inside(part: Painted, hand: Array) -> bool:
+    low, high = hand.min(axis=0) - 1e-6, hand.max(axis=0) + 1e-6
+    return bool(((part.vertices >= low) & (part.vertices <= high)).all())
+
+
+def _frame(pose: Array, length: float) -> list[Painted]:
+    """Three rods along the axes."""
+    rods = []
+    for k in range(3):
+        end = pose[:3, 3] + length * pose[:3, k]
+        rods.append(_rod(pose[:3, 3], end, length / 35, AXES[k]))
+    return rods
+
+
+def _ways(closing: Closing, palm: Array) -> list[Painted]:
+    """The ways of the fingertips as rods from step to step, and a ball where they end."""
+    parts = []
+    for k in range(len(closing.tips)):
+        way = apply_transform(palm, closing.paths[:, k])
+        for a, b in pairwise(way):
+            if np.linalg.norm(b - a) > 1e-6:
+                parts.append(_rod(a, b, 0.0012, PATH_COLOUR))
+        ball = trimesh.creation.icosphere(subdivisions=1, radius=0.004)
+        parts.append(Painted(np.asarray(ball.vertices) + way[-1], np.asarray(ball.faces), AXES[0]))
+    return parts
+
+
+def _rod(a: Array, b: Array, radius: float, colour: tuple[float, float, float]) -> Painted:
+    mesh = trimesh.creation.cylinder(radius, segment=np.stack([a, b]), sections=10)
+    return Painted(np.asarray(mesh.vertices), np.asarray(mesh.faces), colour)
+
+
+def _dots(points: Array, size: float) -> Painted:
+    """All points as little octahedra, one mesh."""
+    corner = size / 2 * np.concatenate([np.eye(3), -np.eye(3)])
+    faces = np.array(
+        [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
+    )
+    vertices = (points[:, None] + corner).reshape(-1, 3)
+    every = (np.arange(len(points))[:, None, None] * 6 + faces).reshape(-1, 3)
+    return Painted(vertices, every, SAMPLE_COLOUR)
