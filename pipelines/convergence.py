@@ -1,0 +1,145 @@
+"""Does the label of a grasp depend on the time step? Stored grasps carried out again, finer.
+
+    python pipelines/convergence.py --grasps grasps/ --meshes train/ [--count 300]
+
+Executed attempts are drawn evenly by seed, and each is carried out as it was collected, with half
+the time step, with twice the solver's iterations, with both, and with the object 0.1 mm aside: a label
+that this changes hangs on less than any camera or mesh is good for. Printed, for each: how many labels
+and causes differ from the stored ones, with the 95% interval of the share, and how far the rise of
+grasps held both times differs. As collected, nothing may differ: that is the test of the replay.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, LOST, read_grasps
+from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
+from pointsdf_cli.simulation.executor import Outcome
+from pointsdf_cli.simulation.sim_object import prepare_object
+from pointsdf_cli.simulation.world import PhysicsConfig
+
+BASE = PhysicsConfig()
+ASIDE = "0.1 mm aside"
+"""The object so much off, physics as collected: what a label owes to luck, whatever the step."""
+VARIANTS = {
+    "as collected": BASE,
+    ASIDE: BASE,
+    "half the step": replace(BASE, step=BASE.step / 2),
+    "twice the iterations": replace(BASE, iterations=BASE.iterations * 2),
+    "both": replace(BASE, step=BASE.step / 2, iterations=BASE.iterations * 2),
+}
+
+
+def chosen(folder: Path, count: int, seed: int) -> dict[Path, list[int]]:
+    """`count` executed attempts of a folder of grasps, rows by file, every attempt as likely."""
+    pool = []
+    for path in sorted(folder.rglob("*.h5")):
+        if not path.name.startswith("."):
+            pool += [(path, int(row)) for row in np.flatnonzero(read_grasps(path)[0].executed)]
+    order = np.random.default_rng(seed).permutation(len(pool))[:count]
+    rows: dict[Path, list[int]] = {}
+    for path, row in sorted(pool[i] for i in order):
+        rows.setdefault(path, []).append(row)
+    return rows
+
+
+def interval(changed: int, count: int) -> tuple[float, float]:
+    """Wilson's 95% interval of a share."""
+    z, share = 1.96, changed / count
+    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
+    half = z / (1 + z * z / count) * np.sqrt(share * (1 - share) / count + (z / (2 * count)) ** 2)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def label_of(outcome: Outcome) -> int:
+    """As in a grasps file."""
+    return (HELD if outcome.held else LOST) if outcome.valid else INVALID
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--grasps", type=Path, required=True)
+    parser.add_argument("--meshes", type=Path, required=True)
+    parser.add_argument("--count", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    rows = chosen(options.grasps, options.count, options.seed)
+    count = sum(len(found) for found in rows.values())
+    if not count:
+        print(f"{options.grasps}: no executed grasps", file=sys.stderr)
+        return 2
+    meshes = {
+        artifact_path(mesh, options.meshes, options.grasps).with_suffix(".h5"): mesh
+        for mesh in find_meshes(options.meshes)
+    }
+    robot = load_robot()
+    attempters = {
+        name: Attempter(robot, replace(AttemptConfig(), physics=VARIANTS[name]))
+        for name in options.variants
+    }
+    changed = dict.fromkeys(attempters, 0)
+    causes = dict.fromkeys(attempters, 0)
+    now_held = dict.fromkeys(attempters, 0)
+    rises: dict[str, list[float]] = {name: [] for name in attempters}
+    was_held = 0
+    started = time.process_time()
+    for path, found in rows.items():
+        grasps, _ = read_grasps(path)
+        aside = grasps.T_world_object.copy()
+        aside[:, :2, 3] += 1e-4 / np.sqrt(2)
+        moved = replace(grasps, T_world_object=aside)
+        item = prepare_object(load_mesh(meshes[path]))
+        for row in found:
+            was_held += int(grasps.label[row] == HELD)
+            for name, attempter in attempters.items():
+                stored = moved if name == ASIDE else grasps
+                outcome = attempter.replay(item, stored, row)
+                changed[name] += label_of(outcome) != grasps.label[row]
+                causes[name] += outcome.cause != CAUSES[grasps.cause[row]]
+                now_held[name] += outcome.held
+                if outcome.held and grasps.label[row] == HELD:
+                    rises[name].append(abs(outcome.lift_height - float(grasps.lift_height[row])))
+    for attempter in attempters.values():
+        attempter.close()
+    print(
+        f"{count} executed grasps of {len(rows)} objects, {was_held} held; step 1/"
+        f"{1 / BASE.step:.0f} s, {BASE.iterations} iterations; "
+        f"{time.process_time() - started:.0f} CPU seconds"
+    )
+    result = {}
+    for name in attempters:
+        low, high = interval(changed[name], count)
+        rise = 1000 * float(np.median(rises[name])) if rises[name] else float("nan")
+        print(
+            f"{name:22} {changed[name]:3d} labels changed ({changed[name] / count:.1%}, "
+            f"{low:.1%} to {high:.1%}), {causes[name]:3d} causes, {now_held[name]} held, "
+            f"rise differs by {rise:.2f} mm in the median"
+        )
+        result[name] = {
+            "labels changed": changed[name],
+            "causes changed": causes[name],
+            "held": now_held[name],
+            "interval": [low, high],
+            "median rise difference [mm]": rise,
+        }
+    if options.json:
+        options.json.write_text(json.dumps({"count": count, "held": was_held, **result}, indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,197 @@
+"""Whole grasps whose outcome is known beforehand: centred ones hold, those beside do not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
+from pointsdf_cli.simulation.executor import ExecutorConfig
+from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
+from pointsdf_cli.simulation.world import World
+
+pytest.importorskip("pybullet")
+
+PALM = (0.52, 0.03, 0.09)
+"""Where the palm is in every test here [m], level, thumb up, the fingers along -y: one inverse
+kinematics for all. The opened hand reaches 7 cm below it."""
+REACH = 0.03
+"""How far along the fingers an object's middle is put [m]."""
+FLOATING = 0.09
+"""Height [m] of a ball that floats until the hand has closed: on the table the hand, 11 cm wide,
+cannot be centred on a ball that fits it."""
+SHAPES = {
+    "can 5 cm": (trimesh.creation.cylinder(0.025, 0.14), 0.025),
+    "can 6.4 cm": (trimesh.creation.cylinder(0.032, 0.14), 0.032),
+    "can 8 cm": (trimesh.creation.cylinder(0.04, 0.16), 0.04),
+    "box 4 x 5 cm": (trimesh.creation.box([0.04, 0.05, 0.15]), 0.02),
+    "box 6 x 4 cm": (trimesh.creation.box([0.06, 0.04, 0.16]), 0.03),
+    "box 7 x 7 cm": (trimesh.creation.box([0.07, 0.07, 0.14]), 0.035),
+    "ball 7 cm": (trimesh.creation.icosphere(3, 0.035), 0.035),
+    "ball 8.4 cm": (trimesh.creation.icosphere(3, 0.042), 0.042),
+    "ball 10 cm": (trimesh.creation.icosphere(3, 0.05), 0.05),
+}
+"""A mesh, and how far its near face is from its middle [m]."""
+GAPS, TURNS = (0.02, 0.04), (0.0, 0.1)
+"""From the palm to the near face [m]; of the object about the vertical [rad]."""
+
+
+@dataclass(frozen=True)
+class Grip:
+    """A hand that is about to close: the configuration [J] and the lift [K, A]."""
+
+    q: np.ndarray
+    lift: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def attempter() -> Iterator[Attempter]:
+    made = Attempter(load_robot(), AttemptConfig())
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+def item_of(name: str, mesh: trimesh.Trimesh, cache: Path) -> SimObject:
+    loaded = LoadedMesh(
+        name, np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32), name, "none"
+    )
+    return prepare_object(loaded, cache)
+
+
+@pytest.fixture(scope="module")
+def grip(attempter: Attempter) -> Grip:
+    """An open hand by hand: fingers straight and parallel, thumb across."""
+    values = {"thumb_joint_0": 1.35, "thumb_joint_1": 0.5}
+    joints = np.array([values.get(name, 0.0) for name in attempter.robot.preshape_joints])
+    palm = transform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), PALM)
+    attempter.world.reset()
+    reach = attempter._reacher(palm, joints)
+    assert reach.label == 0
+    return Grip(reach.q, reach.lift)
+
+
+def beside_the_palm(
+    item: SimObject, ahead: float, along: float = REACH, turn: float = 0.0, floats: bool = False
+) -> np.ndarray:
+    """Where the object is: its middle so far out of the palm and along the fingers [m]."""
+    c, s = np.cos(turn), np.sin(turn)
+    height = FLOATING if floats else -float(item.mesh.vertices[:, 2].min())
+    place = [PALM[0] + ahead, PALM[1] - along, height]
+    return transform(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), place)
+
+
+def float_till_closed(world: World, phase: str) -> None:
+    """No weight while the hand closes."""
+    world.set_gravity([0.0, 0.0, 0.0 if phase == "close" else -world.physics.gravity])
+
+
+def test_centred_side_grasps_of_balls_boxes_and_cylinders_hold(
+    attempter: Attempter, grip: Grip, cache: Path
+) -> None:
+    outcomes: dict[str, list[str]] = {}
+    for name, (mesh, depth) in SHAPES.items():
+        item = item_of(name, mesh, cache)
+        floats = name.startswith("ball")
+        watch = float_till_closed if floats else None
+        for gap in GAPS:
+            for turn in TURNS if name.startswith("box") else TURNS[:1]:
+                place = beside_the_palm(item, gap + depth, turn=turn, floats=floats)
+                outcome = attempter.execute(item, place, grip.q, grip.lift, watch)
+                outcomes.setdefault(name.split()[0], []).append(outcome.cause)
+    for kind, causes in outcomes.items():
+        assert len(causes) >= 6
+        assert causes.count("held") >= 0.8 * len(causes), (kind, outcomes)
+
+
+@pytest.mark.parametrize("name", ["can 5 cm", "box 7 x 7 cm"])
+@pytest.mark.parametrize(
+    ("ahead", "along"),
+    [(0.05, 0.24), (0.0, 0.24), (0.22, REACH), (0.18, 0.2)],
+    ids=["past the fingertips", "past them, level with the palm", "too far ahead", "both"],
+)
+def test_hand_that_closes_beside_the_object_never_counts(
+    attempter: Attempter, grip: Grip, cache: Path, name: str, ahead: float, along: float
+) -> None:
+    item = item_of(name, SHAPES[name][0], cache)
+    place = beside_the_palm(item, ahead, along)
+    outcome = attempter.execute(item, place, grip.q, grip.lift)
+    assert outcome.valid
+    assert not outcome.held
+    assert outcome.cause == "missed"
+    assert abs(outcome.lift_height) < 0.005
+    assert outcome.links == 0
+
+
+def test_object_that_is_shot_out_is_invalid(attempter: Attempter, grip: Grip, cache: Path) -> None:
+    """A grasp that holds, but for the object leaving the hand at 4 m/s, as bad contacts do it."""
+    mesh, depth = SHAPES["can 5 cm"]
+    item = item_of("can", mesh, cache)
+    place = beside_the_palm(item, 0.03 + depth)
+    assert attempter.execute(item, place, grip.q, grip.lift).cause == "held"
+    shot = []
+
+    def shoot(world: World, phase: str) -> None:
+        if phase == "lift" and not shot:
+            shot.append(True)
+            body, client = world._object, world._client
+            out_of_the_hand = [0.9, 0.0, 0.3]
+            world._bullet.resetBasePositionAndOrientation(
+                body, out_of_the_hand, [0, 0, 0, 1], physicsClientId=client
+            )
+            world._bullet.resetBaseVelocity(body, [4.0, 0.0, 0.0], physicsClientId=client)
+
+    outcome = attempter.execute(item, place, grip.q, grip.lift, shoot)
+    assert shot
+    assert outcome.cause == "flung"
+    assert not outcome.valid
+    assert not outcome.held
+
+
+def test_object_that_ends_inside_a_link_is_invalid(
+    attempter: Attempter, grip: Grip, cache: Path
+) -> None:
+    mesh, depth = SHAPES["can 5 cm"]
+    item = item_of("can", mesh, cache)
+
+    def press_in(world: World, phase: str) -> None:
+        """The can's axis at the palm's face, so that the palm lies 2 cm deep in it."""
+        if phase == "settle":
+            palm = attempter.palm(world.configuration())
+            world._bullet.resetBasePositionAndOrientation(
+                world._object, palm[:3, 3].tolist(), [0, 0, 0, 1], physicsClientId=world._client
+            )
+            world._bullet.performCollisionDetection(physicsClientId=world._client)
+
+    place = beside_the_palm(item, 0.03 + depth)
+    outcome = attempter.execute(item, place, grip.q, grip.lift, press_in)
+    assert not outcome.valid
+    assert not outcome.held
+    assert outcome.cause in ("penetration", "flung")
+
+
+def test_weak_fingers_lose_what_strong_ones_hold(
+    attempter: Attempter, grip: Grip, cache: Path
+) -> None:
+    mesh, depth = SHAPES["can 6.4 cm"]
+    item = replace(item_of("can", mesh, cache), mass=0.6)
+    place = beside_the_palm(item, 0.03 + depth)
+    assert attempter.execute(item, place, grip.q, grip.lift).held
+    weak = ExecutorConfig(closing_effort=0.01, grip_effort=0.01)
+    kept, attempter.config = attempter.config, replace(attempter.config, execution=weak)
+    try:
+        assert not attempter.execute(item, place, grip.q, grip.lift).held
+    finally:
+        attempter.config = kept
