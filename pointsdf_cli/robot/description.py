@@ -39,7 +39,7 @@ class RobotDescription:
         closing_joints: The hand joints that close.
         closing_speeds: [C], rad/s on the real robot, towards each joint's upper limit if
             positive.
-        palm_link: The link that carries the palm frame.
+        palm_link: The link that carries the palm frame and, beyond it, all fingers.
         T_link_palm: [4, 4], the palm frame (x out of the palm, z along the fingers, y towards the
             thumb's side) in that link.
         palm_reach: How far along z [m] from the palm frame's origin the middle of what is
@@ -97,9 +97,8 @@ class RobotDescription:
 
     @cached_property
     def hand_links(self) -> tuple[str, ...]:
-        """The palm's link, what carries the fingers, and all links beyond: what a grasp touches."""
-        fingers = [joint for joint in self.tree.joints if joint.name in self.hand_joints]
-        inside = {self.palm_link} | {joint.parent for joint in fingers}
+        """The palm's link, what is fixed to it and all links beyond: what a grasp touches with."""
+        inside = {self.palm_link}
         for joint in self.tree.joints:
             if joint.parent in inside:
                 inside.add(joint.child)
@@ -198,6 +197,7 @@ class _Reader:
         if not isinstance(palm, Mapping) or palm.get("link") not in tree.links:
             raise self.wrong("palm", "has no such `link`", ", ".join(tree.links))
         reach = palm.get("reach")
+        palm_link, T_link_palm = _carrier(tree, hand, str(palm["link"]), self.pose("palm", palm))
         home = np.clip(np.zeros(len(joints)), lower, upper)
         if "home" in self.data:
             given = self.data["home"]
@@ -216,8 +216,8 @@ class _Reader:
             preshape_ranges=_read_only(ranges),
             closing_joints=tuple(closing),
             closing_speeds=_read_only(speeds),
-            palm_link=str(palm["link"]),
-            T_link_palm=self.pose("palm", palm),
+            palm_link=palm_link,
+            T_link_palm=_read_only(T_link_palm),
             palm_reach=None if reach is None else float(self.vector("palm", [reach], 1)[0]),
             lower=_read_only(lower),
             upper=_read_only(upper),
@@ -308,6 +308,31 @@ class _Reader:
                 raise self.wrong("may_touch", f"holds {pair!r}", "pairs of two different links")
             pairs.add(frozenset(pair))
         return frozenset(pairs)
+
+
+def _carrier(tree: Tree, hand: tuple[str, ...], link: str, pose: Array) -> tuple[str, Array]:
+    """The palm frame in the link from which all fingers branch off.
+
+    Many descriptions end in a link without shape between the fingertips: a palm frame that is
+    given there is the same frame, but the fingers are not beyond that link.
+    """
+    above = {joint.child: joint for joint in tree.joints}
+
+    def ways(at: str) -> list[str]:
+        links = [at]
+        while links[-1] in above:
+            links.append(above[links[-1]].parent)
+        return links
+
+    first = {joint.parent for joint in tree.joints if joint.name in hand}
+    shared = set.intersection(*(set(ways(parent)) for parent in first | {link}))
+    carrier, T_carrier_palm = link, pose
+    while carrier not in shared:
+        joint = above[carrier]
+        if joint.kind != "fixed":
+            return link, pose
+        carrier, T_carrier_palm = joint.parent, joint.T_parent_joint @ T_carrier_palm
+    return carrier, T_carrier_palm
 
 
 def _read_only(array: Array) -> Array:
