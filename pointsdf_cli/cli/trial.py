@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import InputError
 
 if TYPE_CHECKING:
     from pointsdf_cli.io.trials import TrialRow
@@ -74,16 +75,18 @@ def trial(
     Example: rgrasp trial --out trials/ --meshes ycb/
     """
     common.check_seed(seed)
+    for name, value in (("--rehearse", rehearse), ("--record", record), ("--pictures", pictures)):
+        if value < 0:
+            raise InputError(f"{value}", where=name, allowed="0 or more")
     jobs = common.job_count(jobs)
     reporter = common.Reporter(quiet, as_json)
 
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.atomic import remove_leftovers, require_folder, write_text_atomic
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.io.trials import write_trials
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.simulation.executor import ExecutorConfig
-    from pointsdf_cli.trials.contenders import ContenderOptions
+    from pointsdf_cli.trials.contenders import ContenderOptions, check_contender
     from pointsdf_cli.trials.protocol import choose_objects, make_trials
     from pointsdf_cli.trials.report import html_report, markdown_report, percent
     from pointsdf_cli.trials.run import TrialConfig, TrialTask, read_rows, run_trial_task
@@ -99,6 +102,8 @@ def trial(
     trials = make_trials(
         chosen, contenders, yaws, [c for c in cameras.split(",") if c], repeats, seed
     )
+    for contender in contenders:
+        check_contender(contender, config.contenders)
     out = require_folder(out)
     folder = require_folder(out / "trials")
     remove_leftovers(folder)
@@ -149,7 +154,6 @@ def trial(
 
 
 def _contenders(method: str, ablations: list[str]) -> list[Contender]:
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.trials.protocol import METHODS, RECONSTRUCTION, Contender
 
     if method not in ("both", *METHODS):

@@ -1,4 +1,8 @@
-"""How the arm lifts what the hand holds: straight up, turning as little as it must."""
+"""How the arm lifts what the hand holds: up, straight if it can, and level if it can.
+
+Near the robot an arm folds as the hand rises, until its elbow is at its limit. Then the hand must
+move outwards while it rises, or turn.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +16,9 @@ Array = NDArray[np.float64]
 
 STEPS = 15
 """Of the path."""
-TURN_WEIGHTS = (1.0, 0.1, 0.02)
-"""How much a turn of the palm by 1 rad is to be avoided, in metres off the line: first as if it
-must not turn at all, then ever less."""
+WAYS = ((0.0, 1.0), (0.05, 1.0), (0.1, 1.0), (0.0, 0.1), (0.05, 0.02), (0.1, 0.02))
+"""What is tried in turn: how far outwards the palm moves on the way [m], and how much a turn by
+1 rad is to be avoided, in metres off the line; at 1 it may not turn."""
 OFF_LINE = 0.003
 """Farther off the line [m] no step of a path may be."""
 MOST_TURN = 0.6
@@ -26,31 +30,36 @@ def lift_path(
 ) -> Array | None:
     """Arm joints [K + 1, A] from configuration q [J] to one with the palm `height` [m] above.
 
-    The palm keeps its orientation where the arm can. Where it cannot, the palm may turn a little:
-    with seven joints there is nearly always a way straight up.
-
     Returns:
         None where the arm has no room even so.
     """
-    for weight in TURN_WEIGHTS:
-        path = _follow(solver, robot, q[robot.arm], height, weight)
+    for outwards, weight in WAYS:
+        path = _follow(solver, robot, q[robot.arm], height, outwards, weight)
         if path is not None:
             return path
     return None
 
 
 def _follow(
-    solver: InverseKinematics, robot: RobotDescription, arm: Array, height: float, weight: float
+    solver: InverseKinematics,
+    robot: RobotDescription,
+    arm: Array,
+    height: float,
+    outwards: float,
+    weight: float,
 ) -> Array | None:
     """Newton steps along the line, within the joint limits."""
     rotation, position, _ = solver.palm(arm[None])
     low, high = robot.lower[robot.arm], robot.upper[robot.arm]
     # A plan may begin a little beyond the range that plans keep to.
     low, high = np.minimum(low, arm), np.maximum(high, arm)
+    away = position[0] - robot.T_world_base[:3, 3]
+    away[2] = 0.0
+    way = outwards * away / max(float(np.linalg.norm(away)), 1e-6) + [0.0, 0.0, height]
     path = [arm]
     rows = np.diag([1.0, 1.0, 1.0, weight, weight, weight])
     for k in range(1, STEPS + 1):
-        goal = position[0] + [0.0, 0.0, height * k / STEPS]
+        goal = position[0] + way * k / STEPS
         now = path[-1].copy()
         for _ in range(12):
             turned, at, jacobian = solver.palm(now[None])

@@ -21,21 +21,26 @@ from pointsdf_cli.simulation.decomposition import Pieces, with_few_corners
 Array = NDArray[np.float64]
 
 
+SLIVER = 1e-9
+"""What is smaller [m³] is no piece."""
+
+
 @dataclass(frozen=True)
 class QuickCutConfig:
     """How finely to cut.
 
     Attributes:
-        most_pieces: No more pieces than this.
+        most_pieces: No more cuts once there are so many pieces.
         close_enough: The hulls may exceed the solid by this share of its volume.
-        places: Where a part may be cut, as shares of its extent along each axis.
+        places: Where a part may be cut, as shares of its extent along each axis; of equally good
+            cuts the first is taken.
         most_corners: Of a piece.
         most_faces: The solid is simplified to about this many faces first.
     """
 
     most_pieces: int = 8
     close_enough: float = 0.08
-    places: tuple[float, ...] = (0.25, 0.5, 0.75)
+    places: tuple[float, ...] = (0.5, 0.25, 0.75)
     most_corners: int = 40
     most_faces: int = 500
 
@@ -65,7 +70,7 @@ def quick_pieces(
             break
         worst = max(range(len(parts)), key=lambda k: parts[k].excess)
         cut = _best_cut(parts[worst], config.places)
-        if cut is None:
+        if cut is None or parts[worst].excess < 0.02 * whole:
             parts[worst].excess = 0.0  # no plane helps: leave it as it is
             continue
         parts[worst : worst + 1] = cut
@@ -89,21 +94,23 @@ class _Part:
 
 
 def _best_cut(part: _Part, places: tuple[float, ...]) -> list[_Part] | None:
-    """The two halves whose hulls waste least, of cuts along the part's principal axes."""
+    """The pieces whose hulls waste least, of cuts along the part's principal axes."""
     corners = np.asarray(part.solid.to_mesh().vert_properties)[:, :3].astype(float)
     _, axes = np.linalg.eigh(np.cov(corners.T))
     best: list[_Part] | None = None
-    least = 0.98 * part.excess  # a cut that gains nothing is none
-    for axis in axes.T:
+    # Halves of a ring waste as much as the ring, but their halves do not: a cut may gain nothing.
+    least = 1.001 * part.excess
+    for axis in axes.T[::-1]:  # the longest first
         along = corners @ axis
         for place in places:
             offset = float(along.min() + place * np.ptp(along))
             halves = part.solid.split_by_plane(tuple(axis.tolist()), offset)
             if any(half.is_empty() for half in halves):
                 continue
-            parts = [_Part(half) for half in halves]
-            excess = parts[0].excess + parts[1].excess
-            if excess < least:
+            # The feet of an arch are two pieces, not one with a hull that spans the gate.
+            parts = [_Part(piece) for half in halves for piece in half.decompose()]
+            excess = sum(one.excess for one in parts)
+            if excess < least - 1e-4 * part.excess:
                 best, least = parts, excess
     return best
 
@@ -123,6 +130,9 @@ def _solid(vertices: Array, faces: NDArray[np.integer], most_faces: int) -> Mani
 
 def _hull(points: Any) -> trimesh.Trimesh:
     try:
-        return trimesh.convex.convex_hull(np.asarray(points, dtype=float))
+        hull = trimesh.convex.convex_hull(np.asarray(points, dtype=float))
     except ValueError as error:  # scipy's QhullError is one
         raise InputError("the points span no volume") from error
+    if not hull.volume > SLIVER:
+        raise InputError("the points span no volume")
+    return hull

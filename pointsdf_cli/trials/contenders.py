@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -12,10 +12,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pointsdf_cli.io.checkpoints import read_checkpoint
+from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.planning.answer import GraspModel, GraspPlanner, ObjectGrasps, PlanOptions
 from pointsdf_cli.planning.fields import Field, MeshField
 from pointsdf_cli.planning.partial_view import partial_mesh
+from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.trials import protocol
@@ -56,6 +59,47 @@ REHEARSED_SEARCH = SynthesisConfig(polished=8, seeds=SeedConfig(palms=48, seeds=
 """More grasps a round than the paper's search needs: a rehearsal tells them apart."""
 
 
+def plan_options(contender: Contender, options: ContenderOptions) -> PlanOptions:
+    """How a contender plans.
+
+    Raises:
+        InputError: An option that cannot be.
+    """
+    checkpoint = options.checkpoint
+    if contender.ablation.startswith(protocol.CHECKPOINT):
+        checkpoint = Path(contender.ablation.removeprefix(protocol.CHECKPOINT))
+    # The baseline is what it is: the weights that are tried out are the reconstruction method's.
+    reconstructs = contender.method == protocol.RECONSTRUCTION
+    return PlanOptions(
+        method=contender.method,
+        solver=options.solver,
+        robot=options.robot,
+        checkpoint=checkpoint if reconstructs else None,
+        grasp_checkpoint=options.grasp_checkpoint if reconstructs else None,
+        device=options.device,
+        synthesis=REHEARSED_SEARCH if _rehearses(contender, options) else SynthesisConfig(),
+    )
+
+
+def check_contender(contender: Contender, options: ContenderOptions) -> None:
+    """Refuse what no trial could be run with, before any is.
+
+    Raises:
+        InputError: An unknown solver, or a checkpoint that cannot be read.
+    """
+    asked = plan_options(contender, options)
+    PlannerConfig(solver=asked.solver)
+    if asked.checkpoint is not None:
+        read_checkpoint(asked.checkpoint)
+    if asked.grasp_checkpoint is not None:
+        read_grasp_checkpoint(asked.grasp_checkpoint, None, None)
+
+
+def _rehearses(contender: Contender, options: ContenderOptions) -> bool:
+    reconstructs = contender.method == protocol.RECONSTRUCTION
+    return reconstructs and options.rehearse > 0 and contender.ablation != protocol.NO_REHEARSAL
+
+
 class Mind:
     """A contender ready to plan; networks are loaded once.
 
@@ -70,27 +114,13 @@ class Mind:
     ) -> None:
         self.contender = contender
         ablation = contender.ablation
-        if ablation.startswith(protocol.CHECKPOINT):
-            options = replace(options, checkpoint=Path(ablation.removeprefix(protocol.CHECKPOINT)))
-        reconstructs = contender.method == protocol.RECONSTRUCTION
-        rehearses = reconstructs and options.rehearse > 0 and ablation != protocol.NO_REHEARSAL
-        plan_options = PlanOptions(
-            method=contender.method,
-            solver=options.solver,
-            robot=options.robot,
-            checkpoint=options.checkpoint if reconstructs else None,
-            grasp_checkpoint=options.grasp_checkpoint if reconstructs else None,
-            device=options.device,
-            synthesis=REHEARSED_SEARCH if rehearses else SynthesisConfig(),
-        )
         if ablation == protocol.NO_SUCCESS:
             grasps = Indifferent(
                 grasps or load_grasp_model(options.grasp_checkpoint, None, options.device)
             )
-        planner = GraspPlanner(plan_options, grasps)
-        self._planner = planner
+        self._planner = planner = GraspPlanner(plan_options(contender, options), grasps)
         self._rehearsed = None
-        if rehearses:
+        if _rehearses(contender, options):
             self._rehearsed = RehearsedPlanner(
                 planner, RehearsedPlannerConfig(count=options.rehearse)
             )

@@ -1,0 +1,98 @@
+"""`rgrasp trial` as a user meets it: a table, a report, the same again, resumed after a loss."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from pointsdf_cli.io.trials import read_trial, read_trials
+
+pytest.importorskip("pybullet")
+
+
+@pytest.fixture
+def meshes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("RGRASP_CACHE", str(tmp_path / "cache"))
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    trimesh.creation.cylinder(0.03, 0.15).export(folder / "can.ply")
+    return folder
+
+
+def test_trials_resume_and_do_not_depend_on_jobs(
+    cli: Callable[..., Any], meshes: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "trials"
+    run = (
+        *("trial", "--meshes", meshes, "--method", "partial-view", "--yaws", 1),
+        *("--pictures", 1, "--seed", 4),
+    )
+    first = cli(*run, "--out", out, "--jobs", 1, "--json", "--record", 1)
+    assert first.code == 0, first.err
+    result = json.loads(first.out)
+    assert result["trials"] == 2
+    rows = read_trials(out / "trials.h5")
+    assert [(row.object, row.camera, row.method) for row in rows] == [
+        ("can", "high", "partial-view"),
+        ("can", "low", "partial-view"),
+    ]
+    assert result["held"]["partial-view"] == np.mean([row.held for row in rows])
+    assert (out / "report.html").read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert "partial-view" in (out / "report.md").read_text(encoding="utf-8")
+
+    # A trial that was lost is run again and ends the same; the other is kept as it is.
+    files = sorted((out / "trials").glob("*.h5"))
+    kept, lost = files[0].read_bytes(), read_trial(files[1])
+    files[1].unlink()
+    assert cli(*run, "--out", out, "--jobs", 1, "--quiet").code == 0
+    assert files[0].read_bytes() == kept
+    same(read_trial(files[1]), lost)
+
+    other = tmp_path / "parallel"
+    assert cli(*run, "--out", other, "--jobs", 2, "--quiet").code == 0
+    for path in files:
+        same(read_trial(other / "trials" / path.name), read_trial(path))
+
+    changed = cli(*run, "--out", out, "--jobs", 1, "--solver", "slsqp")
+    assert changed.code == 2
+    assert "other options" in changed.err
+
+
+def same(one: Any, two: Any) -> None:
+    """Equal but for the time that planning took."""
+    for field in vars(one[0]):
+        if not field.startswith("planning_"):
+            np.testing.assert_equal(getattr(one[0], field), getattr(two[0], field))
+    for field in vars(one[1]):
+        np.testing.assert_array_equal(getattr(one[1], field), getattr(two[1], field))
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--meshes", "nowhere"), "no such folder"),
+        (("--method", "magic"), "no method"),
+        (("--ablation", "orakel"), "no ablation"),
+        (("--cameras", "middle"), "no camera"),
+        (("--objects", "anvil"), "no object"),
+        (("--yaws", 0), "yaws"),
+        (("--seed", -1), "seed"),
+        (("--rehearse", -1), "--rehearse"),
+        (("--record", -1), "--record"),
+        (("--checkpoint", "nowhere"), "nowhere"),
+        (("--solver", "newton"), "no solver"),
+    ],
+)
+def test_mistakes_are_one_message(
+    cli: Callable[..., Any], tmp_path: Path, options: tuple[object, ...], says: str
+) -> None:
+    result = cli("trial", "--out", tmp_path / "trials", *options, "--jobs", 1)
+    assert result.code == 2
+    assert says in result.err
+    assert "Traceback" not in result.err

@@ -1,0 +1,122 @@
+"""Rehearsals: a good grasp of a can holds in them, a palm in the air does not; lifts go up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+from trial_worlds import CAN_AT, can_grasp, can_in_world
+
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.simulation.lift import lift_path
+from pointsdf_cli.simulation.rehearsal import (
+    Rehearsal,
+    RehearsalConfig,
+    Rehearsed,
+    believed_object,
+    best_first,
+)
+from pointsdf_cli.simulation.sim_object import DENSITY
+
+pytest.importorskip("pybullet")
+
+
+@pytest.fixture(scope="module")
+def rehearsal() -> Iterator[Rehearsal]:
+    made = Rehearsal(load_robot(), RehearsalConfig(repeats=3))
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def grasp() -> NDArray[np.float64]:
+    return can_grasp()
+
+
+def test_the_believed_can_weighs_and_turns_like_a_cylinder() -> None:
+    can = can_in_world()
+    item = believed_object(can.vertices, can.faces, RehearsalConfig())
+    mass = DENSITY * np.pi * 0.03**2 * 0.15
+    assert item.mass == pytest.approx(mass, rel=0.05)
+    np.testing.assert_allclose(item.T_mesh_body[:3, 3], [*CAN_AT, 0.075], atol=2e-3)
+    along, across = mass * 0.03**2 / 2, mass * (3 * 0.03**2 + 0.15**2) / 12
+    np.testing.assert_allclose(np.sort(item.inertia), [along, across, across], rtol=0.15)
+
+
+def test_what_hovers_over_the_table_is_put_down() -> None:
+    can = can_in_world()
+    can.apply_translation([0, 0, 0.006])
+    item = believed_object(can.vertices, can.faces, RehearsalConfig())
+    lowest = min((item.T_mesh_body[2, :3] @ corners.T).min() for corners, _ in item.pieces) + float(
+        item.T_mesh_body[2, 3]
+    )
+    assert lowest == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_good_grasp_holds_and_a_palm_in_the_air_does_not(
+    rehearsal: Rehearsal, grasp: NDArray[np.float64]
+) -> None:
+    can = can_in_world()
+    away = can_grasp(shift=(-0.05, -0.1, 0.05))
+    tried = rehearsal(can.vertices, can.faces, np.stack([away, grasp]), seed=0)
+    assert tried[1].tries == 3
+    assert tried[1].held >= 2
+    assert tried[0].held == 0
+    assert best_first(tried) == [1, 0]
+    assert rehearsal(can.vertices, can.faces, np.stack([away, grasp]), seed=0) == tried
+
+
+def test_order_prefers_many_tries_and_keeps_equals() -> None:
+    once, often, never, unable = (
+        Rehearsed(1, 1, 0.15),
+        Rehearsed(5, 5, 0.15),
+        Rehearsed(5, 0, 0.0),
+        Rehearsed(0, 0, 0.0),
+    )
+    assert best_first([unable, never, once, often]) == [3, 2, 1, 0]
+    assert best_first([once, once]) == [0, 1]
+
+
+def test_the_lift_is_straight_and_keeps_the_palm(grasp: NDArray[np.float64]) -> None:
+    robot = load_robot()
+    solver = InverseKinematics(robot)
+    path = lift_path(solver, robot, grasp, 0.15)
+    assert path is not None
+    rotation, position, _ = solver.palm(path)
+    np.testing.assert_allclose(
+        position[:, :2], position[0, :2] + np.zeros((len(path), 2)), atol=3e-3
+    )
+    np.testing.assert_allclose(position[-1, 2] - position[0, 2], 0.15, atol=3e-3)
+    np.testing.assert_allclose(rotation[-1], rotation[0], atol=0.01)
+    assert np.abs(np.diff(path, axis=0)).max() < 0.3
+    assert (path >= robot.lower[robot.arm] - 1e-9).all()
+    assert (path <= robot.upper[robot.arm] + 1e-9).all()
+
+
+def test_near_the_robot_the_palm_moves_outwards_as_it_rises() -> None:
+    robot = load_robot()
+    solver = InverseKinematics(robot)
+    path = lift_path(solver, robot, can_grasp(shift=(-0.08, 0.0, 0.0)), 0.15)
+    assert path is not None
+    rotation, position, _ = solver.palm(path)
+    np.testing.assert_allclose(position[-1, 2] - position[0, 2], 0.15, atol=3e-3)
+    assert 0.04 < position[-1, 0] - position[0, 0] < 0.11
+    np.testing.assert_allclose(rotation[-1], rotation[0], atol=0.01)
+
+
+def test_there_is_no_lift_out_of_reach(grasp: NDArray[np.float64]) -> None:
+    robot = load_robot()
+    assert lift_path(InverseKinematics(robot), robot, grasp, 3.0) is None
+
+
+def test_a_surface_below_the_table_cannot_be_rehearsed_on(rehearsal: Rehearsal) -> None:
+    from pointsdf_cli.errors import InputError
+
+    sunk = trimesh.creation.box((0.1, 0.1, 0.1))
+    sunk.apply_translation([0.6, 0, -0.2])
+    with pytest.raises(InputError, match="above the table"):
+        rehearsal(sunk.vertices, sunk.faces, np.zeros((1, 23)))

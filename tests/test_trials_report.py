@@ -1,0 +1,132 @@
+"""Tables of trials: written and read back, summed up, and shown in a page that stands alone."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.trials import (
+    Evidence,
+    TrialRow,
+    read_trial,
+    read_trials,
+    write_trial,
+    write_trials,
+)
+from pointsdf_cli.trials.report import html_report, markdown_report
+from pointsdf_cli.trials.summary import compare, summarise
+
+ROW = TrialRow(
+    object="mustard",
+    yaw_index=0,
+    repeat=0,
+    yaw=1.5,
+    camera="high",
+    method="reconstruction",
+    ablation="",
+    status="ok",
+    reason="",
+    kind="side",
+    cause="held",
+    planning_time=4.0,
+    planning_cpu=2.0,
+    success_probability=0.9,
+    rehearsed=1.0,
+    contact=False,
+    moved=0.0,
+    penetration=0.0,
+    lifted=True,
+    held=True,
+    final_height=0.149,
+    seed=0,
+)
+
+
+@pytest.fixture
+def rows() -> list[TrialRow]:
+    """Two objects, two cameras, two methods, one ablation; who holds is written here."""
+    made = []
+    for item in ("mustard", "lego"):
+        for camera in ("high", "low"):
+            row = replace(ROW, object=item, camera=camera)
+            made.append(row)
+            lost = replace(row, method="partial-view", held=False, cause="dropped", contact=True)
+            made.append(lost)
+            none = replace(
+                row,
+                ablation="oracle",
+                status="no_plan",
+                reason="table_collision",
+                cause="no_plan",
+                held=item == "mustard",
+                penetration=0.0,
+            )
+            made.append(none)
+    return made
+
+
+def test_rows_come_back_as_they_were(rows: list[TrialRow], tmp_path: Path) -> None:
+    write_trials(tmp_path / "trials.h5", rows, seed=3, config={"a": 1})
+    assert read_trials(tmp_path / "trials.h5") == rows
+    with pytest.raises(InputError, match="no trials"):
+        write_trials(tmp_path / "none.h5", [], seed=0, config={})
+
+
+def test_a_trial_comes_back_with_its_evidence(tmp_path: Path) -> None:
+    evidence = Evidence(
+        cloud=np.ones((5, 3), np.float32),
+        T_world_camera=np.eye(4),
+        vertices=np.zeros((0, 3), np.float32),
+        faces=np.zeros((0, 3), np.int32),
+        phases=("planned", "settle"),
+        q=np.zeros((2, 23)),
+        T_world_object=np.stack([np.eye(4)] * 2),
+        trajectory=np.zeros((3, 23)),
+        times=np.arange(3.0),
+    )
+    write_trial(tmp_path / "one.h5", ROW, evidence, {"b": 2})
+    row, back = read_trial(tmp_path / "one.h5")
+    assert row == ROW
+    assert back.phases == evidence.phases
+    np.testing.assert_array_equal(back.times, evidence.times)
+
+
+def test_summary_counts_what_was_written(rows: list[TrialRow]) -> None:
+    whole, partial, oracle = summarise(rows)
+    assert (whole.name, partial.name, oracle.name) == (
+        "reconstruction",
+        "partial-view",
+        "reconstruction/oracle",
+    )
+    assert (whole.held.successes, whole.held.trials) == (4, 4)
+    assert partial.by_camera["low"].successes == 0
+    assert partial.contact.value == 1.0
+    assert oracle.no_plan.value == 1.0
+    assert oracle.reasons == {"table_collision": 4}
+    assert oracle.by_object["lego"].successes == 0
+    test = compare(rows, "reconstruction", "partial-view")
+    assert (test.only_first, test.only_second) == (4, 0)
+    assert test.p == pytest.approx(2 / 16)
+
+
+def test_the_page_stands_alone_and_says_what_the_table_says(rows: list[TrialRow]) -> None:
+    page = html_report(rows, [("a failure <here>", b"\x89PNG")], "trials", {"vase": "is broken"})
+    HTMLParser().feed(page)
+    sources = re.findall(r'src="([^"]{0,20})', page)
+    assert sources
+    assert all(source.startswith("data:image/png") for source in sources)
+    assert "<script" not in page
+    for text in ("100% [51, 100] of 4", "table_collision 4", "a failure &lt;here&gt;", "is broken"):
+        assert text in page
+    # The published rates stand beside ours.
+    assert "reconstruction, published" in page
+    assert "48%" in page
+    markdown = markdown_report(rows, "trials")
+    assert "| reconstruction | 100% [34, 100] of 2 |" in markdown
+    assert "When does geometry matter" in markdown
