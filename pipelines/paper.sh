@@ -63,8 +63,8 @@ step collect rgrasp collect-grasps --meshes "$work/meshes/train" --out "$work/gr
 variants=()
 for encoder in pointsdf voxelcnn; do
     for mode in fixed scratch; do
-        step "train-gs-$encoder-$mode" rgrasp train-gs --grasps "$work/grasps" --encoder "$encoder" \
-            --mode "$mode" --sdf "$work/sdf/$encoder" --out "$work/gs/$encoder-$mode" $GS_LENGTH --force
+        step "train-gs-$encoder-$mode" resumed "$work/gs/$encoder-$mode" rgrasp train-gs \
+            --grasps "$work/grasps" --encoder "$encoder" --mode "$mode" --sdf "$work/sdf/$encoder" $GS_LENGTH
         variants+=(--checkpoint "$work/gs/$encoder-$mode")
     done
 done

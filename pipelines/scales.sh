@@ -13,7 +13,7 @@ tiny)
     GRASPS="40"
     COLLECT="--no-pictures"
     GS_LENGTH="--epochs 2"
-    TRIALS="--yaws 1 --cameras high"
+    TRIALS="--yaws 1 --cameras high --rehearse 1 --pictures 0"
     ;;
 small)
     TRAIN_OBJECTS="1000"

@@ -1,0 +1,135 @@
+"""Kills pipelines/paper.sh at random, again and again, and looks whether anything is lost.
+
+    python pipelines/kill_test.py WORK [--kills 50] [--longest 60] [--reference DIR]
+
+After each SIGKILL of the whole process group every file with a final name must be readable, and
+every finished view and label file must be byte for byte what it was. In the end the pipeline runs
+through, and with --reference (the folder of a run that nobody killed) its views, labels and grasps
+must equal that run's. Prints one line a kill; exit code 1 if anything was lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.checkpoints import read_checkpoint, read_train_state
+from pointsdf_cli.io.describe import describe
+from pointsdf_cli.io.grasps import read_grasps
+
+SCRIPT = Path(__file__).with_name("paper.sh")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--longest", type=float, default=60.0, help="seconds a run may live")
+    parser.add_argument("--reference", type=Path, help="an uninterrupted run's folder")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    rng, started = random.Random(options.seed), time.monotonic()
+    finished: dict[Path, str] = {}
+    losses = kills = 0
+    while kills < options.kills:
+        delay = rng.uniform(0.0, options.longest)
+        ended = run_for(options.work, delay)
+        found = look(options.work, finished)
+        losses += len(found)
+        steps = len(list((options.work / "done").glob("*")))
+        what = "ended by itself" if ended else f"killed after {delay:.1f} s"
+        print(f"{what}: {steps} steps done, {len(finished)} files, lost: {found or 'nothing'}")
+        kills += not ended
+        if ended:  # from the beginning of what can be made again, so that later kills count too
+            for mark in (options.work / "done").glob("*"):
+                mark.unlink()
+    assert run_for(options.work, None)
+    found = look(options.work, finished)
+    if options.reference:
+        found += differing(options.work, options.reference)
+    losses += len(found)
+    print(
+        f"{kills} kills in {time.monotonic() - started:.0f} s, then run through; "
+        f"lost: {losses} {found or ''}"
+    )
+    sys.exit(losses > 0)
+
+
+def run_for(work: Path, seconds: float | None) -> bool:
+    """Start the pipeline, kill it and all its children after so long; whether it ended before."""
+    log = work.with_name(work.name + ".log")
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with open(log, "a") as output:
+        process = subprocess.Popen(
+            ["bash", str(SCRIPT), str(work.resolve())],
+            env={**os.environ, "SCALE": "tiny", "JOBS": "1"},
+            stdout=output, stderr=output, start_new_session=True,
+        )  # fmt: skip
+        try:
+            code = process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            return False
+    if code:
+        sys.exit(f"the pipeline failed with {code}: see {log}")
+    return True
+
+
+def look(work: Path, finished: dict[Path, str]) -> list[str]:
+    """What is damaged or gone; `finished` takes in the sums of what is new."""
+    found = []
+    for path in work.rglob("*.h5"):
+        if path.name.startswith("."):
+            continue
+        try:
+            read_grasps(path) if "grasps" in path.parts else describe(path)
+        except InputError as error:
+            found.append(error.message)
+        if path.is_relative_to(work / "views") or path.is_relative_to(work / "labels"):
+            total = hashlib.sha256(path.read_bytes()).hexdigest()
+            if finished.setdefault(path, total) != total:
+                found.append(f"{path} has changed")
+    found += [f"{path} is gone" for path in finished if not path.exists()]
+    for state in work.rglob("train_state.pt"):
+        if ".partial-" not in str(state):
+            try:
+                read_train_state(state.parent)
+                if (state.parent / "model.safetensors").exists():
+                    read_checkpoint(state.parent)
+            except InputError as error:
+                found.append(error.message)
+    return found
+
+
+def differing(work: Path, reference: Path) -> list[str]:
+    """Artifacts whose arrays are not those of the uninterrupted run."""
+    found = []
+    for kind in ("views", "labels", "grasps"):
+        for one in sorted((reference / kind).rglob("*.h5")):
+            other = work / one.relative_to(reference)
+            if not other.exists():
+                found.append(f"{other} is missing")
+                continue
+            with h5py.File(one) as a, h5py.File(other) as b:
+                same = set(a) == set(b) and all(
+                    np.array_equal(a[n][()], b[n][()], equal_nan=a[n].dtype.kind == "f") for n in a
+                )
+            if not same:
+                found.append(f"{other} differs")
+    return found
+
+
+if __name__ == "__main__":
+    main()
