@@ -11,6 +11,7 @@ from pointsdf_cli.cli import (
     cloud,
     collect_grasps,
     doctor,
+    eval_gs,
     eval_sdf,
     info,
     label_sdf,
@@ -20,6 +21,7 @@ from pointsdf_cli.cli import (
     render,
     report,
     robot,
+    train_gs,
     train_sdf,
     trial,
     view,
@@ -61,6 +63,8 @@ app.command("eval-sdf")(eval_sdf.eval_sdf)
 app.command("cloud")(cloud.cloud)
 app.command("mesh")(mesh.mesh)
 app.command("collect-grasps")(collect_grasps.collect_grasps)
+app.command("train-gs")(train_gs.train_gs)
+app.command("eval-gs")(eval_gs.eval_gs)
 app.command("plan")(plan.plan)
 app.command("trial")(trial.trial)
 app.command("info")(info.info)

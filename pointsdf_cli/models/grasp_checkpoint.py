@@ -49,22 +49,14 @@ class GraspParts(NamedTuple):
     config: dict[str, Any]
 
 
-class EncoderSource(NamedTuple):
-    """A shape network and the checkpoint it was read from."""
-
-    model: ShapeModel
-    path: Path
-
-
 def write_grasp_checkpoint(
     path: Path | str,
     *,
     network: EmbeddingNet | GeometryNet,
-    network_weights: Mapping[str, Tensor],
-    prior: GraspPrior,
     encoder: ShapeModel,
-    encoder_weights: Mapping[str, Tensor] | None,
-    encoder_path: Path | None,
+    weights: Mapping[str, Tensor] | None,
+    prior: GraspPrior,
+    frozen_from: Path | None,
     mode: str,
     robot: RobotDescription,
     sweep: HandSweep,
@@ -76,10 +68,10 @@ def write_grasp_checkpoint(
 
     Args:
         path: The directory.
-        network, network_weights: The architecture, and the weights to keep.
+        network, encoder: The architectures.
+        weights: `network.…`, and `encoder.…` where that was trained along; None keeps those there.
         prior: Kept in double precision.
-        encoder, encoder_weights: The architecture; the weights, where they were trained here.
-        encoder_path: The checkpoint that frozen weights came from.
+        frozen_from: The checkpoint that a frozen encoder came from.
         mode: One of `MODES`.
         robot, sweep: Of the data.
         provenance: Goes into config.json.
@@ -87,18 +79,12 @@ def write_grasp_checkpoint(
         half: Store weights of the networks in float16.
     """
 
-    def stored(prefix: str, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        return {
-            f"{prefix}.{name}": tensor.half() if half and tensor.is_floating_point() else tensor
+    stored = None
+    if weights is not None:
+        stored = prior.state() | {
+            name: tensor.half() if half and tensor.is_floating_point() else tensor
             for name, tensor in weights.items()
         }
-
-    weights = stored("network", network_weights) | prior.state()
-    if encoder_weights is not None:
-        parts = tuple(f"{part}." for part in encoder.encoder_parts)
-        weights |= stored(
-            "encoder", {n: t for n, t in encoder_weights.items() if n.startswith(parts)}
-        )
     config = {
         "architecture": ARCHITECTURE,
         "inputs": network.inputs,
@@ -107,7 +93,7 @@ def write_grasp_checkpoint(
         "encoder": {
             "architecture": encoder.architecture,
             "model": encoder.config(),
-            **(_reference(encoder_path) if encoder_path is not None else {}),
+            **(_reference(frozen_from) if frozen_from is not None else {}),
         },
         "sweep": asdict(sweep.config),
         "robot": {
@@ -116,7 +102,7 @@ def write_grasp_checkpoint(
         },
         **provenance,
     }
-    write_checkpoint(path, config=config, weights=weights, train_state=train_state)
+    write_checkpoint(path, config=config, weights=stored, train_state=train_state)
 
 
 def read_grasp_checkpoint(
@@ -201,16 +187,17 @@ def _reference(path: Path) -> dict[str, str]:
     return {"checkpoint": name, "sha256": weights_hash(path)}
 
 
-def _encoder(checkpoint: Checkpoint, override: Path | str | None) -> ShapeModel:
+def encoder_path(checkpoint: Checkpoint, override: Path | str | None = None) -> Path:
+    """Where the frozen encoder of a checkpoint is.
+
+    Args:
+        checkpoint: Of mode `fixed`.
+        override: Where it is instead of where it was.
+
+    Raises:
+        InputError: It is missing, or has other weights than those that were trained with.
+    """
     config = checkpoint.config["encoder"]
-    if checkpoint.config["mode"] != FIXED:
-        model = build_model(config["architecture"], config["model"])
-        weights = _part(checkpoint, "encoder")
-        missing, unexpected = model.load_state_dict(weights, strict=False)
-        parts = tuple(f"{part}." for part in model.encoder_parts)
-        if unexpected or any(name.startswith(parts) for name in missing):
-            raise InputError("holds no complete encoder", where=checkpoint.path)
-        return model.requires_grad_(False).eval()
     stored = str(config.get("checkpoint"))
     path = Path(override) if override is not None else Path(stored)
     if override is None and stored.startswith(BUNDLED_PREFIX):
@@ -227,7 +214,19 @@ def _encoder(checkpoint: Checkpoint, override: Path | str | None) -> ShapeModel:
             where=checkpoint.path,
             hint="give the encoder's checkpoint with --sdf, or train again",
         )
-    return load_model(path)
+    return path
+
+
+def _encoder(checkpoint: Checkpoint, override: Path | str | None) -> ShapeModel:
+    if checkpoint.config["mode"] == FIXED:
+        return load_model(encoder_path(checkpoint, override))
+    config = checkpoint.config["encoder"]
+    model = build_model(config["architecture"], config["model"])
+    missing, unexpected = model.load_state_dict(_part(checkpoint, "encoder"), strict=False)
+    parts = tuple(f"{part}." for part in model.encoder_parts)
+    if unexpected or any(name.startswith(parts) for name in missing):
+        raise InputError("holds no complete encoder", where=checkpoint.path)
+    return model.requires_grad_(False).eval()
 
 
 def _part(checkpoint: Checkpoint, prefix: str) -> dict[str, Tensor]:

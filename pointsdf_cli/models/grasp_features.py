@@ -29,7 +29,7 @@ NEAR, FAR = 0.01, 0.04
 LENGTH = 0.1
 """Lengths are given in units of this [m]."""
 
-BODY_CELLS = 10
+BODY_CELLS = 8
 """Cells along each side of the box in which the object's body is measured."""
 
 BODY_SIZE = 6
@@ -40,9 +40,9 @@ class ObjectBody:
     """What the features need to know of the object besides its field, in the world.
 
     Attributes:
-        centre: f4 [3], centre of the seen points' upright bounding box, m.
-        mass_centre: f4 [3], centre of the reconstructed volume, m.
-        numbers: f4 [BODY_SIZE], standing for its size: see `object_body`.
+        centre: f4 [3] or [B, 3], centre of the seen points' upright bounding box, m.
+        mass_centre: f4 [3] or [B, 3], centre of the reconstructed volume, m.
+        numbers: f4 [BODY_SIZE] or [B, BODY_SIZE], standing for its size: see `object_body`.
     """
 
     centre: Tensor
@@ -96,26 +96,15 @@ class GraspFeatures:
     def __init__(self, sweep: HandSweep, preshape_ranges: NDArray[np.floating]) -> None:
         self._sweep = sweep
         ranges = torch.tensor(np.array(preshape_ranges), dtype=torch.float32)
-        self._middle, self._half = ranges.mean(1), (ranges[:, 1] - ranges[:, 0]) / 2
+        self._middle, self._half = ranges.mean(1), (ranges[:, 1] - ranges[:, 0]).clamp(min=1e-3) / 2
 
     @property
     def size(self) -> int:
-        """How many features there are."""
-        still, moving = self._sweep.sizes
-        stages = self._sweep.config.stages
-        sampled = still + stages * moving + len(self._sweep.region)
-        return (
-            2 * (still + stages * moving)
-            + len(self._sweep.region)
-            + stages
-            + (sampled > 0)
-            + len(self._middle)
-            + 3
-            + 3
-            + 3
-            + 1
-            + BODY_SIZE
-        )
+        """F, how many features there are."""
+        stages, (still, moving) = self._sweep.config.stages, self._sweep.sizes
+        on_links = stages * moving + still
+        other = stages + 1 + len(self._middle) + 3 + 3 + 3 + 1 + BODY_SIZE
+        return 2 * on_links + len(self._sweep.region) + other
 
     def __call__(
         self,
@@ -132,33 +121,54 @@ class GraspFeatures:
             body: The object.
             field: Its signed distances [...] m at points [..., 3] of the world, differentiable.
         """
-        preshape, palm = preshape.float(), T_world_palm.float()
+        points = self.points(preshape, T_world_palm)
+        return self.assemble(preshape, T_world_palm, body, points, field(points))
+
+    def points(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        """Where the field is read, [B, P, 3] in the world: moving links stage by stage, still ones,
+        and the closing region."""
+        palm = T_world_palm.float()
+        still, moving = self._sweep(preshape.float())
+        region = self._sweep.region.expand(len(palm), -1, -1)
+        local = torch.cat([moving.flatten(1, 2), still, region], dim=1)
+        return torch.baddbmm(palm[:, None, :3, 3], local, palm[:, :3, :3].transpose(1, 2))
+
+    def assemble(
+        self,
+        preshape: Tensor,
+        T_world_palm: Tensor,
+        body: ObjectBody,
+        points: Tensor,
+        distance: Tensor,
+    ) -> Tensor:
+        """Features [B, F] from signed distances [B, P] m at `points` [B, P, 3].
+
+        `body` may hold one object for all grasps, or a row for each.
+        """
+        palm = T_world_palm.float()
         rotation, position = palm[:, :3, :3], palm[:, :3, 3]
-        still, moving = self._sweep(preshape)
-        count, stages, links = moving.shape[:3]
-        region = self._sweep.region.expand(count, -1, -1)
-        local = torch.cat([moving.reshape(count, stages * links, 3), still, region], dim=1)
-        world = local @ rotation.transpose(1, 2) + position[:, None]
-        distance = field(world)
-        on_links = distance[:, : stages * links + still.shape[1]]
-        lowest = world[:, : stages * links, 2].reshape(count, stages, links).amin(-1)
+        stages, (still, moving) = self._sweep.config.stages, self._sweep.sizes
+        swept = stages * moving
+        on_links, in_region = distance.split([swept + still, len(self._sweep.region)], dim=1)
+        lowest = points[:, :swept, 2].unflatten(1, (stages, moving)).amin(-1)
         up = rotation[:, 2]
         to_centre = _turned_back(rotation, body.centre - position)
         to_mass = _turned_back(rotation, body.mass_centre - position)
+        # What the weight does about the palm: a lever. The small number keeps the root smooth.
+        lever = torch.linalg.cross(up, to_mass).square().sum(1, keepdim=True)
         return torch.cat(
             [
                 torch.tanh(on_links / NEAR),
                 torch.tanh(on_links / FAR),
-                torch.tanh(distance[:, on_links.shape[1] :] / FAR),
+                torch.tanh(in_region / FAR),
                 torch.tanh(lowest / FAR),
                 position[:, 2:] / LENGTH,
-                (preshape - self._middle) / self._half,
+                (preshape.float() - self._middle) / self._half,
                 up,
                 to_centre / LENGTH,
                 to_mass / LENGTH,
-                # What the weight does about the palm: a lever.
-                torch.linalg.cross(up, to_mass).norm(dim=1, keepdim=True) / LENGTH,
-                body.numbers.expand(count, -1),
+                (lever + 1e-8).sqrt() / LENGTH,
+                body.numbers.expand(len(palm), -1),
             ],
             dim=1,
         )

@@ -34,10 +34,10 @@ class SweepConfig:
         grid: Points of the closing region along the palm's x, y and z.
     """
 
-    stages: int = 6
+    stages: int = 4
     share: float = 0.8
     points_per_link: int = 2
-    grid: tuple[int, int, int] = (5, 5, 6)
+    grid: tuple[int, int, int] = (4, 4, 4)
 
     def __post_init__(self) -> None:
         counts = (self.stages - 1, self.points_per_link, *self.grid)

@@ -45,9 +45,9 @@ class ShapeModel(nn.Module, ABC):
     encoder_parts: tuple[str, ...] = ("layers", "to_embedding")
     """The submodules that the embedding depends on."""
 
-    def embed(self, cloud: Tensor, camera: Tensor) -> Tensor:
+    def embed(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Tensor:
         """The embedding [B, 256] alone, of what `encode` takes."""
-        return self.encode(cloud, camera).embedding
+        return self.encode(cloud, camera, neighbours).embedding
 
     @abstractmethod
     def config(self) -> dict[str, Any]:

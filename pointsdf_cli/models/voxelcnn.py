@@ -68,11 +68,11 @@ class VoxelCNN(ShapeModel):
     def config(self) -> dict[str, Any]:
         return {}
 
-    def embed(self, cloud: Tensor, camera: Tensor) -> Tensor:
+    def embed(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Tensor:
         return self.to_embedding(self.encoder(occupancy(cloud).unsqueeze(1)))
 
     def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
-        embedding = self.embed(cloud, camera)
+        embedding = self.embed(cloud, camera, neighbours)
         logits = self.decoder(self.from_embedding(embedding).view(-1, 1, 7, 7, 7))
         return Encoding(embedding, {"logits": logits})
 

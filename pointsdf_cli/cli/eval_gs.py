@@ -1,0 +1,122 @@
+"""`rgrasp eval-gs`: success networks on held-out objects, to Figure 3."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pointsdf_cli.cli import common
+
+
+def eval_gs(
+    checkpoint: Annotated[
+        list[Path], typer.Option(help="Of train-gs; may be repeated, one row of the table each.")
+    ],
+    grasps: Annotated[Path, typer.Option(help="Grasps that `rgrasp collect-grasps` made.")],
+    out: Annotated[
+        Path, typer.Option(help="The table; OUT's name with .png goes beside it.")
+    ] = Path("table.json"),
+    sdf: Annotated[
+        Path | None,
+        typer.Option(help="The frozen reconstruction network, if it is not where it was."),
+    ] = None,
+    robot: Annotated[
+        Path | None, typer.Option(help="A robot's YAML.  [default: LBR4 with Allegro hand]")
+    ] = None,
+    cache: Annotated[
+        Path | None,
+        typer.Option(help="Where the network's answers are kept.  [default: GRASPS-cache]"),
+    ] = None,
+    threads: Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")] = 0,
+    seed: common.Seed = 0,
+    jobs: common.Jobs = 0,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Score success networks beside trivial baselines, with 95% intervals over objects.
+
+    Example: rgrasp eval-gs --checkpoint gs/ --grasps grasps/ --out figure3.json
+    """
+    import json
+
+    import numpy as np
+
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.atomic import require_new, write_text_atomic
+    from pointsdf_cli.io.provenance import git_commit
+    from pointsdf_cli.models.registry import use_threads
+    from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.training import gs_baselines
+    from pointsdf_cli.training import gs_evaluation as evaluation
+    from pointsdf_cli.training.gs_data import read_grasp_data
+    from pointsdf_cli.training.gs_variants import Sources, prepare_trained, title_of
+    from pointsdf_cli.training.precision import idle_processors
+    from pointsdf_cli.viz.success_figure import draw_success_figure
+
+    seed = common.check_seed(seed)
+    table_path, picture = (require_new(path, force) for path in (out, out.with_suffix(".png")))
+    use_threads(threads or idle_processors())
+    machine = load_robot(robot)
+    data = read_grasp_data(grasps, machine)
+    held_out = data.held_out[data.object_of]
+    rows, known = np.flatnonzero(held_out), np.flatnonzero(~held_out)
+    for part, what in ((rows, "held-out objects"), (known, "objects to train on")):
+        if len(np.unique(data.label[part])) < 2:
+            raise InputError(
+                f"the grasps of {what} are not both held and lost",
+                where=f"--grasps {grasps}",
+                hint="collect more grasps, or of more objects",
+            )
+    reporter = common.Reporter(quiet, as_json)
+    cache = cache or grasps.with_name(grasps.name + "-cache")
+    methods: list[evaluation.Scored] = []
+    prior = None
+    with reporter.progress("eval-gs", len(data.names)) as bar:
+        sources = Sources(cache, sdf, robot, common.job_count(jobs), bar.advance)
+        for path in checkpoint:
+            learner, prior, config = prepare_trained(path, data, sources)
+            name = title_of(config)
+            if name in [method.name for method in methods]:
+                name = f"{name} ({path.resolve().name})"
+            methods.append(
+                evaluation.scored_network(
+                    name,
+                    learner.logits(np.arange(len(data))),
+                    **config["calibration"],
+                    threshold=config["validation"]["threshold"],
+                )
+            )
+    assert prior is not None
+    for name, score in (
+        ("always success", gs_baselines.always(data, known)),
+        ("prior only", gs_baselines.prior_score(data, prior, machine)),
+        ("10 nearest neighbours", gs_baselines.nearest_neighbours(data, known)),
+    ):
+        methods.append(evaluation.scored_baseline(name, score, data.label[known], score[known]))
+    table = {
+        method.name: evaluation.measure(data, rows, method.at(rows), seed) for method in methods
+    }
+    result: dict[str, Any] = {
+        "table": table,
+        "published_f1": evaluation.PUBLISHED,
+        "held_out": evaluation.describe_grasps(data, rows),
+        "known": evaluation.describe_grasps(data, known),
+        "checkpoints": [str(path) for path in checkpoint],
+        "grasps": str(grasps),
+        "seed": seed,
+        "git_commit": git_commit(),
+    }
+    write_text_atomic(table_path, json.dumps(result, indent=1, ensure_ascii=False) + "\n")
+    draw_success_figure(picture, table, evaluation.PUBLISHED)
+    about = result["held_out"]
+    lines = [
+        f"{about['grasps']} grasps of {about['objects']} held-out objects, "
+        f"{about['base_rate']:.1%} held",
+        *evaluation.table_lines(table),
+        "",
+        f"{table_path}, {picture.name}",
+    ]
+    reporter.result(result, lines)

@@ -1,0 +1,128 @@
+"""`rgrasp train-gs`: labelled grasps to a success network and a prior."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pointsdf_cli.cli import common
+
+
+def train_gs(
+    grasps: Annotated[Path, typer.Option(help="Grasps that `rgrasp collect-grasps` made.")],
+    out: Annotated[Path, typer.Option(help="The checkpoint directory.")],
+    encoder: Annotated[
+        str,
+        typer.Option(
+            help="geometry (distances of the reconstruction at the grasp), or the published "
+            "embeddings pointsdf or voxelcnn."
+        ),
+    ] = "geometry",
+    mode: Annotated[
+        str,
+        typer.Option(help="Of the encoder: fixed, fine-tuned, or scratch (no reconstruction)."),
+    ] = "fixed",
+    sdf: Annotated[
+        Path | None,
+        typer.Option(help="The reconstruction network to build on.  [default: the bundled one]"),
+    ] = None,
+    robot: Annotated[
+        Path | None, typer.Option(help="A robot's YAML.  [default: LBR4 with Allegro hand]")
+    ] = None,
+    epochs: Annotated[int | None, typer.Option(help="Passes over the grasps, at most.")] = None,
+    batch_size: Annotated[int | None, typer.Option(help="Grasps a step.")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="At its highest.")] = None,
+    patience: Annotated[
+        int | None, typer.Option(help="Epochs without improvement that end the run.")
+    ] = None,
+    validation: Annotated[
+        float | None, typer.Option(help="Share of the training objects that validate.")
+    ] = None,
+    half: Annotated[bool, typer.Option("--half", help="Store the weights in float16.")] = False,
+    cache: Annotated[
+        Path | None,
+        typer.Option(help="Where the network's answers are kept.  [default: GRASPS-cache]"),
+    ] = None,
+    threads: Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Carry on from OUT.")] = False,
+    seed: common.Seed = 0,
+    jobs: common.Jobs = 0,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Train the network that says how likely a grasp holds, and the prior over grasps.
+
+    Ctrl-C stops it cleanly, --resume carries on.
+
+    Example: rgrasp train-gs --grasps grasps/ --out gs/
+    """
+    from pointsdf_cli.cli.signals import stop_requests
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.checkpoints import has_train_state
+    from pointsdf_cli.models.registry import use_threads
+    from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.training.gs_data import read_grasp_data, split_grasps
+    from pointsdf_cli.training.gs_loop import Fitted, SuccessTraining, train_success
+    from pointsdf_cli.training.gs_outcome import Checkpointer, resumable_state
+    from pointsdf_cli.training.gs_variants import Sources, Variant, prepare, prior_of
+    from pointsdf_cli.training.precision import idle_processors
+
+    variant = Variant(encoder, mode)
+    chosen: dict[str, Any] = {
+        "epochs": epochs,
+        "batch_size": batch_size,
+        "learning_rate": learning_rate,
+        "patience": patience,
+        "validation": validation,
+    }
+    config = SuccessTraining(
+        seed=common.check_seed(seed), **{k: v for k, v in chosen.items() if v is not None}
+    )
+    if not resume and has_train_state(out) and not force:
+        raise InputError(
+            "holds a training run already", where=f"--out {out}", hint="add --resume, or --force"
+        )
+    use_threads(threads or idle_processors())
+    state = resumable_state(out, variant) if resume else None
+    reporter = common.Reporter(quiet, as_json)
+    machine = load_robot(robot)
+    data = read_grasp_data(grasps, machine)
+    split = split_grasps(data, config.validation, seed)
+    cache = cache or grasps.with_name(grasps.name + "-cache")
+    with reporter.progress("asking the reconstruction", len(data.names)) as bar:
+        sources = Sources(cache, sdf, robot, common.job_count(jobs), bar.advance)
+        prepared = prepare(data, split, variant, sources, seed)
+    checkpointer = Checkpointer(
+        out, prepared, variant, machine, data, split, config, prior_of(data, machine), half
+    )
+    reporter.say(
+        f"{variant.title}: {len(split.train)} grasps to train on, {len(split.validation)} of other "
+        f"objects to validate on; {data.base_rate:.1%} of all held"
+    )
+
+    def on_epoch(fitted: Fitted, now: dict[str, Any]) -> None:
+        checkpointer.save_now_and_then(fitted, now)
+        entry = fitted.history[-1]
+        reporter.say(
+            f"epoch {entry['epoch']:.0f}: loss {entry['train_loss']:.4f}, validation "
+            f"{entry['loss']:.4f}, average precision {entry['average_precision']:.3f}, "
+            f"AUC {entry['roc_auc']:.3f}; {fitted.seconds:.0f} s"
+        )
+
+    with stop_requests() as should_stop:
+        fitted = train_success(
+            data,
+            split,
+            prepared.learner,
+            config,
+            resume=state,
+            on_epoch=on_epoch,
+            should_stop=should_stop,
+        )
+    result = checkpointer.finish(fitted)
+    reporter.result({"out": out, "variant": variant.title, **result})
+    if not fitted.finished:
+        reporter.say("stopped; the same command with --resume carries on")

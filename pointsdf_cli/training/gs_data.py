@@ -1,0 +1,149 @@
+"""Executed grasps for the success network, split by object.
+
+Only grasps that were carried out are read: held is 1, lost is 0. A grasp without inverse kinematics
+or without a motion says nothing about whether it would have held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.grasps import HELD, read_grasps
+from pointsdf_cli.models.grasp_checkpoint import check_robot
+from pointsdf_cli.robot.description import RobotDescription
+
+
+@dataclass(frozen=True)
+class GraspData:
+    """N executed grasps of O objects.
+
+    Attributes:
+        names: O, the files' paths in the folder, without suffix.
+        files: O.
+        held_out: bool [O], objects that no training may see.
+        object_of: int [N].
+        scene_of: int [N], numbered over all objects; grasps of a scene share pose and view.
+        preshape: f8 [N, K] rad.
+        T_world_palm, T_world_camera: f8 [N, 4, 4].
+        cloud: f4 [N, P, 3], camera frame, m.
+        kind: i1 [N], 0 side, 1 top.
+        label: f4 [N], 1 held, 0 lost.
+    """
+
+    names: list[str]
+    files: list[Path]
+    held_out: NDArray[np.bool_]
+    object_of: NDArray[np.int64]
+    scene_of: NDArray[np.int64]
+    preshape: NDArray[np.float64]
+    T_world_palm: NDArray[np.float64]
+    T_world_camera: NDArray[np.float64]
+    cloud: NDArray[np.float32]
+    kind: NDArray[np.int8]
+    label: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.label)
+
+    @property
+    def base_rate(self) -> float:
+        """Share of grasps that held."""
+        return float(self.label.mean())
+
+
+@dataclass(frozen=True)
+class Split:
+    """Indices of grasps; no object is in two of them."""
+
+    train: NDArray[np.int64]
+    validation: NDArray[np.int64]
+    test: NDArray[np.int64]
+
+
+def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
+    """Read a folder that `collect-grasps` wrote.
+
+    Raises:
+        InputError: No such folder, no grasps in it, a file of another schema or another robot.
+    """
+    folder = Path(folder)
+    hint = "rgrasp collect-grasps --meshes DIR --out " + str(folder)
+    if not folder.is_dir():
+        raise InputError("no such folder of grasps", where=folder, hint=hint)
+    files = sorted(p for p in folder.rglob("*.h5") if not p.name.startswith("."))
+    if not files:
+        raise InputError("holds no grasps (*.h5)", where=folder, hint=hint)
+    names: list[str] = []
+    kept: list[Path] = []
+    held_out, rows = [], []
+    scenes = 0
+    for file in files:
+        grasps, meta = read_grasps(file)
+        check_robot(robot, meta.robot, meta.preshape_joints, file)
+        chosen = np.flatnonzero(grasps.executed)
+        if not len(chosen):
+            continue
+        columns = [meta.joint_names.index(joint) for joint in meta.preshape_joints]
+        scene = np.unique(grasps.scene[chosen], return_inverse=True)[1]
+        rows.append(
+            (
+                np.full(len(chosen), len(names)),
+                scene + scenes,
+                grasps.q[chosen][:, columns],
+                grasps.T_world_palm[chosen],
+                grasps.T_world_camera[chosen],
+                grasps.cloud[chosen],
+                grasps.kind[chosen],
+                (grasps.label[chosen] == HELD).astype(np.float32),
+            )
+        )
+        scenes += int(scene.max()) + 1
+        names.append(file.relative_to(folder).with_suffix("").as_posix())
+        kept.append(file)
+        held_out.append(meta.split == "test")
+    if not rows:
+        raise InputError("holds no executed grasp", where=folder, hint="collect more of them")
+    joined = [np.concatenate(column) for column in zip(*rows, strict=True)]
+    return GraspData(names, kept, np.array(held_out), *joined)
+
+
+def split_grasps(data: GraspData, validation: float, seed: int) -> Split:
+    """Split by object: those held out are the test; of the others a share validates.
+
+    Args:
+        data: The grasps.
+        validation: Share of the objects that are not held out.
+        seed: Of the choice.
+
+    Raises:
+        InputError: Too few objects, or grasps of one label only in training or validation.
+    """
+    free = np.flatnonzero(~data.held_out)
+    count = max(1, round(validation * len(free)))
+    if len(free) < 2 or count >= len(free):
+        raise InputError(
+            f"{len(free)} objects to train on", where="--grasps", allowed="at least 2 objects"
+        )
+    chosen = np.random.default_rng([seed, 7]).permutation(free)
+    validates = np.isin(data.object_of, chosen[:count])
+    trains = np.isin(data.object_of, chosen[count:])
+    for name, part in (("train on", trains), ("validate on", validates)):
+        labels = np.unique(data.label[part])
+        if len(labels) < 2:
+            outcome = "held" if labels[0] == 1 else "were lost"
+            raise InputError(
+                f"all {int(part.sum())} grasps to {name} {outcome}: there is nothing to tell apart",
+                where="--grasps",
+                allowed="held and lost grasps",
+                hint="collect more grasps, or of more objects",
+            )
+    return Split(
+        np.flatnonzero(trains),
+        np.flatnonzero(validates),
+        np.flatnonzero(data.held_out[data.object_of]),
+    )

@@ -1,0 +1,183 @@
+"""Asking a shape network once for everything that grasps need of it, and keeping the answers.
+
+Embeddings and distances go to one file for each grasps file, named by a hash of the grasps, the
+network's weights and the points that are asked for. A second training run reads them in a second.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.atomic import require_folder
+from pointsdf_cli.io.batch import run_stage
+from pointsdf_cli.io.grasp_evidence import Evidence, join_evidence, read_evidence, write_evidence
+from pointsdf_cli.io.grasps import read_grasps
+from pointsdf_cli.models.grasp_checkpoint import weights_hash
+from pointsdf_cli.models.grasp_features import BODY_SIZE, GraspFeatures, object_body
+from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
+from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.models.registry import load_model, use_threads
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.training.gs_data import GraspData
+from pointsdf_cli.training.precision import autocast_dtype
+
+RECIPE = 1
+"""Counts up when the same inputs would give other numbers."""
+
+
+@dataclass(frozen=True)
+class EvidenceTask:
+    """One grasps file for one worker process.
+
+    Attributes:
+        grasps: The file.
+        out: Where its evidence goes.
+        key: Hash of all that decides it.
+        encoder: The shape network's checkpoint.
+        sweep: Where the hand's distances are asked for; None for embeddings only.
+        robot: The robot's YAML; None for the bundled one.
+    """
+
+    grasps: Path
+    out: Path
+    key: str
+    encoder: Path
+    sweep: SweepConfig | None
+    robot: Path | None
+
+
+def evidence_of(
+    data: GraspData,
+    encoder: Path,
+    cache: Path,
+    *,
+    sweep: SweepConfig | None,
+    robot: Path | None = None,
+    jobs: int = 1,
+    on_done: Callable[[str, object], None] | None = None,
+) -> Evidence:
+    """The evidence of all grasps, computed where the cache does not have it.
+
+    Args:
+        data: The grasps.
+        encoder: Checkpoint directory of the shape network.
+        cache: Folder of the cache.
+        sweep: Where distances are asked for; None for embeddings only.
+        robot: The robot's YAML; None for the bundled one.
+        jobs: Processes.
+        on_done: Called with each file's name.
+
+    Raises:
+        InputError: The checkpoint or the cache cannot be used.
+    """
+    cache = require_folder(cache)
+    weights = weights_hash(encoder)
+    if not load_cached(encoder).gives_distances and sweep is not None:
+        raise InputError(
+            f"a {load_cached(encoder).architecture} gives no distances",
+            where=encoder,
+            allowed="a network of signed distances, such as pointsdf-ray",
+        )
+    tasks = []
+    for name, file in zip(data.names, data.files, strict=True):
+        decides = [
+            RECIPE,
+            hashlib.sha256(file.read_bytes()).hexdigest(),
+            weights,
+            None if sweep is None else asdict(sweep),
+            load_robot(robot).name,
+        ]
+        key = hashlib.sha256(json.dumps(decides).encode()).hexdigest()
+        out = cache / f"{name.replace('/', '__')}-{key[:16]}.h5"
+        tasks.append((name, EvidenceTask(file, out, key, encoder, sweep, robot)))
+    missing = [(name, task) for name, task in tasks if not task.out.is_file()]
+    run_stage(missing, make_evidence, jobs=jobs, on_done=on_done).raise_if_refused()
+    evidence = join_evidence([read_evidence(task.out) for _, task in tasks])
+    if len(evidence.scale) != len(data):
+        raise InputError("does not fit the grasps", where=cache, hint=f"remove {cache}")
+    return evidence
+
+
+def make_evidence(task: EvidenceTask) -> int:
+    """Ask the network about the executed grasps of one file and write what it says."""
+    use_threads(1)
+    model = load_cached(task.encoder)
+    robot = load_robot(task.robot)
+    grasps, meta = read_grasps(task.grasps)
+    columns = [meta.joint_names.index(joint) for joint in robot.preshape_joints]
+    chosen = np.flatnonzero(grasps.executed)
+    features = None
+    if task.sweep is not None:
+        features = GraspFeatures(HandSweep(robot, task.sweep), robot.preshape_ranges)
+    parts, order = [], []
+    for scene in np.unique(grasps.scene[chosen]):
+        rows = chosen[grasps.scene[chosen] == scene]
+        order.append(rows)
+        parts.append(
+            _scene_evidence(
+                model,
+                grasps.cloud[rows[0]],
+                grasps.T_world_camera[rows[0]],
+                grasps.q[rows][:, columns],
+                grasps.T_world_palm[rows],
+                features,
+            )
+        )
+    evidence = join_evidence(parts)
+    back = np.argsort(np.concatenate(order), kind="stable")
+    evidence = Evidence(**{name: getattr(evidence, name)[back] for name in vars(evidence)})
+    write_evidence(task.out, evidence, task.key)
+    return len(chosen)
+
+
+@lru_cache(maxsize=2)
+def load_cached(checkpoint: Path) -> ShapeModel:
+    """`load_model`, once a process."""
+    return load_model(checkpoint)
+
+
+def _scene_evidence(
+    model: ShapeModel,
+    cloud: NDArray[np.float32],
+    T_world_camera: NDArray[np.float64],
+    preshape: NDArray[np.float64],
+    T_world_palm: NDArray[np.float64],
+    features: GraspFeatures | None,
+) -> Evidence:
+    """All grasps [G] of one scene; its view is read once."""
+    count = len(preshape)
+    points = apply_transform(T_world_camera, cloud)
+    shape = Reconstruction.from_cloud(model, points, T_world_camera[:3, 3], T_world_camera[:3, :3])
+    low_precision = autocast_dtype("auto", torch.device("cpu"))
+
+    def field(x: NDArray[np.floating]) -> NDArray[np.float32]:
+        with torch.autocast("cpu", low_precision, enabled=low_precision is not None):
+            return shape.sdf(x)
+
+    distance = np.zeros((count, 0), np.float32)
+    body = np.zeros((count, 6 + BODY_SIZE), np.float32)
+    if features is not None:
+        asked = features.points(torch.tensor(preshape), torch.tensor(T_world_palm))
+        distance = field(asked.numpy())
+        found = object_body(points, field)
+        body[:] = torch.cat([found.centre, found.mass_centre, found.numbers]).numpy()
+    return Evidence(
+        embedding=np.repeat(shape.embedding[None], count, axis=0).astype(np.float32),
+        centre=np.repeat(shape.centre[None], count, axis=0),
+        scale=np.full(count, shape.scale),
+        size=np.repeat(shape.size[None], count, axis=0).astype(np.float32),
+        distance=distance,
+        body=body,
+    )

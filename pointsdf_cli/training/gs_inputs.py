@@ -1,0 +1,219 @@
+"""What the success networks read, as tensors: one row a grasp, ready for batches.
+
+Two kinds. `FixedInputs` holds everything that the network reads, because nothing before it learns.
+`CloudInputs` holds the clouds, one a scene, and an encoder that is trained along.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from pointsdf_cli.io.grasp_evidence import Evidence
+from pointsdf_cli.models.grasp_features import GraspFeatures, ObjectBody
+from pointsdf_cli.models.grasp_success import EmbeddingNet, GeometryNet, grasp_numbers
+from pointsdf_cli.models.normalise import network_frame
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.gs_data import GraspData
+from pointsdf_cli.training.sdf_pack import pack_views
+
+Index = NDArray[np.int64]
+
+EVALUATED = 256
+"""Clouds encoded at once when nothing is learned."""
+
+SHAKE = 0.3
+"""Clouds and palms are turned together about the optical axis, within this angle [rad]."""
+
+
+class Learner(ABC):
+    """A network with the inputs of all grasps.
+
+    Attributes:
+        modules: What learns, by name.
+    """
+
+    modules: dict[str, nn.Module]
+
+    @abstractmethod
+    def training_logits(self, index: Index, rng: np.random.Generator) -> Tensor:
+        """Raw logits [M, n] of grasps `index` [n], of each of M members, with gradients."""
+
+    @abstractmethod
+    def logits(self, index: Index) -> NDArray[np.float64]:
+        """Raw logits [n] in evaluation mode."""
+
+    def pose_and_size(self) -> tuple[Tensor, Tensor]:
+        """Of a network on embeddings: grasp numbers [N, K + 9] and cloud sizes [N, 3]."""
+        raise NotImplementedError
+
+    @property
+    def parameters(self) -> list[nn.Parameter]:
+        """All that learns."""
+        return [p for module in self.modules.values() for p in module.parameters()]
+
+    def train(self, learning: bool) -> None:
+        """Training or evaluation mode."""
+        for module in self.modules.values():
+            module.train(learning)
+
+
+class FixedInputs(Learner):
+    """The network's inputs do not depend on anything that learns.
+
+    Args:
+        network: Of either kind.
+        columns: What its `forward` takes, each with N rows.
+    """
+
+    def __init__(self, network: EmbeddingNet | GeometryNet, *columns: Tensor) -> None:
+        self.network, self.columns = network, columns
+        self.modules = {"network": network}
+
+    def pose_and_size(self) -> tuple[Tensor, Tensor]:
+        return self.columns[0], self.columns[2]
+
+    def training_logits(self, index: Index, rng: np.random.Generator) -> Tensor:
+        rows = [column[index] for column in self.columns]
+        if isinstance(self.network, GeometryNet):
+            return self.network.members(*rows)
+        return self.network(*rows)[None]
+
+    @torch.no_grad()
+    def logits(self, index: Index) -> NDArray[np.float64]:
+        self.train(False)
+        return self.network(*(c[index] for c in self.columns)).double().numpy()
+
+
+class CloudInputs(Learner):
+    """An encoder that learns, and the clouds of all scenes that it reads.
+
+    Args:
+        network: Reads the embedding.
+        encoder: Of its parts only those that make the embedding learn.
+        data: The grasps; of each scene the first grasp's cloud is read.
+        low_precision: For autocast in the encoder; None for float32.
+    """
+
+    def __init__(
+        self,
+        network: EmbeddingNet,
+        encoder: ShapeModel,
+        data: GraspData,
+        low_precision: torch.dtype | None,
+    ) -> None:
+        self.network, self.encoder, self.low_precision = network, encoder, low_precision
+        encoder.requires_grad_(False)
+        self.modules = {"network": network}
+        for part in encoder.encoder_parts:
+            self.modules[f"encoder.{part}"] = getattr(encoder, part).requires_grad_(True)
+        first = np.unique(data.scene_of, return_index=True)[1]
+        clouds = data.cloud[first]
+        packed = pack_views(clouds, np.tile(np.eye(4), (len(first), 1, 1)))
+        self._clouds = torch.from_numpy(packed["clouds"])
+        self._cameras = torch.from_numpy(packed["cameras"])
+        self._neighbours = packed["neighbours"]
+        self._scene = data.scene_of
+        frames = [network_frame(cloud) for cloud in clouds]
+        self._numbers, self._size = pose_numbers(
+            data,
+            np.array([frames[s].centre for s in data.scene_of]),
+            np.array([frames[s].scale for s in data.scene_of]),
+        )
+
+    def pose_and_size(self) -> tuple[Tensor, Tensor]:
+        return self._numbers, self._size
+
+    def training_logits(self, index: Index, rng: np.random.Generator) -> Tensor:
+        scenes, back = np.unique(self._scene[index], return_inverse=True)
+        angle = torch.from_numpy(rng.uniform(-SHAKE, SHAKE, len(scenes)).astype(np.float32))
+        turn = _about_z(angle)
+        embedding = self._embed(scenes, turn)[back]
+        numbers = turn_numbers(self._numbers[index], turn[back])
+        return self.network(numbers, embedding, self._size[index])[None]
+
+    @torch.no_grad()
+    def logits(self, index: Index) -> NDArray[np.float64]:
+        self.train(False)
+        scenes, back = np.unique(self._scene[index], return_inverse=True)
+        parts = [
+            self._embed(scenes[start : start + EVALUATED], None)
+            for start in range(0, len(scenes), EVALUATED)
+        ]
+        embedding = torch.cat(parts)[back]
+        found = self.network(self._numbers[index], embedding, self._size[index])
+        return found.double().numpy()
+
+    def _embed(self, scenes: Index, turn: Tensor | None) -> Tensor:
+        cloud, camera = self._clouds[scenes].float(), self._cameras[scenes].float()
+        if turn is not None:
+            cloud = cloud @ turn.transpose(1, 2)
+            camera = (turn @ camera[:, :, None]).squeeze(-1)
+        neighbours = None
+        if self.encoder.packed_neighbours is not None:
+            centres, count = self.encoder.packed_neighbours
+            chosen = self._neighbours[scenes, :centres, :count].astype(np.int64)
+            neighbours = torch.from_numpy(chosen)
+        low = self.low_precision
+        with torch.autocast("cpu", low, enabled=low is not None):
+            return self.encoder.embed(cloud, camera, neighbours).float()
+
+
+def geometry_features(data: GraspData, evidence: Evidence, features: GraspFeatures) -> Tensor:
+    """Features [N, F] of all grasps from kept distances."""
+    preshape, palm = torch.tensor(data.preshape), torch.tensor(data.T_world_palm)
+    body = torch.from_numpy(evidence.body)
+    parts = []
+    for rows in torch.arange(len(data)).split(1024):
+        points = features.points(preshape[rows], palm[rows])
+        of_rows = ObjectBody(body[rows, :3], body[rows, 3:6], body[rows, 6:])
+        distance = torch.from_numpy(evidence.distance)[rows]
+        parts.append(features.assemble(preshape[rows], palm[rows], of_rows, points, distance))
+    return torch.cat(parts)
+
+
+def embedding_columns(data: GraspData, evidence: Evidence) -> tuple[Tensor, Tensor, Tensor]:
+    """What `EmbeddingNet` takes: grasp numbers [N, K + 9], embeddings [N, E], sizes [N, 3]."""
+    to_camera = data.T_world_camera[:, :3, :3].transpose(0, 2, 1)
+    offset = evidence.centre - data.T_world_camera[:, :3, 3]
+    centre = np.einsum("nij,nj->ni", to_camera, offset)
+    numbers, _ = pose_numbers(data, centre, evidence.scale)
+    return numbers, torch.from_numpy(evidence.embedding), torch.from_numpy(evidence.size)
+
+
+def pose_numbers(
+    data: GraspData, centre: NDArray[np.float64], scale: NDArray[np.float64]
+) -> tuple[Tensor, Tensor]:
+    """Grasp numbers [N, K + 9] in the network's frame of each cloud, and clouds' sizes [N, 3] m.
+
+    Args:
+        data: The grasps.
+        centre: [N, 3], the network frame's origin in the camera's frame, m.
+        scale: [N], network units per metre.
+    """
+    to_camera = data.T_world_camera[:, :3, :3].transpose(0, 2, 1)
+    pose = np.tile(np.eye(4), (len(data), 1, 1))
+    pose[:, :3, :3] = to_camera @ data.T_world_palm[:, :3, :3]
+    offset = data.T_world_palm[:, :3, 3] - data.T_world_camera[:, :3, 3]
+    pose[:, :3, 3] = (np.einsum("nij,nj->ni", to_camera, offset) - centre) * scale[:, None]
+    numbers = grasp_numbers(torch.tensor(data.preshape), torch.tensor(pose)).float()
+    return numbers, torch.from_numpy(np.ptp(data.cloud, axis=1).astype(np.float32))
+
+
+def turn_numbers(numbers: Tensor, turn: Tensor) -> Tensor:
+    """Grasp numbers [n, K + 9] of palms that are turned by [n, 3, 3] about the object frame."""
+    joints = numbers.shape[1] - 9
+    vectors = numbers[:, joints:].unflatten(1, (3, 3))  # place and two columns, as rows
+    turned = vectors @ turn.transpose(1, 2)
+    return torch.cat([numbers[:, :joints], turned.flatten(1)], dim=1)
+
+
+def _about_z(angle: Tensor) -> Tensor:
+    """Rotations [n, 3, 3] about z."""
+    c, s, zero = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle)
+    rows = torch.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1], dim=1)
+    return rows.unflatten(1, (3, 3))

@@ -1,0 +1,150 @@
+"""How good predicted probabilities of success are: counts, rankings, calibration, intervals.
+
+All functions take labels [N] (1 held, 0 lost) and scores or probabilities [N]. Equal scores share
+a rank, so a constant score gives exactly the base rate and an area of one half.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+Array = NDArray[np.float64]
+
+BINS = 10
+"""Of equally many predictions each, for the calibration error."""
+
+CANDIDATES = 20
+"""Grasps of one object among which the ranking chooses."""
+
+BOOTSTRAPS = 500
+
+
+class Interval(NamedTuple):
+    """A number and its 95% interval over objects; NaN where it is not defined."""
+
+    value: float
+    low: float
+    high: float
+
+
+def f1(label: NDArray[np.floating], chosen: NDArray[np.bool_]) -> float:
+    """2 TP / (2 TP + FP + FN); 0 where nothing is chosen and nothing was to be."""
+    hits = float((label[chosen] == 1).sum())
+    total = float(chosen.sum() + (label == 1).sum())
+    return 2.0 * hits / total if total else 0.0
+
+
+def best_threshold(label: NDArray[np.floating], score: NDArray[np.floating]) -> float:
+    """The score from which on a grasp is chosen so that F1 is highest."""
+    order = np.argsort(-score, kind="stable")
+    held = np.cumsum(label[order])
+    values = 2.0 * held / (np.arange(1, len(label) + 1) + label.sum())
+    # Only where the next score differs can a threshold stand.
+    last = np.append(score[order][1:] < score[order][:-1], True)
+    return float(score[order][np.argmax(np.where(last, values, -1.0))])
+
+
+def average_precision(label: NDArray[np.floating], score: NDArray[np.floating]) -> float:
+    """Σ (R_k − R_{k−1}) P_k over thresholds; NaN without a held grasp."""
+    if not label.sum():
+        return float("nan")
+    order = np.argsort(-score, kind="stable")
+    last = np.append(score[order][1:] < score[order][:-1], True)
+    held = np.cumsum(label[order])[last]
+    chosen = np.arange(1, len(label) + 1)[last]
+    steps = np.diff(held, prepend=0.0)
+    return float((steps * held / chosen).sum() / label.sum())
+
+
+def roc_auc(label: NDArray[np.floating], score: NDArray[np.floating]) -> float:
+    """Chance that a held grasp is scored above a lost one; NaN without both."""
+    positive = int(label.sum())
+    negative = len(label) - positive
+    if not positive or not negative:
+        return float("nan")
+    ranks = rankdata(score)[label == 1].sum()
+    return float((ranks - positive * (positive + 1) / 2) / (positive * negative))
+
+
+def brier(label: NDArray[np.floating], probability: NDArray[np.floating]) -> float:
+    """Mean squared error of the probability."""
+    return float(((probability - label) ** 2).mean())
+
+
+def reliability(
+    label: NDArray[np.floating], probability: NDArray[np.floating], bins: int = BINS
+) -> NDArray[np.float64]:
+    """[bins, 3]: mean probability, share held, count, in bins of equally many predictions."""
+    order = np.argsort(probability, kind="stable")
+    parts = [part for part in np.array_split(order, bins) if len(part)]
+    return np.array([(probability[p].mean(), label[p].mean(), len(p)) for p in parts])
+
+
+def calibration_error(label: NDArray[np.floating], probability: NDArray[np.floating]) -> float:
+    """Expected calibration error: mean |share held − mean probability| over the bins."""
+    found = reliability(label, probability)
+    return float((np.abs(found[:, 0] - found[:, 1]) * found[:, 2]).sum() / found[:, 2].sum())
+
+
+def top_choice(
+    label: NDArray[np.floating],
+    score: NDArray[np.floating],
+    groups: NDArray[np.integer],
+    rng: np.random.Generator,
+    candidates: int = CANDIDATES,
+    draws: int = 40,
+) -> tuple[Array, Array]:
+    """Success of the highest-scored of `candidates` random grasps of each object.
+
+    Objects with fewer grasps offer all they have. Equal scores are drawn among.
+
+    Returns:
+        Success of the top choice [O], mean over draws, and of a random choice [O].
+    """
+    top, random = [], []
+    for group in np.unique(groups):
+        rows = np.flatnonzero(groups == group)
+        wins = []
+        for _ in range(draws):
+            offered = rng.permutation(rows)[:candidates]
+            wins.append(label[offered[np.argmax(score[offered])]])
+        top.append(np.mean(wins))
+        random.append(label[rows].mean())
+    return np.array(top), np.array(random)
+
+
+def over_objects(
+    measures: Mapping[str, Callable[[NDArray[np.int64]], float]],
+    groups: NDArray[np.integer],
+    seed: int = 0,
+    draws: int = BOOTSTRAPS,
+) -> dict[str, Interval]:
+    """Measures with 95% intervals from drawing whole objects with replacement.
+
+    Twenty grasps of one mug are not twenty independent trials.
+
+    Args:
+        measures: By name; each takes indices of grasps.
+        groups: [N], the object of each grasp.
+        seed: Of the draws.
+        draws: How many.
+    """
+    rng = np.random.default_rng(seed)
+    rows = [np.flatnonzero(groups == group) for group in np.unique(groups)]
+    everything = np.arange(len(groups))
+    drawn = [
+        np.concatenate([rows[k] for k in rng.integers(len(rows), size=len(rows))])
+        for _ in range(draws)
+    ]
+    found = {}
+    for name, measure in measures.items():
+        values = np.array([measure(index) for index in drawn])
+        values = values[np.isfinite(values)]
+        low, high = np.percentile(values, [2.5, 97.5]) if len(values) else (np.nan, np.nan)
+        found[name] = Interval(measure(everything), float(low), float(high))
+    return found

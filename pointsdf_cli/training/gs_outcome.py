@@ -1,0 +1,135 @@
+"""Writing what `train-gs` found: the checkpoint, again and again while it trains."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.special import expit
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.checkpoints import read_config, read_train_state
+from pointsdf_cli.io.provenance import git_commit
+from pointsdf_cli.models.grasp_checkpoint import write_grasp_checkpoint
+from pointsdf_cli.models.grasp_prior import GraspPrior
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.training import gs_metrics
+from pointsdf_cli.training.gs_data import GraspData, Split
+from pointsdf_cli.training.gs_evaluation import describe_grasps
+from pointsdf_cli.training.gs_loop import Fitted, SuccessTraining
+from pointsdf_cli.training.gs_variants import Prepared, Variant
+
+SAVE_EVERY = 20.0
+"""Seconds between states written while training; small networks take less than one an epoch."""
+
+
+def resumable_state(out: Path, variant: Variant) -> dict[str, Any]:
+    """The state that a stopped run left in its checkpoint directory.
+
+    Raises:
+        InputError: There is none, or it is of another variant.
+    """
+    state = read_train_state(out)
+    found = read_config(out).get("variant")
+    if found != variant.title:
+        raise InputError(
+            f"holds a run of {found}, not of {variant.title}",
+            where=f"--out {out}",
+            hint="give the same --encoder and --mode as before, or choose another --out",
+        )
+    return state
+
+
+class Checkpointer:
+    """Writes one run's checkpoint directory.
+
+    Args:
+        out: The directory.
+        prepared, variant, robot, data, split, config, prior: Of the run.
+        half: Store the networks' weights in float16.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        prepared: Prepared,
+        variant: Variant,
+        robot: RobotDescription,
+        data: GraspData,
+        split: Split,
+        config: SuccessTraining,
+        prior: GraspPrior,
+        half: bool,
+    ) -> None:
+        self._out, self._prepared, self._variant, self._robot = out, prepared, variant, robot
+        self._data, self._split, self._config = data, split, config
+        self._prior, self._half = prior, half
+        self._written = time.monotonic()
+        self._state: dict[str, Any] | None = None
+
+    def save_now_and_then(self, fitted: Fitted, state: dict[str, Any]) -> None:
+        """After an epoch: write if the last writing is long past."""
+        self._state = state
+        if time.monotonic() - self._written > SAVE_EVERY:
+            self._save(fitted)
+            self._written = time.monotonic()
+
+    def finish(self, fitted: Fitted) -> dict[str, Any]:
+        """At the end, or when stopped: write, and tell what was found on the validation objects."""
+        found: dict[str, Any] = {"finished": fitted.finished, "seconds": round(fitted.seconds, 1)}
+        if not fitted.history:
+            return found | {"epochs": 0}
+        self._save(fitted)
+        return found | {"epochs": len(fitted.history), **self._judgement(fitted)}
+
+    def _save(self, fitted: Fitted) -> None:
+        weights = dict(fitted.weights)
+        weights["network.calibration.scale"] = torch.tensor(fitted.platt.scale)
+        weights["network.calibration.shift"] = torch.tensor(fitted.platt.shift)
+        write_grasp_checkpoint(
+            self._out,
+            network=self._prepared.network,
+            encoder=self._prepared.encoder,
+            weights=weights,
+            prior=self._prior,
+            frozen_from=self._prepared.frozen_from,
+            mode=self._variant.mode,
+            robot=self._robot,
+            sweep=self._prepared.sweep,
+            provenance=self._provenance(fitted),
+            train_state=self._state,
+            half=self._half,
+        )
+
+    def _provenance(self, fitted: Fitted) -> Mapping[str, Any]:
+        return {
+            "variant": self._variant.title,
+            "training": asdict(self._config),
+            "progress": {"epochs": len(fitted.history), "seconds": round(fitted.seconds, 1)},
+            "calibration": fitted.platt._asdict(),
+            "validation": self._judgement(fitted),
+            "data": {
+                "train": describe_grasps(self._data, self._split.train),
+                "validation": describe_grasps(self._data, self._split.validation),
+            },
+            "git_commit": git_commit(),
+        }
+
+    def _judgement(self, fitted: Fitted) -> dict[str, float]:
+        label = self._data.label[self._split.validation]
+        logits = fitted.validation_logits
+        probability = expit(fitted.platt.scale * logits + fitted.platt.shift)
+        return {
+            "epoch": fitted.best["epoch"],
+            "loss": fitted.best["loss"],
+            "average_precision": gs_metrics.average_precision(label, logits),
+            "roc_auc": gs_metrics.roc_auc(label, logits),
+            "f1_at_half": gs_metrics.f1(label, np.asarray(logits > 0)),
+            "threshold": gs_metrics.best_threshold(label, probability),
+            "base_rate": float(label.mean()),
+        }

@@ -1,0 +1,280 @@
+"""The variants of the success network: what they read, and whether their encoder learns.
+
+| name | encoder | mode |
+|---|---|---|
+| Geometry (the default) | distances of the reconstruction at the grasp | fixed |
+| PointSDF-Fixed, VoxelCNN-Fixed | embedding of a trained reconstruction, frozen | fixed |
+| PointSDF-Fine-tuned, VoxelCNN-Fine-tuned | the same, trained on | fine-tuned |
+| PointSDF-Scratch, VoxelCNN-Scratch | embedding learned from grasps alone | scratch |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.checkpoints import read_checkpoint
+from pointsdf_cli.models.grasp_checkpoint import (
+    FIXED,
+    MODES,
+    SCRATCH,
+    encoder_path,
+    read_grasp_checkpoint,
+)
+from pointsdf_cli.models.grasp_features import GraspFeatures
+from pointsdf_cli.models.grasp_prior import GraspPrior, ObjectPlace
+from pointsdf_cli.models.grasp_success import EmbeddingNet, GeometryNet
+from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
+from pointsdf_cli.models.registry import build_model, default_checkpoint, load_model
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.robot.description import RobotDescription, load_robot
+from pointsdf_cli.training.gs_data import GraspData, Split
+from pointsdf_cli.training.gs_evidence import evidence_of
+from pointsdf_cli.training.gs_inputs import (
+    CloudInputs,
+    FixedInputs,
+    Learner,
+    embedding_columns,
+    geometry_features,
+)
+from pointsdf_cli.training.gs_prior import fit_prior
+from pointsdf_cli.training.precision import autocast_dtype
+
+GEOMETRY, POINTSDF, VOXELCNN = "geometry", "pointsdf", "voxelcnn"
+ARCHITECTURES = {
+    GEOMETRY: ("pointsdf-ray", "pointsdf"),
+    POINTSDF: ("pointsdf-ray", "pointsdf"),
+    VOXELCNN: ("voxelcnn",),
+}
+"""Which shape networks serve each choice; the first is built where none is given."""
+
+DROPOUT = 0.2
+"""Of the published network, which has none: 256 numbers a cloud overfit a few hundred objects."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A choice of `--encoder` and `--mode`.
+
+    Raises:
+        InputError: No such choice.
+    """
+
+    encoder: str = GEOMETRY
+    mode: str = FIXED
+
+    def __post_init__(self) -> None:
+        if self.encoder not in ARCHITECTURES:
+            raise InputError(
+                f"no encoder {self.encoder!r}", where="--encoder", allowed=", ".join(ARCHITECTURES)
+            )
+        if self.mode not in MODES:
+            raise InputError(f"no mode {self.mode!r}", where="--mode", allowed=", ".join(MODES))
+        if self.encoder == GEOMETRY and self.mode != FIXED:
+            raise InputError(
+                "features of geometry are read from a finished reconstruction",
+                where=f"--mode {self.mode}",
+                allowed=FIXED,
+                hint=f"--encoder {POINTSDF} --mode {self.mode}",
+            )
+
+    @property
+    def title(self) -> str:
+        """As the paper calls it."""
+        names = {POINTSDF: "PointSDF", VOXELCNN: "VoxelCNN"}
+        if self.encoder == GEOMETRY:
+            return "Geometry"
+        return f"{names[self.encoder]}-{self.mode.capitalize()}"
+
+
+class Prepared(NamedTuple):
+    """A variant ready to be trained or scored.
+
+    Attributes:
+        learner: Network and inputs.
+        network, encoder, sweep: For the checkpoint.
+        frozen_from: The encoder's checkpoint, if it stays frozen.
+    """
+
+    learner: Learner
+    network: EmbeddingNet | GeometryNet
+    encoder: ShapeModel
+    sweep: HandSweep
+    frozen_from: Path | None
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Where inputs come from.
+
+    Attributes:
+        cache: Folder of kept evidence.
+        sdf: Checkpoint of a reconstruction network; the bundled one where None.
+        robot: The robot's YAML; the bundled one where None.
+        jobs: Processes that fill the cache.
+        on_done: Called with the name of each file whose evidence was computed.
+    """
+
+    cache: Path
+    sdf: Path | None = None
+    robot: Path | None = None
+    jobs: int = 1
+    on_done: Callable[[str, object], None] | None = None
+
+
+def prepare(
+    data: GraspData, split: Split, variant: Variant, sources: Sources, seed: int
+) -> Prepared:
+    """A fresh network with the inputs of all grasps.
+
+    Raises:
+        InputError: The reconstruction network is missing or of the wrong kind.
+    """
+    robot = load_robot(sources.robot)
+    sweep = HandSweep(robot, SweepConfig())
+    checkpoint = None if variant.mode == SCRATCH else _reconstruction(variant, sources.sdf)
+    if checkpoint is None:
+        encoder = build_model(ARCHITECTURES[variant.encoder][0], seed=seed)
+    else:
+        encoder = load_model(checkpoint)
+    torch.manual_seed(seed)
+    if variant.encoder == GEOMETRY:
+        features = GraspFeatures(sweep, robot.preshape_ranges)
+        network: EmbeddingNet | GeometryNet = GeometryNet(features.size)
+    else:
+        network = EmbeddingNet(len(robot.preshape_joints), encoder.embedding_size, dropout=DROPOUT)
+    learner = _learner(data, network, encoder, sweep, robot, checkpoint, variant.mode, sources)
+    if isinstance(network, GeometryNet):
+        assert isinstance(learner, FixedInputs)
+        network.scale.fit(learner.columns[0][split.train])
+    else:
+        numbers, size = learner.pose_and_size()
+        network.grasp_scale.fit(numbers[split.train])
+        network.size_scale.fit(size[split.train])
+    frozen = checkpoint if variant.mode == FIXED else None
+    return Prepared(learner, network, encoder, sweep, frozen)
+
+
+def prepare_trained(
+    path: Path, data: GraspData, sources: Sources
+) -> tuple[Learner, GraspPrior, dict[str, Any]]:
+    """A trained checkpoint with the inputs of all grasps, its prior and its config.
+
+    Raises:
+        InputError: As `read_grasp_checkpoint`.
+    """
+    robot = load_robot(sources.robot)
+    # An encoder given by --sdf is for the checkpoints that need one, not for all in the row.
+    parts = read_grasp_checkpoint(path, sources.sdf, robot)
+    mode = parts.config["mode"]
+    frozen = encoder_path(read_checkpoint(path), sources.sdf) if mode == FIXED else None
+    learner = _learner(
+        data, parts.network, parts.encoder, parts.sweep, robot, frozen, mode, sources
+    )
+    return learner, parts.prior, parts.config
+
+
+def title_of(config: dict[str, Any]) -> str:
+    """The variant's name from a checkpoint's config."""
+    if config["inputs"] == GEOMETRY:
+        return Variant().title
+    of_voxels = config["encoder"]["architecture"] == "voxelcnn"
+    return Variant(VOXELCNN if of_voxels else POINTSDF, config["mode"]).title
+
+
+def places_of(data: GraspData, robot: RobotDescription) -> list[ObjectPlace]:
+    """The place of each grasp's object, from its cloud."""
+    base = robot.T_world_base[:3, 3]
+    first, back = np.unique(data.scene_of, return_index=True, return_inverse=True)[1:]
+    of_scene = []
+    for row in first:
+        pose = data.T_world_camera[row]
+        points = data.cloud[row].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        of_scene.append(ObjectPlace.of(points, base))
+    return [of_scene[scene] for scene in back]
+
+
+def prior_of(data: GraspData, robot: RobotDescription) -> GraspPrior:
+    """The prior of what held among grasps that are not held out; of all where too few held.
+
+    Fitted to successes it is likelier on held-out successes than fitted to all attempts
+    (docs/grasp-success.md), and its samples hold more often.
+
+    Raises:
+        InputError: Too few grasps.
+    """
+    free = ~data.held_out[data.object_of]
+    places = places_of(data, robot)
+
+    def fit(chosen: np.ndarray) -> GraspPrior:
+        rows = np.flatnonzero(chosen)
+        return fit_prior(
+            data.preshape[rows],
+            data.T_world_palm[rows],
+            data.kind[rows],
+            [places[row] for row in rows],
+            robot.preshape_ranges,
+        )
+
+    try:
+        return fit(free & (data.label == 1))
+    except InputError:
+        return fit(free)
+
+
+def _reconstruction(variant: Variant, sdf: Path | None) -> Path:
+    if sdf is None:
+        if variant.encoder == VOXELCNN:
+            raise InputError(
+                "no trained VoxelCNN is bundled",
+                where="--encoder voxelcnn",
+                allowed="--sdf with a checkpoint of train-sdf --model voxelcnn, or --mode scratch",
+                hint="rgrasp train-sdf --views DIR --labels DIR --model voxelcnn --out CKPT",
+            )
+        return default_checkpoint()
+    found = load_model(sdf).architecture
+    if found not in ARCHITECTURES[variant.encoder]:
+        raise InputError(
+            f"is a {found}",
+            where=f"--sdf {sdf}",
+            allowed=" or ".join(ARCHITECTURES[variant.encoder]),
+        )
+    return Path(sdf)
+
+
+def _learner(
+    data: GraspData,
+    network: EmbeddingNet | GeometryNet,
+    encoder: ShapeModel,
+    sweep: HandSweep,
+    robot: RobotDescription,
+    frozen: Path | None,
+    mode: str,
+    sources: Sources,
+) -> Learner:
+    if mode != FIXED:
+        assert isinstance(network, EmbeddingNet)
+        return CloudInputs(network, encoder, data, autocast_dtype("auto", torch.device("cpu")))
+    assert frozen is not None
+    geometry = isinstance(network, GeometryNet)
+    # Distances, where the network can give them: one cache then serves both kinds of inputs.
+    asked = sweep.config if geometry or encoder.gives_distances else None
+    evidence = evidence_of(
+        data,
+        frozen,
+        sources.cache,
+        sweep=asked,
+        robot=sources.robot,
+        jobs=sources.jobs,
+        on_done=sources.on_done,
+    )
+    if geometry:
+        features = GraspFeatures(sweep, robot.preshape_ranges)
+        return FixedInputs(network, geometry_features(data, evidence, features))
+    return FixedInputs(network, *embedding_columns(data, evidence))
