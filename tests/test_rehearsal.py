@@ -63,9 +63,8 @@ def test_a_good_grasp_holds_and_a_palm_in_the_air_does_not(
     can = can_in_world()
     away = can_grasp(shift=(-0.05, -0.1, 0.05))
     tried = rehearsal(can.vertices, can.faces, np.stack([away, grasp]), seed=0)
-    assert tried[1].tries == 3
-    assert tried[1].held >= 2
-    assert tried[0].held == 0
+    assert tried[1] == (3, 3, pytest.approx(0.15, abs=0.02))
+    assert tried[0][:2] == (1, 0)
     assert best_first(tried) == [1, 0]
     assert rehearsal(can.vertices, can.faces, np.stack([away, grasp]), seed=0) == tried
 

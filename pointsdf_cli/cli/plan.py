@@ -22,7 +22,7 @@ def plan(
     method: Annotated[str, typer.Option(help="reconstruction or partial-view.")] = "reconstruction",
     solver: Annotated[str, typer.Option(help="sqp, or slsqp: the paper's, slow.")] = "sqp",
     kind: Annotated[
-        str, typer.Option(help="side, top, or auto: side first, top if low or if that fails.")
+        str, typer.Option(help="side, top, or auto: whichever promises more; top if it is low.")
     ] = "auto",
     target: Annotated[
         str | None,
@@ -59,6 +59,12 @@ def plan(
             show_default=False,
         ),
     ] = None,
+    rehearse: Annotated[
+        int,
+        typer.Option(
+            metavar="N", help="Try up to N grasps a round in simulation on the reconstruction."
+        ),
+    ] = 0,
     start: Annotated[
         str | None,
         typer.Option(metavar="Q", help="Where the robot is [rad], or a file [default: its home]."),
@@ -116,6 +122,7 @@ def plan(
     from pointsdf_cli.planning.grasp_problem import Clearances
     from pointsdf_cli.planning.table_session import plan_on_table
     from pointsdf_cli.training.precision import idle_processors
+    from pointsdf_cli.trials.rehearsed import RehearsedPlanner, RehearsedPlannerConfig
     from pointsdf_cli.viz.plan_picture import plan_picture
     from pointsdf_cli.viz.robot_picture import RobotMeshes
 
@@ -131,7 +138,11 @@ def plan(
     )
     around = Environment() if environment is None else read_environment(environment)
     use_threads(threads or idle_processors())
-    planner = GraspPlanner(options)
+    if rehearse:
+        wanted_grasps = RehearsedPlannerConfig(count=rehearse)
+        planner: GraspPlanner = RehearsedPlanner(options, config=wanted_grasps)
+    else:
+        planner = GraspPlanner(options)
     session = plan_on_table(
         planner,
         views,

@@ -36,9 +36,8 @@ class RehearsalConfig:
     """What is tried, and how much the truth may differ from what is believed.
 
     Attributes:
-        repeats: Disturbances that the finalists are tried under; the first is none at all.
-        first: ... that every grasp is tried under; who does best becomes a finalist.
-        finalists: How many.
+        repeats: Disturbances that a grasp is tried under. The first is none at all; a grasp that
+            fails under that is not tried again.
         place: Standard deviation of the object's place on the table [m].
         turn: ... of its yaw [rad].
         scale: ... of its size, as a share, level and upright alike.
@@ -51,8 +50,6 @@ class RehearsalConfig:
     """
 
     repeats: int = 5
-    first: int = 1
-    finalists: int = 5
     place: float = 0.005
     turn: float = 0.05
     scale: float = 0.04
@@ -63,17 +60,16 @@ class RehearsalConfig:
     cut: QuickCutConfig = field(default_factory=QuickCutConfig)
 
     def __post_init__(self) -> None:
-        if not 1 <= self.first <= self.repeats or self.finalists < 1:
-            raise InputError(f"{self}", allowed="1 ≤ first ≤ repeats, finalists ≥ 1")
-        if min(self.place, self.turn, self.scale) < 0:
-            raise InputError(f"{self}", allowed="deviations ≥ 0")
+        if self.repeats < 1 or min(self.place, self.turn, self.scale) < 0:
+            raise InputError(f"{self}", allowed="repeats ≥ 1, deviations ≥ 0")
 
 
 class Rehearsed(NamedTuple):
     """How one grasp did.
 
     Attributes:
-        tries: How often it was tried; 0 where the arm has no room to lift from there.
+        tries: How often it was tried; 0 where the arm has no room to lift from there, or where an
+            earlier grasp never failed.
         held: In how many of them it held.
         rise: Mean height that the object rose [m], up to the lift's height: between grasps that
             hold equally often, the one that nearly held once more is better.
@@ -87,6 +83,9 @@ class Rehearsed(NamedTuple):
     def share(self) -> float:
         """Of tries in which it held."""
         return self.held / self.tries if self.tries else 0.0
+
+
+UNTRIED = Rehearsed(0, 0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -128,7 +127,7 @@ class Rehearsal:
     def __call__(
         self, vertices: Array, faces: NDArray[np.integer], q: Array, seed: int = 0
     ) -> list[Rehearsed]:
-        """Try grasps of an object.
+        """Try grasps of an object in their order, until one never fails.
 
         Args:
             vertices: [V, 3], of the reconstructed surface, world frame.
@@ -142,23 +141,23 @@ class Rehearsal:
         config = self.config
         believed = believed_object(vertices, faces, config)
         disturbances = _disturbances(config, np.random.default_rng(seed))
-        grasps = [(grasp, self._lift(grasp)) for grasp in np.atleast_2d(q)]
-        tried = [self._try(believed, g, lift, disturbances[: config.first]) for g, lift in grasps]
-        if config.first < config.repeats:
-            for k in best_first(tried)[: config.finalists]:
-                if tried[k].held or not any(one.held for one in tried):
-                    more = self._try(believed, *grasps[k], disturbances[config.first :])
-                    tried[k] = _together(tried[k], more)
+        tried: list[Rehearsed] = []
+        for grasp in np.atleast_2d(q):
+            if any(one.held == len(disturbances) for one in tried):
+                tried.append(UNTRIED)  # one that never fails is enough
+                continue
+            lift = lift_path(self._solver, self._world.robot, grasp, self._execution.lift_height)
+            one = self._try(believed, grasp, lift, disturbances[:1])
+            if one.held and len(disturbances) > 1:
+                one = _together(one, self._try(believed, grasp, lift, disturbances[1:]))
+            tried.append(one)
         return tried
-
-    def _lift(self, q: Array) -> Array | None:
-        return lift_path(self._solver, self._world.robot, q, self._execution.lift_height)
 
     def _try(
         self, believed: SimObject, q: Array, lift: Array | None, disturbances: list[_Disturbance]
     ) -> Rehearsed:
         if lift is None:
-            return Rehearsed(0, 0, 0.0)
+            return UNTRIED
         most, held, rises = self._execution.lift_height, 0, []
         for disturbance in disturbances:
             self._tries += 1

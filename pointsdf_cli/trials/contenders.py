@@ -15,12 +15,17 @@ from torch import Tensor
 from pointsdf_cli.io.checkpoints import read_checkpoint
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_score import load_grasp_model
-from pointsdf_cli.planning.answer import GraspModel, GraspPlanner, ObjectGrasps, PlanOptions
+from pointsdf_cli.planning.answer import (
+    Answer,
+    GraspModel,
+    GraspPlanner,
+    ObjectGrasps,
+    PlanOptions,
+)
 from pointsdf_cli.planning.fields import Field, MeshField
 from pointsdf_cli.planning.partial_view import partial_mesh
 from pointsdf_cli.planning.planner import PlannerConfig
-from pointsdf_cli.planning.seeds import SeedConfig
-from pointsdf_cli.planning.synthesis import SynthesisConfig
+from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.trials import protocol
 from pointsdf_cli.trials.protocol import Contender
 from pointsdf_cli.trials.rehearsed import (
@@ -55,10 +60,6 @@ class ContenderOptions:
     device: str = "cpu"
 
 
-REHEARSED_SEARCH = SynthesisConfig(polished=8, seeds=SeedConfig(palms=48, seeds=12))
-"""More grasps a round than the paper's search needs: a rehearsal tells them apart."""
-
-
 def plan_options(contender: Contender, options: ContenderOptions) -> PlanOptions:
     """How a contender plans.
 
@@ -77,7 +78,6 @@ def plan_options(contender: Contender, options: ContenderOptions) -> PlanOptions
         checkpoint=checkpoint if reconstructs else None,
         grasp_checkpoint=options.grasp_checkpoint if reconstructs else None,
         device=options.device,
-        synthesis=REHEARSED_SEARCH if _rehearses(contender, options) else SynthesisConfig(),
     )
 
 
@@ -118,16 +118,16 @@ class Mind:
             grasps = Indifferent(
                 grasps or load_grasp_model(options.grasp_checkpoint, None, options.device)
             )
-        self._planner = planner = GraspPlanner(plan_options(contender, options), grasps)
-        self._rehearsed = None
+        asked = plan_options(contender, options)
         if _rehearses(contender, options):
-            self._rehearsed = RehearsedPlanner(
-                planner, RehearsedPlannerConfig(count=options.rehearse)
-            )
+            config = RehearsedPlannerConfig(count=options.rehearse)
+            self._planner: GraspPlanner = RehearsedPlanner(asked, grasps, config)
+        else:
+            self._planner = GraspPlanner(asked, grasps)
 
     def plan(
         self, points: Array, T_world_camera: Array, truth: Callable[[], Surface], seed: int
-    ) -> RehearsedAnswer:
+    ) -> Answer:
         """A plan for a cloud.
 
         Args:
@@ -143,20 +143,22 @@ class Mind:
         elif self.contender.ablation == protocol.ORACLE:
             surface = truth()
             field = MeshField(*surface)
-        if self._rehearsed is not None:
-            return self._rehearsed.plan(
-                points, T_world_camera, seed=seed, field=field, surface=surface
-            )
-        answer = self._planner.plan(points, T_world_camera, seed=seed, field=field)
-        return RehearsedAnswer(answer, None, None)
+        planner = self._planner
+        try:
+            sight = planner.see(points, T_world_camera, seed, field)
+        except EmptyFieldError as error:
+            return planner.nothing(error.what)
+        if isinstance(planner, RehearsedPlanner):
+            return planner.plan_seen(sight, seed=seed, surface=surface)
+        return planner.plan_seen(sight, seed=seed)
 
-    def believed(self, answer: RehearsedAnswer, points: Array) -> Surface | None:
+    def believed(self, answer: Answer, points: Array) -> Surface | None:
         """The surface that the contender believed in, for pictures; points [N, 3] in the world."""
-        if answer.surface is not None:
+        if isinstance(answer, RehearsedAnswer) and answer.surface is not None:
             return answer.surface
         if self.contender.method == protocol.PARTIAL_VIEW:
             return partial_mesh(points)
-        reconstruction = answer.answer.reconstruction
+        reconstruction = answer.reconstruction
         if reconstruction is None:
             return None
         return believed_surface(reconstruction)

@@ -9,21 +9,35 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
+from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.planning.answer import Answer, GraspPlanner
+from pointsdf_cli.planning.answer import (
+    RECONSTRUCTION,
+    Answer,
+    GraspModel,
+    GraspPlanner,
+    PlanOptions,
+    Sight,
+)
 from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.fields import Field
-from pointsdf_cli.planning.target import EmptyFieldError
-from pointsdf_cli.simulation.rehearsal import Rehearsal, RehearsalConfig, Rehearsed, best_first
+from pointsdf_cli.planning.planner import Rank
+from pointsdf_cli.planning.seeds import SeedConfig
+from pointsdf_cli.planning.synthesis import Satisfied, SynthesisConfig
+from pointsdf_cli.simulation.rehearsal import (
+    UNTRIED,
+    Rehearsal,
+    RehearsalConfig,
+    Rehearsed,
+    best_first,
+)
 
 Array = NDArray[np.float64]
 Surface = tuple[Array, NDArray[np.int32]]
@@ -54,69 +68,85 @@ class RehearsedPlannerConfig:
 
 
 @dataclass(frozen=True)
-class RehearsedAnswer:
+class RehearsedAnswer(Answer):
     """A plan, and how its grasp did.
 
     Attributes:
-        answer: As from `GraspPlanner`.
         rehearsed: Of the grasp taken; None where nothing was rehearsed.
         surface: What the planner believed the object to be; None where it has no idea.
     """
 
-    answer: Answer
-    rehearsed: Rehearsed | None
-    surface: Surface | None
+    rehearsed: Rehearsed | None = None
+    surface: Surface | None = None
 
 
-class RehearsedPlanner:
-    """A `GraspPlanner` whose grasps are rehearsed.
+REHEARSED_SEARCH = SynthesisConfig(polished=8, seeds=SeedConfig(palms=48, seeds=12))
+"""More grasps a round than the paper's search needs: a rehearsal tells them apart."""
+
+
+class RehearsedPlanner(GraspPlanner):
+    """A `GraspPlanner` whose grasps are rehearsed before motions are looked for.
 
     Args:
-        planner: Of the method "reconstruction": partial views enclose nothing to rehearse on.
+        options: Of the method "reconstruction": partial views enclose nothing to rehearse on.
+        grasps: The success network to use instead of a checkpoint's.
         config: How long to look.
+
+    Raises:
+        InputError: Another method, or a robot or checkpoint that cannot be used.
     """
 
-    def __init__(self, planner: GraspPlanner, config: RehearsedPlannerConfig | None = None) -> None:
-        self.planner, self.config = planner, config or RehearsedPlannerConfig()
-        self._rehearsal = Rehearsal(planner.robot, self.config.rehearsal)
-
-    def plan(
+    def __init__(
         self,
-        points: Array,
-        T_world_camera: Array,
+        options: PlanOptions | None = None,
+        grasps: GraspModel | None = None,
+        config: RehearsedPlannerConfig | None = None,
+    ) -> None:
+        options = options or PlanOptions()
+        if options.method != RECONSTRUCTION:
+            raise InputError(
+                f"the method {options.method} has no closed surface to rehearse on",
+                where="--rehearse",
+                allowed=f"the method {RECONSTRUCTION}",
+            )
+        super().__init__(replace(options, synthesis=REHEARSED_SEARCH), grasps)
+        self.config = config or RehearsedPlannerConfig()
+        self._rehearsal = Rehearsal(self.robot, self.config.rehearsal)
+
+    def plan_seen(
+        self,
+        sight: Sight,
         environment: Environment | None = None,
         start: Array | None = None,
         seed: int = 0,
-        field: Field | Literal["none"] | None = None,
+        rank: Rank | None = None,
+        satisfied: Satisfied | None = None,
         surface: Surface | None = None,
-    ) -> RehearsedAnswer:
-        """As `GraspPlanner.plan`.
+    ) -> Answer:
+        """As `GraspPlanner.plan_seen`; the answer is a `RehearsedAnswer`.
 
         Args:
+            sight, environment, start, seed: As there.
+            rank, satisfied: Must be None: rehearsals decide.
             surface: To rehearse on, world frame, instead of the reconstruction's: the oracle.
-
-        Raises:
-            InputError: The start is no configuration within the joint limits.
         """
-        try:
-            sight = self.planner.see(points, T_world_camera, seed, field)
-        except EmptyFieldError as error:
-            return RehearsedAnswer(self.planner.nothing(error.what), None, None)
+        if rank is not None or satisfied is not None:
+            raise ValueError("rehearsals rank the grasps themselves")
         began = time.perf_counter()
         if surface is None and sight.reconstruction is not None:
             surface = believed_surface(sight.reconstruction, self.config.resolution)
-        if surface is None:
-            answer = self.planner.plan_seen(sight, environment, start, seed)
-            return RehearsedAnswer(answer, None, None)
         meshing = time.perf_counter() - began
+        if surface is None:
+            answer = super().plan_seen(sight, environment, start, seed)
+            return RehearsedAnswer(answer.plan, answer.target, answer.reconstruction)
         pool = _Pool(self._rehearsal, surface, self.config, seed)
-        answer = self.planner.plan_seen(
+        answer = super().plan_seen(
             sight, environment, start, seed, rank=pool.ranked, satisfied=pool.satisfied
         )
         plan = answer.plan
         timings = {**plan.timings, "surface": meshing, "rehearsal": pool.seconds}
-        answer = replace(answer, plan=replace(plan, timings=timings))
-        return RehearsedAnswer(answer, pool.of(answer), surface)
+        plan = replace(plan, timings=timings)
+        return RehearsedAnswer(plan, answer.target, answer.reconstruction, pool.of(plan), surface)
 
 
 class _Pool:
@@ -139,7 +169,7 @@ class _Pool:
         try:
             tried = self._rehearsal(*self._surface, np.stack([c.q for c in chosen]), self._seed)
         except InputError:  # nothing solid to rehearse on: the objective alone decides
-            tried = [Rehearsed(0, 0, 0.0)] * len(chosen)
+            tried = [UNTRIED] * len(chosen)
         self._candidates += chosen
         self._tried += tried
         self.seconds += time.perf_counter() - began
@@ -154,10 +184,10 @@ class _Pool:
         order += [c for c in accepted if not any(c is one for one in order)]
         return order[: self._config.most_motions]
 
-    def of(self, answer: Answer) -> Rehearsed | None:
-        """How the answer's grasp did."""
+    def of(self, plan: Plan) -> Rehearsed | None:
+        """How a plan's grasp did."""
         for candidate, tried in zip(self._candidates, self._tried, strict=True):
-            if np.array_equal(candidate.q, answer.plan.q):
+            if np.array_equal(candidate.q, plan.q):
                 return tried
         return None
 

@@ -24,7 +24,7 @@ from pointsdf_cli.io.trials import (
     read_trial,
     write_trial,
 )
-from pointsdf_cli.planning.answer import GraspModel
+from pointsdf_cli.planning.answer import Answer, GraspModel
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.fields import MeshField
 from pointsdf_cli.planning.object_distance import ObjectDistances
@@ -135,7 +135,7 @@ class TrialRunner:
             seed = int(trial.rng("view").integers(2**31))
             answer = mind.plan(cloud, T_world_camera, lambda: truth, seed)
         spent = time.perf_counter() - began[0], time.process_time() - began[1]
-        plan = None if answer is None else answer.answer.plan
+        plan = None if answer is None else answer.plan
         executed = None
         if plan is not None and plan.status == OK:
             executed = execute_plan(
@@ -152,7 +152,7 @@ class TrialRunner:
         row = self._row(trial, yaw, plan, answer, executed, spent, truth)
         world_cloud = apply_transform(T_world_camera, cloud)
         believed = None
-        if answer is not None and answer.answer.target is not None:
+        if answer is not None and answer.target is not None:
             believed = mind.believed(answer, world_cloud)
         evidence = _evidence(
             world_cloud, T_world_camera, T_world_object, believed, plan, executed, self.robot.home
@@ -185,7 +185,7 @@ class TrialRunner:
         trial: Trial,
         yaw: float,
         plan: Plan | None,
-        answer: RehearsedAnswer | None,
+        answer: Answer | None,
         executed: Executed | None,
         spent: tuple[float, float],
         truth: Surface,
@@ -195,7 +195,7 @@ class TrialRunner:
         if executed is not None:
             cause = NO_LIFT if outcome is None else outcome.cause
         rehearsed = float("nan")
-        if answer is not None and answer.rehearsed is not None and answer.rehearsed.tries:
+        if isinstance(answer, RehearsedAnswer) and answer.rehearsed and answer.rehearsed.tries:
             rehearsed = answer.rehearsed.share
         planned = plan is not None and plan.status == OK
         return TrialRow(
