@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -50,6 +56,48 @@ def test_collects_skips_and_resumes(cli: Callable[..., Any], meshes: Path, tmp_p
     other = cli(*run, "--seed", 5, "--no-pictures")
     assert other.code == 2
     assert "other options" in other.err
+
+
+def test_killed_at_random_moments_nothing_is_lost_and_nothing_double(
+    cli: Callable[..., Any], meshes: Path, tmp_path: Path
+) -> None:
+    for k in range(3):
+        trimesh.creation.box((0.05, 0.05, 0.12 + 0.01 * k)).export(meshes / f"box{k}.ply")
+    run = ("collect-grasps", "--meshes", meshes, "--count", 8, "--jobs", 2, "--no-pictures", "-q")
+    assert cli(*run, "--out", tmp_path / "whole").code == 0
+    command = [sys.executable, "-m", "pointsdf_cli.cli.main", *map(str, run)]
+    command += ["--out", str(tmp_path / "killed")]
+    moments = random.Random(0)
+    for finished, group in ((0, False), (1, True), (2, True)):
+        process = subprocess.Popen(
+            command,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        while process.poll() is None and len(list((tmp_path / "killed").glob("*.h5"))) < finished:
+            time.sleep(0.01)
+        time.sleep(moments.uniform(0.0, 1.0))
+        if process.poll() is None:
+            if group:
+                os.killpg(process.pid, signal.SIGKILL)
+            else:  # its workers are left without a parent
+                process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert cli(*run, "--out", tmp_path / "killed").code == 0
+    names = {path.name for path in (tmp_path / "whole").iterdir()}
+    assert names == {"can.h5", "box0.h5", "box1.h5", "box2.h5", "report.html"}
+    assert {path.name for path in (tmp_path / "killed").iterdir()} == names
+    for name in sorted(names - {"report.html"}):
+        one, kept = read_grasps(tmp_path / "whole" / name)
+        two, kept_too = read_grasps(tmp_path / "killed" / name)
+        assert kept == kept_too
+        assert one.attempt.tolist() == list(range(len(one)))
+        for field in vars(one):
+            same = np.array_equal(getattr(one, field), getattr(two, field), equal_nan=True)
+            assert same, (name, field)
+    first, second = ((tmp_path / n / "report.html").read_text() for n in ("whole", "killed"))
+    assert first.replace("whole", "killed") == second
 
 
 @pytest.mark.parametrize(

@@ -42,29 +42,31 @@ def draw_frame(
     robot: RobotMeshes,
     mesh: LoadedMesh,
     frame: Frame,
+    eye: NDArray[np.float64],
     target: NDArray[np.float64],
     size: tuple[int, int] = (300, 260),
+    oversampling: int = 2,
 ) -> NDArray[np.uint8]:
-    """One moment [height, width, 3], from the side that the hand does not hide."""
+    """One moment [height, width, 3], seen from `eye` [3] towards `target` [3]."""
     q, pose = frame
     thing = Painted(apply_transform(pose, mesh.vertices), mesh.faces.astype(int), OBJECT_COLOUR)
-    camera = look_at(target + (0.62, -0.72, 0.42), target)
-    return shaded_image([*robot.at(q), table_mesh(), thing], camera, size, 0.62)
+    scene = [*robot.at(q), table_mesh(), thing]
+    return shaded_image(scene, look_at(eye, target), size, 0.62, oversampling)
 
 
 def film_strip(robot: RobotMeshes, film: Film) -> NDArray[np.uint8]:
     """All frames side by side, seen from one place."""
-    target = _target(film)
+    eye, target = _viewpoint(robot, film)
     return np.concatenate(
-        [draw_frame(robot, film.mesh, frame, target) for frame in film.frames], axis=1
+        [draw_frame(robot, film.mesh, frame, eye, target) for frame in film.frames], axis=1
     )
 
 
 def write_gif(path: Path, robot: RobotMeshes, film: Film, rate: float) -> None:
     """An attempt as an animated GIF with `rate` frames a second."""
-    target = _target(film)
+    eye, target = _viewpoint(robot, film)
     images = [
-        Image.fromarray(draw_frame(robot, film.mesh, frame, target)).quantize(64)
+        Image.fromarray(draw_frame(robot, film.mesh, frame, eye, target)).quantize(64)
         for frame in film.frames
     ]
     images[0].save(
@@ -157,6 +159,31 @@ def _causes(items: Sequence[tuple[str, Grasps, GraspsMeta]]) -> list[tuple[objec
     for _, grasps, _ in items:
         np.add.at(counts, (grasps.cause, grasps.kind), 1)
     return [(cause, *map(int, row)) for cause, row in zip(CAUSES, counts, strict=True)]
+
+
+EYES = ((0.55, -0.65, 0.35), (0.55, 0.65, 0.35), (0.85, 0.0, 0.35), (0.0, -0.85, 0.35))
+"""Where pictures may be taken from, relative to what they look at [m]."""
+
+
+def _viewpoint(robot: RobotMeshes, film: Film) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Eye and target [3] of the place where the hand hides the least of the object throughout."""
+    target = _target(film)
+    last = len(film.frames) - 1
+    moments = [film.frames[k] for k in sorted({0, last // 2, last})]
+
+    def seen(eye: NDArray[np.float64]) -> int:
+        """Object pixels in the moment that shows the fewest."""
+        small = [
+            draw_frame(robot, film.mesh, moment, eye, target, (60, 52), 1).astype(int)
+            for moment in moments
+        ]
+        # Green above red and blue, whatever the shade: only the object is painted so.
+        return min(
+            int(((image[..., 1] > image[..., 0] + 8) & (image[..., 1] > image[..., 2] + 8)).sum())
+            for image in small
+        )
+
+    return max((target + eye for eye in EYES), key=seen), target
 
 
 def _target(film: Film) -> NDArray[np.float64]:
