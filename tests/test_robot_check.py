@@ -1,0 +1,156 @@
+"""The checker of robot descriptions finds what is wrong, names the mending line, and draws."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pointsdf_cli.robot.check import ERROR, check_robot
+from pointsdf_cli.robot.closing import closing_of, fingertips, to_palm_axis
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.viz.robot_check_picture import robot_scene
+
+ROBOTS = Path(__file__).parent / "robots"
+
+
+@pytest.fixture
+def gripper(tmp_path: Path) -> Callable[[str, str], Path]:
+    """The gripper's description with one piece of text replaced."""
+    shutil.copy(ROBOTS / "gripper.urdf", tmp_path)
+
+    def write(old: str = "", new: str = "") -> Path:
+        text = (ROBOTS / "gripper.yaml").read_text()
+        assert old in text
+        path = tmp_path / "gripper.yaml"
+        path.write_text(text.replace(old, new))
+        return path
+
+    return write
+
+
+def test_the_bundled_robot_and_the_gripper_pass() -> None:
+    for path in (None, ROBOTS / "gripper.yaml"):
+        found = check_robot(load_robot(path))
+        assert found.findings == ()
+        assert found.passed
+        assert found.reached > 0.9
+        assert found.farthest <= 0.01
+        assert found.table_distance > 0
+
+
+def test_the_jaws_meet_in_the_middle() -> None:
+    # The URDF puts the jaws at ±0.045 with slides of 0.04 m; preshapes open the left one alone.
+    closing = closing_of(load_robot(ROBOTS / "gripper.yaml"))
+    assert closing.tips == ("left", "right")
+    opening = np.abs(closing.paths[:, 0, 1] - closing.paths[:, 1, 1])
+    assert (np.diff(opening) < 0).all()
+    assert closing.nearer["right_jaw"] == pytest.approx(
+        np.abs(closing.paths[0, 1, 1]) - np.abs(closing.paths[-1, 1, 1]), abs=1e-9
+    )
+
+
+def test_the_allegro_has_four_fingertips_that_curl_around_the_palm_axis() -> None:
+    robot = load_robot()
+    assert fingertips(robot) == tuple(
+        f"{finger}_link_3" for finger in ("index", "middle", "ring", "thumb")
+    )
+    closing = closing_of(robot)
+    away = to_palm_axis(robot, closing.paths)
+    assert (away.min(axis=0) < away[0] / 2).all()
+
+
+def test_the_distance_to_the_palm_axis_is_to_a_half_line() -> None:
+    robot = load_robot(ROBOTS / "gripper.yaml")
+    points = np.array([[1.0, 0.3, 0.4], [-3.0, 0.0, 4.0], [0.0, 0.0, 0.0]])
+    assert np.allclose(to_palm_axis(robot, points), [0.5, 5.0, 0.0])
+
+
+WRONG = {
+    "a jaw that opens": ("right_jaw: 0.05", "right_jaw: -0.05", "right_jaw", "closing_joints"),
+    "a palm that looks back": (
+        "xyz: [0.02, 0, 0]}",
+        "xyz: [0.2, 0, 0]}",
+        "behind the palm frame",
+        "palm: x",
+    ),
+    "below the table": ("[0.1, -0.2, 0.0]", "[0.1, -0.2, -2.0]", "below the table", "mount"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_found_with_the_line_that_mends_it(
+    gripper: Callable[[str, str], Path], case: str
+) -> None:
+    old, new, what, fix = WRONG[case]
+    found = check_robot(load_robot(gripper(old, new)))
+    errors = [finding for finding in found.findings if finding.level == ERROR]
+    assert any(what in error.what and fix in error.fix for error in errors), found.findings
+    assert not found.passed
+
+
+def test_a_joint_that_is_left_out_is_told(gripper: Callable[[str, str], Path]) -> None:
+    path = gripper("arm_joints: [slide, turn, lean, roll]", "arm_joints: [slide, turn, lean]")
+    findings = check_robot(load_robot(path)).findings
+    assert any("roll" in f.what and f.level == "warning" for f in findings)
+
+
+def test_the_command_reports_draws_and_exits_as_it_should(
+    gripper: Callable[..., Path], tmp_path: Path, cli: Callable
+) -> None:
+    picture = tmp_path / "check.png"
+    good = cli("robot", "check", gripper(), "--picture", picture, "--json")
+    assert good.code == 0, good.err
+    report = json.loads(good.out)
+    assert report["passed"]
+    assert set(report["fingertips"]) == {"left", "right"}
+    with Image.open(picture) as image:
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    assert pixels.shape[1] == 3 * pixels.shape[0]
+    for third in np.split(pixels, 3, axis=1):
+        assert (np.abs(third - 255).sum(axis=2) > 60).mean() > 0.01  # something in each
+    bad = cli("robot", "check", gripper("right_jaw: 0.05", "right_jaw: -0.05"))
+    assert bad.code == 2
+    assert "closing_joints: {right_jaw: 0.05}" in bad.out
+    assert "1 error" in bad.err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("urdf: gripper.urdf", "urdf: absent.urdf", "no such URDF"),
+        ("arm_joints: [slide,", "arm_joints: [glide,", "glide"),
+        ("closing_joints: {left_jaw: 0.05", "closing_joints: {left_jaw: fast", "fast"),
+        ("palm: {link: grip", "palm: {link: hand", "palm"),
+        ("palm: {link: grip,", "palm: {link: grip, reach: far,", "far"),
+        ("urdf: gripper.urdf", "urdf: [", "YAML"),
+    ],
+)
+def test_a_bad_file_is_one_message(
+    gripper: Callable[[str, str], Path], cli: Callable, old: str, new: str, message: str
+) -> None:
+    done = cli("robot", "check", gripper(old, new))
+    assert done.code == 2
+    assert message in done.err
+    assert done.err.count("rgrasp:") == 1
+    assert done.out == ""
+
+
+def test_home_may_open_the_hand(gripper: Callable[[str, str], Path]) -> None:
+    path = gripper("urdf: gripper.urdf", "home: [0.1, 0, 0, 0, 0.01, 0.02]\nurdf: gripper.urdf")
+    assert np.allclose(load_robot(path).home, [0.1, 0, 0, 0, 0.01, 0.02])
+
+
+def test_the_scene_closes_the_hand() -> None:
+    robot = load_robot(ROBOTS / "gripper.yaml")
+    scene = robot_scene(robot, "gripper")
+    left, right = scene.bodies.index("left"), scene.bodies.index("right")
+    gap = np.linalg.norm(scene.poses[:, left, :3, 3] - scene.poses[:, right, :3, 3], axis=1)
+    assert gap[-1] < gap[0]
+    assert scene.captions[-1] == "100 % closed"
+    assert {"samples", "ways of fingertips", "palm"} <= set(scene.layers)
