@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -28,9 +29,7 @@ def camera_pose(text: str, option: str = "--camera-pose") -> NDArray[np.float64]
         return transform(rotation_from_wxyz(numbers[3:]), numbers[:3])
     matrix = numbers.reshape(4, 4) if len(numbers) == 16 else np.zeros((4, 4))
     if not is_rigid(matrix):
-        raise InputError(
-            f"{len(numbers)} numbers that are no pose", where=option, allowed=ALLOWED
-        )
+        raise InputError(f"{len(numbers)} numbers that are no pose", where=option, allowed=ALLOWED)
     return matrix
 
 
@@ -59,7 +58,7 @@ def numbers_in(text: str, where: str, allowed: str) -> NDArray[np.float64]:
     """
     path = Path(text)
     try:
-        if path.is_file():
+        if os.path.isfile(text):  # unlike Path's, it takes 16 numbers that are too long for a name
             if path.suffix == ".npy":
                 return read_npy_array(path).astype(np.float64).ravel()
             if path.suffix == ".json":
