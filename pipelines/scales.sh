@@ -10,7 +10,7 @@ tiny)
     MODELS="pointsdf voxelcnn"
     SDF_LENGTH="--steps 3 --batch-size 4 --queries 32 --held-out 0.2 --threads 1"
     EVAL_SIZE="--resolution 32 --samples 1000"
-    GRASPS="40"
+    GRASPS="20"
     COLLECT="--no-pictures"
     GS_LENGTH="--epochs 2"
     TRIALS="--yaws 1 --cameras high --rehearse 1 --pictures 0"

@@ -5,11 +5,16 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tarfile
 import time
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
+
+from pointsdf_cli import __version__
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -76,3 +81,59 @@ def test_help_imports_nothing_heavy() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert time.perf_counter() - started < 30  # hangs only; the 0.3 s are in the benchmarks
+
+
+def test_the_source_distribution_holds_what_is_needed_to_build_test_and_cite(
+    tmp_path: Path,
+) -> None:
+    build = [sys.executable, "-m", "build", "--sdist", "--no-isolation", "--outdir", tmp_path]
+    subprocess.run([*map(str, build), str(REPOSITORY)], check=True, capture_output=True)
+    (archive,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(archive) as tar:
+        names = {name.partition("/")[2] for name in tar.getnames()}
+    needed = {
+        "LICENSE", "THIRD-PARTY.md", "CITATION.cff", "CHANGELOG.md", "constraints.txt",
+        "constraints-min.txt", "pipelines/paper.sh", "pipelines/Snakefile", "tests/conftest.py",
+        "docs/method.md", "assets/robots/lbr4_allegro.yaml",
+        "assets/weights/pointsdf_ray/model.safetensors",
+    }  # fmt: skip
+    assert needed <= names, needed - names
+    assert not any(name.startswith((".venv", ".work", "demo/", "paper-")) for name in names)
+
+
+def test_the_versions_agree() -> None:
+    cited = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
+    assert cited["version"] == __version__
+    assert f"## {__version__}" in (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_every_dependency_is_noticed_and_pinned_at_both_ends() -> None:
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    notices = (REPOSITORY / "THIRD-PARTY.md").read_text(encoding="utf-8").lower()
+
+    def pins(file: str) -> dict[str, str]:
+        lines = (REPOSITORY / file).read_text(encoding="utf-8").lower().splitlines()
+        found = (line.partition("==") for line in lines if "==" in line)
+        return {name.replace("_", "-"): version for name, _, version in found}
+
+    newest, oldest = pins("constraints.txt"), pins("constraints-min.txt")
+    for text in project["dependencies"]:
+        name, _, least = text.partition(">=")
+        assert name in notices, f"{name} is not in THIRD-PARTY.md"
+        assert name in newest, f"{name} is not in constraints.txt"
+        assert name in oldest, f"{name} is not in constraints-min.txt"
+        if name != "torch":  # its older builds bring gigabytes of CUDA along
+            assert f"{oldest[name]}.".startswith(f"{least}."), (name, least, oldest[name])
+
+
+def test_the_shell_completes_commands(tmp_path: Path) -> None:
+    home = {**os.environ, "HOME": str(tmp_path), "SHELL": "/bin/bash"}
+    code = "import sys; sys.argv[0] = 'rgrasp'; from pointsdf_cli.cli.main import main; main()"
+    asked = {"_RGRASP_COMPLETE": "complete_bash", "COMP_WORDS": "rgrasp ren", "COMP_CWORD": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=home | asked, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["render"]
+    install = f'"{sys.executable}" -c "{code}" --install-completion'
+    subprocess.run(["bash", "-c", f"{install}; true"], env=home, check=True, capture_output=True)
+    assert "complete" in (tmp_path / ".bash_completions" / "rgrasp.sh").read_text()

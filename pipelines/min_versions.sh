@@ -1,0 +1,13 @@
+#!/usr/bin/env bash
+# The tests with the oldest dependencies that pyproject.toml allows, in an environment of their own.
+#   pipelines/min_versions.sh [VENV] [pytest arguments]     (a download of about 1 GB; not in CI)
+# With CONSTRAINTS=/dev/null: with the newest there are.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+venv=${1:-.venv-min}
+shift || true
+constraints=${CONSTRAINTS:-constraints-min.txt}
+[ -x "$venv/bin/python" ] || python3.11 -m venv "$venv"
+"$venv/bin/pip" install --quiet -c "$constraints" torch
+"$venv/bin/pip" install --quiet -c "$constraints" -e '.[sim]' pytest pytest-xdist hypothesis
+OMP_NUM_THREADS=1 "$venv/bin/python" -m pytest -n auto "$@"
