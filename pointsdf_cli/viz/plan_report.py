@@ -1,0 +1,85 @@
+"""The report on one plan: what was decided, how near it comes to things, what was rejected."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from PIL import Image
+
+from pointsdf_cli.io.plans import OK, ROOMS, Plan
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.viz import html
+from pointsdf_cli.viz.robot_picture import robot_poses_picture
+
+
+def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
+    """The page, as HTML. The robot is drawn at the start, half-way and at the grasp."""
+    parts = [html.table(("", ""), _facts(plan))]
+    if plan.status == OK and len(plan.times):
+        moments = plan.trajectory[np.linspace(0, len(plan.times) - 1, 3).round().astype(int)]
+        buffer = io.BytesIO()
+        Image.fromarray(robot_poses_picture(robot, list(moments), 380)).save(buffer, format="png")
+        parts += [
+            html.heading("Start, half-way, grasp"),
+            html.png(buffer.getvalue(), "the robot at the start, half-way and at the grasp"),
+        ]
+    parts += [html.heading("Time by stage"), html.table(("stage", "s"), sorted(_timings(plan)))]
+    if plan.status == OK:
+        rows = zip(
+            plan.link_names, plan.link_clearance_object, plan.link_clearance_table, strict=True
+        )
+        parts += [
+            html.heading("Distances at the grasp"),
+            html.table(
+                ("link", "to the object [mm]", "to the table [mm]"),
+                [(link, _mm(thing), _mm(table)) for link, thing, table in rows],
+            ),
+            html.heading("Configuration"),
+            html.table(
+                ("joint", "at the grasp [rad or m]"),
+                [(n, float(v)) for n, v in zip(plan.joint_names, plan.q, strict=True)],
+            ),
+        ]
+    if plan.rejected.reasons:
+        rejected = plan.rejected
+        parts += [
+            html.heading("Rejected"),
+            html.note("Room is distance less the clearance asked for: negative is too near."),
+            html.table(
+                ("reason", "success", "objective", *(f"room to {room} [mm]" for room in ROOMS)),
+                [
+                    (
+                        reason,
+                        float(rejected.success_probability[k]),
+                        float(rejected.objective[k]),
+                        *(_mm(value) for value in rejected.room[k]),
+                    )
+                    for k, reason in enumerate(rejected.reasons)
+                ],
+            ),
+        ]
+    return html.page(title, parts)
+
+
+def _facts(plan: Plan) -> list[tuple[str, object]]:
+    facts: list[tuple[str, object]] = [("status", plan.status)]
+    if plan.status == OK:
+        facts += [
+            ("kind", plan.kind),
+            ("probability of success", float(plan.success_probability)),
+            ("objective", float(plan.objective)),
+            ("duration of the motion [s]", float(plan.times[-1]) if len(plan.times) else "none"),
+            ("accepted grasps", len(plan.accepted.q)),
+        ]
+    else:
+        facts += [("reason", plan.reason), ("", plan.sentence)]
+    return [*facts, ("seeds tried", plan.seeds_tried), ("seeds rejected", len(plan.rejected.q))]
+
+
+def _timings(plan: Plan) -> list[tuple[str, float]]:
+    return [(name, float(seconds)) for name, seconds in plan.timings.items()]
+
+
+def _mm(metres: float) -> object:
+    return round(1e3 * float(metres), 2) if np.isfinite(metres) else "far"
