@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
-# Objects made here, depth views of them, exact signed distances; bundled clouds completed by the
-# bundled weights; pictures of all that.
+# A grasp planned on a bundled cloud of a table, with its motion; bundled clouds completed by the
+# bundled weights; objects made here, depth views of them, exact signed distances; pictures of all.
 #   pipelines/demo.sh [DIR]      (about a minute; DIR defaults to demo/)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 out=${1:-demo}
 
+rgrasp plan assets/clouds/table.ply --out "$out/plan.h5" --trajectory "$out/motion.json" --force
 rgrasp objects make --out "$out/meshes" --count 24 --seed 7 --sheet "$out/objects.png" --force
 rgrasp render --meshes "$out/meshes" --out "$out/views" --views 50 --force
 rgrasp label-sdf --views "$out/views" --meshes "$out/meshes" --out "$out/labels" --force
@@ -14,5 +15,5 @@ for name in power_drill spray_bottle mug; do
     rgrasp mesh "assets/clouds/$name.ply" --out "$out/$name.ply" --picture "$out/$name.png" --force
 done
 echo
-echo "Look at $out/power_drill.png (a cloud and its reconstruction), $out/views.png and"
-echo "$out/signed_distance.png, or open $out/report.html"
+echo "Look at $out/plan.png (a grasp), $out/power_drill.png (a cloud and its reconstruction),"
+echo "$out/views.png and $out/signed_distance.png, or open $out/report.html"

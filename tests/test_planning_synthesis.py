@@ -16,7 +16,7 @@ from pointsdf_cli.planning.grid import GridConfig, GridField
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.reasons import explain
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
-from pointsdf_cli.planning.seeds import SeedConfig, draw_seeds
+from pointsdf_cli.planning.seeds import SeedConfig, Seeds, draw_seeds
 from pointsdf_cli.planning.sqp import Sqp
 from pointsdf_cli.planning.synthesis import Problems, Synthesis, SynthesisConfig, synthesise
 from pointsdf_cli.robot.description import load_robot
@@ -142,12 +142,16 @@ def test_seeds_are_the_best_of_what_is_reached() -> None:
     score = NearPalm((CAN[0] - 0.09, 0, CAN[2]), (1.0, 0, 0), REST)
     problem = problems(field, score, Environment(), CAN).quick
     prior = AroundObject(CAN, 0.09, REST)
-    few = draw_seeds(problem, prior, IK, "side", np.random.default_rng(1), SeedConfig(16, 2))
-    many = draw_seeds(problem, prior, IK, "side", np.random.default_rng(1), SeedConfig(16, 16))
+
+    def draw(seeds: int) -> Seeds:
+        config = SeedConfig(palms=16, seeds=seeds)
+        return draw_seeds(problem, prior, IK, "side", np.random.default_rng(1), config)
+
+    few, many = draw(2), draw(16)
     assert len(few.x) == 2
     np.testing.assert_array_equal(few.x, many.x[:2])
     assert few.drawn.reached <= few.drawn.above_table <= few.drawn.drawn
-    with pytest.raises(InputError, match="side, top"):
+    with pytest.raises(InputError, match="side, top, either"):
         draw_seeds(problem, prior, IK, "below", np.random.default_rng(1))
 
 
@@ -158,16 +162,16 @@ def test_every_reason_is_told_apart(can_plan: Synthesis) -> None:
     exact = problems(field, score, Environment(), CAN).exact
     assert can_plan.best is not None
     good = can_plan.best.x
-    into_table = good.copy()
-    into_table[1] += 0.5  # the shoulder leans forward
+    into_table = np.clip(np.zeros_like(good), exact.lower, exact.upper)
+    into_table[1] = exact.upper[1]  # the stretched arm leans forward, beyond level
     beyond = good.copy()
     beyond[0] = exact.upper[0] + 0.1
     reasons = [c.reason for c in judge(exact, np.stack([into_table, beyond]))]
     assert reasons[0] in ("table_collision", "object_collision")
     assert reasons[1] == "solver"
-    strict = judge(exact, good[None], AcceptanceConfig(success=0.999))[0]
+    strict = judge(exact, good[None], AcceptanceConfig(success=0.9999999, least=0.9999999))[0]
     assert strict.reason == "low_success_probability"
-    picky = judge(exact, good[None], AcceptanceConfig(success=0.0, objective=1e-3))[0]
+    picky = judge(exact, good[None], AcceptanceConfig(success=0.0, least=0.0, objective=1e-3))[0]
     assert picky.reason == "objective"
     assert f"{picky.objective:.2f}" in explain("objective", picky, 4)
 

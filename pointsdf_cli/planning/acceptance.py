@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,19 +14,25 @@ from pointsdf_cli.planning.grasp_problem import GraspProblem
 
 @dataclass(frozen=True)
 class AcceptanceConfig:
-    """METHOD section 6: h > 0.6 and the objective < 5.
+    """What is good, and what is good enough (METHOD section 6: h > 0.6 and the objective < 5).
+
+    The paper's h was no calibrated probability; ours is, and grasps of which 6 in 10 hold do not
+    exist for every object. So h > 0.6 ends the search, and what is above `least` is taken where a
+    longer search finds nothing better.
 
     Attributes:
-        success: The least predicted probability of success.
+        success: A predicted probability of success above this ends the search.
+        least: At or below this a grasp is not taken.
         objective: The largest objective.
     """
 
     success: float = 0.6
+    least: float = 0.25
     objective: float = 5.0
 
     def __post_init__(self) -> None:
-        if not (0 <= self.success < 1 and self.objective > 0):
-            raise InputError(f"{self}", allowed="success in [0, 1), objective above 0")
+        if not (0 <= self.least <= self.success < 1 and self.objective > 0):
+            raise InputError(f"{self}", allowed="0 ≤ least ≤ success < 1, objective above 0")
 
 
 @dataclass(frozen=True)
@@ -68,7 +75,7 @@ def judge(
     problem: GraspProblem,
     x: Array,
     config: AcceptanceConfig | None = None,
-    kind: str = "",
+    kinds: Sequence[str] = (),
 ) -> list[Candidate]:
     """Check solutions x [B, n] against the problem as it is, whatever the solver made of it.
 
@@ -76,7 +83,7 @@ def judge(
         problem: With the exact field and the clearances that were asked for.
         x: The solutions.
         config: Thresholds.
-        kind: Of the seeds that they came from.
+        kinds: [B], of the seeds that they came from, if known.
     """
     config = config or AcceptanceConfig()
     if not len(x):
@@ -97,7 +104,7 @@ def judge(
             reason = "solver"
         elif distances[worst] < 0:
             reason = worst
-        elif success <= config.success:
+        elif success <= config.least:
             reason = "low_success_probability"
         elif cost.value[b] >= config.objective:
             reason = "objective"
@@ -114,7 +121,7 @@ def judge(
                 self_room=float(room.self_collision[b]),
                 limit_room=float(limit[b]),
                 reason=reason,
-                kind=kind,
+                kind=kinds[b] if kinds else "",
             )
         )
     return candidates

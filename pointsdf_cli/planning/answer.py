@@ -20,9 +20,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from pointsdf_cli.assets import assets_folder
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.plans import Plan
+from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.planning.contacts import Array
@@ -32,7 +34,7 @@ from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.planner import Planner, PlannerConfig, Rank
 from pointsdf_cli.planning.record import no_plan
-from pointsdf_cli.planning.seeds import KINDS, GraspPrior
+from pointsdf_cli.planning.seeds import EITHER, KINDS, GraspPrior
 from pointsdf_cli.planning.synthesis import Satisfied, SynthesisConfig
 from pointsdf_cli.planning.target import (
     EmptyFieldError,
@@ -47,6 +49,9 @@ from pointsdf_cli.robot.description import load_robot
 
 RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
 METHODS = (RECONSTRUCTION, PARTIAL_VIEW)
+
+SCRATCH = "weights/grasp_scratch"
+"""PointSDF-Scratch, the success network of partial-view grasping, where it is bundled."""
 
 LOW_OBJECT = 0.03
 """An object lower than this [m] is grasped from the top only (METHOD section 4)."""
@@ -73,8 +78,7 @@ class PlanOptions:
     Attributes:
         method: One of `METHODS`.
         solver: "sqp" or "slsqp".
-        kind: "side", "top", or "auto": from the side first, from the top where the object is low
-            or the side yields nothing.
+        kind: "side", "top", or "auto": whichever promises more, but low objects from the top.
         robot: Its YAML file; the bundled one if None.
         checkpoint: Of the reconstruction network; the bundled one if None.
         grasp_checkpoint: Of the success network; the method's bundled one if None.
@@ -186,7 +190,7 @@ class GraspPlanner:
         )
         self._reconstructs = options.method == RECONSTRUCTION
         self._shape = load_model(options.checkpoint, options.device) if self._reconstructs else None
-        self._grasps = grasps or _bundled_grasps(options)
+        self._grasps = grasps or _success_network(options)
 
     def see(
         self,
@@ -285,7 +289,7 @@ class GraspPlanner:
             return (self.options.kind,)
         if np.percentile(points[:, 2], 99) < LOW_OBJECT:
             return ("top",)
-        return ("side", "side", "top")
+        return (EITHER,)
 
     def nothing(self, what: str) -> Answer:
         """The answer to a cloud that shows no object."""
@@ -298,7 +302,14 @@ def _constraint(field: Field | Literal["none"], points: Array) -> ObjectField:
     return given_object(field, points)
 
 
-def _bundled_grasps(options: PlanOptions) -> GraspModel:
-    from pointsdf_cli.models.grasp_score import load_grasp_model
+def _success_network(options: PlanOptions) -> GraspModel:
+    """The checkpoint that was asked for, or the method's bundled one.
 
-    return load_grasp_model(options.grasp_checkpoint, None, options.device)
+    Where no network from scratch is bundled, both methods share the one on geometry, which then
+    reads each method's own field: partial-view grasping knows no more than what was seen.
+    """
+    path = options.grasp_checkpoint
+    if path is None and options.method == PARTIAL_VIEW:
+        scratch = assets_folder() / SCRATCH
+        path = scratch if scratch.is_dir() else None
+    return load_grasp_model(path, None, options.device)

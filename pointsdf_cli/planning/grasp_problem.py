@@ -100,8 +100,9 @@ class GraspProblem:
         self.variables = Variables(kinematics.robot)
         self.lower, self.upper = self.variables.lower, self.variables.upper
         self.clearances = clearances or Clearances()
+        self.geometry, self.environment = geometry, environment or Environment()
         self.objective = Objective(kinematics, self.variables, score, objective)
-        self.bodies = BodyDistances(geometry, environment or Environment())
+        self.bodies = BodyDistances(geometry, self.environment)
         self.object = ObjectDistances(geometry, field, reach, slope)
         self._jacobian = ContactJacobian(kinematics)
         self.names = self.object.names + self.bodies.names

@@ -76,5 +76,11 @@ class Solutions:
 class Solver(Protocol):
     """One way to solve such problems."""
 
-    def solve(self, problem: Problem, starts: Array) -> Solutions:
-        """Solve from all starts [B, n]; equal input gives equal output."""
+    def solve(self, problem: Problem, starts: Array, iterations: int | None = None) -> Solutions:
+        """Solve from all starts [B, n]; equal input gives equal output.
+
+        Args:
+            problem: What to solve.
+            starts: Where from.
+            iterations: At most so many; the solver's own number if None.
+        """

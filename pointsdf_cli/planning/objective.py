@@ -103,3 +103,12 @@ class Objective:
             (gradient,) = torch.autograd.grad(residual.sum(), leaf)
         r = residual.detach().numpy()
         return Cost(r**2, r, gradient.numpy(), success.detach().numpy(), prior.detach().numpy())
+
+    def of_palms(self, preshape: Array, T_world_palm: Array) -> Array:
+        """The cost [B] of preshapes [B, K] at palms [B, 4, 4], wherever the arm may be."""
+        hand, palm = torch.from_numpy(preshape), torch.from_numpy(T_world_palm)
+        with torch.no_grad():
+            success = self._score.log_success(hand, palm).double()
+            prior = self._score.log_prior(hand, palm).double()
+        residual = (-success - self.config.alpha * prior - self.config.beta).clamp(min=0)
+        return np.asarray(residual.square().numpy())

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.planning.contacts import Array, Indices
+from pointsdf_cli.planning.screen import HandOutline
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.shapes import Shape, bounding_box
 from pointsdf_cli.robot.surface import SPACING, robot_surface
@@ -64,6 +65,7 @@ class RobotGeometry:
         bodies: One for each shape.
         patches: Of all links' surfaces.
         reach: [L + 1, J], see `link_reach`.
+        hand: The hand's surface for any preshape.
     """
 
     def __init__(self, kinematics: Kinematics, spacing: float = SPACING) -> None:
@@ -84,6 +86,7 @@ class RobotGeometry:
         centre = (stacked.min(axis=1) + stacked.max(axis=1)) / 2
         radius = np.linalg.norm(stacked - centre[:, None], axis=2).max(axis=1)
         self.reach = link_reach(kinematics)
+        self.hand = HandOutline(kinematics)
         self.patches = Patches(np.array(links), stacked, centre, radius)
 
 

@@ -17,9 +17,12 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.reasons import Drawn
+from pointsdf_cli.planning.screen import depth_in, lifted
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
 KINDS = ("side", "top")
+EITHER = "either"
+"""Half of the grasps are drawn from each kind; what they are worth decides which are tried."""
 
 
 class GraspPrior(Protocol):
@@ -34,22 +37,30 @@ class SeedConfig:
     """How many.
 
     Attributes:
-        palms: Grasps drawn from the prior in a round.
+        drawn: Grasps drawn from the prior in a round.
+        palms: Of them, those that the arm is asked to reach.
+        share: Of the palms, those that are the best as far as the hand alone tells; the others
+            are any, so that the arm is not asked for one place only.
         seeds: Configurations handed to the solver.
         elbows: Elbow positions judged for each palm, at most.
         lowest_palm: Palms whose origin is lower above the table [m] are not tried.
         violation_weight: Cost per metre of violation when seeds are ranked.
     """
 
+    drawn: int = 192
     palms: int = 32
+    share: float = 0.75
     seeds: int = 8
     elbows: int = 3
     lowest_palm: float = 0.02
     violation_weight: float = 300.0
 
     def __post_init__(self) -> None:
-        if min(self.palms, self.seeds, self.elbows) < 1 or self.violation_weight <= 0:
-            raise InputError(f"{self}", allowed="counts ≥ 1, violation_weight > 0")
+        counts = (self.palms, self.seeds, self.elbows)
+        if min(counts) < 1 or self.violation_weight <= 0 or not 0 <= self.share <= 1:
+            raise InputError(
+                f"{self}", allowed="counts ≥ 1, share from 0 to 1, violation_weight > 0"
+            )
 
 
 @dataclass(frozen=True)
@@ -58,10 +69,12 @@ class Seeds:
 
     Attributes:
         x: [S, n]; S may be 0.
+        kinds: [S], "side" or "top".
         drawn: What became of all that was drawn.
     """
 
     x: Array
+    kinds: tuple[str, ...]
     drawn: Drawn
 
 
@@ -76,17 +89,23 @@ def draw_seeds(
     """Draw, reach, judge and keep the best.
 
     Raises:
-        InputError: `kind` is neither "side" nor "top".
+        InputError: `kind` is neither "side" nor "top" nor "either".
     """
     config = config or SeedConfig()
-    if kind not in KINDS:
-        raise InputError(f"no kind of grasp {kind!r}", allowed=", ".join(KINDS))
-    preshape, palm = prior.sample(kind, config.palms, rng)
+    if kind not in (*KINDS, EITHER):
+        raise InputError(f"no kind of grasp {kind!r}", allowed=", ".join((*KINDS, EITHER)))
+    wanted = KINDS if kind == EITHER else (kind,)
+    each = max(config.drawn, config.palms) // len(wanted)
+    draws = [prior.sample(one, each, rng) for one in wanted]
+    preshape, palm = (np.concatenate(part) for part in zip(*draws, strict=True))
+    kinds = np.repeat(wanted, each)
     above = palm[:, 2, 3] >= config.lowest_palm
-    preshape, palm = preshape[above], palm[above]
+    preshape, palm, kinds = preshape[above], palm[above], kinds[above]
     n = problem.variables.count
     if not len(palm):
-        return Seeds(np.zeros((0, n)), Drawn(config.palms))
+        return Seeds(np.zeros((0, n)), (), Drawn(len(above)))
+    palm, chosen = _promising(problem, preshape, palm, rng, config)
+    preshape, palm, kinds = preshape[chosen], palm[chosen], kinds[chosen]
     found = kinematics.solve(palm)
     rows, elbows = np.nonzero(found.reached)
     keep = np.zeros(len(rows), dtype=bool)
@@ -96,7 +115,7 @@ def draw_seeds(
     x = np.hstack([found.arm[rows, elbows], preshape[rows]])
     x = np.clip(x, problem.lower, problem.upper)
     if not len(x):
-        return Seeds(x, Drawn(config.palms, int(above.sum())))
+        return Seeds(x, (), Drawn(len(above), int(above.sum())))
     room = np.minimum(0.0, np.stack(list(problem.residuals(x))))
     rank = problem.cost(x).value - config.violation_weight * room.sum(axis=0)
     # One seed a palm, while there are palms: two elbows of one palm end alike.
@@ -104,8 +123,29 @@ def draw_seeds(
     first = np.unique(rows[order], return_index=True)[1]
     others = np.setdiff1d(np.arange(len(order)), first)
     chosen = np.concatenate([order[np.sort(first)], order[others]])[: config.seeds]
-    drawn = Drawn(config.palms, int(above.sum()), len(first), *_fate(rows, room))
-    return Seeds(x[chosen], drawn)
+    drawn = Drawn(len(above), int(above.sum()), len(first), *_fate(rows, room))
+    return Seeds(x[chosen], tuple(str(kinds[row]) for row in rows[chosen]), drawn)
+
+
+def _promising(
+    problem: GraspProblem,
+    preshape: Array,
+    palm: Array,
+    rng: np.random.Generator,
+    config: SeedConfig,
+) -> tuple[Array, NDArray[np.intp]]:
+    """All palms, lifted out of the table, and indices of those that the arm shall reach."""
+    outline = problem.geometry.hand(preshape)
+    if problem.environment.table:
+        palm = lifted(outline, palm, problem.clearances.environment)
+    if len(palm) <= config.palms:
+        return palm, np.arange(len(palm))
+    depth = depth_in(problem.object.field, outline, palm)
+    rank = problem.objective.of_palms(preshape, palm) + config.violation_weight * depth
+    order = np.argsort(rank, kind="stable")
+    best = round(config.share * config.palms)
+    others = rng.permutation(order[best:])[: config.palms - best]
+    return palm, np.concatenate([order[:best], others])
 
 
 def _fate(rows: NDArray[np.intp], room: Array) -> tuple[int, int, int, int, int]:

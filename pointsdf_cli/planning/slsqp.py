@@ -34,9 +34,10 @@ class Slsqp:
     def __init__(self, config: SlsqpConfig | None = None) -> None:
         self.config = config or SlsqpConfig()
 
-    def solve(self, problem: Problem, starts: Array) -> Solutions:
+    def solve(self, problem: Problem, starts: Array, iterations: int | None = None) -> Solutions:
         """See `nonlinear.Solver`."""
-        results = [self._one(problem, start) for start in starts]
+        most = iterations or self.config.iterations
+        results = [self._one(problem, start, most) for start in starts]
         x = np.array([r[0] for r in results]).reshape(starts.shape)
         final = problem.evaluate_grouped(x)
         return Solutions(
@@ -47,7 +48,7 @@ class Slsqp:
             evaluations=sum(r[2] for r in results),
         )
 
-    def _one(self, problem: Problem, start: Array) -> tuple[Array, bool, int]:
+    def _one(self, problem: Problem, start: Array, iterations: int) -> tuple[Array, bool, int]:
         memory = _Memory(problem)
         result = minimize(
             lambda x: float(memory(x).objective[0]),
@@ -60,7 +61,7 @@ class Slsqp:
                 "jac": lambda x: memory(x).jacobian[0],
             },
             method="SLSQP",
-            options={"maxiter": self.config.iterations, "ftol": self.config.tolerance},
+            options={"maxiter": iterations, "ftol": self.config.tolerance},
         )
         x = np.clip(result.x, problem.lower, problem.upper)
         return x, bool(result.success), memory.count

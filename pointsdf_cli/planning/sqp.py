@@ -38,7 +38,7 @@ class SqpConfig:
         damping: Added to the Hessian model's diagonal.
     """
 
-    iterations: int = 30
+    iterations: int = 18
     radius: float = 0.2
     smallest_radius: float = 1e-4
     largest_radius: float = 0.5
@@ -64,7 +64,7 @@ class Sqp:
         self.config = config or SqpConfig()
         self._programs: dict[tuple[int, int], StepQp] = {}
 
-    def solve(self, problem: Problem, starts: Array) -> Solutions:
+    def solve(self, problem: Problem, starts: Array, iterations: int | None = None) -> Solutions:
         """See `nonlinear.Solver`."""
         config = self.config
         x = np.clip(np.asarray(starts, dtype=np.float64), problem.lower, problem.upper)
@@ -75,7 +75,7 @@ class Sqp:
         radius = np.full(count, config.radius)
         penalty = np.full(count, config.penalty)
         done = np.zeros(count, dtype=bool)
-        for _ in range(config.iterations):
+        for _ in range(iterations or config.iterations):
             live = np.flatnonzero(~done)
             if not len(live):
                 break

@@ -1,8 +1,8 @@
 """From an object to the best configuration that may be taken: seeds, solver, check, up to 5 rounds.
 
-The solver works on a quick field for all seeds at once. The best few are then polished with the
-exact field, which costs little where only the points that come near ask it, and whatever is
-returned has been judged by the exact problem.
+The solver works on a quick field for all seeds at once. All solutions are judged by the exact
+problem; the best few of those that the quick field let too near are solved again with the exact
+one, which costs little where only the points that come near ask it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ from pointsdf_cli.planning.reasons import Drawn, why_none
 from pointsdf_cli.planning.seeds import GraspPrior, SeedConfig, draw_seeds
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
+WORTH = 0.05
+"""A solution is solved again only if its objective is better than the best so far by this."""
+
 
 @dataclass(frozen=True)
 class SynthesisConfig:
@@ -33,14 +36,18 @@ class SynthesisConfig:
 
     Attributes:
         rounds: Of seeds (METHOD section 6: up to five).
-        polished: Solutions of a round that are solved again with the exact field.
+        enough: After so many rounds any accepted grasp ends the search; before, a good one does.
+        polished: Solutions of a round that are solved again with the exact field, at most.
+        polish_iterations: Of that; they start next to where they end.
         seeds: How seeds are drawn.
         acceptance: What is good enough.
-        kinds: Kinds of grasp, one a round, over and over.
+        kinds: "side", "top" or "either", one a round, over and over.
     """
 
     rounds: int = 5
+    enough: int = 2
     polished: int = 3
+    polish_iterations: int = 8
     seeds: SeedConfig = field(default_factory=SeedConfig)
     acceptance: AcceptanceConfig = field(default_factory=AcceptanceConfig)
     kinds: tuple[str, ...] = ("side",)
@@ -110,7 +117,7 @@ def synthesise(
         rng: Of the seeds.
         config: How long to look.
         satisfied: Asked after every round that has added to the accepted candidates whether to
-            stop; the first accepted one ends the search if None.
+            stop; if None, what the configuration says of good grasps and of enough rounds.
     """
     config = config or SynthesisConfig()
     timings = dict.fromkeys(("seeds", "solve", "polish", "check"), 0.0)
@@ -128,19 +135,31 @@ def synthesise(
         found = solver.solve(problems.quick, seeds.x)
         start = _lap(timings, "solve", start)
         order = _ranked(found)
-        top = found.x[order[: config.polished]]
-        # The paper's solver asked the exact field already.
-        done = problems.polish is problems.quick
-        polished = top if done else solver.solve(problems.polish, top).x
-        start = _lap(timings, "polish", start)
-        candidates = judge(problems.exact, polished, config.acceptance, kind)
-        others = found.x[order[config.polished :]]
-        candidates += judge(problems.quick, others, config.acceptance, kind)
-        _lap(timings, "check", start)
-        new = [c for c in candidates[: len(top)] if not c.reason]
+        kinds = [seeds.kinds[k] for k in order]
+        candidates = judge(problems.exact, found.x[order], config.acceptance, kinds)
+        start = _lap(timings, "check", start)
+        # What the quick field let too near is solved again with the exact one.
+        best = min((c.objective for c in [*accepted, *candidates] if not c.reason), default=np.inf)
+        again = [
+            k
+            for k, candidate in enumerate(candidates)
+            if candidate.object_room < 0 and candidate.objective < best - WORTH
+        ][: config.polished]
+        if again and problems.polish is not problems.quick:
+            near = np.stack([candidates[k].x for k in again])
+            polished = solver.solve(problems.polish, near, config.polish_iterations).x
+            start = _lap(timings, "polish", start)
+            better = judge(problems.exact, polished, config.acceptance, [kinds[k] for k in again])
+            for k, candidate in zip(again, better, strict=True):
+                candidates[k] = candidate
+            _lap(timings, "check", start)
+        new = [c for c in candidates if not c.reason]
         accepted += new
         rejected += [c for c in candidates if c.reason]
-        if new and (satisfied is None or satisfied(new)):
+        if satisfied is not None:
+            if new and satisfied(new):
+                break
+        elif accepted and (turn + 1 >= config.enough or _any_good(accepted, config)):
             break
     accepted.sort(key=lambda c: (c.objective, -c.success))
     reason = sentence = ""
@@ -156,6 +175,10 @@ def synthesise(
         drawn=drawn,
         timings=timings,
     )
+
+
+def _any_good(candidates: list[Candidate], config: SynthesisConfig) -> bool:
+    return any(c.success > config.acceptance.success for c in candidates)
 
 
 def _ranked(found: Solutions) -> NDArray[np.intp]:

@@ -134,9 +134,11 @@ def look_at_table(
 def robot_points(robot: RobotDescription, q: Array) -> Array:
     """Samples [N, 3] of the robot's surface at a configuration [J], 1 cm apart, world, m."""
     kinematics, surface = Kinematics(robot), robot_surface(robot)
-    links = [(link, torch.from_numpy(points)) for link, points in surface.items()]
+    links = [(link, torch.from_numpy(np.array(points))) for link, points in surface.items()]
     with torch.no_grad():
-        return np.asarray(torch.cat(kinematics.points(torch.from_numpy(q), links)).numpy())
+        return np.asarray(
+            torch.cat(kinematics.points(torch.from_numpy(np.array(q)), links)).numpy()
+        )
 
 
 def clutter(points: Array, config: SegmentationConfig = WORKSPACE) -> tuple[Obstacle, ...]:

@@ -107,18 +107,25 @@ def close_ups(
     robot: RobotMeshes, q: Array, scene: PlanScene, size: tuple[int, int] = (480, 440)
 ) -> list[NDArray[np.uint8]]:
     """The object with the hand, from where the camera stood and from the opposite side."""
+    return [close_up(robot, q, scene, behind, size) for behind in (False, True)]
+
+
+def close_up(
+    robot: RobotMeshes,
+    q: Array,
+    scene: PlanScene,
+    behind: bool,
+    size: tuple[int, int] = (480, 440),
+) -> NDArray[np.uint8]:
+    """The object with the translucent hand, from where the camera stood or from behind."""
     toward = scene.camera - scene.centre
-    heading = float(np.arctan2(toward[1], toward[0]))
-    hidden, bare = scene.painted(), []
-    whole = [*robot.at(q), *hidden]
-    for turn in (heading, heading + np.pi):
-        way = np.array([np.cos(turn), np.sin(turn), 0.45])
-        camera = look_at(scene.centre + 0.62 * way, scene.centre)
-        front = shaded_image(whole, camera, size, 0.62).astype(float)
-        back = shaded_image(hidden, camera, size, 0.62).astype(float)
-        blend = TRANSLUCENT * front + (1 - TRANSLUCENT) * back
-        bare.append(blend.astype(np.uint8))
-    return bare
+    heading = float(np.arctan2(toward[1], toward[0])) + (np.pi if behind else 0.0)
+    way = np.array([np.cos(heading), np.sin(heading), 0.45])
+    camera = look_at(scene.centre + 0.62 * way, scene.centre)
+    without = scene.painted()
+    front = shaded_image([*robot.at(q), *without], camera, size, 0.62).astype(float)
+    back = shaded_image(without, camera, size, 0.62).astype(float)
+    return (TRANSLUCENT * front + (1 - TRANSLUCENT) * back).astype(np.uint8)
 
 
 def dots(points: Array, colour: tuple[float, float, float] = SEEN_COLOUR) -> Painted:

@@ -1,0 +1,69 @@
+"""Drawn grasps looked over before any inverse kinematics: the hand alone, at the palm.
+
+Drawing from the prior costs nothing, reaching a palm with the arm and solving from it does. So many
+grasps are drawn, those whose open hand would stand in the table are lifted out of it, and those
+that the score likes and that stand least in the object are handed on.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from pointsdf_cli.geometry.frames import invert_transform
+from pointsdf_cli.planning.contacts import Array
+from pointsdf_cli.planning.fields import Field
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.surface import robot_surface
+
+SPACING = 0.015
+"""Between samples of the hand [m]: this is a first look, not a check."""
+
+
+class HandOutline:
+    """The hand's surface for any preshape.
+
+    Args:
+        kinematics: Of the robot.
+    """
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        robot = self._robot = kinematics.robot
+        self._kinematics = kinematics
+        surface = robot_surface(robot, SPACING)
+        links = [link for link in robot.hand_links if link in surface]
+        self._links = [(link, torch.tensor(surface[link])) for link in links]
+
+    def __call__(self, preshape: Array) -> Array:
+        """Points [N, P, 3] in the palm's frame, m, of preshapes [N, K]."""
+        arm = np.broadcast_to(
+            self._robot.home[self._robot.arm], (len(preshape), len(self._robot.arm_joints))
+        )
+        q = torch.from_numpy(self._robot.configuration(arm, preshape))
+        with torch.no_grad():
+            points = torch.cat(self._kinematics.points(q, self._links), dim=1).numpy()
+            palm = self._kinematics.palm(q[0]).numpy()
+        T_palm_world = invert_transform(palm)
+        return np.asarray(points @ T_palm_world[:3, :3].T + T_palm_world[:3, 3])
+
+
+def lifted(outline: Array, palm: Array, gap: float) -> Array:
+    """Palms [N, 4, 4], raised until the hand's points [N, P, 3] (palm frame) clear the table.
+
+    Args:
+        outline: Of each hand.
+        palm: T_world_palm.
+        gap: Left between hand and table [m].
+    """
+    lowest = (outline @ palm[:, 2, :3, None])[..., 0].min(axis=1) + palm[:, 2, 3]
+    raised = palm.copy()
+    raised[:, 2, 3] += np.maximum(0.0, gap - lowest)
+    return raised
+
+
+def depth_in(field: Field, outline: Array, palm: Array) -> Array:
+    """How deep each hand [N, P, 3] at its palm stands in an object [N], m; 0 if it does not."""
+    count, points = outline.shape[:2]
+    world = outline @ palm[:, :3, :3].transpose(0, 2, 1) + palm[:, None, :3, 3]
+    values = field(world.reshape(-1, 3)).reshape(count, points)
+    return np.asarray(np.maximum(0.0, -values.min(axis=1)))

@@ -1,0 +1,126 @@
+"""Clouds of a table to the object that is meant: segmentation, the robot left out, clutter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
+from pointsdf_cli.planning.table_top import NoObjectError, clutter, look_at_table, robot_points
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.start import start_configuration
+from pointsdf_cli.viz.shading import look_at
+
+ROBOT = load_robot()
+HOME = ROBOT.home
+POSE = look_at((1.5, 0.0, 0.9), (0.6, 0.0, 0.0))
+LARGE, SMALL = (0.6, 0.2, 0.06), (0.6, -0.2, 0.04)
+
+
+def sheet(centre: tuple[float, float, float], half: tuple[float, float, float]) -> np.ndarray:
+    """The outside of a box, 5 mm apart."""
+    axes = [np.arange(-h, h + 1e-9, 0.005) for h in half]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    on_face = (np.abs(np.abs(grid) - [a.max() for a in axes]) < 1e-6).any(axis=1)
+    return grid[on_face] + centre
+
+
+TABLE = sheet((0.6, 0.0, 0.0), (0.35, 0.5, 0.0))
+THINGS = np.concatenate([sheet(LARGE, (0.04, 0.04, 0.05)), sheet(SMALL, (0.03, 0.03, 0.03))])
+
+
+def cloud(world: np.ndarray) -> Cloud:
+    points = apply_transform(invert_transform(POSE), world)
+    return Cloud(points, frame="camera", T_world_camera=POSE)
+
+
+def test_the_largest_thing_is_taken_or_the_one_that_is_meant() -> None:
+    scene = cloud(np.concatenate([TABLE, THINGS]))
+    seen = look_at_table([scene], ["a.ply"], ROBOT, HOME)
+    np.testing.assert_allclose(seen.views[0].in_world.mean(axis=0)[:2], LARGE[:2], atol=0.01)
+    np.testing.assert_allclose(seen.others.mean(axis=0)[:2], SMALL[:2], atol=0.01)
+    assert seen.table_height == pytest.approx(0.0, abs=1e-3)
+    assert "kept" in seen.report[0]
+    seen = look_at_table([scene], ["a.ply"], ROBOT, HOME, target=np.array(SMALL))
+    np.testing.assert_allclose(seen.views[0].in_world.mean(axis=0)[:2], SMALL[:2], atol=0.01)
+    with pytest.raises(NoObjectError, match="nearest to --target"):
+        look_at_table([scene], ["a.ply"], ROBOT, HOME, target=np.array([0.9, 0.0, 0.1]))
+
+
+def test_another_camera_is_asked_for_the_same_thing() -> None:
+    both = np.concatenate([TABLE, THINGS])
+    # The second camera sees more of the smaller thing.
+    second = np.concatenate([TABLE, THINGS, sheet(SMALL, (0.03, 0.03, 0.03)) + 0.0025])
+    seen = look_at_table([cloud(both), cloud(second)], ["a", "b"], ROBOT, HOME)
+    assert len(seen.views) == 2
+    for view in seen.views:
+        np.testing.assert_allclose(view.in_world.mean(axis=0)[:2], LARGE[:2], atol=0.01)
+
+
+def test_the_robot_is_no_object() -> None:
+    q = HOME.copy()
+    own = robot_points(ROBOT, q)
+    small = np.concatenate([TABLE, sheet(SMALL, (0.03, 0.03, 0.03)), own])
+    seen = look_at_table([cloud(small)], ["a"], ROBOT, q)
+    np.testing.assert_allclose(seen.views[0].in_world.mean(axis=0)[:2], SMALL[:2], atol=0.01)
+    assert "on the robot" in seen.report[0]
+    assert not len(seen.others)
+
+
+def test_a_bare_table_holds_no_object() -> None:
+    with pytest.raises(NoObjectError, match="no object"):
+        look_at_table([cloud(TABLE)], ["a"], ROBOT, HOME)
+
+
+def test_a_cloud_needs_a_pose_and_metres() -> None:
+    scene = cloud(np.concatenate([TABLE, THINGS]))
+    with pytest.raises(InputError, match="camera-pose"):
+        look_at_table([Cloud(scene.points)], ["a"], ROBOT, HOME)
+    millimetres = Cloud(scene.points * 1000, T_world_camera=POSE)
+    with pytest.raises(InputError, match="unit mm"):
+        look_at_table([millimetres], ["a"], ROBOT, HOME)
+    with pytest.raises(InputError, match="auto, none"):
+        look_at_table([scene], ["a"], ROBOT, HOME, segment="yes")
+
+
+def test_clutter_encloses_its_points_and_reaches_down_to_the_table() -> None:
+    obstacles = clutter(THINGS + [0.0, 0.0, 0.1])
+    assert len(obstacles) == 2
+    assert Environment(obstacles).obstacles == obstacles
+    inside = np.zeros(len(THINGS), dtype=bool)
+    for obstacle in obstacles:
+        vertices, faces = obstacle_mesh(obstacle)
+        assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+        hull = trimesh.Trimesh(vertices, faces)
+        distance = trimesh.proximity.signed_distance(hull, THINGS[::7] + [0.0, 0.0, 0.1])
+        inside[::7] |= distance > -1e-6
+    assert inside[::7].all()
+
+
+def test_obstacles_have_their_sizes() -> None:
+    pose = np.eye(4)
+    pose[:3, 3] = (1.0, 2.0, 3.0)
+    for kind, size, extent in (
+        ("box", (0.1, 0.2, 0.3), (0.1, 0.2, 0.3)),
+        ("cylinder", (0.1, 0.3), (0.2, 0.2, 0.3)),
+        ("sphere", (0.1,), (0.2, 0.2, 0.2)),
+    ):
+        vertices, _ = obstacle_mesh(Obstacle("a", kind, size, pose))
+        np.testing.assert_allclose(np.ptp(vertices, axis=0), extent, atol=0.01)
+        np.testing.assert_allclose((vertices.max(axis=0) + vertices.min(axis=0)) / 2, (1, 2, 3))
+
+
+def test_a_start_is_typed_for_the_arm_or_for_all() -> None:
+    np.testing.assert_array_equal(start_configuration(None, ROBOT), HOME)
+    arm = start_configuration("0.1 0.2,0.3;0.4 0.5 0.6 0.7", ROBOT)
+    np.testing.assert_allclose(arm[:7], np.arange(1, 8) / 10)
+    np.testing.assert_array_equal(arm[7:], HOME[7:])
+    with pytest.raises(InputError, match="3 joint positions"):
+        start_configuration("1,2,3", ROBOT)
+    with pytest.raises(InputError, match="beyond its limit"):
+        start_configuration("0,0,0,0,0,0,9", ROBOT)
