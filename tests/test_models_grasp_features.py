@@ -1,0 +1,111 @@
+"""Features of geometry: exact on fields in closed form, and blind to what must not matter."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from grasp_worlds import side_palm, top_palm
+
+from pointsdf_cli.geometry.frames import apply_transform, transform
+from pointsdf_cli.models.field_grid import FieldGrid
+from pointsdf_cli.models.grasp_features import BODY_SIZE, LENGTH, GraspFeatures, object_body
+from pointsdf_cli.models.hand_sweep import HandSweep
+from pointsdf_cli.robot.description import load_robot
+
+ROBOT = load_robot()
+FEATURES = GraspFeatures(HandSweep(ROBOT), ROBOT.preshape_ranges)
+CENTRE, RADIUS = np.array([0.6, 0.05, 0.05]), 0.05
+
+
+def ball(points: np.ndarray, centre: np.ndarray = CENTRE) -> np.ndarray:
+    return np.linalg.norm(points - centre, axis=-1) - RADIUS
+
+
+def ball_torch(centre: np.ndarray = CENTRE):  # type: ignore[no-untyped-def]
+    place = torch.tensor(centre, dtype=torch.float32)
+    return lambda points: (points - place).norm(dim=-1) - RADIUS
+
+
+def surface(seed: int = 0) -> np.ndarray:
+    directions = np.random.default_rng(seed).normal(size=(500, 3))
+    return CENTRE + RADIUS * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def grasps(count: int = 4) -> tuple[torch.Tensor, torch.Tensor]:
+    rng = np.random.default_rng(1)
+    palms = [
+        (side_palm, top_palm)[k % 2](CENTRE, rng.uniform(0, 0.04), RADIUS, rng.uniform(0, 3))
+        for k in range(count)
+    ]
+    return torch.tensor(rng.uniform(*ROBOT.preshape_ranges.T, (count, 8))), torch.tensor(
+        np.array(palms)
+    )
+
+
+def test_a_grid_gives_linear_fields_and_their_slopes_exactly() -> None:
+    slope = np.array([0.3, -0.7, 0.2])
+    grid = FieldGrid(lambda x: x @ slope + 0.1, np.zeros(3), np.array([0.2, 0.3, 0.1]), 0.03)
+    x = torch.rand(50, 3, dtype=torch.float32, requires_grad=True)
+    inside = x * torch.tensor([0.2, 0.3, 0.1])
+    values = grid(inside)
+    expected = inside.detach().numpy() @ slope + 0.1
+    assert np.allclose(values.detach().numpy(), expected, atol=1e-6)
+    (gradient,) = torch.autograd.grad(values.sum(), inside)
+    assert np.allclose(gradient.numpy(), slope, atol=1e-4)
+
+
+def test_a_large_box_gets_larger_cells_not_more_of_them() -> None:
+    asked = []
+
+    def field(points: np.ndarray) -> np.ndarray:
+        asked.append(len(points))
+        return points[:, 0]
+
+    FieldGrid(field, np.zeros(3), np.ones(3), 0.001, nodes=1000)
+    assert asked[0] < 2000
+
+
+def test_the_body_of_a_ball_has_its_volume_and_centre() -> None:
+    body = object_body(surface(), ball)
+    volume = 4 / 3 * np.pi * RADIUS**3
+    assert abs(float(body.numbers[1]) * LENGTH**3 / volume - 1) < 0.15
+    assert np.allclose(body.mass_centre.numpy(), CENTRE, atol=0.004)
+    assert np.allclose(body.centre.numpy(), CENTRE, atol=0.004)
+    assert abs(float(body.numbers[2]) * LENGTH - 0.1) < 0.002  # its height above the table
+
+
+def test_the_size_is_what_comes_out() -> None:
+    found = FEATURES(*grasps(), object_body(surface(), ball), ball_torch())
+    assert found.shape == (4, FEATURES.size)
+    assert torch.isfinite(found).all()
+
+
+def test_turning_and_shifting_the_whole_scene_on_the_table_changes_nothing() -> None:
+    preshape, palm = grasps()
+    turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1.0]])
+    motion = transform(turn, [-0.2, 0.3, 0.0])
+    centre = apply_transform(motion, CENTRE[None])[0]
+    here = FEATURES(preshape, palm, object_body(surface(), ball), ball_torch())
+    there = FEATURES(
+        preshape,
+        torch.tensor(motion @ palm.numpy()),
+        object_body(apply_transform(motion, surface()), lambda x: ball(x, centre)),
+        ball_torch(centre),
+    )
+    # The box in which the body is measured turns with the world's axes, not with the scene.
+    assert torch.allclose(here[:, :-BODY_SIZE], there[:, :-BODY_SIZE], atol=0.08)
+    on_links = FEATURES.size - BODY_SIZE - 20
+    assert torch.allclose(here[:, :on_links], there[:, :on_links], atol=1e-4)
+
+
+def test_raising_the_scene_above_the_table_changes_what_the_table_does() -> None:
+    preshape, palm = grasps()
+    lifted = palm.clone()
+    lifted[:, 2, 3] += 0.1
+    body = object_body(surface(), ball)
+    here = FEATURES(preshape, palm, body, ball_torch())
+    there = FEATURES(preshape, lifted, body, ball_torch(CENTRE + [0, 0, 0.1]))
+    still, moving = FEATURES._sweep.sizes
+    sampled = 2 * (4 * moving + still) + 64
+    assert torch.allclose(here[:, :sampled], there[:, :sampled], atol=1e-4)
+    assert torch.allclose(there[:, sampled + 4], here[:, sampled + 4] + 0.1 / LENGTH, atol=1e-5)
