@@ -8,6 +8,7 @@ and flushed beside the old one before it takes its place.
 from __future__ import annotations
 
 import ctypes
+import io
 import json
 import os
 import shutil
@@ -19,7 +20,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError
@@ -71,10 +72,13 @@ def write_checkpoint(
     temporary = path.with_name(f".{path.name}{TEMPORARY_MARK}{uuid.uuid4().hex[:8]}")
     try:
         temporary.mkdir(parents=True)
+        # In memory first: both libraries answer to a full disk with errors of their own.
         if weights is not None:
-            save_file(_storable(weights, half), temporary / WEIGHTS)
+            (temporary / WEIGHTS).write_bytes(save(_storable(weights, half)))
         if train_state is not None:
-            torch.save(dict(train_state), temporary / TRAIN_STATE)
+            image = io.BytesIO()
+            torch.save(dict(train_state), image)
+            (temporary / TRAIN_STATE).write_bytes(image.getbuffer())
         text = json.dumps({"schema": SCHEMA, "schema_version": VERSION, **config}, indent=1)
         (temporary / CONFIG).write_text(text + "\n", encoding="utf-8")
         for kept in path.iterdir() if path.exists() else ():

@@ -82,7 +82,8 @@ def make_objects(
         name = f"{index:05d}_{family_of(seed, index, choices).name}"
         tasks.append((name, ObjectTask(seed, index, names, out / f"{name}.ply", force)))
     report = run_stage(tasks, make_file, jobs=jobs, on_done=on_result)
-    write_manifest(out)
+    if report.made or report.kept:
+        write_manifest(out)
     return report
 
 
