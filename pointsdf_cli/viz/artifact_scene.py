@@ -16,7 +16,7 @@ from pointsdf_cli.io.hdf5 import open_hdf5
 from pointsdf_cli.io.meshes import MESH_SUFFIXES
 from pointsdf_cli.io.ply import ply_has_faces
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.viz.grasp_scenes import grasps_scene, plan_scene
+from pointsdf_cli.viz.grasp_scenes import grasps_scene, plan_scene, trial_scene
 from pointsdf_cli.viz.robot_check_picture import robot_scene
 from pointsdf_cli.viz.scene import Scene, joined
 from pointsdf_cli.viz.scene_sources import SceneOptions
@@ -74,7 +74,8 @@ def scenes_of(paths: Sequence[Path], options: SceneOptions) -> Scene:
     """
     scenes, T_world_mesh = [scene_of(path, options) for path in paths], np.eye(4)
     for path, scene in zip(paths, scenes, strict=True):
-        if any(part.layer == "cloud" and part.frame is None for part in scene.parts):
+        still_cloud = any(part.layer == "cloud" and part.frame is None for part in scene.parts)
+        if still_cloud and path.suffix.lower() in CLOUD_SUFFIXES:
             T_world_mesh = cloud_place(read_cloud(path, options.unit, drop_invalid=True))
             break
     placed = []
@@ -89,6 +90,7 @@ _ARTIFACTS = {
     "labels": labels_scene,
     "grasps": grasps_scene,
     "plan": plan_scene,
+    "trial": trial_scene,
 }
 
 

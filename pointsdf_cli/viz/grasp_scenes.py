@@ -11,6 +11,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.grasps import CAUSES, KINDS, read_grasps
 from pointsdf_cli.io.plans import OK, read_plan
+from pointsdf_cli.io.trials import read_trial
 from pointsdf_cli.viz.robot_scene import MovingRobot, table_part
 from pointsdf_cli.viz.scene import Part, Scene, axes, by_height
 from pointsdf_cli.viz.scene_sources import SceneOptions, named_mesh, require_joints, spread
@@ -82,4 +83,54 @@ def plan_scene(path: Path, options: SceneOptions) -> Scene:
     facts.append(("seeds tried", str(plan.seeds_tried)))
     return Scene(
         path.name, tuple(parts), bodies, poses, captions, "time", min(rate, 60.0), tuple(facts)
+    )
+
+
+def trial_scene(path: Path, options: SceneOptions) -> Scene:
+    """One trial: the robot along the planned motion and at the moments of its execution.
+
+    Where there was no plan, the robot and the object as they stood.
+    """
+    row, evidence = read_trial(path)
+    robot = MovingRobot(options.robot)
+    if evidence.q.shape[1] != len(options.robot.joint_names):
+        raise InputError("is of another robot", where=path, hint="give it by --robot")
+    thing = len(robot.bodies)
+    points = np.asarray(evidence.cloud, np.float32)
+    parts = [
+        *robot.parts,
+        table_part(),
+        Part("cloud", "cloud", "points", points, None, by_height(points)),
+        Part(
+            row.object,
+            "object",
+            "mesh",
+            np.asarray(evidence.vertices, np.float32),
+            np.asarray(evidence.faces, np.int32),
+            OBJECT_COLOUR,
+            thing,
+            opacity=0.6,
+        ),
+    ]
+    chosen = spread(len(evidence.times), 200)
+    q = np.concatenate([evidence.trajectory[chosen], evidence.q])
+    before = np.repeat(evidence.T_world_object[:1], len(chosen), axis=0)
+    stands = np.concatenate([before, evidence.T_world_object])[: len(q)]
+    captions = [f"planned, {evidence.times[k]:.2f} s" for k in chosen]
+    captions += [*evidence.phases] or [row.status] * len(evidence.q)
+    facts = (
+        ("object", row.object),
+        ("method", row.method),
+        ("ended", row.cause),
+        ("reason", row.reason or "–"),
+    )
+    return Scene(
+        path.name,
+        tuple(parts),
+        (*robot.bodies, "object"),
+        np.concatenate([robot.poses(q), stands[:, None]], axis=1),
+        tuple(captions),
+        "moment",
+        20.0,
+        facts,
     )
