@@ -36,8 +36,8 @@ class RehearsalConfig:
     """What is tried, and how much the truth may differ from what is believed.
 
     Attributes:
-        repeats: Disturbances that a grasp is tried under. The first is none at all; a grasp that
-            fails under that is not tried again.
+        repeats: Disturbances that a grasp is tried under, of which the first is none at all.
+        failures: A grasp that has failed so often is not tried again.
         place: Standard deviation of the object's place on the table [m].
         turn: ... of its yaw [rad].
         scale: ... of its size, as a share, level and upright alike.
@@ -49,7 +49,8 @@ class RehearsalConfig:
         cut: Convex pieces.
     """
 
-    repeats: int = 5
+    repeats: int = 8
+    failures: int = 2
     place: float = 0.005
     turn: float = 0.05
     scale: float = 0.04
@@ -60,8 +61,8 @@ class RehearsalConfig:
     cut: QuickCutConfig = field(default_factory=QuickCutConfig)
 
     def __post_init__(self) -> None:
-        if self.repeats < 1 or min(self.place, self.turn, self.scale) < 0:
-            raise InputError(f"{self}", allowed="repeats ≥ 1, deviations ≥ 0")
+        if min(self.repeats, self.failures) < 1 or min(self.place, self.turn, self.scale) < 0:
+            raise InputError(f"{self}", allowed="repeats, failures ≥ 1, deviations ≥ 0")
 
 
 class Rehearsed(NamedTuple):
@@ -147,10 +148,7 @@ class Rehearsal:
                 tried.append(UNTRIED)  # one that never fails is enough
                 continue
             lift = lift_path(self._solver, self._world.robot, grasp, self._execution.lift_height)
-            one = self._try(believed, grasp, lift, disturbances[:1])
-            if one.held and len(disturbances) > 1:
-                one = _together(one, self._try(believed, grasp, lift, disturbances[1:]))
-            tried.append(one)
+            tried.append(self._try(believed, grasp, lift, disturbances))
         return tried
 
     def _try(
@@ -160,6 +158,8 @@ class Rehearsal:
             return UNTRIED
         most, held, rises = self._execution.lift_height, 0, []
         for disturbance in disturbances:
+            if len(rises) - held >= self.config.failures or (rises and not held):
+                break  # it fails even when all is as believed, or too often
             self._tries += 1
             # The name keeps the physics client from taking one surface for another.
             item = _disturbed(believed, disturbance, f"rehearsal {self._tries}")
@@ -169,7 +169,7 @@ class Rehearsal:
             outcome = Executor(world, self._execution, self._palm).run(q, lift)
             held += outcome.held
             rises.append(float(np.clip(outcome.lift_height, 0.0, most)) if outcome.valid else 0.0)
-        return Rehearsed(len(disturbances), held, float(np.mean(rises)))
+        return Rehearsed(len(rises), held, float(np.mean(rises)))
 
     def _palm(self, q: Array) -> Array:
         with torch.no_grad():
@@ -188,12 +188,6 @@ def best_first(tried: list[Rehearsed]) -> list[int]:
         return not one.tries, -(one.held + 0.5) / (one.tries + 1), -round(one.rise, 2)
 
     return sorted(range(len(tried)), key=cost)
-
-
-def _together(first: Rehearsed, second: Rehearsed) -> Rehearsed:
-    tries = first.tries + second.tries
-    rise = (first.tries * first.rise + second.tries * second.rise) / max(tries, 1)
-    return Rehearsed(tries, first.held + second.held, rise)
 
 
 def believed_object(

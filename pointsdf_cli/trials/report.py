@@ -119,9 +119,13 @@ def _bars(axes, at, shares: Sequence[Share], width: float, colour: str, label: s
 
 
 def _success(summaries: Sequence[Summary]) -> Table:
-    cameras = list(summaries[0].by_camera)
+    cameras = list(dict.fromkeys(c for s in summaries for c in s.by_camera))
     body: list[Sequence[object]] = [
-        (s.name, *(percent(s.by_camera[c]) for c in cameras if c in s.by_camera), percent(s.held))
+        (
+            s.name,
+            *(percent(s.by_camera[c]) if c in s.by_camera else "–" for c in cameras),
+            percent(s.held),
+        )
         for s in summaries
     ]
     for method in _whole_methods(summaries):
