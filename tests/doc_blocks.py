@@ -70,6 +70,7 @@ def commands(text: str) -> list[list[str]]:
             words = shlex.split(re.split(r"\s[0-9]?>", part)[0])
             while words and _VARIABLE.match(words[0]):
                 words = words[1:]
+            words = [word for word in words if word != "…"]  # "and so on"
             if words:
                 found.append(words)
     return found
