@@ -27,6 +27,7 @@ from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.io.plans import OK, Plan, write_plan
 from pointsdf_cli.planning.answer import METHODS, Answer, GraspPlanner, PlanOptions
 from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.fields import RefinedField
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -67,11 +68,13 @@ class Judge:
 
 
 def least_room(planner: GraspPlanner, answer: Answer) -> float:
-    """The least distance less clearance [m] on the trajectory, at steps of 1 mm, by the exact
-    field; no proof is used, every step is looked at."""
-    assert answer.target is not None
-    geometry, clearances = planner.planner.geometry, planner.options.clearances
-    checker = PathChecker(geometry, answer.target.field, Environment(), clearances)
+    """The least distance less clearance [m] on the trajectory, at steps of 1 mm, by a field that is
+    exact wherever anything is near; no proof is used, every step is looked at."""
+    target, clearances = answer.target, planner.options.clearances
+    assert target is not None
+    assert target.kept is not None
+    field = RefinedField(target.kept, target.field, 0.004)
+    checker = PathChecker(planner.planner.geometry, field, Environment(), clearances)
     path, least = answer.plan.trajectory, np.inf
     for a, b in pairwise(path):
         steps = max(1, int(np.ceil(float(checker.motion(a, b).max()) / 0.001)))
@@ -159,7 +162,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=60)
     parser.add_argument("--slsqp", type=int, default=4)
-    parser.add_argument("--walk", type=int, default=8, help="trajectories walked at 1 mm")
+    parser.add_argument("--walk", type=int, default=4, help="trajectories walked at 1 mm")
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)
@@ -169,13 +172,14 @@ def main() -> None:
         options.out.mkdir(parents=True, exist_ok=True)
     folder = Path(os.environ.get("RGRASP_MESHES", MESHES)) / "test"
     results = {}
-    planner = None
     for method in options.methods.split(","):
         planner = GraspPlanner(PlanOptions(method=method))
         scenes = table_scenes(folder, planner.robot, options.scenes, options.seed)
         print(f"{method}, {len(scenes)} scenes, one thread")
         results[method] = run(planner, scenes, options.out, options.walk)
         summary(results[method])
+        if options.out:
+            (options.out / f"rows_{method}.json").write_text(json.dumps(results[method], indent=1))
     if options.slsqp:
         paper = GraspPlanner(PlanOptions(solver="slsqp"))
         scenes = table_scenes(folder, paper.robot, options.slsqp, options.seed)
@@ -190,8 +194,6 @@ def main() -> None:
         print(f"  slsqp takes {solve[0] / solve[1]:.1f} times as long to solve")
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"peak memory {memory:.2f} GiB")
-    if options.out:
-        (options.out / "rows.json").write_text(json.dumps(results, indent=1))
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ def main(folder: Path, out: Path) -> None:
     meshes = Path(os.environ.get("RGRASP_MESHES", REPOSITORY.parent / "shared" / "meshes"))
     robot = load_robot()
     painted = RobotMeshes(robot, sections=24)
-    rows = json.loads((folder / "rows.json").read_text())
+    rows = {m: json.loads((folder / f"rows_{m}.json").read_text()) for m in METHODS}
     scenes = table_scenes(meshes / "test", robot, COUNT)
     figure, axes = plt.subplots(
         COUNT * len(METHODS) // COLUMNS, COLUMNS, figsize=(3.0 * COLUMNS, 17.4), squeeze=False

@@ -141,9 +141,9 @@ def test_the_mean_has_the_mean_gradient() -> None:
     np.testing.assert_allclose(gradients, expected)
 
 
-def test_low_things_are_grasped_from_the_top_only(planner: GraspPlanner) -> None:
+def test_low_things_are_grasped_from_the_top_first(planner: GraspPlanner) -> None:
     low = np.random.default_rng(0).uniform((0.5, -0.1, 0.0), (0.6, 0.1, 0.025), (200, 3))
-    assert set(planner.kinds(low)) == {"top"}
+    assert planner.kinds(low)[0] == "top"
     high = low * [1, 1, 4]
     assert planner.kinds(high) == ("either",)
 

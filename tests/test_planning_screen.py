@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from planning_worlds import SphereField
 
-from pointsdf_cli.planning.screen import HandOutline, depth_in, lifted
+from pointsdf_cli.planning.screen import HandOutline, depth_in, lifted, narrowest
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
@@ -49,3 +49,17 @@ def test_depth_is_that_of_the_deepest_point() -> None:
     centre = outline[0, 7]
     depth = depth_in(SphereField(0.03, tuple(centre)), outline, palm)
     np.testing.assert_allclose(depth, [0.03, 0.0], atol=1e-9)
+
+
+def test_the_narrowest_width_does_not_depend_on_yaw() -> None:
+    box = np.array([[x, y, z] for x in (0, 0.3) for y in (0, 0.1) for z in (0, 0.2)])
+    c, s = np.cos(0.6981317), np.sin(0.6981317)  # 40 degrees, a multiple of the step
+    turned = box @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    for points in (box, turned):
+        np.testing.assert_allclose(narrowest(points), 0.1, atol=1e-6)
+    np.testing.assert_allclose(narrowest(box * [1, 1, 0.1]), 0.02, atol=1e-9)
+
+
+def test_the_hand_spans_more_than_its_palm() -> None:
+    # The Allegro's palm is 11 cm wide and its fingers reach 15 cm beyond.
+    assert 0.15 < OUTLINE.span < 0.3

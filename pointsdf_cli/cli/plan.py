@@ -22,7 +22,7 @@ def plan(
     method: Annotated[str, typer.Option(help="reconstruction or partial-view.")] = "reconstruction",
     solver: Annotated[str, typer.Option(help="sqp, or slsqp: the paper's, slow.")] = "sqp",
     kind: Annotated[
-        str, typer.Option(help="side, top, or auto: whichever promises more; top if it is low.")
+        str, typer.Option(help="side, top, or auto: whichever promises more; top first if low.")
     ] = "auto",
     target: Annotated[
         str | None,

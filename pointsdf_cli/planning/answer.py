@@ -33,7 +33,9 @@ from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.planner import Planner, PlannerConfig, Rank
+from pointsdf_cli.planning.reasons import too_large
 from pointsdf_cli.planning.record import no_plan
+from pointsdf_cli.planning.screen import narrowest
 from pointsdf_cli.planning.seeds import EITHER, KINDS, GraspPrior
 from pointsdf_cli.planning.synthesis import Satisfied, SynthesisConfig
 from pointsdf_cli.planning.target import (
@@ -54,7 +56,7 @@ SCRATCH = "weights/grasp_scratch"
 """PointSDF-Scratch, the success network of partial-view grasping, where it is bundled."""
 
 LOW_OBJECT = 0.03
-"""An object lower than this [m] is grasped from the top only (METHOD section 4)."""
+"""An object lower than this [m] is grasped from the top first (METHOD section 4)."""
 
 
 class ObjectGrasps(GraspScore, GraspPrior, Protocol):
@@ -78,7 +80,7 @@ class PlanOptions:
     Attributes:
         method: One of `METHODS`.
         solver: "sqp" or "slsqp".
-        kind: "side", "top", or "auto": whichever promises more, but low objects from the top.
+        kind: "side", "top", or "auto": whichever promises more; low objects from the top first.
         robot: Its YAML file; the bundled one if None.
         checkpoint: Of the reconstruction network; the bundled one if None.
         grasp_checkpoint: Of the success network; the method's bundled one if None.
@@ -281,6 +283,10 @@ class GraspPlanner:
         plan = self.planner.plan(sight.target, environment, start, seed, kinds, rank, satisfied)
         timings = {**sight.timings, **plan.timings}
         timings["configuration"] += sum(sight.timings.values())
+        width, span = narrowest(sight.points), self.planner.geometry.hand.span
+        if plan.reason not in ("", "inverse_kinematics", "motion") and width > span:
+            reason, sentence = too_large(width, span)
+            plan = replace(plan, reason=reason, sentence=sentence)
         return Answer(replace(plan, timings=timings), sight.target, sight.reconstruction)
 
     def kinds(self, points: Array) -> tuple[str, ...]:
@@ -288,7 +294,7 @@ class GraspPlanner:
         if self.options.kind != "auto":
             return (self.options.kind,)
         if np.percentile(points[:, 2], 99) < LOW_OBJECT:
-            return ("top",)
+            return ("top", EITHER)
         return (EITHER,)
 
     def nothing(self, what: str) -> Answer:

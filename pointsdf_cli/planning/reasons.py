@@ -90,6 +90,14 @@ def why_none(
     return miss.reason, explain(miss.reason, miss, seeds_tried, config)
 
 
+def too_large(width: float, span: float) -> tuple[str, str]:
+    """Reason code and sentence for an object of this least width [m] and a hand of this span."""
+    return "object_collision", (
+        f"The object is {width * 100:.0f} cm wide where it is narrowest, larger than the open hand "
+        f"({span * 100:.0f} cm): it cannot be grasped as a whole."
+    )
+
+
 def _in_the_way(drawn: Drawn) -> str:
     met = drawn.in_the_way
     what, advice = {

@@ -25,6 +25,10 @@ class HandOutline:
 
     Args:
         kinematics: Of the robot.
+
+    Attributes:
+        span: The largest side of the opened hand's box [m]: it reaches around nothing that is wider
+            than this in every direction.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -33,6 +37,9 @@ class HandOutline:
         surface = robot_surface(robot, SPACING)
         links = [link for link in robot.hand_links if link in surface]
         self._links = [(link, torch.tensor(surface[link])) for link in links]
+        ranges = robot.preshape_ranges
+        opened = self(np.stack([ranges[:, 0], ranges.mean(axis=1), ranges[:, 1]]))
+        self.span = float(np.ptp(opened, axis=1).max())
 
     def __call__(self, preshape: Array) -> Array:
         """Points [N, P, 3] in the palm's frame, m, of preshapes [N, K]."""
@@ -67,3 +74,11 @@ def depth_in(field: Field, outline: Array, palm: Array) -> Array:
     world = outline @ palm[:, :3, :3].transpose(0, 2, 1) + palm[:, None, :3, 3]
     values = field(world.reshape(-1, 3)).reshape(count, points)
     return np.asarray(np.maximum(0.0, -values.min(axis=1)))
+
+
+def narrowest(points: Array) -> float:
+    """The smallest width of points [N, 3] over all level directions, or their height if that is
+    less [m]."""
+    angle = np.linspace(0, np.pi, 18, endpoint=False)
+    level = points[:, :2] @ np.stack([np.cos(angle), np.sin(angle)])
+    return min(float(np.ptp(level, axis=0).min()), float(np.ptp(points[:, 2])))

@@ -38,7 +38,7 @@ class SqpConfig:
         damping: Added to the Hessian model's diagonal.
     """
 
-    iterations: int = 18
+    iterations: int = 20
     radius: float = 0.2
     smallest_radius: float = 1e-4
     largest_radius: float = 0.5

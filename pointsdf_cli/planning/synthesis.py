@@ -47,7 +47,7 @@ class SynthesisConfig:
     rounds: int = 5
     enough: int = 2
     polished: int = 3
-    polish_iterations: int = 8
+    polish_iterations: int = 12
     seeds: SeedConfig = field(default_factory=SeedConfig)
     acceptance: AcceptanceConfig = field(default_factory=AcceptanceConfig)
     kinds: tuple[str, ...] = ("side",)
