@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pointsdf_cli.io.checkpoints import read_checkpoint
+from pointsdf_cli.assets import asset_path
+from pointsdf_cli.io.checkpoints import WEIGHTS, read_checkpoint
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.planning.answer import (
@@ -79,6 +82,19 @@ def plan_options(contender: Contender, options: ContenderOptions) -> PlanOptions
         grasp_checkpoint=options.grasp_checkpoint if reconstructs else None,
         device=options.device,
     )
+
+
+@functools.cache
+def weights_of(contender: Contender, options: ContenderOptions) -> str:
+    """A check sum of all weights that could have a say: trials with others are other trials."""
+    total = hashlib.sha256()
+    asked = plan_options(contender, options)
+    folders = [asked.checkpoint, asked.grasp_checkpoint, *sorted(asset_path("weights").iterdir())]
+    for folder in folders:
+        path = None if folder is None else folder / WEIGHTS
+        if path is not None and path.is_file():
+            total.update(path.read_bytes())
+    return total.hexdigest()[:16]
 
 
 def check_contender(contender: Contender, options: ContenderOptions) -> None:

@@ -37,7 +37,7 @@ from pointsdf_cli.simulation.observe import Observer
 from pointsdf_cli.simulation.record import Recorder
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import PhysicsConfig, World
-from pointsdf_cli.trials.contenders import ContenderOptions, Mind
+from pointsdf_cli.trials.contenders import ContenderOptions, Mind, weights_of
 from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
 from pointsdf_cli.trials.pictures import write_film
 from pointsdf_cli.trials.protocol import Contender, Trial, TrialObject
@@ -234,6 +234,7 @@ def run_trial_task(task: TrialTask) -> TrialRow | None:
     torch.set_num_threads(1)
     trial = task.trial
     config = task.config.as_dict() | {"seed": trial.seed, "yaws": trial.yaws, "trial": trial.name}
+    config["weights"] = weights_of(trial.contender, task.config.contenders)
     config["mesh"] = "" if trial.object.mesh is None else trial.object.mesh.name
     if not task.force and is_complete(
         task.out, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, config=config
