@@ -156,7 +156,8 @@ class Rehearsal:
     ) -> Rehearsed:
         if lift is None:
             return UNTRIED
-        most, held, rises = self._execution.lift_height, 0, []
+        rises: list[float] = []
+        most, held = self._execution.lift_height, 0
         for disturbance in disturbances:
             if len(rises) - held >= self.config.failures or (rises and not held):
                 break  # it fails even when all is as believed, or too often
