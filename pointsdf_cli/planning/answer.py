@@ -279,15 +279,26 @@ class GraspPlanner:
         satisfied: Satisfied | None = None,
     ) -> Answer:
         """As `plan`, for what `see` made: `rank` and `satisfied` may then know the target."""
-        kinds = self.kinds(sight.points)
-        plan = self.planner.plan(sight.target, environment, start, seed, kinds, rank, satisfied)
+        search = self.search(sight.points)
+        plan = self.planner.plan(sight.target, environment, start, seed, search, rank, satisfied)
         timings = {**sight.timings, **plan.timings}
         timings["configuration"] += sum(sight.timings.values())
-        width, span = narrowest(sight.points), self.planner.geometry.hand.span
-        if plan.reason not in ("", "inverse_kinematics", "motion") and width > span:
-            reason, sentence = too_large(width, span)
+        if plan.reason not in ("", "inverse_kinematics", "motion") and self.too_large(sight.points):
+            reason, sentence = too_large(narrowest(sight.points), self.planner.geometry.hand.span)
             plan = replace(plan, reason=reason, sentence=sentence)
         return Answer(replace(plan, timings=timings), sight.target, sight.reconstruction)
+
+    def too_large(self, points: Array) -> bool:
+        """Whether an object seen at points [N, 3] is wider all round than the hand opens."""
+        return narrowest(points) > self.planner.geometry.hand.span
+
+    def search(self, points: Array) -> SynthesisConfig:
+        """How to look for grasps of an object seen at points [N, 3] of the world."""
+        search = replace(self.options.synthesis, kinds=self.kinds(points))
+        if not self.too_large(points):
+            return search
+        # It may still have a rim or a handle, but a long search would be in vain.
+        return replace(search, rounds=min(search.rounds, 2))
 
     def kinds(self, points: Array) -> tuple[str, ...]:
         """Kinds of grasp to try, one a round, for an object seen at points [N, 3] of the world."""

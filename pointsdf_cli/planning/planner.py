@@ -132,7 +132,7 @@ class Planner:
         environment: Environment | None = None,
         start: Array | None = None,
         seed: int = 0,
-        kinds: tuple[str, ...] | None = None,
+        search: SynthesisConfig | None = None,
         rank: Rank | None = None,
         satisfied: Satisfied | None = None,
     ) -> Plan:
@@ -143,7 +143,7 @@ class Planner:
             environment: What stands around; the table alone if None.
             start: [J], where the robot is; its home if None.
             seed: Equal seeds give equal plans.
-            kinds: Kinds of grasp, one a round; those of the configuration if None.
+            search: How long to look and for what; as configured if None.
             rank: Applied to the accepted candidates before motions are looked for.
             satisfied: As in `synthesise`.
 
@@ -162,8 +162,7 @@ class Planner:
         problems = self.problems(target, environment)
         field_time = time.perf_counter() - began
         rng = np.random.default_rng(seed)
-        asked = self.config.synthesis
-        asked = asked if kinds is None else replace(asked, kinds=kinds)
+        asked = search or self.config.synthesis
         found = synthesise(problems, target.prior, self.inverse, self.solver, rng, asked, satisfied)
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began
