@@ -1,8 +1,8 @@
 """A plan on one page: the robot at the grasp, and the hand at the object from two sides.
 
 The middle picture looks from where the camera stood, the right one from behind the object, where
-the camera saw nothing: what is drawn there is what was believed. In both the robot is translucent,
-so that the object shows through the hand.
+the camera saw nothing: what is drawn there is what was believed. In both the arm is left out and
+the hand is translucent, so that the object shows through.
 """
 
 from __future__ import annotations
@@ -117,13 +117,16 @@ def close_up(
     behind: bool,
     size: tuple[int, int] = (480, 440),
 ) -> NDArray[np.uint8]:
-    """The object with the translucent hand, from where the camera stood or from behind."""
+    """The object with the translucent hand, from where the camera stood or from behind.
+
+    The arm is left out: it reaches over from behind, and would stand before everything.
+    """
     toward = scene.camera - scene.centre
     heading = float(np.arctan2(toward[1], toward[0])) + (np.pi if behind else 0.0)
     way = np.array([np.cos(heading), np.sin(heading), 0.45])
     camera = look_at(scene.centre + 0.62 * way, scene.centre)
     without = scene.painted()
-    front = shaded_image([*robot.at(q), *without], camera, size, 0.62).astype(float)
+    front = shaded_image([*robot.at(q, hand_only=True), *without], camera, size, 0.62).astype(float)
     back = shaded_image(without, camera, size, 0.62).astype(float)
     return (TRANSLUCENT * front + (1 - TRANSLUCENT) * back).astype(np.uint8)
 

@@ -29,7 +29,8 @@ class RobotMeshes:
     def __init__(self, robot: RobotDescription, sections: int = 40) -> None:
         self._kinematics = Kinematics(robot)
         self._parts: list[tuple[int, NDArray[np.float64], NDArray[np.int64], tuple]] = []
-        hand = set(robot.hand_links)
+        hand = self._hand = set(robot.hand_links)
+        self._names = robot.tree.links
         for i, link in enumerate(robot.tree.links):
             for shape in robot.tree.shapes[link]:
                 mesh = shape.as_mesh(sections)
@@ -39,13 +40,14 @@ class RobotMeshes:
                     colour = ARM_COLOURS[i % 2]
                 self._parts.append((i, np.asarray(mesh.vertices), np.asarray(mesh.faces), colour))
 
-    def at(self, q: NDArray[np.float64]) -> list[Painted]:
-        """The robot at one configuration [J], in the world."""
+    def at(self, q: NDArray[np.float64], hand_only: bool = False) -> list[Painted]:
+        """The robot, or its hand alone, at one configuration [J], in the world."""
         with torch.no_grad():
             poses = homogeneous(*self._kinematics(torch.from_numpy(np.array(q)))).numpy()
         return [
             Painted(apply_transform(poses[link], vertices), faces, colour)
             for link, vertices, faces, colour in self._parts
+            if not hand_only or self._names[link] in self._hand
         ]
 
 

@@ -1,0 +1,63 @@
+"""Pictures of plans: what is in them, and that the hand does not hide the object."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.viz.plan_picture import PlanScene, close_up, dots, plan_picture
+from pointsdf_cli.viz.robot_picture import RobotMeshes
+
+ROBOT = load_robot()
+
+
+@pytest.fixture(scope="module")
+def meshes() -> RobotMeshes:
+    return RobotMeshes(ROBOT, sections=8)
+
+
+def ball() -> PlanScene:
+    mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.05)
+    mesh.apply_translation((0.6, 0.0, 0.05))
+    vertices = np.asarray(mesh.vertices)
+    seen = vertices[vertices[:, 0] > 0.6]
+    return PlanScene(seen, np.array([1.5, 0.0, 0.6]), (vertices, np.asarray(mesh.faces)))
+
+
+def test_points_are_drawn_where_they_are() -> None:
+    points = np.random.default_rng(0).uniform(size=(40, 3))
+    drawn = dots(points)
+    np.testing.assert_allclose(drawn.vertices.reshape(40, 6, 3).mean(axis=1), points)
+    assert drawn.faces.max() == len(drawn.vertices) - 1
+    closed = trimesh.Trimesh(drawn.vertices[:6], drawn.faces[:8])
+    assert closed.is_watertight
+    assert len(dots(np.zeros((100_000, 3))).vertices) < 6 * 3100
+
+
+def test_the_hand_alone_is_a_part_of_the_robot(meshes: RobotMeshes) -> None:
+    whole, hand = meshes.at(ROBOT.home), meshes.at(ROBOT.home, hand_only=True)
+    assert 0 < len(hand) < len(whole)
+    corners = {tuple(part.vertices[0]) for part in whole}
+    assert all(tuple(part.vertices[0]) in corners for part in hand)
+
+
+def test_the_seen_points_are_seen_from_the_camera_only(meshes: RobotMeshes) -> None:
+    """Blue points lie on the camera's side of the ball; from behind there are hardly any."""
+    scene, blue = ball(), []
+    for behind in (False, True):
+        picture = close_up(meshes, ROBOT.home, scene, behind, (120, 110)).astype(int)
+        assert picture.shape == (110, 120, 3)
+        blue.append(int((picture[..., 2] > picture[..., 0] + 60).sum()))
+    assert blue[0] > 3 * max(1, blue[1])
+
+
+def test_a_page_is_written_whole(meshes: RobotMeshes, tmp_path: Path) -> None:
+    plan_picture(tmp_path / "plan.png", meshes, ROBOT.home, ball(), "a title", "words below")
+    image = Image.open(tmp_path / "plan.png")
+    assert image.size[0] > 2 * image.size[1]
+    assert [p.name for p in tmp_path.iterdir()] == ["plan.png"]
