@@ -14,7 +14,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.plans import OK
 from pointsdf_cli.planning.answer import GraspPlanner, PlanOptions, View
-from pointsdf_cli.planning.fields import Field, MeanField
+from pointsdf_cli.planning.fields import Field, MeanField, NearField
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import EmptyFieldError, Target, given_object, surface_of
@@ -139,6 +139,22 @@ def test_the_mean_has_the_mean_gradient() -> None:
     np.testing.assert_allclose(values, (ball(points) + can(points)) / 2)
     expected = (ball.with_gradient(points)[1] + can.with_gradient(points)[1]) / 2
     np.testing.assert_allclose(gradients, expected)
+
+
+def test_far_away_the_box_answers_and_near_the_field() -> None:
+    ball, low, high = CylinderField(0.03, 0.06), np.full(3, -0.03), np.full(3, 0.03)
+    field = NearField(ball, low, high, reach=0.02)
+    points = np.random.default_rng(2).uniform(-0.3, 0.3, (500, 3))
+    values, gradients = field.with_gradient(points)
+    np.testing.assert_array_equal(values, field(points))
+    outside = np.linalg.norm(points - np.clip(points, low, high), axis=1)
+    near = outside < 0.02
+    assert 0 < near.sum() < len(points)
+    np.testing.assert_array_equal(values[near], ball(points)[near])
+    np.testing.assert_allclose(values[~near], outside[~near])
+    assert (values <= ball(points) + 1e-12).all()
+    step = 1e-6 * gradients[~near]
+    np.testing.assert_allclose(field(points[~near] + step) - values[~near], 1e-6, rtol=1e-3)
 
 
 def test_low_things_are_grasped_from_the_top_first(planner: GraspPlanner) -> None:

@@ -65,6 +65,42 @@ class MeanField:
         return values, gradients
 
 
+class NearField:
+    """A field that is asked near the object only: elsewhere the way to a box around it answers.
+
+    The surface lies within the box, so the distance to the box is never more than the distance to
+    the object. A network was trained near objects, and far away it is slow (its nearest neighbours
+    are all equally near) and says nothing that the box does not.
+
+    Args:
+        field: What to ask.
+        low, high: [3], the box [m]; it must enclose the surface.
+        reach: Points nearer to the box than this [m] are asked.
+    """
+
+    def __init__(self, field: Field, low: Array, high: Array, reach: float = 0.03) -> None:
+        self._field, self._low, self._high, self._reach = field, low, high, reach
+
+    def __call__(self, points: Array) -> Array:
+        _, gap, near = self._way(points)
+        if near.any():
+            gap[near] = self._field(points[near])
+        return gap
+
+    def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        way, values, near = self._way(points)
+        gradients = way / np.maximum(values, 1e-12)[:, None]
+        if near.any():
+            values[near], gradients[near] = self._field.with_gradient(points[near])
+        return values, gradients
+
+    def _way(self, points: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """From the box to each point [N, 3], its length [N], and whether that is near."""
+        way = points - np.clip(points, self._low, self._high)
+        gap = np.sqrt((way**2).sum(axis=1))
+        return way, gap, gap < self._reach
+
+
 class MeshField:
     """The exact distance to a closed mesh: for partial-view grasping, and for the truth in trials.
 

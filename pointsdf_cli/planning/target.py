@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,13 @@ from pointsdf_cli.geometry.smoothing import taubin_smooth
 from pointsdf_cli.models.meshing import SMOOTHING
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.planning.contacts import Array
-from pointsdf_cli.planning.fields import Field, MeanField, MeshField, ReconstructionField
+from pointsdf_cli.planning.fields import (
+    Field,
+    MeanField,
+    MeshField,
+    NearField,
+    ReconstructionField,
+)
 from pointsdf_cli.planning.grid import GridConfig, GridField, surface_box
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.partial_view import partial_mesh
@@ -106,7 +112,8 @@ def reconstructed_object(
     low = np.min([r.centre - 0.75 / r.scale for r in reconstructions], axis=0)
     high = np.max([r.centre + 0.75 / r.scale for r in reconstructions], axis=0)
     step = 0.15 / max(r.scale for r in reconstructions)
-    return _boxed(fields[0] if len(fields) == 1 else MeanField(fields), low, high, step, grid)
+    shape = _boxed(fields[0] if len(fields) == 1 else MeanField(fields), low, high, step, grid)
+    return replace(shape, field=NearField(shape.field, shape.low, shape.high))
 
 
 def mesh_object(
