@@ -21,7 +21,7 @@ GRIPPER = Path(__file__).parent / "robots" / "gripper.yaml"
 @pytest.fixture(scope="module")
 def grasps(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data") / "grasps"
-    write_balls(folder, load_robot(), objects=5, scenes=1, each=12)
+    write_balls(folder, load_robot(), objects=7, scenes=1, each=10)
     return folder
 
 
@@ -32,7 +32,7 @@ def test_training_then_scoring(cli, grasps: Path, tmp_path: Path) -> None:  # ty
     assert json.loads(made.out)["variant"] == "Geometry"
     cache = grasps.with_name("grasps-cache")
     kept = {path.name: path.stat().st_mtime_ns for path in cache.iterdir()}
-    assert len(kept) == 5
+    assert len(kept) == 7
 
     options = ("train-gs", "--grasps", grasps, "--out", scratch, "--encoder", "voxelcnn")
     made = cli(*options, "--mode", "scratch", *QUICK)
@@ -83,7 +83,7 @@ def copy_with(grasps: Path, folder: Path, **attributes: object) -> Path:
 
 
 def test_every_bad_input_gets_one_message(cli, grasps: Path, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    write_balls(tmp_path / "held", load_robot(), objects=3, scenes=1, each=4, rule=False)
+    write_balls(tmp_path / "held", load_robot(), objects=7, scenes=1, each=2, rule=False)
     write_balls(tmp_path / "one", load_robot(), objects=1, scenes=1, each=4)
     (tmp_path / "empty").mkdir()
     other_robot = copy_with(grasps, tmp_path / "robot", robot="another_hand")
@@ -94,7 +94,7 @@ def test_every_bad_input_gets_one_message(cli, grasps: Path, tmp_path: Path) -> 
         (("--grasps", tmp_path / "none"), "no such folder"),
         (("--grasps", tmp_path / "empty"), "holds no grasps"),
         (("--grasps", tmp_path / "held"), "nothing to tell apart"),
-        (("--grasps", tmp_path / "one"), "at least 2 objects"),
+        (("--grasps", tmp_path / "one"), "at least 5"),
         (("--grasps", other_robot), "another_hand"),
         (("--grasps", other_schema), "schema"),
         (("--grasps", other_version), "99"),

@@ -18,7 +18,13 @@ from pointsdf_cli.models.registry import build_model
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.training import gs_baselines, gs_metrics
 from pointsdf_cli.training.gs_calibration import Platt, fit_platt, negative_log_likelihood
-from pointsdf_cli.training.gs_data import GraspData, Split, read_grasp_data, split_grasps
+from pointsdf_cli.training.gs_data import (
+    GraspData,
+    Split,
+    fold_grasps,
+    read_grasp_data,
+    split_grasps,
+)
 from pointsdf_cli.training.gs_inputs import CloudInputs, FixedInputs, turn_numbers
 from pointsdf_cli.training.gs_loop import (
     Fitted,
@@ -239,6 +245,25 @@ def test_only_executed_grasps_are_read_and_objects_are_never_shared(balls: Path)
     assert parts[2] == {3}
     assert set.union(*parts) == set(range(6))
     assert sum(map(len, parts)) == 6
+
+
+def test_in_folds_every_object_teaches_some_members_and_validates_one(balls: Path) -> None:
+    data = read_grasp_data(balls, ROBOT)
+    split = fold_grasps(data, 5, 0)
+    assert split.folds is not None
+    assert set(data.object_of[split.train]) == {0, 1, 2, 4, 5}
+    for number in (0, 1, 2, 4, 5):
+        assert len(set(split.folds[data.object_of == number])) == 1
+    network = GeometryNet(3, members=5)
+    learner = FixedInputs(network, torch.randn(len(data), 3), folds=split.folds)
+    weights = learner.member_weights(split.train)
+    assert weights.shape == (5, 100)
+    assert (weights.sum(0) == 4).all()
+    found = learner.validation_logits(split.train)
+    each = network.members(learner.columns[0][split.train]).detach().numpy()
+    for row, fold in enumerate(split.folds[split.train]):
+        assert weights[fold, row] == 0
+        assert np.isclose(found[row], each[fold, row])
 
 
 def test_grasps_of_one_scene_come_together(balls: Path) -> None:

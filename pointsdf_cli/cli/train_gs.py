@@ -38,7 +38,8 @@ def train_gs(
         int | None, typer.Option(help="Epochs without improvement that end the run.")
     ] = None,
     validation: Annotated[
-        float | None, typer.Option(help="Share of the training objects that validate.")
+        float | None,
+        typer.Option(help="Share of the training objects that validate (geometry uses folds)."),
     ] = None,
     half: Annotated[bool, typer.Option("--half", help="Store the weights in float16.")] = False,
     cache: Annotated[
@@ -64,10 +65,10 @@ def train_gs(
     from pointsdf_cli.io.checkpoints import has_train_state
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.robot.description import load_robot
-    from pointsdf_cli.training.gs_data import read_grasp_data, split_grasps
+    from pointsdf_cli.training.gs_data import read_grasp_data
     from pointsdf_cli.training.gs_loop import Fitted, SuccessTraining, train_success
     from pointsdf_cli.training.gs_outcome import Checkpointer, resumable_state
-    from pointsdf_cli.training.gs_variants import Sources, Variant, prepare, prior_of
+    from pointsdf_cli.training.gs_variants import Sources, Variant, prepare, prior_of, split_for
     from pointsdf_cli.training.precision import idle_processors
 
     variant = Variant(encoder, mode)
@@ -90,7 +91,7 @@ def train_gs(
     reporter = common.Reporter(quiet, as_json)
     machine = load_robot(robot)
     data = read_grasp_data(grasps, machine)
-    split = split_grasps(data, config.validation, seed)
+    split = split_for(data, variant, config.validation, seed)
     cache = cache or grasps.with_name(grasps.name + "-cache")
     with reporter.progress("asking the reconstruction", len(data.names)) as bar:
         sources = Sources(cache, sdf, robot, common.job_count(jobs), bar.advance)
@@ -99,8 +100,9 @@ def train_gs(
         out, prepared, variant, machine, data, split, config, prior_of(data, machine), half
     )
     reporter.say(
-        f"{variant.title}: {len(split.train)} grasps to train on, {len(split.validation)} of other "
-        f"objects to validate on; {data.base_rate:.1%} of all held"
+        f"{variant.title}: {len(split.train)} grasps to train on, {len(split.validation)} to "
+        f"validate on{', in folds of objects' if split.folds is not None else ', of other objects'}"
+        f"; {data.base_rate:.1%} of all held"
     )
 
     def on_epoch(fitted: Fitted, now: dict[str, Any]) -> None:

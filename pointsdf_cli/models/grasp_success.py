@@ -128,7 +128,7 @@ class GeometryNet(nn.Module):
         self,
         features: int,
         members: int = 5,
-        widths: Sequence[int] = (64, 32),
+        widths: Sequence[int] = (128, 64),
         dropout: float = 0.3,
         input_dropout: float = 0.1,
     ) -> None:
@@ -154,12 +154,17 @@ class GeometryNet(nn.Module):
         """The arguments that rebuild it."""
         return dict(self._config)
 
+    @property
+    def member_count(self) -> int:
+        """M."""
+        return len(self.leave.weight)
+
     def members(self, features: Tensor) -> Tensor:
         """Raw logits [M, B] of each member for features [B, F]."""
         x = self.scale(features)
         if self.training:
             # Every member loses other features, or they would learn the same.
-            x = x.expand(self._config["members"], -1, -1)
+            x = x.expand(self.member_count, -1, -1)
         else:
             x = x[None]
         return self.leave(self.hidden(self.enter(x))).squeeze(-1)

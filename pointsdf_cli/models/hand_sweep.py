@@ -7,7 +7,7 @@ knows a particular hand.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,11 +16,9 @@ from scipy.cluster.vq import kmeans2
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import invert_transform
+from pointsdf_cli.models.hand_chain import HandChain
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
-from pointsdf_cli.robot.urdf import Tree
 
 
 @dataclass(frozen=True)
@@ -60,15 +58,14 @@ class HandSweep:
 
     def __init__(self, robot: RobotDescription, config: SweepConfig | None = None) -> None:
         self.config = config or SweepConfig()
-        hand = _hand_alone(robot)
-        self._kinematics = Kinematics(hand, dtype=torch.float32)
+        self._chain = HandChain(robot)
         count = len(robot.hand_joints)
-        self._joints = count
+        hand = slice(len(robot.arm_joints), None)
         names = list(robot.hand_joints)
         self._preshape = torch.tensor([names.index(name) for name in robot.preshape_joints])
         self._closing = torch.tensor([names.index(name) for name in robot.closing_joints])
-        lower = torch.tensor(hand.lower, dtype=torch.float32)
-        upper = torch.tensor(hand.upper, dtype=torch.float32)
+        lower = torch.tensor(robot.lower[hand], dtype=torch.float32)
+        upper = torch.tensor(robot.upper[hand], dtype=torch.float32)
         self._rest = torch.zeros(count).clamp(lower, upper)
         self._lower, self._upper = lower[self._closing], upper[self._closing]
         speed = torch.tensor(robot.closing_speeds.copy(), dtype=torch.float32)
@@ -81,7 +78,7 @@ class HandSweep:
         duration = float(((end - start[self._closing]) / speed).max())
         times = torch.linspace(0.0, self.config.share * duration, self.config.stages)
         self._advance = times[:, None] * speed
-        self._place_points(robot, hand)
+        self._place_points(robot)
         self.region = self._closing_region(robot)
 
     @property
@@ -98,29 +95,33 @@ class HandSweep:
         Returns:
             Still points [B, P, 3], and moving points [B, S, M, 3] at S stages.
         """
-        q = self._rest.expand(len(preshape), -1).index_copy(1, self._preshape, preshape)
-        closing = (q[:, None, self._closing] + self._advance).clamp(self._lower, self._upper)
-        stages = q[:, None].expand(-1, self.config.stages, -1)
-        stages = stages.index_copy(2, self._closing, closing)
-        rotation, position = self._kinematics(stages)
+        count, stages = len(preshape), self.config.stages
+        q = self._rest[:, None].expand(-1, count).index_copy(0, self._preshape, preshape.T)
+        closing = q[self._closing, None] + self._advance.T[:, :, None]
+        closing = closing.clamp(self._lower[:, None, None], self._upper[:, None, None])
+        swept = q[:, None].expand(-1, stages, -1).index_copy(0, self._closing, closing)
+        rotation, position = self._chain(swept.flatten(1))
         moving = _placed(rotation, position, self._moving_link, self._moving)
-        still = _placed(rotation[:, 0], position[:, 0], self._still_link, self._still)
-        return still, moving
+        first = slice(0, count)
+        still = _placed(rotation[..., first], position[..., first], self._still_link, self._still)
+        moving = moving.unflatten(2, (stages, count)).permute(3, 2, 0, 1)
+        return still.permute(2, 0, 1), moving
 
-    def _place_points(self, robot: RobotDescription, hand: RobotDescription) -> None:
+    def _place_points(self, robot: RobotDescription) -> None:
         closes = set(robot.closing_joints)
-        moves = {hand.tree.links[0]: False}
-        for joint in hand.tree.joints:
-            moves[joint.child] = moves[joint.parent] or joint.name in closes
+        moves = {robot.palm_link: False}
+        for joint in robot.tree.joints:
+            if joint.parent in moves:
+                moves[joint.child] = moves[joint.parent] or joint.name in closes
         surface = robot_surface(robot)
         points: dict[bool, list[NDArray[np.float64]]] = {True: [], False: []}
         links: dict[bool, list[int]] = {True: [], False: []}
-        for link in hand.tree.links:
+        for number, link in enumerate(self._chain.links):
             if not len(surface.get(link, ())):
                 continue
             chosen = _middles(surface[link], self.config.points_per_link)
             points[moves[link]].append(chosen)
-            links[moves[link]] += [hand.tree.links.index(link)] * len(chosen)
+            links[moves[link]] += [number] * len(chosen)
         if not points[True]:
             raise InputError(
                 "no link with a shape moves when the hand closes",
@@ -148,9 +149,10 @@ class HandSweep:
 
 
 def _placed(rotation: Tensor, position: Tensor, link: Tensor, points: Tensor) -> Tensor:
-    """Points [P, 3] fixed to links [P], at link poses [..., L, 3, 3] and [..., L, 3]."""
-    turned = (rotation[..., link, :, :] @ points[:, :, None]).squeeze(-1)
-    return turned + position[..., link, :]
+    """Points [P, 3] fixed to links [P], at poses [L, 3, 3, n] and [L, 3, n]: [P, 3, n]."""
+    turn, x = rotation.index_select(0, link), points[:, None, :, None]
+    placed = position.index_select(0, link).addcmul(turn[:, :, 0], x[:, :, 0])
+    return placed.addcmul(turn[:, :, 1], x[:, :, 1]).addcmul(turn[:, :, 2], x[:, :, 2])
 
 
 def _middles(points: NDArray[np.float64], count: int) -> NDArray[np.float64]:
@@ -162,19 +164,3 @@ def _middles(points: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     if count == 1 or len(points) <= count:
         return start
     return kmeans2(points, start, minit="matrix")[0]
-
-
-def _hand_alone(robot: RobotDescription) -> RobotDescription:
-    """The robot from the palm's link on, standing so that the world is the palm frame."""
-    links = robot.hand_links
-    joints = tuple(joint for joint in robot.tree.joints if joint.parent in links)
-    tree = Tree(links, joints, {link: robot.tree.shapes[link] for link in links})
-    hand = slice(len(robot.arm_joints), None)
-    return replace(
-        robot,
-        tree=tree,
-        T_world_base=invert_transform(robot.T_link_palm),
-        arm_joints=(),
-        lower=robot.lower[hand],
-        upper=robot.upper[hand],
-    )

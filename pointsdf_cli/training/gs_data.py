@@ -58,11 +58,18 @@ class GraspData:
 
 @dataclass(frozen=True)
 class Split:
-    """Indices of grasps; no object is in two of them."""
+    """Indices of grasps; no object is in two of them, but for folds.
+
+    Attributes:
+        train, validation, test: int [n].
+        folds: [N], or None. If given, `train` and `validation` are the same grasps, and fold m of
+            them is held back from member m of an ensemble.
+    """
 
     train: NDArray[np.int64]
     validation: NDArray[np.int64]
     test: NDArray[np.int64]
+    folds: NDArray[np.int64] | None = None
 
 
 def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
@@ -132,18 +139,40 @@ def split_grasps(data: GraspData, validation: float, seed: int) -> Split:
     chosen = np.random.default_rng([seed, 7]).permutation(free)
     validates = np.isin(data.object_of, chosen[:count])
     trains = np.isin(data.object_of, chosen[count:])
-    for name, part in (("train on", trains), ("validate on", validates)):
-        labels = np.unique(data.label[part])
-        if len(labels) < 2:
-            outcome = "held" if labels[0] == 1 else "were lost"
-            raise InputError(
-                f"all {int(part.sum())} grasps to {name} {outcome}: there is nothing to tell apart",
-                where="--grasps",
-                allowed="held and lost grasps",
-                hint="collect more grasps, or of more objects",
-            )
+    _check_both_labels(data.label[trains], "train on")
+    _check_both_labels(data.label[validates], "validate on")
     return Split(
         np.flatnonzero(trains),
         np.flatnonzero(validates),
         np.flatnonzero(data.held_out[data.object_of]),
     )
+
+
+def fold_grasps(data: GraspData, folds: int, seed: int) -> Split:
+    """All objects that are not held out both teach and validate, each in one of several folds.
+
+    Raises:
+        InputError: Fewer objects than folds, or grasps of one label only.
+    """
+    free = np.flatnonzero(~data.held_out)
+    if len(free) < folds:
+        raise InputError(
+            f"{len(free)} objects to train on", where="--grasps", allowed=f"at least {folds}"
+        )
+    fold_of = np.full(len(data.names), -1)
+    fold_of[np.random.default_rng([seed, 7]).permutation(free)] = np.arange(len(free)) % folds
+    rows = np.flatnonzero(~data.held_out[data.object_of])
+    _check_both_labels(data.label[rows], "train on")
+    return Split(rows, rows, np.flatnonzero(data.held_out[data.object_of]), fold_of[data.object_of])
+
+
+def _check_both_labels(label: NDArray[np.float32], purpose: str) -> None:
+    labels = np.unique(label)
+    if len(labels) < 2:
+        outcome = "held" if labels[0] == 1 else "were lost"
+        raise InputError(
+            f"all {len(label)} grasps to {purpose} {outcome}: there is nothing to tell apart",
+            where="--grasps",
+            allowed="held and lost grasps",
+            hint="collect more grasps, or of more objects",
+        )

@@ -47,6 +47,14 @@ class Learner(ABC):
     def logits(self, index: Index) -> NDArray[np.float64]:
         """Raw logits [n] in evaluation mode."""
 
+    def validation_logits(self, index: Index) -> NDArray[np.float64]:
+        """Raw logits [n] of what has not learned from these grasps."""
+        return self.logits(index)
+
+    def member_weights(self, index: Index) -> Tensor:
+        """[M or 1, n], how much each grasp teaches each member."""
+        return torch.ones(1, len(index))
+
     def pose_and_size(self) -> tuple[Tensor, Tensor]:
         """Of a network on embeddings: grasp numbers [N, K + 9] and cloud sizes [N, 3]."""
         raise NotImplementedError
@@ -65,13 +73,22 @@ class Learner(ABC):
 class FixedInputs(Learner):
     """The network's inputs do not depend on anything that learns.
 
+    Members of a `GeometryNet` can be trained on different objects: member m then learns nothing
+    from grasps of fold m and is judged by them, so that every object both teaches and validates.
+
     Args:
         network: Of either kind.
         columns: What its `forward` takes, each with N rows.
+        folds: [N], the member that each grasp validates; None if all learn from all.
     """
 
-    def __init__(self, network: EmbeddingNet | GeometryNet, *columns: Tensor) -> None:
-        self.network, self.columns = network, columns
+    def __init__(
+        self,
+        network: EmbeddingNet | GeometryNet,
+        *columns: Tensor,
+        folds: NDArray[np.int64] | None = None,
+    ) -> None:
+        self.network, self.columns, self.folds = network, columns, folds
         self.modules = {"network": network}
 
     def pose_and_size(self) -> tuple[Tensor, Tensor]:
@@ -87,6 +104,20 @@ class FixedInputs(Learner):
     def logits(self, index: Index) -> NDArray[np.float64]:
         self.train(False)
         return self.network(*(c[index] for c in self.columns)).double().numpy()
+
+    @torch.no_grad()
+    def validation_logits(self, index: Index) -> NDArray[np.float64]:
+        if self.folds is None or not isinstance(self.network, GeometryNet):
+            return self.logits(index)
+        self.train(False)
+        each = self.network.members(*(c[index] for c in self.columns))
+        return each[self.folds[index], torch.arange(len(index))].double().numpy()
+
+    def member_weights(self, index: Index) -> Tensor:
+        if self.folds is None or not isinstance(self.network, GeometryNet):
+            return super().member_weights(index)
+        members = torch.arange(self.network.member_count)
+        return (members[:, None] != torch.from_numpy(self.folds[index])).float()
 
 
 class CloudInputs(Learner):

@@ -166,10 +166,9 @@ def train_success(
                 group["lr"] = rate * group["share"]
             predicted = learner.training_logits(index, rng)
             target = label[index]
+            teaches = learner.member_weights(index) * weight[target.long()]
             loss = torch.nn.functional.binary_cross_entropy_with_logits(
-                predicted,
-                target.expand_as(predicted),
-                weight=weight[target.long()].expand_as(predicted),
+                predicted, target.expand_as(predicted), weight=teaches.expand_as(predicted)
             )
             # Members share nothing: each must get the gradient of its own loss, not of the mean.
             optimiser.zero_grad(set_to_none=True)
@@ -180,7 +179,7 @@ def train_success(
         if not math.isfinite(total):
             raise RgraspError(f"the loss is {total} in epoch {epoch}", hint="lower --learning-rate")
         epoch += 1
-        now_logits = learner.logits(split.validation)
+        now_logits = learner.validation_logits(split.validation)
         now_platt = fit_platt(truth, now_logits)
         entry = {
             "epoch": float(epoch),
@@ -238,7 +237,7 @@ def _judged(
     """Calibration and logits of kept weights, leaving the learner's own as they are."""
     now = copy.deepcopy(weights_of(learner))
     load_weights(learner, best)
-    logits = learner.logits(index)
+    logits = learner.validation_logits(index)
     load_weights(learner, now)
     return fit_platt(truth, logits), logits
 

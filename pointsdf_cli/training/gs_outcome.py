@@ -116,6 +116,7 @@ class Checkpointer:
             "data": {
                 "train": describe_grasps(self._data, self._split.train),
                 "validation": describe_grasps(self._data, self._split.validation),
+                "folds": None if self._split.folds is None else int(self._split.folds.max()) + 1,
             },
             "git_commit": git_commit(),
         }

@@ -34,7 +34,7 @@ from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
 from pointsdf_cli.models.registry import build_model, default_checkpoint, load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.robot.description import RobotDescription, load_robot
-from pointsdf_cli.training.gs_data import GraspData, Split
+from pointsdf_cli.training.gs_data import GraspData, Split, fold_grasps, split_grasps
 from pointsdf_cli.training.gs_evidence import evidence_of
 from pointsdf_cli.training.gs_inputs import (
     CloudInputs,
@@ -53,6 +53,9 @@ ARCHITECTURES = {
     VOXELCNN: ("voxelcnn",),
 }
 """Which shape networks serve each choice; the first is built where none is given."""
+
+MEMBERS = 5
+"""Of the ensemble on features of geometry, and folds of objects that validate them."""
 
 DROPOUT = 0.2
 """Of the published network, which has none: 256 numbers a cloud overfit a few hundred objects."""
@@ -128,6 +131,17 @@ class Sources:
     on_done: Callable[[str, object], None] | None = None
 
 
+def split_for(data: GraspData, variant: Variant, validation: float, seed: int) -> Split:
+    """The split that a variant trains with: folds for an ensemble, else a share that validates.
+
+    Raises:
+        InputError: Too few objects, or grasps of one label only.
+    """
+    if variant.encoder == GEOMETRY:
+        return fold_grasps(data, MEMBERS, seed)
+    return split_grasps(data, validation, seed)
+
+
 def prepare(
     data: GraspData, split: Split, variant: Variant, sources: Sources, seed: int
 ) -> Prepared:
@@ -146,12 +160,13 @@ def prepare(
     torch.manual_seed(seed)
     if variant.encoder == GEOMETRY:
         features = GraspFeatures(sweep, robot.preshape_ranges)
-        network: EmbeddingNet | GeometryNet = GeometryNet(features.size)
+        network: EmbeddingNet | GeometryNet = GeometryNet(features.size, MEMBERS)
     else:
         network = EmbeddingNet(len(robot.preshape_joints), encoder.embedding_size, dropout=DROPOUT)
     learner = _learner(data, network, encoder, sweep, robot, checkpoint, variant.mode, sources)
     if isinstance(network, GeometryNet):
         assert isinstance(learner, FixedInputs)
+        learner.folds = split.folds
         network.scale.fit(learner.columns[0][split.train])
     else:
         numbers, size = learner.pose_and_size()
