@@ -1,4 +1,7 @@
-"""Twelve scenes, planned by both methods, each seen from behind: what the camera did not see.
+"""Twelve scenes planned by both methods, each seen from behind: what the camera did not see.
+
+The three in which a hand stands deepest in the true object, by either method, then the first in
+which both methods found a plan.
 
     python benchmarks/bench_plan.py --out .work/plans
     python benchmarks/plan_gallery.py .work/plans docs/images/plans.png
@@ -26,7 +29,7 @@ from pointsdf_cli.viz.plan_picture import PlanScene, close_up
 from pointsdf_cli.viz.robot_picture import RobotMeshes
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-COUNT, COLUMNS, CELL = 12, 4, (300, 260)
+COUNT, DEEPEST, COLUMNS, CELL = 12, 3, 4, (380, 300)
 COLOURS = 200
 
 
@@ -45,26 +48,38 @@ def cell(robot: RobotMeshes, plan: Plan, scene: TableScene, home: np.ndarray) ->
     return close_up(robot, plan.q if plan.status == OK else home, drawn, True, CELL)
 
 
+def picked(rows: dict[str, list[dict]]) -> list[int]:
+    """Indices of the scenes to show."""
+    planned = [
+        k
+        for k, pair in enumerate(zip(*rows.values(), strict=True))
+        if all("depth" in r for r in pair)
+    ]
+    planned.sort(key=lambda k: -max(rows[m][k]["depth"] for m in rows))
+    return planned[:DEEPEST] + sorted(planned[DEEPEST:])[: COUNT - DEEPEST]
+
+
 def main(folder: Path, out: Path) -> None:
     meshes = Path(os.environ.get("RGRASP_MESHES", REPOSITORY.parent / "shared" / "meshes"))
     robot = load_robot()
     painted = RobotMeshes(robot, sections=24)
     rows = {m: json.loads((folder / f"rows_{m}.json").read_text()) for m in METHODS}
-    scenes = table_scenes(meshes / "test", robot, COUNT)
+    scenes = table_scenes(meshes / "test", robot, len(rows[METHODS[0]]))
     figure, axes = plt.subplots(
-        COUNT * len(METHODS) // COLUMNS, COLUMNS, figsize=(3.0 * COLUMNS, 17.4), squeeze=False
+        COUNT * len(METHODS) // COLUMNS, COLUMNS, figsize=(3.4 * COLUMNS, 18.2), squeeze=False
     )
-    for k, scene in enumerate(scenes):
+    for i, k in enumerate(picked(rows)):
+        scene = scenes[k]
         for m, method in enumerate(METHODS):
-            place = k * len(METHODS) + m
+            place = i * len(METHODS) + m
             axis = axes[place // COLUMNS][place % COLUMNS]
             plan = read_plan(folder / f"{method}_sqp_{k:02d}.h5")
             axis.imshow(cell(painted, plan, scene, robot.home))
             axis.axis("off")
             words = caption(plan, rows[method][k].get("depth", 0.0))
             title = f"{scene.name[:26]}, {scene.camera} camera\n{method}: {words}"
-            axis.set_title(title, fontsize=7, loc="left")
-    figure.subplots_adjust(0.005, 0.0, 0.995, 0.98, wspace=0.02, hspace=0.14)
+            axis.set_title(title, fontsize=8, loc="left")
+    figure.subplots_adjust(0.005, 0.0, 0.995, 0.98, wspace=0.02, hspace=0.12)
     out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, dpi=100)
     # A palette keeps the file small; the pictures have few colours.
