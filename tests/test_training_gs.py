@@ -14,7 +14,8 @@ from sklearn import metrics as reference
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.grasp_success import EmbeddingNet, GeometryNet
-from pointsdf_cli.models.registry import build_model
+from pointsdf_cli.models.hand_sweep import SweepConfig
+from pointsdf_cli.models.registry import build_model, default_checkpoint
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.training import gs_baselines, gs_metrics
 from pointsdf_cli.training.gs_calibration import Platt, fit_platt, negative_log_likelihood
@@ -25,6 +26,7 @@ from pointsdf_cli.training.gs_data import (
     read_grasp_data,
     split_grasps,
 )
+from pointsdf_cli.training.gs_evidence import evidence_of
 from pointsdf_cli.training.gs_inputs import CloudInputs, FixedInputs, turn_numbers
 from pointsdf_cli.training.gs_loop import (
     Fitted,
@@ -245,6 +247,26 @@ def test_only_executed_grasps_are_read_and_objects_are_never_shared(balls: Path)
     assert parts[2] == {3}
     assert set.union(*parts) == set(range(6))
     assert sum(map(len, parts)) == 6
+
+
+def test_embeddings_asked_for_alone_are_those_asked_for_with_distances(
+    balls: Path, tmp_path: Path
+) -> None:
+    data = read_grasp_data(balls, ROBOT)
+    one = replace(data, names=data.names[:1], files=data.files[:1])
+    rows = np.flatnonzero(data.object_of == 0)
+    fields = ("object_of", "scene_of", "preshape", "T_world_palm", "T_world_camera", "cloud")
+    one = replace(one, **{n: getattr(data, n)[rows] for n in (*fields, "kind", "label")})
+    asked = (one, default_checkpoint(), tmp_path)
+    alone = evidence_of(*asked, sweep=None)
+    both = evidence_of(*asked, sweep=SweepConfig(stages=2, grid=(1, 1, 1)))
+    for name in ("centre", "scale", "size"):
+        assert np.allclose(getattr(alone, name), getattr(both, name), atol=1e-5)
+    # The order of the cloud's points moves the farthest point samples a little.
+    assert np.corrcoef(alone.embedding.ravel(), both.embedding.ravel())[0, 1] > 0.98
+    assert alone.distance.shape == (20, 0)
+    # Distances in the world: a palm's own points are outside of the ball it has not reached.
+    assert (both.distance[:, -1] > -0.06).all()
 
 
 def test_in_folds_every_object_teaches_some_members_and_validates_one(balls: Path) -> None:

@@ -151,13 +151,15 @@ def split_grasps(data: GraspData, validation: float, seed: int) -> Split:
 def fold_grasps(data: GraspData, folds: int, seed: int) -> Split:
     """All objects that are not held out both teach and validate, each in one of several folds.
 
+    Fewer objects than folds leave folds empty; their members learn from all objects.
+
     Raises:
-        InputError: Fewer objects than folds, or grasps of one label only.
+        InputError: Fewer than two objects, or grasps of one label only.
     """
     free = np.flatnonzero(~data.held_out)
-    if len(free) < folds:
+    if len(free) < 2:
         raise InputError(
-            f"{len(free)} objects to train on", where="--grasps", allowed=f"at least {folds}"
+            f"{len(free)} objects to train on", where="--grasps", allowed="at least 2 objects"
         )
     fold_of = np.full(len(data.names), -1)
     fold_of[np.random.default_rng([seed, 7]).permutation(free)] = np.arange(len(free)) % folds

@@ -26,6 +26,7 @@ from pointsdf_cli.io.grasps import read_grasps
 from pointsdf_cli.models.grasp_checkpoint import weights_hash
 from pointsdf_cli.models.grasp_features import BODY_SIZE, GraspFeatures, object_body
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
+from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model, use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
@@ -118,9 +119,12 @@ def make_evidence(task: EvidenceTask) -> int:
     grasps, meta = read_grasps(task.grasps)
     columns = [meta.joint_names.index(joint) for joint in robot.preshape_joints]
     chosen = np.flatnonzero(grasps.executed)
-    features = None
-    if task.sweep is not None:
-        features = GraspFeatures(HandSweep(robot, task.sweep), robot.preshape_ranges)
+    if task.sweep is None:
+        evidence = _embeddings(model, grasps.cloud[chosen], grasps.T_world_camera[chosen],
+                               grasps.scene[chosen])  # fmt: skip
+        write_evidence(task.out, evidence, task.key)
+        return len(chosen)
+    features = GraspFeatures(HandSweep(robot, task.sweep), robot.preshape_ranges)
     parts, order = [], []
     for scene in np.unique(grasps.scene[chosen]):
         rows = chosen[grasps.scene[chosen] == scene]
@@ -154,7 +158,7 @@ def _scene_evidence(
     T_world_camera: NDArray[np.float64],
     preshape: NDArray[np.float64],
     T_world_palm: NDArray[np.float64],
-    features: GraspFeatures | None,
+    features: GraspFeatures,
 ) -> Evidence:
     """All grasps [G] of one scene; its view is read once."""
     count = len(preshape)
@@ -166,18 +170,44 @@ def _scene_evidence(
         with torch.autocast("cpu", low_precision, enabled=low_precision is not None):
             return shape.sdf(x)
 
-    distance = np.zeros((count, 0), np.float32)
-    body = np.zeros((count, 6 + BODY_SIZE), np.float32)
-    if features is not None:
-        asked = features.points(torch.tensor(preshape), torch.tensor(T_world_palm))
-        distance = field(asked.numpy())
-        found = object_body(points, field)
-        body[:] = torch.cat([found.centre, found.mass_centre, found.numbers]).numpy()
+    asked = features.points(torch.tensor(preshape), torch.tensor(T_world_palm))
+    found = object_body(points, field)
+    body = torch.cat([found.centre, found.mass_centre, found.numbers]).numpy()
     return Evidence(
         embedding=np.repeat(shape.embedding[None], count, axis=0).astype(np.float32),
         centre=np.repeat(shape.centre[None], count, axis=0),
         scale=np.full(count, shape.scale),
         size=np.repeat(shape.size[None], count, axis=0).astype(np.float32),
-        distance=distance,
-        body=body,
+        distance=field(asked.numpy()),
+        body=np.repeat(body[None], count, axis=0),
+    )
+
+
+def _embeddings(
+    model: ShapeModel,
+    cloud: NDArray[np.float32],
+    T_world_camera: NDArray[np.float64],
+    scene: NDArray[np.integer],
+) -> Evidence:
+    """All grasps [G] of one file, embeddings alone: each scene's view is read, nothing decoded."""
+    first, of_grasp = np.unique(scene, return_index=True, return_inverse=True)[1:]
+    frames = [network_frame(cloud[row]) for row in first]
+    clouds = np.stack([f.to_network(cloud[row]) for f, row in zip(frames, first, strict=True)])
+    cameras = np.stack([frame.to_network(np.zeros(3)) for frame in frames])
+    with torch.no_grad():
+        embedding = model.embed(torch.tensor(clouds).float(), torch.tensor(cameras).float())
+    centre = np.stack(
+        [
+            apply_transform(T_world_camera[row], frame.centre[None])[0]
+            for frame, row in zip(frames, first, strict=True)
+        ]
+    )
+    count = len(cloud)
+    return Evidence(
+        embedding=embedding.numpy()[of_grasp],
+        centre=centre[of_grasp],
+        scale=np.array([frame.scale for frame in frames])[of_grasp],
+        size=np.ptp(cloud[first], axis=1)[of_grasp],
+        distance=np.zeros((count, 0), np.float32),
+        body=np.zeros((count, 6 + BODY_SIZE), np.float32),
     )
