@@ -8,12 +8,18 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, cKDTree
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.simulation.decomposition import Pieces, convex_pieces
-from pointsdf_cli.simulation.stable_poses import StablePose, stable_poses
+from pointsdf_cli.simulation.stable_poses import (
+    StablePose,
+    foot_height,
+    stable_poses,
+    standing_poses,
+)
 
 DENSITY = 400.0
 """Household things [kg/m³], counted over their volume: between a filled bottle and a toy."""
@@ -55,13 +61,18 @@ def prepare_object(mesh: LoadedMesh, cache: Path | None = None) -> SimObject:
             where=mesh.name,
             allowed="a closed mesh that faces outwards, above 1e-9 m³",
         )
-    pieces = convex_pieces(mesh, cache=cache)
     mass = float(np.clip(DENSITY * solid.volume, LIGHTEST, HEAVIEST))
     solid.density = mass / solid.volume
     centre = np.asarray(solid.center_mass)
     moments, axes = np.linalg.eigh(np.asarray(solid.moment_inertia))
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
+    poses = stable_poses(mesh.vertices, centre)
+    pieces = with_flat_feet(
+        convex_pieces(mesh, cache=cache),
+        mesh.vertices,
+        [poses[i] for i in standing_poses(poses)],
+    )
     # Flat things have moments near 0 about one axis, which no contact solver likes.
     moments = np.maximum(moments, 1e-6)
     body = [((corners - centre) @ axes, faces) for corners, faces in pieces]
@@ -71,5 +82,38 @@ def prepare_object(mesh: LoadedMesh, cache: Path | None = None) -> SimObject:
         T_mesh_body=transform(axes, centre),
         mass=mass,
         inertia=moments,
-        poses=stable_poses(mesh.vertices, centre),
+        poses=poses,
     )
+
+
+def with_flat_feet(
+    pieces: Pieces, vertices: NDArray[np.float64], standing: list[StablePose]
+) -> Pieces:
+    """Convex pieces that stand on what the mesh stands on; all in the mesh frame.
+
+    A scan's bottom is a little round, and a hull of few corners leaves most of its rim out: a can
+    that stands in the world would rest on three corners here, and fall over. So the rim of the
+    mesh's foot is added to the pieces that it belongs to, and all that is foot is put flat.
+
+    Args:
+        pieces: Corners [V, 3] and faces [F, 3] of each.
+        vertices: [N, 3], of the mesh.
+        standing: The poses to do this for.
+    """
+    for pose in standing:
+        up, height = pose.T_table_object[2, :3], pose.T_table_object[2, 3]
+        lowest = min(float((corners @ up).min()) for corners, _ in pieces) + height
+        foot = max(lowest, 0.0) + foot_height(pose.height)
+        rim = vertices[vertices @ up + height < foot_height(pose.height)]
+        rim = rim[ConvexHull(rim @ pose.T_table_object[:2, :3].T).vertices]
+        away = [cKDTree(corners).query(rim)[0] for corners, _ in pieces]
+        owner = np.argmin(away, axis=0)
+        shaped = []
+        for k, (corners, _) in enumerate(pieces):
+            corners = np.concatenate([corners, rim[owner == k]])
+            above = corners @ up + height
+            corners = corners - np.where(above < foot, above, 0.0)[:, None] * up
+            hull = trimesh.convex.convex_hull(corners)
+            shaped.append((np.asarray(hull.vertices), np.asarray(hull.faces)))
+        pieces = shaped
+    return pieces

@@ -94,6 +94,12 @@ def stable_poses(
     return sorted(poses, key=lambda pose: -pose.probability)
 
 
+def foot_height(height: float) -> float:
+    """What is lower than this [m] above the table is foot, for a body so high [m]: scans round off
+    the flat bottoms that things stand on."""
+    return 0.02 * height + 2e-4
+
+
 def tilt_margin(placed: NDArray[np.float64], mass: NDArray[np.float64]) -> float:
     """The angle [rad] of tilt at which a body falls over its nearest support edge; 0 if at once.
 
@@ -101,7 +107,7 @@ def tilt_margin(placed: NDArray[np.float64], mass: NDArray[np.float64]) -> float
         placed: [V, 3], corners of the body's hull, standing on z = 0.
         mass: [3], its centre of mass.
     """
-    foot = placed[placed[:, 2] < 0.02 * placed[:, 2].max() + 2e-4, :2]
+    foot = placed[placed[:, 2] < foot_height(float(placed[:, 2].max())), :2]
     if len(foot) < 3:
         return 0.0
     try:
@@ -116,11 +122,17 @@ def draw_pose(
     poses: list[StablePose], config: StandingConfig, rng: np.random.Generator
 ) -> tuple[int, bool]:
     """An index into `poses`, and whether it was drawn as standing."""
-    firm = [i for i, pose in enumerate(poses) if pose.margin >= config.firm]
+    candidates = standing_poses(poses, config)
     wants_standing = rng.random() < config.standing
-    if firm and wants_standing:
-        tallest = max(poses[i].height for i in firm)
-        candidates = [i for i in firm if poses[i].height >= (1 - config.equal_height) * tallest]
+    if candidates and wants_standing:
         return int(rng.choice(candidates)), True
     weights = np.array([pose.probability for pose in poses])
     return int(rng.choice(len(poses), p=weights / weights.sum())), False
+
+
+def standing_poses(poses: list[StablePose], config: StandingConfig | None = None) -> list[int]:
+    """Indices of the firm poses that are, within `equal_height`, the tallest."""
+    config = config or StandingConfig()
+    firm = [i for i, pose in enumerate(poses) if pose.margin >= config.firm]
+    tallest = max((poses[i].height for i in firm), default=0.0)
+    return [i for i in firm if poses[i].height >= (1 - config.equal_height) * tallest]
