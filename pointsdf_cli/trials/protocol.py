@@ -54,6 +54,12 @@ class TrialObject:
     name: str
     mesh: Path | None = None
 
+    @property
+    def stands_as_modelled(self) -> bool:
+        """Whether the mesh's z axis is known to be up: YCB is scanned upright, as stand-ins are
+        made. Other meshes may lie in any way."""
+        return self.name in STAND_INS
+
 
 @dataclass(frozen=True)
 class Contender:

@@ -7,24 +7,31 @@ from is the side that is not seen.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
 from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
 from pointsdf_cli.objects.stand_ins import make_stand_in
 from pointsdf_cli.simulation.attempt import placed
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
-from pointsdf_cli.simulation.stable_poses import StandingConfig, draw_pose
+from pointsdf_cli.simulation.stable_poses import StablePose, StandingConfig, draw_pose
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.protocol import CAMERAS, Trial, TrialObject
 from pointsdf_cli.viz.shading import look_at
 
 Array = NDArray[np.float64]
+POSE_TRIES = 12
+NEARLY_UPRIGHT = 0.09
+"""Resting poses within this [rad] of the model's z axis count as upright."""
+FOOT = 0.005
+"""Points of a mesh lower than this [m] stand on the table: scans are no flatter."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,7 @@ class SceneConfig:
         camera_distance: Level, from the object to the camera [m].
         azimuth: The camera stands within this [rad] of straight opposite the robot.
         look_height: It looks at the object at this height [m].
+        lowest: An object that is lower than this [m] as modelled is stood on its side.
         standing: As in the collection of grasps, but what can stand always does.
         settling: When an object rests.
     """
@@ -46,6 +54,7 @@ class SceneConfig:
     camera_distance: float = 0.95
     azimuth: float = 0.35
     look_height: float = 0.08
+    lowest: float = 0.03
     standing: StandingConfig = field(default_factory=lambda: StandingConfig(standing=1.0))
     settling: SettleConfig = field(default_factory=SettleConfig)
 
@@ -62,7 +71,10 @@ def load_object(item: TrialObject) -> SimObject:
         vertices, faces = make_stand_in(item.name)
         sha = f"stand-in {item.name} {hash_of(vertices, faces)}"
         mesh = LoadedMesh(item.name, vertices.astype(np.float64), faces, sha, "none")
-    return prepare_object(mesh)
+    prepared = prepare_object(mesh)
+    if item.stands_as_modelled:
+        return with_foot(prepared, upright_pose(prepared, SceneConfig()))
+    return prepared
 
 
 def hash_of(*arrays: NDArray[np.generic]) -> str:
@@ -85,10 +97,13 @@ def place_object(
     """
     rng = trial.rng("pose")
     resting = None
-    for _ in range(12):
-        which, _ = draw_pose(item.poses, config.standing, rng)
-        resting = settle(world, item, item.poses[which], config.settling)
-        if resting is not None:
+    for _ in range(POSE_TRIES):
+        if trial.object.stands_as_modelled:
+            pose = upright_pose(item, config)
+        else:
+            pose = item.poses[draw_pose(item.poses, config.standing, rng)[0]]
+        resting = settle(world, item, pose, config.settling)
+        if resting is not None or trial.object.stands_as_modelled:
             break
     if resting is None:
         raise InputError("never comes to rest on a table", where=trial.object.name)
@@ -96,6 +111,46 @@ def place_object(
     yaw = float(np.mod(yaw, 2 * np.pi))
     shift = config.place_spread * trial.rng("scene").standard_normal(2)
     return placed(resting, item, yaw, np.asarray(config.place) + shift), yaw
+
+
+def upright_pose(item: SimObject, config: SceneConfig) -> StablePose:
+    """The firm pose nearest to how the mesh is modelled, z up, or the tallest firm one if that is
+    too low to be grasped from the side."""
+    firm = [pose for pose in item.poses if pose.margin >= config.standing.firm] or item.poses
+    upright = max(firm, key=lambda pose: pose.T_table_object[2, 2])
+    if upright.height < config.lowest:
+        return max(firm, key=lambda pose: pose.height)
+    if upright.T_table_object[2, 2] < np.cos(NEARLY_UPRIGHT):
+        return upright
+    # A scan's bottom is not flat, and its resting poses lean: it stands upright on its foot.
+    middle = item.T_mesh_body[:3, 3]
+    lowest = item.mesh.vertices[:, 2].min()
+    return replace(upright, T_table_object=transform(np.eye(3), [-middle[0], -middle[1], -lowest]))
+
+
+def with_foot(item: SimObject, pose: StablePose) -> SimObject:
+    """The object with the face it stands on as one more convex piece.
+
+    Convex pieces of a scan have few corners, and a bottle on three of them falls over. The foot is
+    a slab of the mesh's own lowest points.
+    """
+    T_table_mesh = pose.T_table_object
+    corners = apply_transform(T_table_mesh, item.mesh.vertices)
+    low = corners[corners[:, 2] < FOOT, :2]
+    try:
+        outline = low[ConvexHull(low).vertices]
+    except (QhullError, ValueError):  # it stands on an edge or a point
+        return item
+    outline = outline[:: max(1, len(outline) // 24)]
+    slab = np.concatenate(
+        [np.column_stack([outline, np.full(len(outline), z)]) for z in (0.0, FOOT)]
+    )
+    T_body_table = invert_transform(T_table_mesh @ item.T_mesh_body)
+    try:
+        hull = trimesh.convex.convex_hull(apply_transform(T_body_table, slab))
+    except ValueError:  # scipy's QhullError is one
+        return item
+    return replace(item, pieces=[*item.pieces, (np.asarray(hull.vertices), np.asarray(hull.faces))])
 
 
 def place_camera(
