@@ -19,13 +19,14 @@ import numpy as np
 import torch
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.checkpoints import read_checkpoint
+from pointsdf_cli.io.checkpoints import read_checkpoint, read_config
 from pointsdf_cli.models.grasp_checkpoint import (
     FIXED,
     MODES,
     SCRATCH,
     encoder_path,
     read_grasp_checkpoint,
+    weights_hash,
 )
 from pointsdf_cli.models.grasp_features import GraspFeatures
 from pointsdf_cli.models.grasp_prior import GraspPrior, ObjectPlace
@@ -185,10 +186,12 @@ def prepare_trained(
         InputError: As `read_grasp_checkpoint`.
     """
     robot = load_robot(sources.robot)
-    # An encoder given by --sdf is for the checkpoints that need one, not for all in the row.
-    parts = read_grasp_checkpoint(path, sources.sdf, robot)
+    # With several checkpoints in a row, --sdf is for those that were trained with it.
+    wanted = read_config(path).get("encoder", {}).get("sha256")
+    sdf = sources.sdf if sources.sdf and weights_hash(sources.sdf) == wanted else None
+    parts = read_grasp_checkpoint(path, sdf, robot)
     mode = parts.config["mode"]
-    frozen = encoder_path(read_checkpoint(path), sources.sdf) if mode == FIXED else None
+    frozen = encoder_path(read_checkpoint(path), sdf) if mode == FIXED else None
     learner = _learner(
         data, parts.network, parts.encoder, parts.sweep, robot, frozen, mode, sources
     )
