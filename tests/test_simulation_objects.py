@@ -10,17 +10,14 @@ import trimesh
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.meshes import LoadedMesh
-from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.decomposition import convex_pieces
-from pointsdf_cli.simulation.settle import SettleConfig, settle
-from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, prepare_object
+from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, prepare_object, with_flat_feet
 from pointsdf_cli.simulation.stable_poses import (
     StandingConfig,
     draw_pose,
     stable_poses,
-    standing_poses,
+    tilt_margin,
 )
-from pointsdf_cli.simulation.world import World
 
 
 def loaded(name: str, mesh: trimesh.Trimesh) -> LoadedMesh:
@@ -126,25 +123,39 @@ def test_impossible_standing_is_refused() -> None:
         StandingConfig(standing=1.5)
 
 
-def test_a_can_with_the_round_bottom_of_a_scan_stands(tmp_path: Path) -> None:
-    """A can of 25 cm, its bottom domed and dented by 2 mm as scans are, 400 corners a rim: the hull
-    of 48 corners that collides has only a few of the rim's."""
+def test_a_hull_that_lost_the_foot_of_its_can_stands_again() -> None:
+    """Of the bottom's rim three corners are left, on one side: the can would fall over at once."""
+    mesh = can(0.037, 0.25)
+    pose = max(stable_poses(mesh.vertices, np.zeros(3)), key=lambda pose: pose.height)
+    vertices = np.asarray(mesh.vertices)
+    above = vertices @ pose.T_table_object[2, :3] + pose.T_table_object[2, 3]
+    bottom = np.flatnonzero(above < 0.01)
+    one_side = bottom[np.argsort(vertices[bottom, 0])[:3]]
+    left = np.concatenate([vertices[above > 0.2], vertices[one_side]])
+    fallen = trimesh.convex.convex_hull(left)
+    ((corners, _),) = with_flat_feet([(fallen.vertices, fallen.faces)], vertices, [pose])
+    placed = corners @ pose.T_table_object[:3, :3].T + pose.T_table_object[:3, 3]
+    mass = pose.T_table_object[:3, 3]
+    assert tilt_margin(fallen.vertices @ pose.T_table_object[:3, :3].T + mass, mass) == 0.0
+    assert tilt_margin(placed, mass) == pytest.approx(np.arctan2(0.037, 0.125), abs=0.01)
+    assert placed[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_is_nearly_foot_is_put_flat_and_the_rest_stays() -> None:
+    mesh = can(0.037, 0.25)
+    pose = max(stable_poses(mesh.vertices, np.zeros(3)), key=lambda pose: pose.height)
     rng = np.random.default_rng(0)
-    mesh = trimesh.creation.cylinder(0.037, 0.25, sections=400)
     vertices = np.array(mesh.vertices)
-    bottom = vertices[:, 2] < 0
-    vertices[bottom, 2] += rng.uniform(0, 0.002, bottom.sum())
-    scan = trimesh.Trimesh(vertices, mesh.faces, process=False)
-    item = prepare_object(loaded("scan", scan), cache=tmp_path)
-    upright = [item.poses[i] for i in standing_poses(item.poses)]
-    assert upright
-    assert all(pose.height == pytest.approx(0.25, abs=0.003) for pose in upright)
-    with World(load_robot()) as world:
-        for pose in upright:
-            resting = settle(world, item, pose, SettleConfig())
-            assert resting is not None
-            assert np.ptp(vertices @ resting[2, :3]) == pytest.approx(0.25, abs=0.003)
-    # Only the feet were touched.
-    corners = np.concatenate([v for v, _ in item.pieces]) @ item.T_mesh_body[:3, :3].T
-    assert np.ptp(corners[:, 2]) == pytest.approx(0.25, abs=0.003)
-    assert np.linalg.norm(corners[:, :2], axis=1).max() == pytest.approx(0.037, abs=1e-3)
+    above = vertices @ pose.T_table_object[2, :3] + pose.T_table_object[2, 3]
+    rough = (
+        vertices
+        + np.where(above < 0.01, rng.uniform(0, 0.003, len(vertices)), 0.0)[:, None]
+        * (pose.T_table_object[2, :3])
+    )
+    hull = trimesh.convex.convex_hull(rough)
+    ((corners, _),) = with_flat_feet([(hull.vertices, hull.faces)], vertices, [pose])
+    height = corners @ pose.T_table_object[2, :3] + pose.T_table_object[2, 3]
+    low = height[height < 0.1]
+    assert np.abs(low).max() < 1e-9
+    assert height.max() == pytest.approx(0.25, abs=1e-9)
+    assert np.linalg.norm(corners[:, :2], axis=1).max() == pytest.approx(0.037, abs=1e-9)
