@@ -46,6 +46,9 @@ def trial(
     rehearse: Annotated[
         int, typer.Option(help="Grasps of a round to try on the reconstruction; 0 for none.")
     ] = 12,
+    clearance: Annotated[
+        float, typer.Option(help="Least distance to the object that plans keep [m].")
+    ] = 0.001,
     checkpoint: Annotated[
         Path | None, typer.Option(help="Reconstruction weights.", show_default="bundled")
     ] = None,
@@ -95,7 +98,9 @@ def trial(
     load_robot(robot)  # a wrong robot file is said once, not by every worker
     contenders = _contenders(method, ablation or [])
     config = TrialConfig(
-        contenders=ContenderOptions(solver, robot, checkpoint, grasp_checkpoint, rehearse=rehearse),
+        contenders=ContenderOptions(
+            solver, robot, checkpoint, grasp_checkpoint, rehearse=rehearse, clearance=clearance
+        ),
         execution=ExecutorConfig(shake=shake),
     )
     chosen = choose_objects(meshes, objects, pattern)

@@ -26,6 +26,7 @@ from pointsdf_cli.planning.answer import (
     PlanOptions,
 )
 from pointsdf_cli.planning.fields import Field, MeshField
+from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.partial_view import partial_mesh
 from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.target import EmptyFieldError
@@ -51,6 +52,7 @@ class ContenderOptions:
         robot: YAML file; the bundled robot if None.
         checkpoint: Of the reconstruction network; the bundled one if None.
         grasp_checkpoint: Of the success network of the method "reconstruction"; bundled if None.
+        clearance: Least distance of the robot to the object as the contender knows it [m].
         rehearse: Grasps of a round that are rehearsed; 0 for none.
         device: Where networks compute.
     """
@@ -60,6 +62,7 @@ class ContenderOptions:
     checkpoint: Path | None = None
     grasp_checkpoint: Path | None = None
     rehearse: int = 12
+    clearance: float = 0.001
     device: str = "cpu"
 
 
@@ -80,6 +83,7 @@ def plan_options(contender: Contender, options: ContenderOptions) -> PlanOptions
         robot=options.robot,
         checkpoint=checkpoint if reconstructs else None,
         grasp_checkpoint=options.grasp_checkpoint if reconstructs else None,
+        clearances=Clearances(object=options.clearance),
         device=options.device,
     )
 
@@ -104,7 +108,7 @@ def check_contender(contender: Contender, options: ContenderOptions) -> None:
         InputError: An unknown solver, or a checkpoint that cannot be read.
     """
     asked = plan_options(contender, options)
-    PlannerConfig(solver=asked.solver)
+    PlannerConfig(solver=asked.solver, clearances=asked.clearances)
     if asked.checkpoint is not None:
         read_checkpoint(asked.checkpoint)
     if asked.grasp_checkpoint is not None:
