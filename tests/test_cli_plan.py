@@ -149,6 +149,7 @@ def test_under_a_shelf_is_said(cli: Callable, tmp_path: Path) -> None:
         (["--start", "1,2,3"], "--start"),
         (["--clearance", "-1"], "--clearance"),
         (["--clearance", "0.5"], "at most"),
+        (["--min-success", "2"], "--min-success"),
         (["--segment", "maybe"], "auto, none"),
         (["--environment", "none.yaml"], "no such environment file"),
         (["--camera-pose", "1,2"], "--camera-pose"),

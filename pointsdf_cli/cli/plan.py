@@ -65,6 +65,9 @@ def plan(
             metavar="N", help="Try up to N grasps a round in simulation on the reconstruction."
         ),
     ] = 0,
+    min_success: Annotated[
+        float, typer.Option(help="Grasps predicted to hold with less than this are no plan.")
+    ] = 0.1,
     start: Annotated[
         str | None,
         typer.Option(metavar="Q", help="Where the robot is [rad], or a file [default: its home]."),
@@ -117,9 +120,11 @@ def plan(
 
     # Seconds of imports: only for clouds that can be read.
     from pointsdf_cli.models.registry import use_threads
+    from pointsdf_cli.planning.acceptance import AcceptanceConfig
     from pointsdf_cli.planning.answer import GraspPlanner, PlanOptions
     from pointsdf_cli.planning.environment import Environment, read_environment
     from pointsdf_cli.planning.grasp_problem import Clearances
+    from pointsdf_cli.planning.synthesis import SynthesisConfig
     from pointsdf_cli.planning.table_session import plan_on_table
     from pointsdf_cli.training.precision import idle_processors
     from pointsdf_cli.trials.rehearsed import RehearsedPlanner, RehearsedPlannerConfig
@@ -135,6 +140,7 @@ def plan(
         grasp_checkpoint=grasp_checkpoint,
         clearances=Clearances() if clearance is None else Clearances(*[clearance] * 3),
         device=common.torch_device(device),
+        synthesis=SynthesisConfig(acceptance=AcceptanceConfig(max(min_success, 0.6), min_success)),
     )
     around = Environment() if environment is None else read_environment(environment)
     use_threads(threads or idle_processors())

@@ -27,12 +27,16 @@ class AcceptanceConfig:
     """
 
     success: float = 0.6
-    least: float = 0.25
+    least: float = 0.1
     objective: float = 5.0
 
     def __post_init__(self) -> None:
         if not (0 <= self.least <= self.success < 1 and self.objective > 0):
-            raise InputError(f"{self}", allowed="0 ≤ least ≤ success < 1, objective above 0")
+            raise InputError(
+                f"a probability of success of at least {self.least:g}, good above {self.success:g}",
+                where="--min-success",
+                allowed="0 ≤ least ≤ good < 1, an objective above 0",
+            )
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,7 @@ from pointsdf_cli.planning.target import (
     Target,
     absent_object,
     given_object,
+    grid_for,
     reconstructed_object,
     seen_object,
 )
@@ -218,15 +219,16 @@ class GraspPlanner:
         """
         views = [View(np.asarray(points, dtype=np.float64), T_world_camera), *more]
         world = np.concatenate([view.in_world for view in views])
+        grid = grid_for(narrowest(world))
         began = time.perf_counter()
         made: list[Reconstruction] = []
         if self._shape is not None:
             for view in views:
                 eye, axes = view.T_world_camera[:3, 3], view.T_world_camera[:3, :3]
                 made.append(Reconstruction.from_cloud(self._shape, view.in_world, eye, axes, seed))
-            own = reconstructed_object(made)
+            own = reconstructed_object(made, grid)
         else:
-            own = seen_object(world)
+            own = seen_object(world, grid)
         timings = {"reconstruction": time.perf_counter() - began}
         began = time.perf_counter()
         grasps = self._grasps.on(views[0].points, T_world_camera, field=own.kept, seed=seed)

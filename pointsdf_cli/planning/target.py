@@ -32,6 +32,13 @@ BOX_MARGIN = 0.01
 KEPT_GRID = GridConfig(step=0.01, levels=3, band=0.0)
 """How the field of an object is kept on a grid."""
 
+FINEST = 0.004
+"""Cells of the grid of a thin object are no smaller than this [m]."""
+
+CELLS_ACROSS = 5
+"""The thinnest side of an object spans so many cells: a fork lies between the nodes of a grid that
+is fine enough for a box."""
+
 
 GIVEN_REACH = 0.25
 """A given field's surface is looked for within this [m] of the seen points."""
@@ -97,6 +104,12 @@ class Target:
     def of(cls, shape: ObjectField, score: GraspScore, prior: GraspPrior) -> Target:
         """A target that occupies `shape`."""
         return cls(shape.field, shape.low, shape.high, score, prior, shape.kept)
+
+
+def grid_for(thickness: float) -> GridConfig:
+    """A grid for an object whose thinnest seen side is this [m]."""
+    step = float(np.clip(thickness / CELLS_ACROSS, FINEST, KEPT_GRID.step))
+    return replace(KEPT_GRID, step=step)
 
 
 def reconstructed_object(
