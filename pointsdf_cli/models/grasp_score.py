@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -102,15 +103,15 @@ class GraspModel:
         return GeometryGrasps(self, place, world, values, own=field is None)
 
 
-class ObjectGrasps:
+class ObjectGrasps(ABC):
     """The scores of grasps of one object, world frame."""
 
     def __init__(self, model: GraspModel, place: ObjectPlace) -> None:
         self._model, self._place = model, place
 
+    @abstractmethod
     def logit(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
         """Calibrated logits of success [B]."""
-        raise NotImplementedError
 
     def log_success(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
         """log h [B] of preshapes [B, K] and palms [B, 4, 4]; differentiable in both."""

@@ -257,5 +257,5 @@ def _reached(robot: RobotDescription, kinematics: Kinematics, rng: np.random.Gen
     q = rng.uniform(robot.lower, robot.upper, (POSES, len(robot.lower)))
     with torch.no_grad():
         palms = kinematics.palm(torch.from_numpy(q)).numpy()
-    solver = InverseKinematics(robot, IkConfig(library=4000))
+    solver = InverseKinematics(robot, IkConfig(pool=4000))
     return float(solver.solve(palms).any.mean())

@@ -25,21 +25,21 @@ class IkConfig:
         iterations: Levenberg-Marquardt steps.
         position_tolerance: [m].
         rotation_tolerance: [rad].
-        library: Random configurations among which starts near the goal are looked up.
+        pool: Random configurations among which starts near the goal are looked up.
     """
 
     starts: int = 12
     iterations: int = 25
     position_tolerance: float = 1e-4
     rotation_tolerance: float = 1e-3
-    library: int = 20_000
+    pool: int = 20_000
 
     def __post_init__(self) -> None:
-        for name in ("starts", "iterations", "library"):
+        for name in ("starts", "iterations", "pool"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} = {getattr(self, name)}", allowed="1 or more")
-        if self.starts > self.library:
-            raise InputError(f"{self.starts} starts from {self.library}", allowed="fewer starts")
+        if self.starts > self.pool:
+            raise InputError(f"{self.starts} starts from {self.pool}", allowed="fewer starts")
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class IkSolutions:
 class InverseKinematics:
     """Damped least squares with joint limits from starts that already lie near the goal.
 
-    The starts come from a library of random configurations, by nearest palm pose; each ends at
+    The starts come from a pool of random configurations, by nearest palm pose; each ends at
     another elbow position, which is how the arm's redundancy is used. The damping follows the
     error (Sugihara 2011, "Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt
     method"), so unreachable poses end near them instead of diverging.
@@ -71,7 +71,7 @@ class InverseKinematics:
     Args:
         robot: The robot; its planning limits are kept.
         config: How hard to try.
-        seed: Of the library.
+        seed: Of the pool.
     """
 
     def __init__(
@@ -86,10 +86,10 @@ class InverseKinematics:
         ]
         self._base, self._palm = robot.T_world_base, robot.T_link_palm
         rng = np.random.default_rng(seed)
-        self._library = rng.uniform(
-            self._lower, self._upper, (self.config.library, len(robot.arm_joints))
+        self._pool = rng.uniform(
+            self._lower, self._upper, (self.config.pool, len(robot.arm_joints))
         )
-        rotation, position, _ = self.palm(self._library, with_jacobian=False)
+        rotation, position, _ = self.palm(self._pool, with_jacobian=False)
         # One radian of turn weighs like this many metres of way.
         self._turn_weight = 0.3
         self._tree = cKDTree(self._features(rotation, position))
@@ -100,7 +100,7 @@ class InverseKinematics:
         count, starts = len(goals), self.config.starts
         features = self._features(goals[:, :3, :3], goals[:, :3, 3])
         _, nearest = self._tree.query(features, k=starts)
-        q = self._library[np.asarray(nearest).reshape(count * starts)]
+        q = self._pool[np.asarray(nearest).reshape(count * starts)]
         goal_rotation = np.repeat(goals[:, :3, :3], starts, axis=0)
         goal_position = np.repeat(goals[:, :3, 3], starts, axis=0)
         reached = np.zeros(len(q), dtype=bool)

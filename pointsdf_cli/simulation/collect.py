@@ -200,7 +200,7 @@ def _finished(grasps: Grasps, task: CollectTask) -> bool:
 
 @functools.lru_cache(maxsize=1)
 def _attempter(robot: Path | None, config: AttemptConfig, seed: int) -> Attempter:
-    """One per process: the inverse kinematics' library and the physics client are kept."""
+    """One per process: the inverse kinematics' pool and the physics client are kept."""
     return Attempter(load_robot(robot), config, seed)
 
 

@@ -55,9 +55,9 @@ class Learner(ABC):
         """[M or 1, n], how much each grasp teaches each member."""
         return torch.ones(1, len(index))
 
+    @abstractmethod
     def pose_and_size(self) -> tuple[Tensor, Tensor]:
         """Of a network on embeddings: grasp numbers [N, K + 9] and cloud sizes [N, 3]."""
-        raise NotImplementedError
 
     @property
     def parameters(self) -> list[nn.Parameter]:
