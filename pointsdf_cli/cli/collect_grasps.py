@@ -27,9 +27,7 @@ def collect_grasps(
     count: Annotated[
         int, typer.Option(help="Executed grasps in all, a fifth of them of held-out objects.")
     ] = 9111,
-    robot: Annotated[
-        Path | None, typer.Option(help="A robot's YAML.  [default: LBR4 with Allegro hand]")
-    ] = None,
+    robot: common.Robot = None,
     shake: Annotated[
         float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
     ] = 0.0,

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 Seed = Annotated[int, typer.Option(help="The same seed gives the same datasets.")]
 Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Processes; 0 takes all cores.")]
+Threads = Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")]
+Robot = Annotated[
+    Path | None, typer.Option(help="A robot's YAML.  [default: LBR4 with Allegro hand]")
+]
 Device = Annotated[str, typer.Option(help="cpu, cuda or cuda:N.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")]
 Json = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]

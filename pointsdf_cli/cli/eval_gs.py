@@ -22,14 +22,12 @@ def eval_gs(
         Path | None,
         typer.Option(help="The frozen reconstruction network, if it is not where it was."),
     ] = None,
-    robot: Annotated[
-        Path | None, typer.Option(help="A robot's YAML.  [default: LBR4 with Allegro hand]")
-    ] = None,
+    robot: common.Robot = None,
     cache: Annotated[
         Path | None,
         typer.Option(help="Where the network's answers are kept.  [default: GRASPS-cache]"),
     ] = None,
-    threads: Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")] = 0,
+    threads: common.Threads = 0,
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     force: common.Force = False,

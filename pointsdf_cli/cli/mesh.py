@@ -53,7 +53,7 @@ def mesh(
     precision: Annotated[
         str, typer.Option(help="auto (bfloat16 where the processor has it), bfloat16 or float32.")
     ] = "auto",
-    threads: Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")] = 0,
+    threads: common.Threads = 0,
     seed: common.Seed = 0,
     device: common.Device = "cpu",
     force: common.Force = False,

@@ -91,7 +91,7 @@ def plan(
         typer.Option(help="Where to draw it [default: beside the plan].", show_default=False),
     ] = None,
     no_picture: Annotated[bool, typer.Option("--no-picture", help="Draw nothing.")] = False,
-    threads: Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")] = 0,
+    threads: common.Threads = 0,
     seed: common.Seed = 0,
     device: common.Device = "cpu",
     force: common.Force = False,

@@ -28,9 +28,7 @@ def train_gs(
         Path | None,
         typer.Option(help="The reconstruction network to build on.  [default: the bundled one]"),
     ] = None,
-    robot: Annotated[
-        Path | None, typer.Option(help="A robot's YAML.  [default: LBR4 with Allegro hand]")
-    ] = None,
+    robot: common.Robot = None,
     epochs: Annotated[int | None, typer.Option(help="Passes over the grasps, at most.")] = None,
     batch_size: Annotated[int | None, typer.Option(help="Grasps a step.")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="At its highest.")] = None,
@@ -46,7 +44,7 @@ def train_gs(
         Path | None,
         typer.Option(help="Where the network's answers are kept.  [default: GRASPS-cache]"),
     ] = None,
-    threads: Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")] = 0,
+    threads: common.Threads = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Carry on from OUT.")] = False,
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,

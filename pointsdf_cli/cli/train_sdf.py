@@ -48,7 +48,7 @@ def train_sdf(
     pack: Annotated[
         Path | None, typer.Option(help="Where the packed data goes [default: OUT-pack].")
     ] = None,
-    threads: Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")] = 0,
+    threads: common.Threads = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Carry on from OUT.")] = False,
     seed: common.Seed = 0,
     device: common.Device = "cpu",
