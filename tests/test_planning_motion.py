@@ -22,7 +22,7 @@ from pointsdf_cli.robot.surface import robot_surface
 ROBOT = load_robot()
 KINEMATICS = Kinematics(ROBOT)
 GEOMETRY = RobotGeometry(KINEMATICS)
-IK = InverseKinematics(ROBOT, IkConfig(library=4000))
+IK = InverseKinematics(ROBOT, IkConfig(pool=4000))
 CAN = (0.6, 0.1, 0.12)
 FIELD = CylinderField(0.035, 0.24, CAN)
 

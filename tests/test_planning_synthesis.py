@@ -26,7 +26,7 @@ from pointsdf_cli.robot.kinematics import Kinematics
 ROBOT = load_robot()
 KINEMATICS = Kinematics(ROBOT)
 GEOMETRY = RobotGeometry(KINEMATICS)
-IK = InverseKinematics(ROBOT, IkConfig(library=4000))
+IK = InverseKinematics(ROBOT, IkConfig(pool=4000))
 REST = np.array([0.0] * 6 + [1.3, 0.5])
 RADIUS = 0.035
 
