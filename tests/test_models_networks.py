@@ -19,6 +19,8 @@ from pointsdf_cli.models.voxelcnn import VOXEL, occupancy
 MODELS = {
     "ray": ("pointsdf-ray", {}),
     "ray-subsets": ("pointsdf-ray", {"search": "subsets"}),
+    "ray-revolution": ("pointsdf-ray", {"revolution": True}),
+    "ray-revolution-subsets": ("pointsdf-ray", {"revolution": True, "search": "subsets"}),
     "pointsdf": ("pointsdf", PRESETS["small"]),
     "voxelcnn": ("voxelcnn", {}),
 }

@@ -112,16 +112,24 @@ def train_sdf(
         if workers.is_first:
             workers.wait()
         split = split_views(data, held_out, seed)
-        network = build_model(model, arguments, seed=seed)
-        if start_from is not None:
-            network = load_model(start_from)
-            if network.architecture != model:
+        if start_from is None:
+            network = build_model(model, arguments, seed=seed)
+        else:
+            trained = load_model(start_from)
+            if trained.architecture != model:
                 raise InputError(
-                    f"is a {network.architecture}",
+                    f"is a {trained.architecture}",
                     where=f"--start-from {start_from}",
                     allowed=model,
                 )
-            network.requires_grad_(True)
+            network = build_model(model, {**trained.config(), **arguments}, seed=seed)
+            try:
+                network.begin_with(trained)
+            except RuntimeError as error:
+                raise InputError(
+                    f"has other sizes than {model} --preset {preset}",
+                    where=f"--start-from {start_from}",
+                ) from error
         reporter.say(
             f"{model} with {sum(p.numel() for p in network.parameters()) / 1e6:.1f} M weights; "
             f"{len(data.names)} objects, {len(split.train)} views to train on, "

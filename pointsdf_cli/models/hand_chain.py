@@ -23,6 +23,10 @@ class HandChain:
 
     Attributes:
         links: The hand's links, the palm's first: the order of the results.
+        moved_link: int [J], the link that each of the hand's joints moves first.
+        axes: f4 [J, 3], the joints' axes in the frames of these links.
+        slides: bool [J], prismatic joints.
+        below: f4 [J, L], 1 for the links that each joint moves.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
@@ -62,6 +66,7 @@ class HandChain:
             above = [joint.child for joint in level]
             order += above
         self._order = torch.tensor([order.index(link) for link in self.links])
+        self._describe_joints(robot)
 
     def __call__(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Poses of all links.
@@ -91,6 +96,22 @@ class HandChain:
         return (
             torch.cat(rotations).index_select(0, self._order),
             torch.cat(positions).index_select(0, self._order),
+        )
+
+    def _describe_joints(self, robot: RobotDescription) -> None:
+        by_name = {joint.name: joint for joint in robot.tree.joints}
+        joints = [by_name[name] for name in robot.hand_joints]
+        parent = {joint.child: joint.parent for joint in robot.tree.joints}
+
+        def above(link: str) -> list[str]:
+            return [link, *above(parent[link])] if link in parent else [link]
+
+        self.moved_link = torch.tensor([self.links.index(joint.child) for joint in joints])
+        self.axes = torch.tensor(np.array([joint.axis for joint in joints]), dtype=torch.float32)
+        self.slides = torch.tensor([joint.kind == "prismatic" for joint in joints])
+        chains = [above(link) for link in self.links]
+        self.below = torch.tensor(
+            [[float(joint.child in chain) for chain in chains] for joint in joints]
         )
 
 

@@ -5,7 +5,9 @@ for everything. Here the embedding is kept (the grasp network reads it), and eac
 
 1. the ray evidence (`ray_evidence.py`): where it lies relative to the seen surface and silhouette;
 2. local PointConv features of the centres around it, in space and in the image;
-3. attention over the coarse centres, for what the rest of the object says about this place.
+3. attention over the coarse centres, for what the rest of the object says about this place;
+4. the same evidence at its twin (`revolution.py`): the query turned about the axis that the cloud
+   turns about, if it does, to where something was seen.
 
 Everything is normalised per sample (LayerNorm), so a value never depends on the batch.
 """
@@ -26,6 +28,14 @@ from pointsdf_cli.models.neighbours import (
 )
 from pointsdf_cli.models.pointconv import PointConv
 from pointsdf_cli.models.ray_evidence import EVIDENCE_SIZE, image_coordinates, ray_evidence
+from pointsdf_cli.models.revolution import (
+    TRUST_SIZE,
+    Axis,
+    places,
+    revolution_axis,
+    surface_normals,
+    twins,
+)
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 
 OCTAVES = 4
@@ -48,6 +58,7 @@ class PointSDFRay(ShapeModel):
         local: Width of each local feature.
         heads: Heads of the attention over the third layer's centres; 0 leaves it out.
         search: How neighbours are chosen: `exact`, or `subsets`, which is faster and about as good.
+        revolution: Whether the decoder reads the evidence at a query's twin too.
     """
 
     architecture = "pointsdf-ray"
@@ -64,6 +75,7 @@ class PointSDFRay(ShapeModel):
         local: int = 64,
         heads: int = 4,
         search: str = "exact",
+        revolution: bool = False,
     ) -> None:
         super().__init__()
         self.centres, self.neighbours = tuple(centres), tuple(neighbours)
@@ -71,7 +83,7 @@ class PointSDFRay(ShapeModel):
         self.width, self.blocks, self.local, self.heads = width, blocks, local, heads
         if search not in SEARCHES:
             raise ValueError(f"no neighbour search {search!r}")
-        self.search = search
+        self.search, self.revolution = search, revolution
         self.packed_neighbours = (centres[0], neighbours[0])
 
         self.layers = nn.ModuleList(
@@ -97,6 +109,8 @@ class PointSDFRay(ShapeModel):
         self.local_coarse = LocalFeatures(channels[1], local, dimensions=3, radius=0.2)
         self.local_image = LocalFeatures(channels[1], local, dimensions=3, radius=0.2)
         inputs = 3 + 6 * OCTAVES + EVIDENCE_SIZE + 3 * local
+        # Last among the inputs, so that weights of a decoder without them fit (`begin_with`).
+        inputs += (TRUST_SIZE + EVIDENCE_SIZE + local) if revolution else 0
         self.enter = nn.Linear(inputs, width)
         self.embed_first = nn.Linear(self.embedding_size, width)
         self.embed_middle = nn.Linear(self.embedding_size, width)
@@ -118,7 +132,17 @@ class PointSDFRay(ShapeModel):
             "local": self.local,
             "heads": self.heads,
             "search": self.search,
+            "revolution": self.revolution,
         }
+
+    def begin_with(self, other: ShapeModel) -> None:
+        state = other.state_dict()
+        if isinstance(other, PointSDFRay) and self.revolution and not other.revolution:
+            # What a twin says counts for nothing at first: the same function to begin with.
+            narrow = state["enter.weight"]
+            missing = self.enter.in_features - narrow.shape[1]
+            state["enter.weight"] = torch.nn.functional.pad(narrow, (0, missing))
+        self.load_state_dict(state)
 
     def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
         """Read the clouds.
@@ -160,6 +184,12 @@ class PointSDFRay(ShapeModel):
         }
         if self.attention is not None:
             evidence |= self.attention.keys_and_values(tokens, token_at)
+        if self.revolution:
+            with torch.autocast(cloud.device.type, enabled=False):
+                normals = surface_normals(fine_at, neighbours, cloud, camera)
+                axis = revolution_axis(fine_at, normals, camera)
+                evidence |= {f"axis_{name}": value for name, value in axis._asdict().items()}
+                evidence["places"] = places(cloud, axis)
         return Encoding(self.to_embedding(features.flatten(1)), evidence)
 
     def decode(self, encoding: Encoding, x: Tensor) -> Tensor:
@@ -173,20 +203,18 @@ class PointSDFRay(ShapeModel):
         near_fine = search(x, known["fine_at"], 8)
         near_coarse = search(x, known["coarse_at"], 4)
         near_image = search(x_image[..., :2], known["coarse_image"][..., :2], 4)
-        h = self.enter(
-            torch.cat(
-                [
-                    x,
-                    torch.sin(angles),
-                    torch.cos(angles),
-                    seen,
-                    self.local_fine(x, known["fine"], near_fine).to(x.dtype),
-                    self.local_coarse(x, known["coarse"], near_coarse).to(x.dtype),
-                    self.local_image(x, known["image"], near_image).to(x.dtype),
-                ],
-                dim=-1,
-            )
-        )
+        inputs = [
+            x,
+            torch.sin(angles),
+            torch.cos(angles),
+            seen,
+            self.local_fine(x, known["fine"], near_fine).to(x.dtype),
+            self.local_coarse(x, known["coarse"], near_coarse).to(x.dtype),
+            self.local_image(x, known["image"], near_image).to(x.dtype),
+        ]
+        if self.revolution:
+            inputs += self._twin_evidence(known, x)
+        h = self.enter(torch.cat(inputs, dim=-1))
         h = h + self.embed_first(encoding.embedding).unsqueeze(1)
         for step, block in enumerate(self.trunk):
             if step == self.blocks // 2:
@@ -195,6 +223,15 @@ class PointSDFRay(ShapeModel):
                     h = h + self.attention(h, known["keys"], known["values"])
             h = block(h)
         return self.leave(torch.nn.functional.gelu(self.leave_norm(h))).squeeze(-1).to(x.dtype)
+
+    def _twin_evidence(self, known: dict[str, Tensor], x: Tensor) -> list[Tensor]:
+        cloud, camera = known["cloud"], known["camera"]
+        axis = Axis(*(known[f"axis_{name}"] for name in Axis._fields))
+        with torch.autocast(x.device.type, enabled=False):
+            twin, trust = twins(x, axis, cloud, known["places"], self.search)
+            seen = ray_evidence(twin, cloud, camera, known["cloud_image"], self.search)
+        near = SEARCHES[self.search](twin, known["fine_at"], 8)
+        return [trust, seen, self.local_fine(twin, known["fine"], near).to(x.dtype)]
 
 
 class LocalFeatures(nn.Module):

@@ -49,6 +49,14 @@ class ShapeModel(nn.Module, ABC):
         """The embedding [B, 256] alone, of what `encode` takes."""
         return self.encode(cloud, camera, neighbours).embedding
 
+    def begin_with(self, other: ShapeModel) -> None:
+        """Take the weights of another model of this architecture, trained before.
+
+        Raises:
+            RuntimeError: Its weights have other shapes.
+        """
+        self.load_state_dict(other.state_dict())
+
     @abstractmethod
     def config(self) -> dict[str, Any]:
         """The arguments that rebuild this architecture (plain types)."""

@@ -45,5 +45,6 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
         )
     if model == "voxelcnn":
         return {}, TrainConfig(loss=SdfLoss("sign", sign_weight=1.0))
-    arguments = dict(POINTSDF_PRESETS["small"]) if model == "pointsdf" else {}
-    return arguments, TrainConfig()
+    if model == "pointsdf":
+        return dict(POINTSDF_PRESETS["small"]), TrainConfig()
+    return {"revolution": True}, TrainConfig()

@@ -1,0 +1,170 @@
+"""The axis that a partial cloud turns about, and where a query has been seen on the way round.
+
+Half of what stands on a table is turned on a wheel: cups, bowls, cans, bottles, balls, fruit. One
+view of such a thing shows nearly all of it, once the view is turned about its axis. Two steps:
+
+**The axis.** The normals of a surface of revolution all meet its axis. The line through p along n
+meets the line through c along a where n·ā + (p × n)·a = 0 with the moment ā = c × a, which is
+linear in (a, ā): the axis is the eigenvector of a 3 × 3 matrix (ā eliminated), found with
+reweighting, so that handles and spouts do not count (Pottmann and Wallner, Computational Line
+Geometry, 2001, chapter 3). How far the normals pass the axis tells a cup from a box.
+
+**The twin of a query** is the query turned about that axis to where something was seen: the same
+height and distance from the axis, at the azimuth of the observed point that is nearest in height
+and distance. What the view says about the twin is said about the query too, if the axis is true.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from pointsdf_cli.models.neighbours import SEARCHES, gather
+
+ROUNDS = 5
+"""Of reweighting."""
+TOLERANCE = 0.03
+"""Distance (network units) by which a normal may pass the axis before it counts half."""
+RIDGE = 1e-3
+"""Keeps the axis of a cylinder from sliding along itself and of a plane from being anywhere."""
+NEARNESS = 0.15
+"""Weight of nearness in space where a twin's azimuth is chosen: of two points seen at the same
+height and distance from the axis, the one that lies nearer to the query."""
+
+TRUST_SIZE = 8
+"""Numbers that say how far a twin can be trusted."""
+
+
+class Axis(NamedTuple):
+    """A line for each cloud, in the network's frame.
+
+    Attributes:
+        direction: [B, 3], of unit length, pointing to the camera's side.
+        point: [B, 3], on the line, nearest to the origin.
+        miss: [B], median distance by which the cloud's normals pass the line.
+        spread: [B], how much worse the second best direction fits, 0 (as well) to 1.
+    """
+
+    direction: Tensor
+    point: Tensor
+    miss: Tensor
+    spread: Tensor
+
+
+@torch.no_grad()
+def surface_normals(points: Tensor, neighbours: Tensor, cloud: Tensor, camera: Tensor) -> Tensor:
+    """Normals by plane fits, turned to the camera.
+
+    Args:
+        points: [B, M, 3].
+        neighbours: int64 [B, M, K] into the cloud.
+        cloud: [B, P, 3].
+        camera: [B, 3].
+
+    Returns:
+        [B, M, 3], of unit length.
+    """
+    around = gather(cloud, neighbours)
+    around = around - around.mean(2, keepdim=True)
+    covariance = around.transpose(-1, -2) @ around
+    normal = torch.linalg.eigh(covariance).eigenvectors[..., 0]
+    towards = ((camera.unsqueeze(1) - points) * normal).sum(-1, keepdim=True)
+    return torch.where(towards < 0, -normal, normal)
+
+
+@torch.no_grad()
+def revolution_axis(points: Tensor, normals: Tensor, camera: Tensor) -> Axis:
+    """The line that most normals meet.
+
+    Args:
+        points: [B, M, 3], float32.
+        normals: [B, M, 3], of unit length.
+        camera: [B, 3].
+    """
+    moment = torch.cross(points, normals, dim=-1)
+    weight = torch.ones_like(points[..., 0])
+    eye = torch.eye(3, dtype=points.dtype, device=points.device)
+    for _ in range(ROUNDS):
+        weighted_normals = weight.unsqueeze(-1) * normals
+        total = weight.sum(1).view(-1, 1, 1)
+        along = moment.transpose(1, 2) @ (weight.unsqueeze(-1) * moment)
+        mixed = moment.transpose(1, 2) @ weighted_normals
+        across = normals.transpose(1, 2) @ weighted_normals + RIDGE * total * eye
+        eliminated = torch.linalg.solve(across, mixed.transpose(1, 2))
+        values, vectors = torch.linalg.eigh(along - mixed @ eliminated)
+        direction = vectors[..., 0]
+        line_moment = -(eliminated @ direction.unsqueeze(-1)).squeeze(-1)
+        miss = (normals @ line_moment.unsqueeze(-1) + moment @ direction.unsqueeze(-1)).squeeze(-1)
+        weight = 1.0 / (1.0 + (miss / TOLERANCE).square())
+    point = torch.cross(direction, line_moment, dim=-1)
+    away = ((camera - point) * direction).sum(-1, keepdim=True) < 0
+    spread = (values[:, 1] - values[:, 0]) / values[:, 1].clamp(min=1e-12)
+    return Axis(
+        torch.where(away, -direction, direction),
+        point,
+        miss.abs().median(1).values,
+        spread,
+    )
+
+
+def cylindrical(x: Tensor, axis: Axis) -> tuple[Tensor, Tensor, Tensor]:
+    """Distance from the axis [B, N, 1], height along it [B, N, 1], and unit radial vector."""
+    relative = x - axis.point.unsqueeze(1)
+    direction = axis.direction.unsqueeze(1)
+    height = (relative * direction).sum(-1, keepdim=True)
+    radial = relative - height * direction
+    radius = (radial.square().sum(-1, keepdim=True) + 1e-8).sqrt()
+    return radius, height, radial / radius
+
+
+def places(x: Tensor, axis: Axis) -> Tensor:
+    """[B, N, 5]: where twins are looked for, distances first in the profile, then in space."""
+    radius, height, _ = cylindrical(x, axis)
+    return torch.cat([radius, height, NEARNESS * x], dim=-1)
+
+
+def twins(
+    x: Tensor, axis: Axis, cloud: Tensor, cloud_places: Tensor, search: str = "exact"
+) -> tuple[Tensor, Tensor]:
+    """Queries turned about the axis to where something was seen.
+
+    Args:
+        x: [B, Q, 3].
+        axis: Of each cloud.
+        cloud: [B, P, 3].
+        cloud_places: [B, P, 5], `places` of the cloud.
+        search: A key of `SEARCHES`.
+
+    Returns:
+        The twins [B, Q, 3], and what tells how far to trust them [B, Q, TRUST_SIZE]; both
+        differentiable in x wherever the observed point does not change.
+    """
+    radius, height, radial = cylindrical(x, axis)
+    wanted = torch.cat([radius, height, NEARNESS * x], dim=-1)
+    if search == "exact":
+        nearest = SEARCHES[search](wanted, cloud_places, 1)
+    else:  # the nearest of the nearest of each subset
+        some = SEARCHES[search](wanted, cloud_places, 5)
+        far = (gather(cloud_places, some) - wanted.unsqueeze(2)).square().sum(-1)
+        nearest = some.gather(-1, far.argmin(-1, keepdim=True))
+    seen = gather(cloud, nearest.squeeze(-1))
+    seen_radius, seen_height, seen_radial = cylindrical(seen, axis)
+    direction = axis.direction.unsqueeze(1)
+    twin = axis.point.unsqueeze(1) + height * direction + radius * seen_radial
+    turned = (radial * seen_radial).sum(-1, keepdim=True)
+    whole = torch.stack([axis.miss / 0.01, axis.miss / 0.05], dim=-1).unsqueeze(1)
+    trust = torch.cat(
+        [
+            torch.tanh(whole).expand(-1, x.shape[1], -1),
+            axis.spread.view(-1, 1, 1).expand(-1, x.shape[1], 1),
+            turned,
+            torch.tanh((radius - seen_radius) / 0.05),
+            torch.tanh((height - seen_height) / 0.05),
+            radius,
+            height,
+        ],
+        dim=-1,
+    )
+    return twin, trust
