@@ -127,11 +127,7 @@ class GraspFeatures:
     def points(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
         """Where the field is read, [B, P, 3] in the world: moving links stage by stage, still ones,
         and the closing region."""
-        palm = T_world_palm.float()
-        still, moving = self._sweep(preshape.float())
-        region = self._sweep.region.expand(len(palm), -1, -1)
-        local = torch.cat([moving.flatten(1, 2), still, region], dim=1)
-        return torch.baddbmm(palm[:, None, :3, 3], local, palm[:, :3, :3].transpose(1, 2))
+        return self._sweep.in_world(preshape.float(), T_world_palm.float())
 
     def assemble(
         self,

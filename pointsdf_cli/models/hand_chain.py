@@ -106,7 +106,8 @@ class HandChain:
         def above(link: str) -> list[str]:
             return [link, *above(parent[link])] if link in parent else [link]
 
-        self.moved_link = torch.tensor([self.links.index(joint.child) for joint in joints])
+        number = {link: k for k, link in enumerate(self.links)}
+        self.moved_link = torch.tensor([number.get(joint.child, 0) for joint in joints])
         self.axes = torch.tensor(np.array([joint.axis for joint in joints]), dtype=torch.float32)
         self.slides = torch.tensor([joint.kind == "prismatic" for joint in joints])
         chains = [above(link) for link in self.links]
