@@ -11,8 +11,9 @@ from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
-from pointsdf_cli.planning.table_top import NoObjectError, clutter, look_at_table, robot_points
+from pointsdf_cli.planning.table_top import NoObjectError, clutter, look_at_table
 from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.own_points import robot_points
 from pointsdf_cli.robot.start import start_configuration
 from pointsdf_cli.viz.shading import look_at
 

@@ -137,6 +137,31 @@ def test_a_can_is_planned_for(panda: RobotDescription) -> None:
     assert np.array_equal(plan.trajectory[0], panda.home)
 
 
+def test_the_hand_that_waits_over_the_table_is_not_taken_for_the_object(
+    panda: RobotDescription, tmp_path: Path
+) -> None:
+    pytest.importorskip("pybullet")
+    from pointsdf_cli.geometry.frames import apply_transform
+    from pointsdf_cli.io.meshes import load_mesh
+    from pointsdf_cli.simulation.observe import Observer
+    from pointsdf_cli.simulation.sim_object import prepare_object
+    from pointsdf_cli.viz.shading import look_at
+
+    trimesh.creation.box((0.06, 0.06, 0.06)).export(tmp_path / "box.ply")
+    item = prepare_object(load_mesh(tmp_path / "box.ply"))
+    stands = np.eye(4)
+    stands[:3, 3] = (0.55, 0.0, 0.03)
+    camera = look_at(np.array([1.4, 0.1, 0.6]), stands[:3, 3])
+    observer = Observer(panda)
+    rng = np.random.default_rng(0)
+    # The waiting hand is in the view, and larger than the box.
+    everything = apply_transform(camera, observer.depth_cloud(item, stands, camera, rng))
+    hand = (everything[:, 2] > 0.3) & (np.abs(everything[:, 0] - 0.45) < 0.15)
+    found = apply_transform(camera, observer.object_cloud(item, stands, camera, rng))
+    assert hand.sum() > len(found) > 100
+    assert (np.abs(found - stands[:3, 3]) < 0.045).all()
+
+
 def test_the_simulated_jaws_lift_a_box(panda: RobotDescription, tmp_path: Path) -> None:
     pytest.importorskip("pybullet")
     from pointsdf_cli.io.meshes import load_mesh

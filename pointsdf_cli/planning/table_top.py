@@ -11,10 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import KDTree, QhullError
+from scipy.spatial import QhullError
 
 from pointsdf_cli.camera.segmentation import (
     Segmentation,
@@ -28,8 +27,7 @@ from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
 from pointsdf_cli.planning.answer import View
 from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.kinematics import Kinematics
-from pointsdf_cli.robot.surface import robot_surface
+from pointsdf_cli.robot.own_points import off_robot, robot_points
 
 Array = NDArray[np.float64]
 
@@ -37,9 +35,6 @@ SEGMENT = ("auto", "none")
 
 WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
 """Wider than what the arm reaches: what stands beyond is seen, and said to be out of reach."""
-
-ROBOT_MARGIN = 0.03
-"""Points nearer to the robot's surface than this [m] are its own."""
 
 TARGET_REACH = 0.1
 """--target names the object whose nearest seen point is no farther than this [m]."""
@@ -109,15 +104,15 @@ def look_at_table(
             report.append(f"{name}: all {len(points)} points are the object's")
             continue
         world = apply_transform(cloud.T_world_camera, points)
-        off_robot = KDTree(own).query(world, distance_upper_bound=ROBOT_MARGIN)[0] == np.inf
-        points, world = points[off_robot], world[off_robot]
+        free = off_robot(world, own)
+        points, world = points[free], world[free]
         found = _segment(world, name, target, first=not views)
         if found is None:
             report.append(f"{name}: the object is not seen")
             continue
         sentence = found.report()
-        if not off_robot.all():
-            sentence += f", {int((~off_robot).sum())} on the robot"
+        if not free.all():
+            sentence += f", {int((~free).sum())} on the robot"
         report.append(f"{name}: {sentence}")
         views.append(View(points[found.kept], cloud.T_world_camera))
         others.append(world[found.other])
@@ -129,16 +124,6 @@ def look_at_table(
     rest = np.concatenate(others) if others else np.zeros((0, 3))
     height = float(np.median(heights)) if heights else None
     return TableTop(tuple(views), rest, tuple(report), height)
-
-
-def robot_points(robot: RobotDescription, q: Array) -> Array:
-    """Samples [N, 3] of the robot's surface at a configuration [J], 1 cm apart, world, m."""
-    kinematics, surface = Kinematics(robot), robot_surface(robot)
-    links = [(link, torch.from_numpy(np.array(points))) for link, points in surface.items()]
-    with torch.no_grad():
-        return np.asarray(
-            torch.cat(kinematics.points(torch.from_numpy(np.array(q)), links)).numpy()
-        )
 
 
 def clutter(points: Array, config: SegmentationConfig = WORKSPACE) -> tuple[Obstacle, ...]:

@@ -14,6 +14,7 @@ from pointsdf_cli.camera.segmentation import SegmentationConfig, segment_object
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.own_points import off_robot, robot_points
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import TABLE_HIGH, TABLE_LOW
 from pointsdf_cli.viz.robot_picture import RobotMeshes
@@ -67,6 +68,7 @@ class Observer:
         self._segmentation = segmentation
         self._robot = RobotMeshes(robot, sections=16)
         self._home = robot.home
+        self._own = robot_points(robot, robot.home)
 
     def depth_cloud(
         self,
@@ -103,8 +105,11 @@ class Observer:
                 table.
         """
         cloud = self.depth_cloud(item, T_world_object, T_world_camera, rng)
-        found = segment_object(apply_transform(T_world_camera, cloud), self._segmentation)
-        return cloud[found.kept]
+        world = apply_transform(T_world_camera, cloud)
+        # An arm that waits over the table is more points than the object under it.
+        free = off_robot(world, self._own)
+        cloud, world = cloud[free], world[free]
+        return cloud[segment_object(world, self._segmentation).kept]
 
 
 def resample(points: Array, count: int, rng: np.random.Generator) -> NDArray[np.float32]:

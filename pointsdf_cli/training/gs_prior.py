@@ -50,7 +50,9 @@ def fit_prior(
     weights[weights < FEWEST] = 0.0
     if not weights.any():
         raise InputError(
-            f"{len(kind)} grasps are too few for a prior", allowed=f"{FEWEST} or more of one kind"
+            f"{len(kind)} grasps are too few for a prior",
+            allowed=f"{FEWEST} or more executed ones of one kind, of objects that are not held out",
+            hint="collect more: rgrasp collect-grasps with a larger --count, into the same folder",
         )
     rotations = torch.eye(3, dtype=torch.float64).repeat(len(KINDS), 1, 1)
     means = torch.zeros(len(KINDS), size, dtype=torch.float64)

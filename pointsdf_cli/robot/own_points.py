@@ -1,0 +1,39 @@
+"""Which points of a cloud are the robot's own: it knows where it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.surface import robot_surface
+
+Array = NDArray[np.float64]
+
+ROBOT_MARGIN = 0.03
+"""Points nearer to the robot's surface than this [m] are its own."""
+
+
+def robot_points(robot: RobotDescription, q: Array) -> Array:
+    """Samples [N, 3] of the robot's surface at a configuration [J], 1 cm apart, world, m."""
+    kinematics, surface = Kinematics(robot), robot_surface(robot)
+    links = [(link, torch.from_numpy(np.array(points))) for link, points in surface.items()]
+    with torch.no_grad():
+        return np.asarray(
+            torch.cat(kinematics.points(torch.from_numpy(np.array(q)), links)).numpy()
+        )
+
+
+def off_robot(points: Array, own: Array) -> NDArray[np.bool_]:
+    """Which of the points [N, 3] of a cloud are not the robot's, given its samples [P, 3]; world.
+
+    Points that are not finite are nobody's: True.
+    """
+    off = np.ones(len(points), dtype=bool)
+    low, high = own.min(axis=0) - ROBOT_MARGIN, own.max(axis=0) + ROBOT_MARGIN
+    near = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
+    off[near] = KDTree(own).query(points[near], distance_upper_bound=ROBOT_MARGIN)[0] == np.inf
+    return off
