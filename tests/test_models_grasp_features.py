@@ -54,6 +54,26 @@ def test_a_grid_gives_linear_fields_and_their_slopes_exactly() -> None:
     assert np.allclose(gradient.numpy(), slope, atol=1e-4)
 
 
+def test_products_of_coordinates_are_exact_within_a_cell() -> None:
+    grid = FieldGrid(lambda x: x[:, 0] * x[:, 1] - 2 * x.prod(1), np.zeros(3), np.ones(3), 1.0)
+    x = torch.rand(20, 3, generator=torch.manual_seed(0), requires_grad=True)
+    a, b, c = x.detach().unbind(1)
+    assert torch.allclose(grid(x), a * b - 2 * a * b * c, atol=1e-6)
+    (gradient,) = torch.autograd.grad(grid(x).sum(), x)
+    expected = torch.stack([b - 2 * b * c, a - 2 * a * c, -2 * a * b], dim=1)
+    assert torch.allclose(gradient, expected, atol=1e-5)
+
+
+def test_outside_of_the_box_stands_what_its_nearest_point_has() -> None:
+    grid = FieldGrid(lambda x: x.sum(1), np.zeros(3), np.ones(3), 0.25)
+    x = torch.tensor([[1.5, 0.3, 0.4], [-2.0, 0.5, 9.0], [np.nan, 0.5, 0.5]], requires_grad=True)
+    values = grid(x)
+    assert torch.allclose(values[:2], torch.tensor([1.7, 1.5]))
+    assert torch.isnan(values[2])
+    (gradient,) = torch.autograd.grad(values[:2].sum(), x)
+    assert torch.allclose(gradient[:2], torch.tensor([[0.0, 1, 1], [0, 1, 0]]), atol=1e-5)
+
+
 def test_a_large_box_gets_larger_cells_not_more_of_them() -> None:
     asked = []
 

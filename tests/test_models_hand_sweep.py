@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -77,6 +77,33 @@ def test_gradients_are_those_of_finite_differences() -> None:
             ahead, behind = SWEEP(preshape + step)[1], SWEEP(preshape - step)[1]
         slope = ((ahead - behind) * weights).sum((1, 2, 3)) / 0.02
         assert torch.allclose(slope, gradient[:, joint], atol=2e-3, rtol=1e-3)
+
+
+def test_points_move_with_the_palm_and_ask_it_for_a_force_and_a_moment() -> None:
+    preshape = preshapes(2)
+    turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1.0]])
+    palm = torch.tensor(transform(turn, [0.3, -0.2, 0.5]), dtype=torch.float32).repeat(2, 1, 1)
+    palm.requires_grad_(True)
+    still, moving = SWEEP(preshape)
+    in_palm = torch.cat([moving.flatten(1, 2), still, SWEEP.region.expand(2, -1, -1)], dim=1)
+    points = SWEEP.in_world(preshape, palm)
+    expected = apply_transform(transform(turn, [0.3, -0.2, 0.5]), in_palm.numpy())
+    assert np.allclose(points.detach().numpy(), expected, atol=1e-6)
+    weights = torch.randn(points.shape, generator=torch.manual_seed(1))
+    (slope,) = torch.autograd.grad((points * weights).sum(), palm)
+    assert torch.allclose(slope[:, :3, 3], weights.sum(1), atol=1e-4)
+    assert torch.allclose(slope[:, :3, :3], weights.transpose(1, 2) @ in_palm, atol=1e-4)
+    assert (slope[:, 3] == 0).all()
+
+
+def test_a_sliding_jaw_follows_its_joint_until_closing_has_driven_it_to_its_limit() -> None:
+    gripper = load_robot(GRIPPER)
+    sweep = HandSweep(gripper, SweepConfig(stages=10, share=1.0))
+    preshape = torch.tensor([[0.02]], requires_grad=True)
+    for stage, expected in ((0, -1.0), (2, -1.0), (9, 0.0)):
+        y = sweep(preshape)[1][0, stage, :2, 1].mean()
+        (slope,) = torch.autograd.grad(y, preshape)
+        assert abs(float(slope) - expected) < 1e-6
 
 
 def test_the_closing_region_is_in_front_of_the_palm() -> None:

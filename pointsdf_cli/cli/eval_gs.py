@@ -82,7 +82,7 @@ def eval_gs(
             methods.append(
                 evaluation.scored_network(
                     name,
-                    learner.logits(np.arange(len(data))),
+                    learner.logits(rows),
                     **config["calibration"],
                     threshold=config["validation"]["threshold"],
                 )
@@ -93,10 +93,9 @@ def eval_gs(
         ("prior only", gs_baselines.prior_score(data, prior, machine)),
         ("10 nearest neighbours", gs_baselines.nearest_neighbours(data, known)),
     ):
-        methods.append(evaluation.scored_baseline(name, score, data.label[known], score[known]))
-    table = {
-        method.name: evaluation.measure(data, rows, method.at(rows), seed) for method in methods
-    }
+        baseline = evaluation.scored_baseline(name, score, data.label[known], score[known])
+        methods.append(baseline.at(rows))
+    table = {method.name: evaluation.measure(data, rows, method, seed) for method in methods}
     result: dict[str, Any] = {
         "table": table,
         "published_f1": evaluation.PUBLISHED,

@@ -1,0 +1,54 @@
+#!/usr/bin/env bash
+# The recipe of the bundled grasp-success weights and of Figure 3, from grasps to the table.
+#   pipelines/train_gs.sh GRASPS WORK
+# GRASPS    folder that `rgrasp collect-grasps` wrote
+# WORK      folder for checkpoints, figure3.json and figure3.png
+# VARIANTS  which networks, in this order; those that WORK has already finished are kept:
+#           "geometry pointsdf-fixed pointsdf-scratch voxelcnn-fixed voxelcnn-scratch"
+# SDF       reconstruction to build on (the bundled one), VOXELCNN  a trained VoxelCNN, without
+#           which voxelcnn-fixed is left out; THREADS and JOBS (0: those that idle) may be set.
+# WORK/geometry and WORK/pointsdf-scratch are what assets/weights/grasp_geometry and grasp_scratch hold.
+set -euo pipefail
+trap "exit 130" INT TERM # what was stopped is not finished
+grasps=${1:?usage: pipelines/train_gs.sh GRASPS WORK}
+work=${2:?usage: pipelines/train_gs.sh GRASPS WORK}
+variants=${VARIANTS:-geometry pointsdf-fixed pointsdf-scratch voxelcnn-fixed voxelcnn-scratch}
+common=(--grasps "$grasps" --threads "${THREADS:-0}" --jobs "${JOBS:-0}")
+
+mkdir -p "$work"
+rows=()
+for variant in $variants; do
+    out=$work/$variant
+    options=(--half)
+    case $variant in
+    geometry) [ -z "${SDF:-}" ] || options+=(--sdf "$SDF") ;;
+    pointsdf-fixed | pointsdf-fine-tuned)
+        options+=(--encoder pointsdf --mode "${variant#pointsdf-}")
+        [ -z "${SDF:-}" ] || options+=(--sdf "$SDF")
+        ;;
+    voxelcnn-fixed)
+        if [ -z "${VOXELCNN:-}" ]; then
+            echo "voxelcnn-fixed is left out: VOXELCNN names no trained VoxelCNN" >&2
+            continue
+        fi
+        options+=(--encoder voxelcnn --sdf "$VOXELCNN")
+        ;;
+    # Encoders overfit a few hundred objects soon: few epochs, whose rate falls to nothing.
+    pointsdf-scratch | voxelcnn-scratch)
+        options+=(--encoder "${variant%-scratch}" --mode scratch --epochs "${SCRATCH_EPOCHS:-20}"
+            --patience 6 --batch-size 64)
+        ;;
+    *)
+        echo "no variant $variant" >&2
+        exit 2
+        ;;
+    esac
+    if [ ! -e "$out/finished" ]; then
+        again=--force
+        [ -f "$out/train_state.pt" ] && again=--resume
+        rgrasp train-gs "${common[@]}" --out "$out" "${options[@]}" "$again"
+        touch "$out/finished"
+    fi
+    rows+=(--checkpoint "$out")
+done
+rgrasp eval-gs "${common[@]}" "${rows[@]}" --out "$work/figure3.json" --force
