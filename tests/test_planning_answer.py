@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -194,3 +196,9 @@ def test_bad_options_are_refused() -> None:
         PlanOptions(method="guess")
     with pytest.raises(InputError, match="auto, side, top"):
         PlanOptions(kind="below")
+
+
+def test_the_bundled_network_plans_for_no_other_hand() -> None:
+    gripper = Path(__file__).parent / "robots" / "gripper.yaml"
+    with pytest.raises(InputError, match="made with the robot 'lbr4_allegro'"):
+        GraspPlanner(PlanOptions(method="partial-view", robot=gripper))

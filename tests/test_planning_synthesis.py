@@ -14,7 +14,7 @@ from pointsdf_cli.planning.fields import Field, MeshField, RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.grid import GridConfig, GridField
 from pointsdf_cli.planning.objective import GraspScore
-from pointsdf_cli.planning.reasons import explain
+from pointsdf_cli.planning.reasons import explain, why_none
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.seeds import SeedConfig, Seeds, draw_seeds
 from pointsdf_cli.planning.sqp import Sqp
@@ -153,6 +153,26 @@ def test_seeds_are_the_best_of_what_is_reached() -> None:
     assert few.drawn.reached <= few.drawn.above_table <= few.drawn.drawn
     with pytest.raises(InputError, match="side, top, either"):
         draw_seeds(problem, prior, IK, "below", np.random.default_rng(1))
+
+
+class FromTheSideOnly(AroundObject):
+    """A prior of a hand that never tried the top."""
+
+    def sample(
+        self, kind: str, count: int, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        return super().sample(kind, count if kind == "side" else 0, rng)
+
+
+def test_a_prior_that_knows_one_kind_is_asked_for_that() -> None:
+    score = NearPalm((CAN[0] - 0.09, 0, CAN[2]), (1.0, 0, 0), REST)
+    problem = problems(CylinderField(RADIUS, 0.24, CAN), score, Environment(), CAN).quick
+    prior, few = FromTheSideOnly(CAN, 0.09, REST), SeedConfig(drawn=32, palms=16, seeds=4)
+    either = draw_seeds(problem, prior, IK, "either", np.random.default_rng(1), few)
+    assert set(either.kinds) == {"side"}
+    none = draw_seeds(problem, prior, IK, "top", np.random.default_rng(1), few)
+    assert len(none.x) == 0
+    assert "other --kind" in why_none(none.drawn, [], 0)[1]
 
 
 def test_every_reason_is_told_apart(can_plan: Synthesis) -> None:

@@ -164,7 +164,8 @@ def check_robot(
             f"was made with the robot {name!r} ({len(preshape_joints)} preshape joints), "
             f"not {robot.name!r} ({len(robot.preshape_joints)})",
             where=where,
-            hint="give that robot's YAML with --robot",
+            hint="--robot with that robot's YAML; another hand learns its own, by collect-grasps "
+            "and train-gs with its --robot, and plans with --grasp-checkpoint",
         )
 
 

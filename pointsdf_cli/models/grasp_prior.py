@@ -128,14 +128,16 @@ class GraspPrior:
     ) -> tuple[Array, Array]:
         """Preshapes [N, K], within their ranges, and palms T_world_palm [N, 4, 4] of one component.
 
+        N is `count`, or 0 for a kind that was not seen in training.
+
         Raises:
-            InputError: `kind` is neither "side" nor "top", or was not seen in training.
+            InputError: `kind` is neither "side" nor "top".
         """
         if kind not in KINDS:
             raise InputError(f"no kind of grasp {kind!r}", allowed=", ".join(KINDS))
         k = KINDS.index(kind)
         if self.weights[k] <= 0:
-            raise InputError(f"the prior has seen no {kind} grasps", allowed=", ".join(self.kinds))
+            count = 0
         noise = torch.from_numpy(rng.standard_normal((count, self.means.shape[1])))
         y = self.means[k] + noise @ self.choleskys[k].T
         turn = y[:, 3:6]
@@ -152,11 +154,6 @@ class GraspPrior:
             self.ranges[:, 0], self.ranges[:, 1]
         )
         return preshape.numpy(), palm.numpy()
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """The kinds that were seen."""
-        return tuple(k for k, weight in zip(KINDS, self.weights, strict=True) if weight > 0)
 
     def state(self) -> dict[str, Tensor]:
         """Tensors by name, as `from_state` takes them."""

@@ -48,7 +48,7 @@ from pointsdf_cli.planning.target import (
     reconstructed_object,
     seen_object,
 )
-from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.description import RobotDescription, load_robot
 
 RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
 METHODS = (RECONSTRUCTION, PARTIAL_VIEW)
@@ -193,7 +193,7 @@ class GraspPlanner:
         )
         self._reconstructs = options.method == RECONSTRUCTION
         self._shape = load_model(options.checkpoint, options.device) if self._reconstructs else None
-        self._grasps = grasps or _success_network(options)
+        self._grasps = grasps or _success_network(options, self.robot)
 
     def see(
         self,
@@ -321,7 +321,7 @@ def _constraint(field: Field | Literal["none"], points: Array) -> ObjectField:
     return given_object(field, points)
 
 
-def _success_network(options: PlanOptions) -> GraspModel:
+def _success_network(options: PlanOptions, robot: RobotDescription) -> GraspModel:
     """The checkpoint that was asked for, or the method's bundled one.
 
     Where no network from scratch is bundled, both methods share the one on geometry, which then
@@ -331,4 +331,4 @@ def _success_network(options: PlanOptions) -> GraspModel:
     if path is None and options.method == PARTIAL_VIEW:
         scratch = assets_folder() / SCRATCH
         path = scratch if scratch.is_dir() else None
-    return load_grasp_model(path, None, options.device)
+    return load_grasp_model(path, None, options.device, robot)

@@ -77,6 +77,11 @@ def why_none(
 ) -> tuple[str, str]:
     """Reason code and sentence where nothing was accepted."""
     miss = nearest_miss(rejected)
+    if not drawn.drawn:
+        return "low_success_probability", (
+            "The success network saw no grasp of this kind in training: ask for the other --kind, "
+            "or train it on more grasps."
+        )
     if miss is None:
         return "inverse_kinematics", explain("inverse_kinematics", None, seeds_tried, config)
     if drawn.reached and drawn.free < FREE_SHARE * drawn.reached:

@@ -29,7 +29,8 @@ class GraspPrior(Protocol):
     """The prior over grasp configurations, for one object in the world."""
 
     def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Preshape joints [N, K] and T_world_palm [N, 4, 4], drawn from one component."""
+        """Preshape joints [N, K] and T_world_palm [N, 4, 4], drawn from one component; N is 0 for
+        a kind of which the prior knows nothing."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ def draw_seeds(
     each = max(config.drawn, config.palms) // len(wanted)
     draws = [prior.sample(one, each, rng) for one in wanted]
     preshape, palm = (np.concatenate(part) for part in zip(*draws, strict=True))
-    kinds = np.repeat(wanted, each)
+    kinds = np.repeat(wanted, [len(one) for one, _ in draws])
     above = palm[:, 2, 3] >= config.lowest_palm
     preshape, palm, kinds = preshape[above], palm[above], kinds[above]
     n = problem.variables.count

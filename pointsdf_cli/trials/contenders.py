@@ -30,6 +30,7 @@ from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.partial_view import partial_mesh
 from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.target import EmptyFieldError
+from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.trials import protocol
 from pointsdf_cli.trials.protocol import Contender
 from pointsdf_cli.trials.rehearsed import (
@@ -76,13 +77,15 @@ def plan_options(contender: Contender, options: ContenderOptions) -> PlanOptions
     if contender.ablation.startswith(protocol.CHECKPOINT):
         checkpoint = Path(contender.ablation.removeprefix(protocol.CHECKPOINT))
     # The baseline is what it is: the weights that are tried out are the reconstruction method's.
+    # Of another robot there is one success network, which then both share.
     reconstructs = contender.method == protocol.RECONSTRUCTION
+    own_network = reconstructs or options.robot is not None
     return PlanOptions(
         method=contender.method,
         solver=options.solver,
         robot=options.robot,
         checkpoint=checkpoint if reconstructs else None,
-        grasp_checkpoint=options.grasp_checkpoint if reconstructs else None,
+        grasp_checkpoint=options.grasp_checkpoint if own_network else None,
         clearances=Clearances(object=options.clearance),
         device=options.device,
     )
@@ -111,8 +114,8 @@ def check_contender(contender: Contender, options: ContenderOptions) -> None:
     PlannerConfig(solver=asked.solver, clearances=asked.clearances)
     if asked.checkpoint is not None:
         read_checkpoint(asked.checkpoint)
-    if asked.grasp_checkpoint is not None:
-        read_grasp_checkpoint(asked.grasp_checkpoint, None, None)
+    if asked.grasp_checkpoint is not None or asked.robot is not None:
+        read_grasp_checkpoint(asked.grasp_checkpoint, None, load_robot(asked.robot))
 
 
 def _rehearses(contender: Contender, options: ContenderOptions) -> bool:
@@ -135,8 +138,9 @@ class Mind:
         self.contender = contender
         ablation = contender.ablation
         if ablation == protocol.NO_SUCCESS:
+            robot = load_robot(options.robot)
             grasps = Indifferent(
-                grasps or load_grasp_model(options.grasp_checkpoint, None, options.device)
+                grasps or load_grasp_model(options.grasp_checkpoint, None, options.device, robot)
             )
         asked = plan_options(contender, options)
         if _rehearses(contender, options):
