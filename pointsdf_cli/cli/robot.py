@@ -96,6 +96,48 @@ def check(
     reporter.say("no errors")
 
 
+@app.command()
+def init(
+    urdf: Annotated[Path, typer.Argument(help="A robot's URDF: an arm with a hand.")],
+    out: Annotated[
+        Path | None, typer.Option(help="The YAML to write.  [default: beside the URDF]")
+    ] = None,
+    palm: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LINK",
+            help="The link that carries the fingers.  [default: where they branch off]",
+        ),
+    ] = None,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Begin a robot's description from its URDF: all that can be guessed, for you to look at.
+
+    Example: rgrasp robot init my_robot.urdf
+    """
+    from pointsdf_cli.io.atomic import require_new, write_text_atomic
+    from pointsdf_cli.robot.first_guess import as_yaml, first_guess
+
+    reporter = common.Reporter(quiet, as_json)
+    out = require_new(out or urdf.with_suffix(".yaml"), force)
+    data = first_guess(urdf, out, palm)
+    write_text_atomic(out, as_yaml(data))
+    reporter.result(
+        {"out": out, **data},
+        [
+            f"{out}: {len(data['arm_joints'])} arm joints to {data['palm']['link']}, "
+            f"{len(data['hand_joints'])} hand joints beyond it, {len(data['closing_joints'])} of "
+            "them close",
+        ],
+    )
+    reporter.say(
+        "what is GUESSED there is for you to look at:\n"
+        f"  rgrasp robot check {out} --picture {out.with_suffix('.png')}"
+    )
+
+
 def _numbers(values: object) -> str:
     return ", ".join(f"{float(v):.3f}" for v in values)  # type: ignore[attr-defined]
 

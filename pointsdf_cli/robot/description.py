@@ -135,7 +135,16 @@ def load_robot(path: Path | str | None = None) -> RobotDescription:
     path = asset_path(BUNDLED) if path is None else Path(path)
     if not path.is_file():
         raise InputError("no such robot file", where=path, allowed="a YAML file beside its URDF")
-    return _Reader(path, read_yaml(path)).robot()
+    return robot_of(read_yaml(path), path)
+
+
+def robot_of(data: Any, path: Path) -> RobotDescription:
+    """The robot of the contents of a YAML file that is, or will be, at `path`.
+
+    Raises:
+        InputError: As `load_robot`.
+    """
+    return _Reader(path, data).robot()
 
 
 class _Reader:

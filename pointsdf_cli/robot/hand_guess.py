@@ -1,0 +1,185 @@
+"""What can be told of a hand from its geometry alone: how it closes, and where its palm is."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.robot.closing import beyond, fingertips
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.surface import robot_surface
+from pointsdf_cli.robot.urdf import Tree
+
+Array = NDArray[np.float64]
+
+CLOSES = 0.005
+"""A joint that moves its fingertip nearer by less than this [m] over its range does not close."""
+OPEN_SHARE = 0.15
+"""Preshapes are drawn from this part of a joint's range, next to its open end."""
+PAST_FACE = 0.06
+"""From the palm frame's origin to the fingertips of a gripper [m]: 3 cm before a face, 3 behind."""
+SECONDS = 1.0
+"""Closing takes about this long on the real robot [s], within the URDF's velocity limits."""
+PARALLEL = 0.7
+"""Joints of a finger close if the cosine between their axis and the best closing one's is above."""
+FASTEST = 0.5
+"""Closing joints turn no faster than this on the real robot [rad/s]."""
+
+
+def closing_speeds(robot: RobotDescription) -> dict[str, float]:
+    """The speeds of the hand joints that close, with the sign in which they do.
+
+    Two fingers close towards each other, several towards the palm. In each finger the joint that
+    brings its tip nearest closes, and those that turn the same way; what turns across them spreads
+    or turns the finger: a preshape's matter.
+    """
+    tips = fingertips(robot)
+    rest = robot.home.copy()
+    hand = np.arange(len(robot.arm_joints), len(robot.joint_names))
+    rest[hand] = (robot.lower[hand] + robot.upper[hand]) / 2
+    own = robot_surface(robot).get(robot.palm_link)
+    body = np.zeros(3) if own is None else own.mean(axis=0)
+    gains: dict[str, float] = {}
+    fingers = {joint: set(tips) & set(beyond(robot, joint)) for joint in robot.hand_joints}
+    for column, joint in zip(hand, robot.hand_joints, strict=True):
+        moved = [k for k, tip in enumerate(tips) if tip in fingers[joint]]
+        others = [k for k in range(len(tips)) if k not in moved]
+        if not moved:
+            continue
+        q = np.repeat(rest[None], 9, axis=0)
+        q[:, column] = np.linspace(robot.lower[column], robot.upper[column], 9)
+        paths = _middles(robot, tips, q)
+        goal = paths[:, others].mean(axis=1) if len(tips) == 2 and others else body
+        away = np.linalg.norm(paths[:, moved].mean(axis=1) - goal, axis=-1)
+        if abs(away[-1] - away[0]) > 0.7 * np.ptp(away):  # not there and back again
+            gains[joint] = float(away[0] - away[-1])
+    axes = _axes(robot, rest)
+    speeds = {}
+    for joint, gain in gains.items():
+        finger = [other for other in gains if fingers[other] & fingers[joint]]
+        best = max(finger, key=lambda other: abs(gains[other]))
+        if abs(gain) > CLOSES and abs(float(axes[joint] @ axes[best])) > PARALLEL:
+            column = robot.joint_names.index(joint)
+            travel = float(robot.upper[column] - robot.lower[column])
+            speed = min(travel / SECONDS, float(robot.velocity[column]), FASTEST)
+            speeds[joint] = round(float(np.copysign(speed, gain)), 3)
+    return speeds
+
+
+def _axes(robot: RobotDescription, q: Array) -> dict[str, Array]:
+    """The axes [3] of all joints in the world at a configuration [J]."""
+    with torch.no_grad():
+        rotation, _ = Kinematics(robot)(torch.from_numpy(q))
+    place = {link: k for k, link in enumerate(robot.tree.links)}
+    return {j.name: rotation[place[j.child]].numpy() @ j.axis for j in robot.tree.joints}
+
+
+def _middles(robot: RobotDescription, links: tuple[str, ...], q: Array) -> Array:
+    """Middles [T, F, 3] of links in the frame of the palm's link."""
+    surface = robot_surface(robot)
+    middles = {link: surface[link].mean(axis=0)[None] for link in links}
+    return np.concatenate(_in_palm_link(robot, middles, q), axis=1)
+
+
+def _in_palm_link(robot: RobotDescription, points: dict[str, Array], q: Array) -> list[Array]:
+    """Points [P, 3] of links, in the frame of the palm's link, at configurations q: [T, P, 3]."""
+    kinematics = Kinematics(robot)
+    with torch.no_grad():
+        rotation, position = kinematics(torch.from_numpy(q))
+        named = [(link, torch.from_numpy(p)) for link, p in points.items()]
+        world = kinematics.points(torch.from_numpy(q), named)
+    at = kinematics.index(robot.palm_link)
+    here, turned = position[:, None, at], rotation[:, at]
+    return [((p - here) @ turned).numpy() for p in world]
+
+
+def preshapes(tree: Tree, closing: dict[str, float]) -> dict[str, list[float]]:
+    """For each finger its first closing joint, nearly open."""
+    above = {joint.child: joint for joint in tree.joints}
+    found = {}
+    for joint in tree.joints:
+        at, first = joint.parent, joint.name in closing
+        while at in above:
+            first = first and above[at].name not in closing
+            at = above[at].parent
+        if first:
+            part = OPEN_SHARE * (joint.upper - joint.lower)
+            if closing[joint.name] > 0:
+                found[joint.name] = [joint.lower, round(joint.lower + part, 4)]
+            else:
+                found[joint.name] = [round(joint.upper - part, 4), joint.upper]
+    return found
+
+
+def open_home(robot: RobotDescription) -> Array:
+    """The arm as it is, the closing joints at their open ends."""
+    q = robot.home.copy()
+    columns = robot.closing_columns
+    q[columns] = np.where(robot.closing_speeds > 0, robot.lower[columns], robot.upper[columns])
+    return q
+
+
+def palm_frame(robot: RobotDescription) -> tuple[Array, bool]:
+    """The palm frame [4, 4] in its link, and whether the hand is one of jaws.
+
+    Fingers that set out the same way when they close belong to a hand that closes around things: x
+    is that way, z lies along them. Fingers that move towards each other are jaws: x leads to where
+    they meet, z from one to the other.
+    """
+    tips = fingertips(robot)
+    q = np.repeat(robot.home[None], 3, axis=0)
+    columns = robot.closing_columns
+    ends = np.where(robot.closing_speeds > 0, robot.upper[columns], robot.lower[columns])
+    q[:, columns] += np.array([[0.0], [0.25], [1.0]]) * (ends - q[0, columns])
+    opened, soon, closed = _middles(robot, tips, q)
+    ways = soon - opened
+    together, each = np.median(ways, axis=0), float(np.linalg.norm(ways, axis=1).mean())
+    jaws = len(tips) <= 2 or float(np.linalg.norm(together)) < 0.4 * each
+    surface = robot_surface(robot)
+    if jaws:
+        x = _unit(closed.mean(axis=0))
+        z = _unit(_level(opened[-1] - opened[0], x))
+    else:
+        x = _unit(together)
+        roots = {_root(robot, tip): np.zeros((1, 3)) for tip in tips}
+        starts = np.concatenate(_in_palm_link(robot, roots, q[:1]), axis=1)[0]
+        along = opened - starts
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+        z = _unit(_level(np.median(along, axis=0), x))
+    body = surface.get(robot.palm_link)
+    front = 0.0 if body is None else float((body @ x).max())
+    origin = front * x
+    if jaws:
+        ends = _in_palm_link(robot, {tip: surface[tip] for tip in tips}, q[:1])
+        # Where the jaws meet may lie beside the link's own axis.
+        origin = min(front, max(float((p @ x).max()) for p in ends) - PAST_FACE) * x
+        origin = origin + (closed.mean(axis=0) @ z) * z
+    return transform(np.stack([x, np.cross(z, x), z], axis=1), origin), jaws
+
+
+def _root(robot: RobotDescription, link: str) -> str:
+    """The link of a finger that is moved by the finger's first joint."""
+    above = {joint.child: joint for joint in robot.tree.joints}
+    root = link
+    while link in above:
+        if above[link].name in robot.hand_joints:
+            root = link
+        link = above[link].parent
+    return root
+
+
+def _level(vector: Array, normal: Array) -> Array:
+    """The part of a vector [3] across `normal`; any such direction where there is none."""
+    across = vector - (vector @ normal) * normal
+    if np.linalg.norm(across) > 1e-4:
+        return np.asarray(across)
+    return np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
+
+
+def _unit(vector: Array) -> Array:
+    """Of length 1, and exactly along an axis of the link if it nearly is."""
+    unit = vector / max(float(np.linalg.norm(vector)), 1e-9)
+    return np.round(unit) if np.abs(unit).max() > np.cos(0.1) else unit

@@ -1,0 +1,90 @@
+"""A description begun from a URDF alone agrees with what people wrote for the same robot."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from conftest import run_cli
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.robot.check import check_robot
+from pointsdf_cli.robot.description import load_robot, robot_of
+from pointsdf_cli.robot.first_guess import as_yaml, first_guess
+
+ROBOTS = Path(__file__).parent / "robots"
+
+
+def test_the_gripper_begun_from_its_urdf_passes_its_check(tmp_path: Path) -> None:
+    urdf = shutil.copy(ROBOTS / "gripper.urdf", tmp_path)
+    done = run_cli("robot", "init", urdf, "--out", tmp_path / "mine.yaml")
+    assert done.code == 0, done.err
+    assert "rgrasp robot check" in done.err
+    guessed, written = load_robot(tmp_path / "mine.yaml"), load_robot(ROBOTS / "gripper.yaml")
+    assert check_robot(guessed).findings == ()
+    assert guessed.arm_joints == written.arm_joints
+    assert guessed.hand_joints == written.hand_joints
+    assert guessed.palm_link == "grip"
+    assert dict(zip(guessed.closing_joints, np.sign(guessed.closing_speeds), strict=True)) == {
+        "left_jaw": 1, "right_jaw": 1,
+    }  # fmt: skip
+    # The jaws slide along the link's y and point along its x.
+    np.testing.assert_allclose(np.abs(guessed.T_link_palm[:3, 0]), [1, 0, 0], atol=1e-3)
+    np.testing.assert_allclose(np.abs(guessed.T_link_palm[:3, 2]), [0, 1, 0], atol=1e-3)
+    again = run_cli("robot", "init", urdf, "--out", tmp_path / "mine.yaml")
+    assert again.code == 2
+    assert "--force" in again.err
+
+
+def test_the_allegro_hand_is_found_to_be_one_that_closes_around_things() -> None:
+    written = load_robot()
+    beside = written.urdf.with_name("guess.yaml")
+    guessed = robot_of(first_guess(written.urdf, beside), beside)
+    assert guessed.arm_joints == written.arm_joints
+    assert set(guessed.hand_joints) == set(written.hand_joints)
+    speeds = dict(zip(written.closing_joints, written.closing_speeds, strict=True))
+    found = dict(zip(guessed.closing_joints, guessed.closing_speeds, strict=True))
+    assert {k: np.sign(v) for k, v in found.items()} == {k: np.sign(v) for k, v in speeds.items()}
+    np.testing.assert_allclose(guessed.T_link_palm[:3, :3], written.T_link_palm[:3, :3], atol=0.1)
+    assert check_robot(guessed).passed
+
+
+def test_the_text_says_what_the_guess_says() -> None:
+    urdf = ROBOTS / "gripper.urdf"
+    data = first_guess(urdf, ROBOTS / "mine.yaml")
+    read = yaml.safe_load(as_yaml(data))
+    assert {key: read[key] for key in data} == data
+    assert "GUESSED" in as_yaml(data)
+
+
+def test_where_nothing_branches_off_the_palm_must_be_named(tmp_path: Path) -> None:
+    text = (ROBOTS / "gripper.urdf").read_text()
+    assert text.count('name="right_jaw" type="prismatic"') == 1
+    one = text.replace('name="right_jaw" type="prismatic"', 'name="right_jaw" type="fixed"')
+    (tmp_path / "one.urdf").write_text(one)
+    with pytest.raises(InputError, match="no fingers branch off") as caught:
+        first_guess(tmp_path / "one.urdf", tmp_path / "one.yaml")
+    assert "--palm LINK" in str(caught.value.hint)
+    data = first_guess(tmp_path / "one.urdf", tmp_path / "one.yaml", "grip")
+    assert data["hand_joints"] == ["left_jaw"]
+    with pytest.raises(InputError, match="no link 'hand'"):
+        first_guess(tmp_path / "one.urdf", tmp_path / "one.yaml", "hand")
+
+
+def test_the_panda_begun_from_its_urdf_passes_its_check(tmp_path: Path) -> None:
+    data = pytest.importorskip("pybullet_data", reason="PyBullet's robots are not installed")
+    folder = tmp_path / "panda"
+    shutil.copytree(Path(data.getDataPath()) / "franka_panda", folder)
+    assert run_cli("robot", "init", folder / "panda.urdf").code == 0
+    panda = load_robot(folder / "panda.yaml")
+    assert panda.palm_link == "panda_hand"
+    assert len(panda.arm_joints) == 7
+    assert panda.may_touch == {frozenset(("panda_leftfinger", "panda_rightfinger"))}
+    assert check_robot(panda).findings == ()
+    # The fingers slide along the hand's y and end 0.11 m along its z.
+    np.testing.assert_allclose(np.abs(panda.T_link_palm[:3, 2]), [0, 1, 0], atol=1e-3)
+    np.testing.assert_allclose(panda.T_link_palm[:3, 0], [0, 0, 1], atol=1e-3)
+    assert 0.04 < panda.T_link_palm[2, 3] < 0.07
