@@ -1,9 +1,10 @@
 """What the reconstruction says at the grasp itself, as numbers for the success network.
 
 An embedding of the whole cloud blurs what the fingers touch. These features do not: signed
-distances where the closing links pass and in the region between them, in the palm's own frame, so
-that the same contact looks the same wherever it happens. Beside them stand what gravity and the
-table do: how high the links are, which way is down, how large and how heavy the object seems.
+distances where the pads of the closing links pass and in the region between them, in the palm's own
+frame, so that the same contact looks the same wherever it happens; and of each pad how surely and
+how soon it touches. Beside them stand what gravity and the table do: how high the links are, which
+way is down, how large and how heavy the object seems.
 
 The gradient of the field is in there as differences between neighbouring points. All of it is
 differentiable in the preshape and in the palm's pose; frame: world, z up, table top at z = 0.
@@ -23,8 +24,14 @@ from pointsdf_cli.models.hand_sweep import HandSweep
 
 Array = NDArray[np.float64]
 
-NEAR, FAR = 0.01, 0.04
-"""Lengths [m] at which the two saturating copies of a distance bend: contact, and closeness."""
+FAR = 0.04
+"""Where a distance, given as its hyperbolic tangent, saturates [m]."""
+
+TOUCH, TOUCH_WIDTH = 0.004, 0.004
+"""A pad touches where its distance is below the first [m], softly within the second [m]."""
+
+EVERY = 2
+"""Of every so-manyth moment of the closing motion the distances themselves are features."""
 
 LENGTH = 0.1
 """Lengths are given in units of this [m]."""
@@ -102,9 +109,10 @@ class GraspFeatures:
     def size(self) -> int:
         """F, how many features there are."""
         stages, (still, moving) = self._sweep.config.stages, self._sweep.sizes
-        on_links = stages * moving + still
-        other = stages + 1 + len(self._middle) + 3 + 3 + 3 + 1 + BODY_SIZE
-        return 2 * on_links + len(self._sweep.region) + other
+        seen = len(range(0, stages, EVERY))
+        on_links = seen * moving + 2 * moving + still + seen
+        other = 1 + len(self._middle) + 3 + 3 + 3 + 1 + BODY_SIZE
+        return on_links + len(self._sweep.region) + other
 
     def __call__(
         self,
@@ -122,11 +130,13 @@ class GraspFeatures:
             field: Its signed distances [...] m at points [..., 3] of the world, differentiable.
         """
         points = self.points(preshape, T_world_palm)
-        return self.assemble(preshape, T_world_palm, body, points, field(points))
+        # In the order of the memory, which the field reads fastest.
+        distance = field(points.transpose(0, 1)).transpose(0, 1)
+        return self.assemble(preshape, T_world_palm, body, points, distance)
 
     def points(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
-        """Where the field is read, [B, P, 3] in the world: moving links stage by stage, still ones,
-        and the closing region."""
+        """Where the field is read, [B, P, 3] in the world: pads stage by stage, points of links
+        that do not move, and the closing region."""
         return self._sweep.in_world(preshape.float(), T_world_palm.float())
 
     def assemble(
@@ -145,29 +155,43 @@ class GraspFeatures:
         rotation, position = palm[:, :3, :3], palm[:, :3, 3]
         stages, (still, moving) = self._sweep.config.stages, self._sweep.sizes
         swept = stages * moving
-        on_links, in_region = distance.split([swept + still, len(self._sweep.region)], dim=1)
-        lowest = points[:, :swept, 2].unflatten(1, (stages, moving)).amin(-1)
+        # Grasps along the last axis from here on: long rows, whatever their number.
+        pads, elsewhere = distance.T.split([swept, still + len(self._sweep.region)])
+        pads = pads.unflatten(0, (stages, moving))
+        height = points[:, :swept, 2].T.unflatten(0, (stages, moving))
+        seen = pads[::EVERY].flatten(0, 1)
         up = rotation[:, 2]
         to_centre = _turned_back(rotation, body.centre - position)
         to_mass = _turned_back(rotation, body.mass_centre - position)
         # What the weight does about the palm: a lever. The small number keeps the root smooth.
         lever = torch.linalg.cross(up, to_mass).square().sum(1, keepdim=True)
-        return torch.cat(
-            [
-                torch.tanh(on_links / NEAR),
-                torch.tanh(on_links / FAR),
-                torch.tanh(in_region / FAR),
-                torch.tanh(lowest / FAR),
-                position[:, 2:] / LENGTH,
-                (preshape.float() - self._middle) / self._half,
-                up,
-                to_centre / LENGTH,
-                to_mass / LENGTH,
-                (lever + 1e-8).sqrt() / LENGTH,
-                body.numbers.expand(len(palm), -1),
-            ],
-            dim=1,
-        )
+        rows = [
+            torch.tanh(seen / FAR),
+            *_touching(pads),
+            torch.tanh(elsewhere / FAR),
+            torch.tanh(height[::EVERY].amin(1) / FAR),
+            position[:, 2:].T / LENGTH,
+            ((preshape.float() - self._middle) / self._half).T,
+            up.T,
+            to_centre.T / LENGTH,
+            to_mass.T / LENGTH,
+            (lever.T + 1e-8).sqrt() / LENGTH,
+            body.numbers.expand(len(palm), -1).T,
+        ]
+        return torch.cat(rows).T
+
+
+def _touching(pads: Tensor) -> tuple[Tensor, Tensor]:
+    """How surely each pad touches while the hand closes, and how late, both [M, B] in 0 to 1.
+
+    A moment's distance gives the chance that it touches there; what did not touch at any moment so
+    far is still free. The mean of that over all moments is the expected time of first touch.
+
+    Args:
+        pads: [S, M, B], distances m.
+    """
+    free = torch.sigmoid((pads - TOUCH) / TOUCH_WIDTH).cumprod(0)
+    return 1.0 - free[-1], free.mean(0)
 
 
 def _turned_back(rotation: Tensor, vector: Tensor) -> Tensor:

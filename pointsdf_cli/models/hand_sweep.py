@@ -1,8 +1,8 @@
 """Where the hand's links pass while the hand closes: points of the palm frame, from a preshape.
 
 The robot's description says which joints close and how fast. All of them are advanced together, as
-the hand does until something stops them, and a few points of every link are followed. Nothing here
-knows a particular hand.
+the hand does until something stops them. Of every link that moves then, the middle of the side that
+goes ahead is followed: its pad, what touches first. Nothing here knows a particular hand.
 
 Derivatives are those of rigid bodies, in closed form: what all points under a joint ask for is one
 force and one moment, and the joint follows their part along its axis. That is several times faster
@@ -11,6 +11,7 @@ than automatic differentiation through the chain of matrices.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -26,6 +27,9 @@ from pointsdf_cli.models.hand_chain import HandChain
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.surface import robot_surface
 
+PAD = 0.15
+"""Share of a link's surface, what goes ahead most, that its pad is the middle of."""
+
 
 @dataclass(frozen=True)
 class SweepConfig:
@@ -34,12 +38,12 @@ class SweepConfig:
     Attributes:
         stages: Moments of the closing motion, the preshape among them.
         share: Of the longest time that a joint needs to its limit: the last moment.
-        points_per_link: Points along each link.
+        points_per_link: Points along each link that closing does not move.
         grid: Points of the closing region along the palm's x, y and z.
     """
 
-    stages: int = 4
-    share: float = 0.8
+    stages: int = 8
+    share: float = 0.9333
     points_per_link: int = 2
     grid: tuple[int, int, int] = (4, 4, 4)
 
@@ -70,9 +74,7 @@ class HandSweep:
         config: How finely.
 
     Attributes:
-        still: Points of links that closing does not move, counted once.
-        moving: Points of links that closing moves, at every stage.
-        region: f4 [G, 3], points of the box that the moving links sweep, fixed in the palm frame.
+        region: f4 [G, 3], points of the box that the pads sweep, fixed in the palm frame.
     """
 
     def __init__(self, robot: RobotDescription, config: SweepConfig | None = None) -> None:
@@ -99,7 +101,9 @@ class HandSweep:
         self._advance = times[:, None] * speed
         self._place_points(robot)
         self.region = torch.zeros(0, 3)
-        self.region = self._closing_region(robot)
+        with torch.no_grad():
+            swept = self(middle[None])[1].reshape(-1, 3)
+        self.region = _box_grid(swept, self.config.grid)
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -113,7 +117,7 @@ class HandSweep:
             preshape: [B, K], float32.
 
         Returns:
-            Still points [B, P, 3], and moving points [B, S, M, 3] at S stages.
+            Points of links that do not move [B, P, 3], and pads [B, S, M, 3] at S stages.
         """
         points = self.in_world(preshape, torch.eye(4).expand(len(preshape), 4, 4))
         still, moving = self.sizes
@@ -129,7 +133,7 @@ class HandSweep:
             T_world_palm: [B, 4, 4], float32.
 
         Returns:
-            [B, S M + P + G, 3]: moving points stage by stage, still ones, the closing region.
+            [B, S M + P + G, 3]: pads stage by stage, still points, the closing region.
         """
         planes: Tensor = _Swept.apply(preshape, T_world_palm[:, :3], self)
         return planes.permute(2, 1, 0)
@@ -192,12 +196,16 @@ class HandSweep:
             if joint.parent in moves:
                 moves[joint.child] = moves[joint.parent] or joint.name in closes
         surface = robot_surface(robot)
+        ahead = self._link_motion(robot)
         points: dict[bool, list[NDArray[np.float64]]] = {True: [], False: []}
         links: dict[bool, list[int]] = {True: [], False: []}
         for number, link in enumerate(self._chain.links):
             if not len(surface.get(link, ())):
                 continue
-            chosen = _middles(surface[link], self.config.points_per_link)
+            if moves[link]:
+                chosen = _pad(surface[link], ahead(number))
+            else:
+                chosen = _middles(surface[link], self.config.points_per_link)
             points[moves[link]].append(chosen)
             links[moves[link]] += [number] * len(chosen)
         if not points[True]:
@@ -216,18 +224,33 @@ class HandSweep:
         self._still_under = below[:, self._still_link]
         self._slides = self._chain.slides[self._preshape]
 
-    def _closing_region(self, robot: RobotDescription) -> Tensor:
-        """A grid over the box that the moving points sweep, from the middle preshape."""
+    def _link_motion(self, robot: RobotDescription) -> Callable[[int], Motion]:
+        """How the points of a link move, in its own frame, after a quarter of the closing."""
         middle = torch.tensor(robot.preshape_ranges.mean(axis=1), dtype=torch.float32)
-        with torch.no_grad():
-            swept = self(middle[None])[1].reshape(-1, 3)
-        low, high = swept.amin(0), swept.amax(0)
-        axes = [
-            # Middles of cells, so that no point lies on the box's border.
-            low[k] + (torch.arange(n) + 0.5) / n * (high[k] - low[k])
-            for k, n in enumerate(self.config.grid)
-        ]
-        return torch.cartesian_prod(*axes)
+        start = self._rest.index_copy(0, self._preshape, middle)
+        begin = self.config.stages // 4
+        closing = start[self._closing] + self._advance[begin : begin + 2]
+        closing = closing.clamp(self._lower, self._upper).T
+        rotation, position = self._chain(
+            start[:, None].expand(-1, 2).index_copy(0, self._closing, closing)
+        )
+
+        def of_link(link: int) -> Motion:
+            before, after = (
+                (rotation[link, :, :, k].double().numpy(), position[link, :, k].double().numpy())
+                for k in (0, 1)
+            )
+
+            def motion(point: NDArray[np.float64]) -> NDArray[np.float64]:
+                moved = after[0] @ point + after[1] - before[0] @ point - before[1]
+                return np.asarray(before[0].T @ moved)
+
+            return motion
+
+        return of_link
+
+
+Motion = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 class _Swept(torch.autograd.Function):
@@ -273,6 +296,20 @@ def _placed(rotation: Tensor, position: Tensor, link: Tensor, points: Tensor) ->
     turn, x = rotation.index_select(0, link), points[:, None, :, None]
     placed = position.index_select(0, link).addcmul(turn[:, :, 0], x[:, :, 0])
     return placed.addcmul(turn[:, :, 1], x[:, :, 1]).addcmul(turn[:, :, 2], x[:, :, 2])
+
+
+def _pad(points: NDArray[np.float64], motion: Motion) -> NDArray[np.float64]:
+    """The middle [1, 3] of the side of a link's surface [P, 3] that goes ahead."""
+    ahead = points @ motion(points.mean(axis=0))
+    least = np.quantile(ahead, 1 - PAD) - 1e-3 * np.ptp(ahead)  # ties belong to it
+    return points[ahead >= least].mean(axis=0, keepdims=True)
+
+
+def _box_grid(points: Tensor, counts: tuple[int, int, int]) -> Tensor:
+    """A grid over the box of points [N, 3]: middles of cells, so that none lies on its border."""
+    low, high = points.amin(0), points.amax(0)
+    axes = [low[k] + (torch.arange(n) + 0.5) / n * (high[k] - low[k]) for k, n in enumerate(counts)]
+    return torch.cartesian_prod(*axes)
 
 
 def _middles(points: NDArray[np.float64], count: int) -> NDArray[np.float64]:
