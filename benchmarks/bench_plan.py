@@ -168,7 +168,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=60)
     parser.add_argument("--slsqp", type=int, default=4)
-    parser.add_argument("--walk", type=int, default=4, help="trajectories walked at 1 mm")
+    parser.add_argument("--walk", type=int, default=12, help="trajectories walked at 1 mm")
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)

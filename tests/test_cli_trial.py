@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from pointsdf_cli.cli.trial import _contenders
 from pointsdf_cli.io.trials import read_trial, read_trials
+from pointsdf_cli.trials.protocol import ABLATIONS
 
 pytest.importorskip("pybullet")
 
@@ -73,6 +75,12 @@ def same(one: Any, two: Any) -> None:
         np.testing.assert_array_equal(getattr(one[1], field), getattr(two[1], field))
 
 
+def test_all_ablations_are_one_word() -> None:
+    named = _contenders("reconstruction", ["all", "checkpoint=paper"])
+    assert [one.ablation for one in named] == ["", *ABLATIONS, "checkpoint=paper"]
+    assert {one.method for one in named} == {"reconstruction"}
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
@@ -84,6 +92,7 @@ def same(one: Any, two: Any) -> None:
         (("--yaws", 0), "yaws"),
         (("--seed", -1), "seed"),
         (("--rehearse", -1), "--rehearse"),
+        (("--margin", 1), "--margin"),
         (("--record", -1), "--record"),
         (("--checkpoint", "nowhere"), "nowhere"),
         (("--solver", "newton"), "no solver"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from planning_worlds import AroundObject, CylinderField, NearPalm
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.plans import Plan, read_plan, write_plan
+from pointsdf_cli.planning.acceptance import AcceptanceConfig
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.path_check import PathChecker
@@ -65,6 +67,41 @@ def test_a_can_gets_a_plan_with_a_motion(planner: Planner, plan: Plan, tmp_path:
 def test_the_whole_trajectory_is_free_of_the_exact_object(planner: Planner, plan: Plan) -> None:
     checker = PathChecker(planner.geometry, target().field)
     assert checker.is_free(plan.trajectory)
+
+
+def test_every_millimetre_of_the_trajectory_is_free(planner: Planner, plan: Plan) -> None:
+    """No proof is used: the fastest point of the robot is looked at every millimetre."""
+    checker = PathChecker(planner.geometry, target().field)
+    for a, b in pairwise(plan.trajectory):
+        steps = max(1, int(np.ceil(float(checker.motion(a, b).max()) / 0.001)))
+        share = np.linspace(0, 1, steps, endpoint=False)[:, None]
+        assert checker.room((1 - share) * a + share * b).min() >= 0
+
+
+def test_plan_and_motion_keep_the_margin_where_they_can(planner: Planner, plan: Plan) -> None:
+    assert plan.link_clearance_object.min() >= 0.004
+    wide = PathChecker(planner.geometry, target().field).keeping(0.004)
+    assert wide.is_free(plan.trajectory)
+    # It is what was asked of the checker: the can is no nearer, and no farther, than it is.
+    near = PathChecker(planner.geometry, target().field).keeping(0.0)
+    where = plan.q[None]
+    assert near.room(where)[0] >= wide.room(where)[0]
+
+
+def test_where_nothing_is_good_the_best_that_is_free_comes_with_a_warning() -> None:
+    # The palm is wanted 5 cm within a thick pillar: h is below exp(-(5 / 5)^2) = 0.37.
+    wanted = NearPalm((0.55, 0.0, 0.12), (1.0, 0.0, 0.0), REST, width=0.05)
+    pillar = replace(target(), field=CylinderField(0.10, 0.24, CAN), score=wanted)
+    acceptance = AcceptanceConfig(success=0.9, least=0.9, objective=30.0, floor=0.001)
+    asked = replace(SMALL, acceptance=acceptance)
+    tolerant = Planner(load_robot(), PlannerConfig(synthesis=asked))
+    plan = tolerant.plan(pillar)
+    assert (plan.status, plan.reason) == ("ok", "")
+    assert f"{plan.success_probability:.2f}" in plan.sentence
+    assert plan.success_probability < np.exp(-1)
+    assert plan.link_clearance_object.min() >= 0.001
+    strict = replace(asked, acceptance=replace(acceptance, floor=0.9))
+    assert Planner(load_robot(), PlannerConfig(synthesis=strict)).plan(pillar).status == "no_plan"
 
 
 def test_out_of_a_chimney_there_is_no_motion(planner: Planner) -> None:

@@ -158,6 +158,19 @@ def test_the_same_starts_give_the_same_solutions_alone_and_together() -> None:
     np.testing.assert_array_equal(together, np.array(alone))
 
 
+def test_halving_ends_the_worse_starts_and_leaves_the_best_alone() -> None:
+    problem = rosenbrock_below_a_line()
+    rng = np.random.default_rng(0)
+    starts = rng.uniform(-1.5, 1.5, (8, 2))
+    exact = {"iterations": 100, "tolerance": 1e-8, "smallest_radius": 1e-6}
+    every = Sqp(SqpConfig(**exact)).solve(problem, starts)
+    halved = Sqp(SqpConfig(halvings=(3, 6), **exact)).solve(problem, starts)
+    assert halved.evaluations < every.evaluations
+    best = halved.objective.argmin()
+    np.testing.assert_allclose(halved.x[best], problem.optimum, atol=2e-3)
+    assert halved.converged.sum() < 8
+
+
 def test_the_steps_program_is_the_one_that_cvxpy_solves() -> None:
     rng = np.random.default_rng(3)
     n, k = 6, 9

@@ -14,7 +14,7 @@ from pointsdf_cli.planning.fields import Field, MeshField, RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.grid import GridConfig, GridField
 from pointsdf_cli.planning.objective import GraspScore
-from pointsdf_cli.planning.reasons import explain, why_none
+from pointsdf_cli.planning.reasons import Drawn, explain, is_hemmed_in, why_none
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.seeds import SeedConfig, Seeds, draw_seeds
 from pointsdf_cli.planning.sqp import Sqp
@@ -103,6 +103,28 @@ def test_the_same_seed_gives_the_same_plan(can_plan: Synthesis) -> None:
     assert one is not None
     assert two is not None
     np.testing.assert_array_equal(one.x, two.x)
+
+
+def test_the_margin_to_the_object_yields_from_round_to_round(can_plan: Synthesis) -> None:
+    field = CylinderField(RADIUS, 0.24, CAN)
+    score = NearPalm((CAN[0] - 0.09, *CAN[1:]), (1.0, 0.0, 0.0), REST)
+    exact = GraspProblem(GEOMETRY, score, field)
+    wanted = exact.keeping(0.0055)
+    rounds = [Problems(wanted, exact, wanted).in_round(k, 0.0015) for k in range(4)]
+    assert can_plan.best is not None
+    x = can_plan.best.x[None]
+    rooms = [float(one.quick.residuals(x).object[0]) for one in rounds]
+    # What is kept beyond 1.5 mm: 4 mm, 2 mm, nothing; the room is larger by what is asked less.
+    np.testing.assert_allclose(np.diff(rooms), [0.002, 0.002, 0.0], atol=1e-12)
+    assert all(one.exact is exact and one.polish is one.quick for one in rounds)
+    assert exact.clearances.object == Clearances().object
+
+
+def test_what_is_free_in_a_narrow_place_is_no_spare_grasp() -> None:
+    shelf = Drawn(drawn=100, above_table=100, reached=100, free=3, table=30, obstacle=67)
+    flat = Drawn(drawn=100, above_table=100, reached=100, free=3, table=67, obstacle=30)
+    roomy = Drawn(drawn=100, above_table=100, reached=100, free=30, obstacle=70)
+    assert [is_hemmed_in(drawn) for drawn in (shelf, flat, roomy)] == [True, False, False]
 
 
 def test_out_of_reach_is_said_to_be_so() -> None:

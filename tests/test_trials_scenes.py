@@ -7,11 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial import Delaunay
 
-from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.world import World
-from pointsdf_cli.trials.protocol import METHODS, Contender, choose_objects, make_trials
+from pointsdf_cli.trials.protocol import (
+    METHODS,
+    Contender,
+    TrialObject,
+    choose_objects,
+    make_trials,
+)
 from pointsdf_cli.trials.scenes import SceneConfig, load_object, place_camera, place_object
 
 pytest.importorskip("pybullet")
@@ -24,13 +32,31 @@ def world() -> Iterator[World]:
     made.close()
 
 
+def test_between_the_wings_of_a_biplane_there_is_room(tmp_path: Path) -> None:
+    wings = [trimesh.creation.box([0.2, 0.06, 0.008], transform([0, 0, z])) for z in (0.0, 0.06)]
+    struts = [
+        trimesh.creation.box([0.012, 0.012, 0.06], transform([x, 0, 0.03])) for x in (-0.06, 0.06)
+    ]
+    plane = trimesh.boolean.union([*wings, *struts], engine="manifold")
+    plane.export(tmp_path / "biplane.ply")
+    item = load_object(TrialObject("biplane", tmp_path / "biplane.ply"), SceneConfig())
+    # Where a finger goes: between the wings, beside the struts.
+    finger = np.array([[x, y, 0.03] for x in (-0.09, 0.0, 0.09) for y in (-0.02, 0.0, 0.02)])
+    inside = invert_transform(item.T_mesh_body)
+    for corners, _ in item.pieces:
+        assert (Delaunay(corners).find_simplex(apply_transform(inside, finger)) < 0).all()
+
+
+def transform(place: list[float]) -> np.ndarray:
+    made = np.eye(4)
+    made[:3, 3] = place
+    return made
+
+
 @pytest.mark.parametrize(("name", "height"), [("pringles", 0.247), ("max_gel", 0.185)])
-def test_what_can_stand_stands_in_every_yaw(
-    world: World, name: str, height: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("RGRASP_CACHE", str(tmp_path))
+def test_what_can_stand_stands_in_every_yaw(world: World, name: str, height: float) -> None:
     trials = make_trials(choose_objects(None, name), [Contender(METHODS[0])])
-    item = load_object(trials[0].object)
+    item = load_object(trials[0].object, SceneConfig())
     yaws, axes = [], []
     for trial in trials:
         pose, yaw = place_object(world, item, trial, SceneConfig())

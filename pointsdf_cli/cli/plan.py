@@ -11,6 +11,7 @@ from pointsdf_cli.cli import common
 
 if TYPE_CHECKING:
     from pointsdf_cli.io.plans import Plan
+    from pointsdf_cli.planning.acceptance import AcceptanceConfig
 
 
 def plan(
@@ -59,6 +60,9 @@ def plan(
             show_default=False,
         ),
     ] = None,
+    margin: Annotated[
+        float, typer.Option(help="Distance to the object that is kept where it can be [m].")
+    ] = 0.004,
     rehearse: Annotated[
         int,
         typer.Option(
@@ -66,8 +70,13 @@ def plan(
         ),
     ] = 0,
     min_success: Annotated[
-        float, typer.Option(help="Grasps predicted to hold with less than this are no plan.")
-    ] = 0.1,
+        float | None,
+        typer.Option(
+            help="Grasps predicted to hold with less than this are no plan  [default: those with "
+            "less than 0.1 are one for want of better, with a warning]",
+            show_default=False,
+        ),
+    ] = None,
     start: Annotated[
         str | None,
         typer.Option(metavar="Q", help="Where the robot is [rad], or a file [default: its home]."),
@@ -120,7 +129,6 @@ def plan(
 
     # Seconds of imports: only for clouds that can be read.
     from pointsdf_cli.models.registry import use_threads
-    from pointsdf_cli.planning.acceptance import AcceptanceConfig
     from pointsdf_cli.planning.answer import GraspPlanner, PlanOptions
     from pointsdf_cli.planning.environment import Environment, read_environment
     from pointsdf_cli.planning.grasp_problem import Clearances
@@ -140,7 +148,8 @@ def plan(
         grasp_checkpoint=grasp_checkpoint,
         clearances=Clearances() if clearance is None else Clearances(*[clearance] * 3),
         device=common.torch_device(device),
-        synthesis=SynthesisConfig(acceptance=AcceptanceConfig(max(min_success, 0.6), min_success)),
+        margin=margin,
+        synthesis=SynthesisConfig(acceptance=_acceptance(min_success)),
     )
     around = Environment() if environment is None else read_environment(environment)
     use_threads(threads or idle_processors())
@@ -210,6 +219,15 @@ def _read_clouds(
     return views
 
 
+def _acceptance(min_success: float | None) -> AcceptanceConfig:
+    """The usual thresholds, or with no exception for want of better."""
+    from pointsdf_cli.planning.acceptance import AcceptanceConfig
+
+    if min_success is None:
+        return AcceptanceConfig()
+    return AcceptanceConfig(max(min_success, 0.6), min_success, floor=min_success)
+
+
 def _config(options: Any, clouds: list[Path], seed: int) -> dict[str, Any]:
     """What the plan file keeps of how it was made."""
     from dataclasses import asdict
@@ -241,6 +259,8 @@ def _report(
     lines = []  # why there is no plan is the message with which the command fails
     if not plan.reason:
         lines.append(f"{out}: {_headline(plan)}")
+        if plan.sentence:
+            reporter.say(f"warning: {plan.sentence}")
         near = float(plan.link_clearance_object.min()) * 1000
         lines.append(
             f"configuration in {plan.timings['configuration']:.2f} s from {plan.seeds_tried} seeds "

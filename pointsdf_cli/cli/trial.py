@@ -35,7 +35,7 @@ def trial(
         list[str] | None,
         typer.Option(
             help="Also the reconstruction method so changed: oracle, no-object-constraint, "
-            "no-success-network, no-rehearsal, checkpoint=PATH.",
+            "no-success-network, no-rehearsal, all (of these), checkpoint=PATH.",
             show_default=False,
         ),
     ] = None,
@@ -49,6 +49,9 @@ def trial(
     clearance: Annotated[
         float, typer.Option(help="Least distance to the object that plans keep [m].")
     ] = 0.001,
+    margin: Annotated[
+        float, typer.Option(help="Distance to the object that plans keep where they can [m].")
+    ] = 0.004,
     checkpoint: Annotated[
         Path | None, typer.Option(help="Reconstruction weights.", show_default="bundled")
     ] = None,
@@ -99,7 +102,13 @@ def trial(
     contenders = _contenders(method, ablation or [])
     config = TrialConfig(
         contenders=ContenderOptions(
-            solver, robot, checkpoint, grasp_checkpoint, rehearse=rehearse, clearance=clearance
+            solver,
+            robot,
+            checkpoint,
+            grasp_checkpoint,
+            rehearse=rehearse,
+            clearance=clearance,
+            margin=margin,
         ),
         execution=ExecutorConfig(shake=shake),
     )
@@ -159,14 +168,15 @@ def trial(
 
 
 def _contenders(method: str, ablations: list[str]) -> list[Contender]:
-    from pointsdf_cli.trials.protocol import METHODS, RECONSTRUCTION, Contender
+    from pointsdf_cli.trials.protocol import ABLATIONS, METHODS, RECONSTRUCTION, Contender
 
     if method not in ("both", *METHODS):
         raise InputError(
             f"no method {method!r}", where="--method", allowed="both, " + ", ".join(METHODS)
         )
     contenders = [Contender(one) for one in METHODS if method in ("both", one)]
-    return contenders + [Contender(RECONSTRUCTION, one) for one in ablations]
+    wanted = [one for name in ablations for one in (ABLATIONS if name == "all" else (name,))]
+    return contenders + [Contender(RECONSTRUCTION, one) for one in wanted]
 
 
 def _failures(tasks: list[TrialTask], most: int) -> list[tuple[str, bytes]]:
@@ -174,7 +184,7 @@ def _failures(tasks: list[TrialTask], most: int) -> list[tuple[str, bytes]]:
     from pointsdf_cli.io.trials import read_trial
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.trials.pictures import caption, trial_strip
-    from pointsdf_cli.trials.scenes import load_object
+    from pointsdf_cli.trials.scenes import object_mesh
     from pointsdf_cli.viz.grasp_report import png_bytes
     from pointsdf_cli.viz.robot_picture import RobotMeshes
 
@@ -189,7 +199,7 @@ def _failures(tasks: list[TrialTask], most: int) -> list[tuple[str, bytes]]:
     strips = []
     for _, task, row, evidence in failed[:most]:
         robot = robot or RobotMeshes(load_robot(task.config.contenders.robot), sections=20)
-        mesh = load_object(task.trial.object).mesh
+        mesh = object_mesh(task.trial.object)
         strips.append((caption(row), png_bytes(trial_strip(robot, mesh, evidence))))
     return strips
 

@@ -93,7 +93,7 @@ class Plan:
     Attributes:
         status: `ok` or `no_plan`.
         reason: A reason code; empty where the status is `ok`.
-        sentence: The reason for a person; empty likewise.
+        sentence: The reason for a person; of a plan a warning, or empty.
         joint_names: [J], the order of every configuration.
         q: f8 [J], the grasp; NaN where there is none.
         trajectory: f8 [T, J], the motion to it; T = 0 where there is none.

@@ -17,21 +17,26 @@ class AcceptanceConfig:
     """What is good, and what is good enough (METHOD section 6: h > 0.6 and the objective < 5).
 
     The paper's h was no calibrated probability; ours is, and grasps of which 6 in 10 hold do not
-    exist for every object. So h > 0.6 ends the search, and what is above `least` is taken where a
-    longer search finds nothing better.
+    exist for every object. So h > 0.6 ends the search, what is above `least` is taken where a
+    longer search finds nothing better, and what is above `floor` with a warning where there is
+    nothing else (docs/planning.md).
 
     Attributes:
         success: A predicted probability of success above this ends the search.
-        least: At or below this a grasp is not taken.
+        least: What is above this is taken where a longer search finds nothing better.
         objective: The largest objective.
+        floor: Where nothing is above `least`, or nothing below `objective`, the best that touches
+            nothing is taken with a warning if it is above this; `least` itself for no such grasp.
     """
 
     success: float = 0.6
     least: float = 0.1
     objective: float = 5.0
+    floor: float = 0.03
 
     def __post_init__(self) -> None:
-        if not (0 <= self.least <= self.success < 1 and self.objective > 0):
+        bounds = 0 <= self.least <= self.success < 1 and 0 <= self.floor < 1
+        if not (bounds and self.objective > 0):
             raise InputError(
                 f"a probability of success of at least {self.least:g}, good above {self.success:g}",
                 where="--min-success",
@@ -68,6 +73,11 @@ class Candidate:
     limit_room: float
     reason: str
     kind: str = ""
+
+    def is_spare(self, config: AcceptanceConfig) -> bool:
+        """Whether it meets all constraints and is merely not promising."""
+        poor = self.reason in ("low_success_probability", "objective")
+        return poor and self.success > min(config.floor, config.least)
 
     @property
     def worst_room(self) -> float:

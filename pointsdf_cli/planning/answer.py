@@ -32,7 +32,7 @@ from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.objective import GraspScore
-from pointsdf_cli.planning.planner import Planner, PlannerConfig, Rank
+from pointsdf_cli.planning.planner import HALVINGS, MARGIN, Planner, PlannerConfig, Rank
 from pointsdf_cli.planning.reasons import too_large
 from pointsdf_cli.planning.record import no_plan
 from pointsdf_cli.planning.screen import narrowest
@@ -86,6 +86,8 @@ class PlanOptions:
         checkpoint: Of the reconstruction network; the bundled one if None.
         grasp_checkpoint: Of the success network; the method's bundled one if None.
         clearances: Least distances.
+        margin: Distance to the object that is kept where it can be [m].
+        halvings: When the solver gives half of its seeds up; never if empty.
         device: Where the networks are.
         synthesis: How long to look, and what is good enough.
     """
@@ -97,6 +99,8 @@ class PlanOptions:
     checkpoint: Path | None = None
     grasp_checkpoint: Path | None = None
     clearances: Clearances = field(default_factory=Clearances)
+    margin: float = MARGIN
+    halvings: tuple[int, ...] = HALVINGS
     device: str = "cpu"
     synthesis: SynthesisConfig = field(default_factory=SynthesisConfig)
 
@@ -188,6 +192,8 @@ class GraspPlanner:
             PlannerConfig(
                 solver=options.solver,
                 clearances=options.clearances,
+                margin=options.margin,
+                halvings=options.halvings,
                 synthesis=options.synthesis,
             ),
         )
@@ -299,8 +305,10 @@ class GraspPlanner:
         search = replace(self.options.synthesis, kinds=self.kinds(points))
         if not self.too_large(points):
             return search
-        # It may still have a rim or a handle, but a long search would be in vain.
-        return replace(search, rounds=min(search.rounds, 2))
+        # It may still have a rim or a handle, but a long search would be in vain, and what touches
+        # nothing there merely stands beside it.
+        strict = replace(search.acceptance, floor=search.acceptance.least)
+        return replace(search, rounds=min(search.rounds, 2), acceptance=strict)
 
     def kinds(self, points: Array) -> tuple[str, ...]:
         """Kinds of grasp to try, one a round, for an object seen at points [N, 3] of the world."""

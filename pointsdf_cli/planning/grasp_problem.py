@@ -10,7 +10,8 @@ Beyond the paper: the robot may not touch itself, and all distances keep a margi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -119,6 +120,13 @@ class GraspProblem:
         self._relevant = self._movable()
         self._critical = min(critical, int(self._relevant.sum()))
         self._groups = self._make_groups()
+
+    def keeping(self, clearance: float) -> GraspProblem:
+        """The same with another clearance to the object [m]."""
+        other = copy(self)
+        other.clearances = replace(self.clearances, object=clearance)
+        other._margin = np.where(self._is_object, clearance, self._margin)
+        return other
 
     def cost(self, x: Array) -> Cost:
         """The objective at x [B, n]."""

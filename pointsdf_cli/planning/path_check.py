@@ -9,6 +9,7 @@ for all pairs are halved, down to a resolution finer than the thinnest link.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,6 +89,12 @@ class PathChecker:
         farthest = np.maximum(farthest, np.where(moved[second], reach[second], 0.0))
         self._reach: Array = np.where(moved[first] != moved[second], farthest, 0.0)
         self.looked_at = 0
+
+    def keeping(self, clearance: float) -> PathChecker:
+        """The same with another clearance to the object [m]."""
+        other = copy(self)
+        other._object_margin = clearance
+        return other
 
     def room(self, q: Array, moving: NDArray[np.bool_] | None = None) -> Array:
         """Smallest distance less clearance [B] at configurations q [B, J].

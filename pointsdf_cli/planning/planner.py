@@ -20,12 +20,13 @@ from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion
 from pointsdf_cli.planning.nonlinear import Solver
 from pointsdf_cli.planning.objective import ObjectiveConfig
 from pointsdf_cli.planning.path_check import PathChecker
-from pointsdf_cli.planning.reasons import explain
+from pointsdf_cli.planning.reasons import explain, warning
 from pointsdf_cli.planning.record import plan_of
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.slsqp import Slsqp
-from pointsdf_cli.planning.sqp import Sqp
+from pointsdf_cli.planning.sqp import Sqp, SqpConfig
 from pointsdf_cli.planning.synthesis import (
+    SOLVER_MARGIN,
     Problems,
     Satisfied,
     Synthesis,
@@ -42,8 +43,13 @@ Rank = Callable[[list[Candidate]], list[Candidate]]
 
 SOLVERS = ("sqp", "slsqp")
 
-SOLVER_MARGIN = 0.0005
-"""What the solver keeps beyond the clearances asked for [m]: its own tolerances fit in twice."""
+HALVINGS = (6, 11)
+"""Iterations of `sqp` after which half of the seeds are left where they are: what costs three times
+as much as the best after six iterations does not catch up."""
+
+MARGIN = 0.004
+"""What plans keep away from the object where they can [m]: what a reconstruction is off by on the
+side that was not seen, and the skin of contact solvers, are a few millimetres."""
 
 LARGEST_CLEARANCE = 0.015
 """Distances are exact up to 2 cm only [m]; a grasp that stays farther away holds nothing."""
@@ -56,7 +62,10 @@ class PlannerConfig:
     Attributes:
         solver: One of `SOLVERS`. `slsqp` asks the exact field throughout, as the paper does.
         clearances: Least distances.
+        margin: Distance to the object that solver and motion keep wherever they can [m]; what
+            comes nearer, down to the clearance, is taken all the same.
         grid: How the object's field is kept for `sqp`.
+        halvings: When `sqp` gives half of its seeds up; never if empty.
         beyond: Where the kept field less its bound exceeds the clearance by less than this [m],
             the exact one is asked.
         objective, synthesis, motion: Of the stages.
@@ -64,7 +73,9 @@ class PlannerConfig:
 
     solver: str = "sqp"
     clearances: Clearances = field(default_factory=Clearances)
+    margin: float = MARGIN
     grid: GridConfig = KEPT_GRID
+    halvings: tuple[int, ...] = HALVINGS
     beyond: float = 0.0025
     objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
     synthesis: SynthesisConfig = field(default_factory=SynthesisConfig)
@@ -75,12 +86,14 @@ class PlannerConfig:
             raise InputError(
                 f"no solver {self.solver!r}", where="--solver", allowed=", ".join(SOLVERS)
             )
-        if max(vars(self.clearances).values()) > LARGEST_CLEARANCE:
-            raise InputError(
-                f"a clearance of {max(vars(self.clearances).values()):g} m",
-                where="--clearance",
-                allowed=f"at most {LARGEST_CLEARANCE:g} m",
-            )
+        largest = max(vars(self.clearances).values())
+        for name, value in (("clearance", largest), ("margin", self.margin)):
+            if not 0 <= value <= LARGEST_CLEARANCE:
+                raise InputError(
+                    f"a {name} of {value:g} m",
+                    where=f"--{name}",
+                    allowed=f"0 m or more, at most {LARGEST_CLEARANCE:g} m",
+                )
 
 
 class Planner:
@@ -96,12 +109,14 @@ class Planner:
         self.kinematics = Kinematics(robot)
         self.geometry = RobotGeometry(self.kinematics)
         self.inverse = InverseKinematics(robot)
-        self.solver: Solver = Sqp() if self.config.solver == "sqp" else Slsqp()
+        sqp = Sqp(SqpConfig(halvings=self.config.halvings))
+        self.solver: Solver = sqp if self.config.solver == "sqp" else Slsqp()
 
     def problems(self, target: Target, environment: Environment) -> Problems:
         """The optimisation problem with the kept and with the exact field."""
         config, asked = self.config, self.config.clearances
-        inside = Clearances(*(value + SOLVER_MARGIN for value in vars(asked).values()))
+        wanted = replace(asked, object=max(asked.object, config.margin))
+        inside = Clearances(*(value + SOLVER_MARGIN for value in vars(wanted).values()))
         quick, polish = target.field, target.field
         if config.solver == "sqp":
             grid = target.kept or GridField(target.field, target.low, target.high, config.grid)
@@ -166,7 +181,7 @@ class Planner:
         found = synthesise(problems, target.prior, self.inverse, self.solver, rng, asked, satisfied)
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began
-        if rank is not None and found.accepted:
+        if rank is not None and (found.accepted or found.spares):
             began = time.perf_counter()
             found = _ranked(found, rank)
             timings["rank"] = time.perf_counter() - began
@@ -181,6 +196,21 @@ class Planner:
         timings["motion"] = time.perf_counter() - began
         return plan_of(problems.exact, self.inverse, found, best, motion, timings)
 
+    def _motion_to(
+        self, checker: PathChecker, candidate: Candidate, start: Array, seed: int
+    ) -> Motion:
+        """A motion that keeps as far from the object as the grasp itself and the margin, if there
+        is one; else one that keeps the clearance."""
+        config, least = self.config.motion, self.config.clearances.object
+        kept = min(self.config.margin, least + candidate.object_room) - SOLVER_MARGIN
+        if kept > least:
+            once = replace(config, attempts=1)
+            wide = checker.keeping(kept)
+            motion = plan_motion(wide, self.inverse, start, candidate.q, seed, once)
+            if motion.trajectory is not None:
+                return motion
+        return plan_motion(checker, self.inverse, start, candidate.q, seed, config)
+
     def _with_motion(
         self,
         checker: PathChecker,
@@ -188,16 +218,16 @@ class Planner:
         start: Array,
         seed: int,
     ) -> tuple[Candidate | None, Motion | None, Synthesis]:
-        """The best accepted candidate that a motion leads to."""
+        """The best accepted candidate that a motion leads to, or for want of one a spare."""
         unreached: list[Candidate] = []
-        for k, candidate in enumerate(found.accepted):
-            motion = plan_motion(
-                checker, self.inverse, start, candidate.q, seed, self.config.motion
-            )
+        for k, candidate in enumerate([*found.accepted, *found.spares]):
+            motion = self._motion_to(checker, candidate, start, seed)
             if motion.trajectory is not None:
                 left, rejected = found.accepted[k:], found.rejected + unreached
-                return candidate, motion, replace(found, accepted=left, rejected=rejected)
-            unreached.append(replace(candidate, reason="motion"))
+                found = replace(found, accepted=left, rejected=rejected)
+                return candidate, motion, _with_warning(found, candidate)
+            if not candidate.reason:  # spares have a reason and are among the rejected
+                unreached.append(replace(candidate, reason="motion"))
         if not unreached:
             return None, None, found
         sentence = explain("motion", unreached[0], found.seeds_tried) + f" ({motion.failure})"
@@ -215,8 +245,17 @@ class Planner:
         )
 
 
+def _with_warning(found: Synthesis, chosen: Candidate) -> Synthesis:
+    """No reason against the plan; a sentence if it is a poor one."""
+    sentence = "" if not chosen.reason else warning(chosen, found.seeds_tried)
+    return replace(found, best=chosen, reason="", sentence=sentence)
+
+
 def _ranked(found: Synthesis, rank: Rank) -> Synthesis:
-    """What `rank` leaves of the accepted candidates; those that it drops count as rejected."""
+    """What `rank` leaves of the accepted candidates; those that it drops count as rejected. Where
+    none is accepted it orders the spares."""
+    if not found.accepted:
+        return replace(found, spares=rank(list(found.spares)))
     kept = rank(list(found.accepted))
     left = [c for c in found.accepted if not any(c is k for k in kept)]
     dropped = [replace(c, reason="low_success_probability") for c in left]

@@ -62,6 +62,12 @@ class Drawn:
         return max(("object", "table", "obstacle", "itself"), key=lambda name: getattr(self, name))
 
 
+def is_hemmed_in(drawn: Drawn) -> bool:
+    """Whether obstacles or the robot itself, and not the object or the table, leave no room."""
+    hardly = bool(drawn.reached) and drawn.free < FREE_SHARE * drawn.reached
+    return hardly and drawn.in_the_way in ("obstacle", "itself")
+
+
 def nearest_miss(rejected: list[Candidate]) -> Candidate | None:
     """The rejected candidate that came closest: least violation first, then best objective."""
     if not rejected:
@@ -100,6 +106,15 @@ def too_large(width: float, span: float) -> tuple[str, str]:
     return "object_collision", (
         f"The object is {width * 100:.0f} cm wide where it is narrowest, larger than the open hand "
         f"({span * 100:.0f} cm): it cannot be grasped as a whole."
+    )
+
+
+def warning(chosen: Candidate, seeds_tried: int) -> str:
+    """What is to be said of a plan whose grasp would not have been accepted."""
+    return (
+        f"Of {seeds_tried} grasps none looks good; this is the best that touches nothing, "
+        f"predicted to hold with probability {chosen.success:.2f} only. Turn the object, or look "
+        "at it from another side."
     )
 
 

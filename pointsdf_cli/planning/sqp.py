@@ -27,25 +27,32 @@ class SqpConfig:
 
     Attributes:
         iterations: At most so many.
-        radius: First trust region: no variable moves farther in one step.
+        radius: First trust region: no variable moves farther in one step. Larger ones are refused
+            where the hand is near the object, and cost an iteration each to find that out.
         smallest_radius: A start whose trust region is smaller has converged.
         largest_radius: Steps grow up to here.
         penalty: μ, cost per unit of violation; raised tenfold (twice at most) where a start
             converges to an infeasible point.
-        tolerance: A start has converged when the model promises no more than this improvement of φ.
-            A plan is accepted below an objective of 5, so hundredths do not matter.
+        tolerance: A start has converged when the model promises no more than this improvement of
+            φ, or this share of the objective where that is above 1. A plan is accepted below an
+            objective of 5, so hundredths do not matter.
+        halvings: After so many iterations only the better half of the starts goes on; the others
+            stay where they are. Then what becomes of a start depends on those beside it.
+        spared: Starts that no halving ends.
         feasible: Violations up to here count as none.
         damping: Added to the Hessian model's diagonal.
     """
 
     iterations: int = 20
-    radius: float = 0.2
+    radius: float = 0.05
     smallest_radius: float = 1e-4
     largest_radius: float = 0.5
     penalty: float = 1e3
     tolerance: float = 1e-2
     feasible: float = 1e-4
     damping: float = 1e-3
+    halvings: tuple[int, ...] = ()
+    spared: int = 2
 
     def __post_init__(self) -> None:
         radii = 0 < self.smallest_radius < self.radius <= self.largest_radius
@@ -74,9 +81,11 @@ class Sqp:
         rest = np.tile(config.damping * np.eye(n), (count, 1, 1))
         radius = np.full(count, config.radius)
         penalty = np.full(count, config.penalty)
-        done = np.zeros(count, dtype=bool)
-        for _ in range(iterations or config.iterations):
-            live = np.flatnonzero(~done)
+        done, ended = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+        for turn in range(iterations or config.iterations):
+            if turn in config.halvings:
+                ended |= self._worse(now, config.halvings.index(turn) + 1)
+            live = np.flatnonzero(~(done | ended))
             if not len(live):
                 break
             step, promised = self._steps(problem, x, now, rest, radius, penalty, live)
@@ -104,7 +113,8 @@ class Sqp:
             x[taken] = trial[better]
             for kept, fresh in zip(now, new, strict=True):
                 kept[taken] = fresh[better]
-            settled = (promised < config.tolerance) | (radius[live] < config.smallest_radius)
+            little = config.tolerance * np.maximum(1.0, now.objective[live])
+            settled = (promised < little) | (radius[live] < config.smallest_radius)
             self._settle(live[settled], now, radius, penalty, done)
         return Solutions(
             x=x,
@@ -113,6 +123,15 @@ class Sqp:
             converged=done & (now.violation <= config.feasible),
             evaluations=evaluations,
         )
+
+    def _worse(self, now: Evaluation, times: int) -> np.ndarray:
+        """bool [B], all starts but the best, after so many halvings."""
+        count = len(now.objective)
+        kept = max(self.config.spared, -(-count // 2**times))
+        phi = _penalised(now, np.full(count, self.config.penalty))
+        worse = np.zeros(count, dtype=bool)
+        worse[np.argsort(phi, kind="stable")[kept:]] = True
+        return worse
 
     def _settle(
         self,

@@ -22,12 +22,24 @@ from pointsdf_cli.planning.acceptance import (
 )
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.nonlinear import Solutions, Solver
-from pointsdf_cli.planning.reasons import Drawn, why_none
+from pointsdf_cli.planning.reasons import Drawn, is_hemmed_in, why_none
 from pointsdf_cli.planning.seeds import GraspPrior, SeedConfig, draw_seeds
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
+SOLVER_MARGIN = 0.0005
+"""What the solver keeps beyond the clearances asked for [m]: its own tolerances fit in twice."""
+
 WORTH = 0.05
 """A solution is solved again only if its objective is better than the best so far by this."""
+
+MARGINS = (1.0, 0.5, 0.0)
+"""Of the margin to the object, what is kept in each round."""
+
+SPARES = 4
+"""Grasps kept for want of an accepted one: if no motion leads to these, none does."""
+
+STALLED = 0.8
+"""A round whose best free grasp costs more than this share of the best before has gained little."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +48,8 @@ class SynthesisConfig:
 
     Attributes:
         rounds: Of seeds (METHOD section 6: up to five).
-        enough: After so many rounds any accepted grasp ends the search; before, a good one does.
+        enough: After so many rounds any accepted grasp ends the search, and so does a round that
+            gains little where all that is free is poor; before, a good one does.
         polished: Solutions of a round that are solved again with the exact field, at most.
         polish_iterations: Of that; they start next to where they end.
         seeds: How seeds are drawn.
@@ -64,7 +77,8 @@ class Synthesis:
     Attributes:
         best: The accepted candidate with the smallest objective, None if there is none.
         accepted: All accepted candidates, best first; motion planning may need another.
-        rejected: All others.
+        spares: The best few of those that are free but promise too little, for want of others.
+        rejected: All that were not accepted.
         reason: Empty, or why there is no plan.
         sentence: The same for a person.
         seeds_tried: Starts given to the solver.
@@ -75,6 +89,7 @@ class Synthesis:
     best: Candidate | None
     accepted: list[Candidate]
     rejected: list[Candidate]
+    spares: list[Candidate]
     reason: str
     sentence: str
     seeds_tried: int
@@ -100,9 +115,21 @@ class Problems:
     exact: GraspProblem
     polish: GraspProblem
 
+    def in_round(self, turn: int, least: float) -> Problems:
+        """What is solved in a round: what the solver keeps of the object beyond `least` [m] shrinks
+        from round to round, for a grasp that comes near is better than none."""
+        share = MARGINS[min(turn, len(MARGINS) - 1)]
+        wanted = self.quick.clearances.object
+        if share == 1 or wanted <= least:
+            return self
+        kept = least + share * (wanted - least)
+        same = self.polish is self.quick
+        quick = self.quick.keeping(kept)
+        return Problems(quick, self.exact, quick if same else self.polish.keeping(kept))
+
 
 def synthesise(
-    problems: Problems,
+    whole: Problems,
     prior: GraspPrior,
     kinematics: InverseKinematics,
     solver: Solver,
@@ -113,7 +140,8 @@ def synthesise(
     """Look for the best acceptable configuration; equal generators give equal results.
 
     Args:
-        problems, prior, kinematics, solver: What is solved, where seeds come from, and how.
+        whole: What is solved, as in the first round.
+        prior, kinematics, solver: Where seeds come from, and how they are solved.
         rng: Of the seeds.
         config: How long to look.
         satisfied: Asked after every round that has added to the accepted candidates whether to
@@ -124,9 +152,11 @@ def synthesise(
     accepted: list[Candidate] = []
     rejected: list[Candidate] = []
     tried, drawn = 0, Drawn()
+    least = whole.exact.clearances.object + SOLVER_MARGIN
     for turn in range(config.rounds):
         kind = config.kinds[turn % len(config.kinds)]
         start = time.perf_counter()
+        problems = whole.in_round(turn, least)
         seeds = draw_seeds(problems.quick, prior, kinematics, kind, rng, config.seeds)
         start = _lap(timings, "seeds", start)
         tried, drawn = tried + len(seeds.x), drawn + seeds.drawn
@@ -140,10 +170,12 @@ def synthesise(
         start = _lap(timings, "check", start)
         # What the quick field let too near is solved again with the exact one.
         best = min((c.objective for c in [*accepted, *candidates] if not c.reason), default=np.inf)
+        # Keeping away from the object makes no grasp better: the hopeless ones are left.
+        limit = min(best - WORTH, config.acceptance.objective)
         again = [
             k
             for k, candidate in enumerate(candidates)
-            if candidate.object_room < 0 and candidate.objective < best - WORTH
+            if candidate.object_room < 0 and candidate.objective < limit
         ][: config.polished]
         if again and problems.polish is not problems.quick:
             near = np.stack([candidates[k].x for k in again])
@@ -155,20 +187,30 @@ def synthesise(
             _lap(timings, "check", start)
         new = [c for c in candidates if not c.reason]
         accepted += new
+        before = _best_spare(rejected, config)
         rejected += [c for c in candidates if c.reason]
+        after = _best_spare(rejected, config)
         if satisfied is not None:
             if new and satisfied(new):
                 break
         elif accepted and (turn + 1 >= config.enough or _any_good(accepted, config)):
             break
+        if not accepted and turn + 1 >= config.enough and after > STALLED * before:
+            break
     accepted.sort(key=lambda c: (c.objective, -c.success))
     reason = sentence = ""
     if not accepted:
         reason, sentence = why_none(drawn, rejected, tried, config.acceptance)
+    spares = sorted(
+        (c for c in rejected if c.is_spare(config.acceptance)), key=lambda c: c.objective
+    )
+    if is_hemmed_in(drawn):  # what is free there stands beside the object
+        spares = []
     return Synthesis(
         best=accepted[0] if accepted else None,
         accepted=accepted,
         rejected=rejected,
+        spares=spares[:SPARES],
         reason=reason,
         sentence=sentence,
         seeds_tried=tried,
@@ -179,6 +221,12 @@ def synthesise(
 
 def _any_good(candidates: list[Candidate], config: SynthesisConfig) -> bool:
     return any(c.success > config.acceptance.success for c in candidates)
+
+
+def _best_spare(candidates: list[Candidate], config: SynthesisConfig) -> float:
+    """The least objective of those that are free but promise too little."""
+    spares = (c.objective for c in candidates if c.is_spare(config.acceptance))
+    return min(spares, default=np.inf)
 
 
 def _ranked(found: Solutions) -> NDArray[np.intp]:

@@ -32,6 +32,7 @@ class QuickCutConfig:
     Attributes:
         most_pieces: No more cuts once there are so many pieces.
         close_enough: The hulls may exceed the solid by this share of its volume.
+        worth: A part whose hull exceeds it by less than this share of the whole is not cut.
         places: Where a part may be cut, as shares of its extent along each axis; of equally good
             cuts the first is taken.
         most_corners: Of a piece.
@@ -40,6 +41,7 @@ class QuickCutConfig:
 
     most_pieces: int = 8
     close_enough: float = 0.08
+    worth: float = 0.02
     places: tuple[float, ...] = (0.5, 0.25, 0.75)
     most_corners: int = 40
     most_faces: int = 500
@@ -70,7 +72,7 @@ def quick_pieces(
             break
         worst = max(range(len(parts)), key=lambda k: parts[k].excess)
         cut = _best_cut(parts[worst], config.places)
-        if cut is None or parts[worst].excess < 0.02 * whole:
+        if cut is None or parts[worst].excess < config.worth * whole:
             parts[worst].excess = 0.0  # no plane helps: leave it as it is
             continue
         parts[worst : worst + 1] = cut

@@ -14,6 +14,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.simulation.decomposition import Pieces, convex_pieces
+from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
 from pointsdf_cli.simulation.stable_poses import (
     StablePose,
     foot_height,
@@ -48,8 +49,15 @@ class SimObject:
     poses: list[StablePose]
 
 
-def prepare_object(mesh: LoadedMesh, cache: Path | None = None) -> SimObject:
+def prepare_object(
+    mesh: LoadedMesh, cache: Path | None = None, cut: QuickCutConfig | None = None
+) -> SimObject:
     """Everything that does not change between attempts with a mesh.
+
+    Args:
+        mesh: A closed mesh.
+        cache: Where CoACD's pieces are kept; see `convex_pieces`.
+        cut: Cut in this way instead of by CoACD.
 
     Raises:
         InputError: It encloses no volume or has no resting pose.
@@ -68,8 +76,12 @@ def prepare_object(mesh: LoadedMesh, cache: Path | None = None) -> SimObject:
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
     poses = stable_poses(mesh.vertices, centre)
+    if cut is None:
+        pieces = convex_pieces(mesh, cache=cache)
+    else:
+        pieces = quick_pieces(mesh.vertices, mesh.faces, cut)
     pieces = with_flat_feet(
-        convex_pieces(mesh, cache=cache),
+        pieces,
         mesh.vertices,
         [poses[i] for i in standing_poses(poses)],
     )

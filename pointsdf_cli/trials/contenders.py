@@ -28,7 +28,7 @@ from pointsdf_cli.planning.answer import (
 from pointsdf_cli.planning.fields import Field, MeshField
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.partial_view import partial_mesh
-from pointsdf_cli.planning.planner import PlannerConfig
+from pointsdf_cli.planning.planner import MARGIN, PlannerConfig
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.trials import protocol
@@ -54,6 +54,7 @@ class ContenderOptions:
         checkpoint: Of the reconstruction network; the bundled one if None.
         grasp_checkpoint: Of the success network of the method "reconstruction"; bundled if None.
         clearance: Least distance of the robot to the object as the contender knows it [m].
+        margin: Distance to it that is kept where it can be [m].
         rehearse: Grasps of a round that are rehearsed; 0 for none.
         device: Where networks compute.
     """
@@ -64,6 +65,7 @@ class ContenderOptions:
     grasp_checkpoint: Path | None = None
     rehearse: int = 12
     clearance: float = 0.001
+    margin: float = MARGIN
     device: str = "cpu"
 
 
@@ -87,6 +89,7 @@ def plan_options(contender: Contender, options: ContenderOptions) -> PlanOptions
         checkpoint=checkpoint if reconstructs else None,
         grasp_checkpoint=options.grasp_checkpoint if own_network else None,
         clearances=Clearances(object=options.clearance),
+        margin=options.margin,
         device=options.device,
     )
 
@@ -111,7 +114,7 @@ def check_contender(contender: Contender, options: ContenderOptions) -> None:
         InputError: An unknown solver, or a checkpoint that cannot be read.
     """
     asked = plan_options(contender, options)
-    PlannerConfig(solver=asked.solver, clearances=asked.clearances)
+    PlannerConfig(solver=asked.solver, clearances=asked.clearances, margin=asked.margin)
     if asked.checkpoint is not None:
         read_checkpoint(asked.checkpoint)
     if asked.grasp_checkpoint is not None or asked.robot is not None:

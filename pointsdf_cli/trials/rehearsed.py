@@ -109,7 +109,9 @@ class RehearsedPlanner(GraspPlanner):
                 where="--rehearse",
                 allowed=f"the method {RECONSTRUCTION}",
             )
-        super().__init__(replace(options, synthesis=REHEARSED_SEARCH), grasps)
+        # A rehearsal may like what the score does not: all seeds are solved to the end.
+        search = replace(REHEARSED_SEARCH, acceptance=options.synthesis.acceptance)
+        super().__init__(replace(options, synthesis=search, halvings=()), grasps)
         self.config = config or RehearsedPlannerConfig()
         self._rehearsal = Rehearsal(self.robot, self.config.rehearsal)
 
@@ -180,6 +182,8 @@ class _Pool:
 
         No more than a few: if there is no motion to them, there hardly is one to the others.
         """
+        if not self._candidates and accepted:  # for want of better ones
+            self.satisfied(accepted)
         order = [self._candidates[k] for k in best_first(self._tried)]
         order += [c for c in accepted if not any(c is one for one in order)]
         return order[: self._config.most_motions]

@@ -42,7 +42,13 @@ from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
 from pointsdf_cli.trials.pictures import write_film
 from pointsdf_cli.trials.protocol import Contender, Trial, TrialObject
 from pointsdf_cli.trials.rehearsed import RehearsedAnswer, Surface
-from pointsdf_cli.trials.scenes import SceneConfig, load_object, place_camera, place_object
+from pointsdf_cli.trials.scenes import (
+    SceneConfig,
+    load_object,
+    object_mesh,
+    place_camera,
+    place_object,
+)
 
 Array = NDArray[np.float64]
 NO_PLAN = "no_plan"
@@ -172,7 +178,7 @@ class TrialRunner:
 
     def _item(self, item: TrialObject) -> SimObject:
         if self._object is None or self._object[0] != item:
-            self._object = item, load_object(item)
+            self._object = item, load_object(item, self.config.scene)
         return self._object[1]
 
     def _mind(self, contender: Contender) -> Mind:
@@ -244,7 +250,7 @@ def run_trial_task(task: TrialTask) -> TrialRow | None:
     recorder = Recorder(rate=10.0) if task.film is not None else None
     row, evidence = runner.run(trial, recorder)
     if task.film is not None and recorder is not None and recorder.moments:
-        mesh = load_object(trial.object).mesh
+        mesh = object_mesh(trial.object)
         write_film(task.film, runner.robot, mesh, recorder.moments, recorder.rate)
     write_trial(task.out, row, evidence, config)
     return row

@@ -10,15 +10,14 @@ import hashlib
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
+from pointsdf_cli.geometry.frames import apply_transform, transform
 from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
 from pointsdf_cli.objects.stand_ins import make_stand_in
 from pointsdf_cli.simulation.attempt import placed
+from pointsdf_cli.simulation.quick_pieces import QuickCutConfig
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.stable_poses import StablePose, StandingConfig, draw_pose
@@ -30,8 +29,17 @@ Array = NDArray[np.float64]
 POSE_TRIES = 12
 NEARLY_UPRIGHT = 0.09
 """Resting poses within this [rad] of the model's z axis count as upright."""
-FOOT = 0.005
-"""Points of a mesh lower than this [m] stand on the table: scans are no flatter."""
+TRUE_CUT = QuickCutConfig(
+    most_pieces=64,
+    close_enough=0.005,
+    worth=0.0005,
+    places=(0.5, 0.25, 0.75, 0.125, 0.875),
+    most_corners=64,
+    most_faces=3000,
+)
+"""How the true object is cut for contacts: nine tenths of the hulls' surface are less than 2 mm
+outside of the mesh. With the sixteen pieces of the collection a biplane's wings are one block
+(docs/trials.md)."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +53,7 @@ class SceneConfig:
         azimuth: The camera stands within this [rad] of straight opposite the robot.
         look_height: It looks at the object at this height [m].
         lowest: An object that is lower than this [m] as modelled is stood on its side.
+        cut: How the object is cut into convex pieces.
         standing: As in the collection of grasps, but what can stand always does.
         settling: When an object rests.
     """
@@ -55,26 +64,31 @@ class SceneConfig:
     azimuth: float = 0.35
     look_height: float = 0.08
     lowest: float = 0.03
+    cut: QuickCutConfig = TRUE_CUT
     standing: StandingConfig = field(default_factory=lambda: StandingConfig(standing=1.0))
     settling: SettleConfig = field(default_factory=SettleConfig)
 
 
-def load_object(item: TrialObject) -> SimObject:
+def load_object(item: TrialObject, config: SceneConfig) -> SimObject:
     """The object ready to be simulated.
 
     Raises:
         InputError: Its mesh cannot be used.
     """
+    return prepare_object(object_mesh(item), cut=config.cut)
+
+
+def object_mesh(item: TrialObject) -> LoadedMesh:
+    """The object's mesh, or that of its stand-in.
+
+    Raises:
+        InputError: Its mesh cannot be used.
+    """
     if item.mesh is not None:
-        mesh = load_mesh(item.mesh)
-    else:
-        vertices, faces = make_stand_in(item.name)
-        sha = f"stand-in {item.name} {hash_of(vertices, faces)}"
-        mesh = LoadedMesh(item.name, vertices.astype(np.float64), faces, sha, "none")
-    prepared = prepare_object(mesh)
-    if item.stands_as_modelled:
-        return with_foot(prepared, upright_pose(prepared, SceneConfig()))
-    return prepared
+        return load_mesh(item.mesh)
+    vertices, faces = make_stand_in(item.name)
+    sha = f"stand-in {item.name} {hash_of(vertices, faces)}"
+    return LoadedMesh(item.name, vertices.astype(np.float64), faces, sha, "none")
 
 
 def hash_of(*arrays: NDArray[np.generic]) -> str:
@@ -126,31 +140,6 @@ def upright_pose(item: SimObject, config: SceneConfig) -> StablePose:
     middle = item.T_mesh_body[:3, 3]
     lowest = item.mesh.vertices[:, 2].min()
     return replace(upright, T_table_object=transform(np.eye(3), [-middle[0], -middle[1], -lowest]))
-
-
-def with_foot(item: SimObject, pose: StablePose) -> SimObject:
-    """The object with the face it stands on as one more convex piece.
-
-    Convex pieces of a scan have few corners, and a bottle on three of them falls over. The foot is
-    a slab of the mesh's own lowest points.
-    """
-    T_table_mesh = pose.T_table_object
-    corners = apply_transform(T_table_mesh, item.mesh.vertices)
-    low = corners[corners[:, 2] < FOOT, :2]
-    try:
-        outline = low[ConvexHull(low).vertices]
-    except (QhullError, ValueError):  # it stands on an edge or a point
-        return item
-    outline = outline[:: max(1, len(outline) // 24)]
-    slab = np.concatenate(
-        [np.column_stack([outline, np.full(len(outline), z)]) for z in (0.0, FOOT)]
-    )
-    T_body_table = invert_transform(T_table_mesh @ item.T_mesh_body)
-    try:
-        hull = trimesh.convex.convex_hull(apply_transform(T_body_table, slab))
-    except ValueError:  # scipy's QhullError is one
-        return item
-    return replace(item, pieces=[*item.pieces, (np.asarray(hull.vertices), np.asarray(hull.faces))])
 
 
 def place_camera(

@@ -72,6 +72,8 @@ def _facts(plan: Plan) -> list[tuple[str, object]]:
             ("duration of the motion [s]", float(plan.times[-1]) if len(plan.times) else "none"),
             ("accepted grasps", len(plan.accepted.q)),
         ]
+        if plan.sentence:
+            facts.append(("warning", plan.sentence))
     else:
         facts += [("reason", plan.reason), ("", plan.sentence)]
     return [*facts, ("seeds tried", plan.seeds_tried), ("seeds rejected", len(plan.rejected.q))]
