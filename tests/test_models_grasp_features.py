@@ -8,7 +8,13 @@ from grasp_worlds import side_palm, top_palm
 
 from pointsdf_cli.geometry.frames import apply_transform, transform
 from pointsdf_cli.models.field_grid import FieldGrid
-from pointsdf_cli.models.grasp_features import BODY_SIZE, LENGTH, GraspFeatures, object_body
+from pointsdf_cli.models.grasp_features import (
+    BODY_SIZE,
+    LENGTH,
+    GraspFeatures,
+    _touching,
+    object_body,
+)
 from pointsdf_cli.models.hand_sweep import HandSweep
 from pointsdf_cli.robot.description import load_robot
 
@@ -118,6 +124,19 @@ def test_turning_and_shifting_the_whole_scene_on_the_table_changes_nothing() -> 
     assert torch.allclose(here[:, :on_links], there[:, :on_links], atol=1e-4)
 
 
+def test_a_pad_that_passes_through_the_object_touches_and_the_sooner_the_closer_it_starts() -> None:
+    metres = torch.tensor([0.06, 0.04, 0.02, 0.0, -0.01, -0.01, -0.01, -0.01])
+    far = torch.full((8,), 0.06)
+    late = torch.cat([torch.full((4,), 0.06), metres[:4]])
+    share, time = _touching(torch.stack([metres, far, late], dim=1)[:, :, None])
+    assert share[0, 0] > 0.99
+    assert share[1, 0] < 1e-3
+    # Three of eight moments are certainly free, at the fourth it is 4 mm within: about a quarter.
+    assert 3 / 8 < time[0, 0] < 4 / 8
+    assert time[0, 0] < time[2, 0] < time[1, 0]
+    assert time[1, 0] > 0.99
+
+
 def test_raising_the_scene_above_the_table_changes_what_the_table_does() -> None:
     preshape, palm = grasps()
     lifted = palm.clone()
@@ -126,6 +145,6 @@ def test_raising_the_scene_above_the_table_changes_what_the_table_does() -> None
     here = FEATURES(preshape, palm, body, ball_torch())
     there = FEATURES(preshape, lifted, body, ball_torch(CENTRE + [0, 0, 0.1]))
     still, moving = FEATURES._sweep.sizes
-    sampled = 2 * (4 * moving + still) + 64
+    sampled = (4 + 2) * moving + still + 64  # four moments, and who touches when
     assert torch.allclose(here[:, :sampled], there[:, :sampled], atol=1e-4)
     assert torch.allclose(there[:, sampled + 4], here[:, sampled + 4] + 0.1 / LENGTH, atol=1e-5)

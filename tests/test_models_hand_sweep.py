@@ -55,27 +55,28 @@ def test_two_jaws_slide_as_fast_as_their_description_says_until_they_stop() -> N
     gripper = load_robot(GRIPPER)
     sweep = HandSweep(gripper, SweepConfig(stages=10, share=1.0))
     _, moving = sweep(torch.tensor([[0.0], [0.02]]))
-    left, right = moving[..., :2, 1].mean(-1), moving[..., 2:, 1].mean(-1)
-    # Both jaws start 5 cm from the middle and slide 4.5 cm at 5 cm/s; the left may start closer.
+    left, right = moving[..., 0, 1], moving[..., 1, 1]
+    # The inner sides of both jaws start 4.5 cm from the middle, and slide 4.5 cm at 5 cm/s; the
+    # left may start closer.
     # The grid of times ends when a left jaw that starts at 1 cm arrives (35 mm) or the right (45).
     steps = torch.linspace(0.0, 0.045, 10)
-    assert torch.allclose(right, (-0.05 + steps).expand(2, -1), atol=1e-6)
-    assert torch.allclose(left[0], 0.05 - steps, atol=1e-6)
-    assert torch.allclose(left[1], 0.05 - (0.02 + steps).clamp(max=0.045), atol=1e-6)
+    assert torch.allclose(right, (-0.045 + steps).expand(2, -1), atol=1e-6)
+    assert torch.allclose(left[0], 0.045 - steps, atol=1e-6)
+    assert torch.allclose(left[1], 0.045 - (0.02 + steps).clamp(max=0.045), atol=1e-6)
 
 
 def test_gradients_are_those_of_finite_differences() -> None:
     # Away from the joints' limits, where closing stops and the slope jumps.
     middle = torch.tensor(ROBOT.preshape_ranges.mean(1)).float()
     preshape = (0.8 * preshapes(3) + 0.2 * middle).requires_grad_(True)
-    weights = torch.randn(3, 4, SWEEP.sizes[1], 3, generator=torch.manual_seed(0))
+    weights = torch.randn(3, 8, SWEEP.sizes[1], 3, generator=torch.manual_seed(0))
     (gradient,) = torch.autograd.grad((SWEEP(preshape)[1] * weights).sum(), preshape)
     for joint in range(preshape.shape[1]):
         step = torch.zeros(8)
-        step[joint] = 0.01
+        step[joint] = 0.002
         with torch.no_grad():
             ahead, behind = SWEEP(preshape + step)[1], SWEEP(preshape - step)[1]
-        slope = ((ahead - behind) * weights).sum((1, 2, 3)) / 0.02
+        slope = ((ahead - behind) * weights).sum((1, 2, 3)) / 0.004
         assert torch.allclose(slope, gradient[:, joint], atol=2e-3, rtol=1e-3)
 
 
@@ -101,7 +102,7 @@ def test_a_sliding_jaw_follows_its_joint_until_closing_has_driven_it_to_its_limi
     sweep = HandSweep(gripper, SweepConfig(stages=10, share=1.0))
     preshape = torch.tensor([[0.02]], requires_grad=True)
     for stage, expected in ((0, -1.0), (2, -1.0), (9, 0.0)):
-        y = sweep(preshape)[1][0, stage, :2, 1].mean()
+        y = sweep(preshape)[1][0, stage, 0, 1]
         (slope,) = torch.autograd.grad(y, preshape)
         assert abs(float(slope) - expected) < 1e-6
 
