@@ -60,7 +60,10 @@ step table1 rgrasp eval-sdf "${evaluated[@]}" --views "$work/views/test" --meshe
 
 # --- Grasps: Figure 3 ------------------------------------------------------------------------
 step collect rgrasp collect-grasps --meshes "$work/meshes/train" --out "$work/grasps" --count "$GRASPS" --seed 0 --jobs "$jobs" $COLLECT
-variants=()
+variants=(--checkpoint "$work/gs/geometry-fixed")
+# Ours reads distances of the first of the reconstructions at the grasp itself.
+step train-gs-geometry-fixed resumed "$work/gs/geometry-fixed" rgrasp train-gs \
+    --grasps "$work/grasps" --sdf "$work/sdf/${MODELS%% *}" $GS_LENGTH
 for encoder in pointsdf voxelcnn; do
     for mode in fixed scratch; do
         step "train-gs-$encoder-$mode" resumed "$work/gs/$encoder-$mode" rgrasp train-gs \
