@@ -7,6 +7,8 @@ on a processor core is several times faster than a batched matrix product.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -20,18 +22,25 @@ class HandChain:
 
     Args:
         robot: The robot; joints before the palm's link do not matter.
+        wanted: Links of interest; of the others only those on the way to them are followed.
 
     Attributes:
-        links: The hand's links, the palm's first: the order of the results.
+        links: The links that are followed, the palm's first: the order of the results.
         moved_link: int [J], the link that each of the hand's joints moves first.
         axes: f4 [J, 3], the joints' axes in the frames of these links.
         slides: bool [J], prismatic joints.
         below: f4 [J, L], 1 for the links that each joint moves.
     """
 
-    def __init__(self, robot: RobotDescription) -> None:
-        self.links = robot.hand_links
-        joints = [joint for joint in robot.tree.joints if joint.parent in self.links]
+    def __init__(self, robot: RobotDescription, wanted: Collection[str]) -> None:
+        parent = {joint.child: joint.parent for joint in robot.tree.joints}
+        kept = {robot.palm_link}
+        for link in wanted:
+            while link in robot.hand_links and link not in kept:
+                kept.add(link)
+                link = parent[link]
+        self.links = tuple(link for link in robot.hand_links if link in kept)
+        joints = [joint for joint in robot.tree.joints if joint.child in kept - {self.links[0]}]
         columns = {name: i for i, name in enumerate(robot.hand_joints)}
 
         def constant(arrays: list[np.ndarray]) -> Tensor:

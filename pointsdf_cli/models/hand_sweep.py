@@ -11,7 +11,7 @@ than automatic differentiation through the chain of matrices.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -79,7 +79,8 @@ class HandSweep:
 
     def __init__(self, robot: RobotDescription, config: SweepConfig | None = None) -> None:
         self.config = config or SweepConfig()
-        self._chain = HandChain(robot)
+        surface = {link: points for link, points in robot_surface(robot).items() if len(points)}
+        self._chain = HandChain(robot, surface)
         count = len(robot.hand_joints)
         hand = slice(len(robot.arm_joints), None)
         names = list(robot.hand_joints)
@@ -99,7 +100,7 @@ class HandSweep:
         duration = float(((end - start[self._closing]) / speed).max())
         times = torch.linspace(0.0, self.config.share * duration, self.config.stages)
         self._advance = times[:, None] * speed
-        self._place_points(robot)
+        self._place_points(robot, surface)
         self.region = torch.zeros(0, 3)
         with torch.no_grad():
             swept = self(middle[None])[1].reshape(-1, 3)
@@ -189,18 +190,19 @@ class HandSweep:
         slopes: Tensor = ((axes.axis * chosen).sum(1) * axes.free).sum(1).T
         return slopes
 
-    def _place_points(self, robot: RobotDescription) -> None:
+    def _place_points(
+        self, robot: RobotDescription, surface: Mapping[str, NDArray[np.float64]]
+    ) -> None:
         closes = set(robot.closing_joints)
         moves = {robot.palm_link: False}
         for joint in robot.tree.joints:
             if joint.parent in moves:
                 moves[joint.child] = moves[joint.parent] or joint.name in closes
-        surface = robot_surface(robot)
         ahead = self._link_motion(robot)
         points: dict[bool, list[NDArray[np.float64]]] = {True: [], False: []}
         links: dict[bool, list[int]] = {True: [], False: []}
         for number, link in enumerate(self._chain.links):
-            if not len(surface.get(link, ())):
+            if link not in surface:
                 continue
             if moves[link]:
                 chosen = _pad(surface[link], ahead(number))
