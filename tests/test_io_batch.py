@@ -7,6 +7,7 @@ import os
 import pytest
 
 from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.io.atomic import UnwritableError, write_text_atomic
 from pointsdf_cli.io.batch import run_stage, shard_of, task_seed
 
 
@@ -18,6 +19,11 @@ def refuse_odd(number: int) -> int | None:
     if number % 2:
         raise InputError(f"{number} is odd")
     return None if number == 4 else number
+
+
+def write_nowhere(_: int) -> int:
+    write_text_atomic("/proc/rgrasp/file", "text")
+    return 1
 
 
 def die(_: int) -> int:
@@ -41,6 +47,12 @@ def test_bad_inputs_are_set_apart_and_the_others_done(jobs: int) -> None:
     assert [name for name, _ in report.refused] == ["1", "3", "5"]
     with pytest.raises(InputError, match="3 of 6 inputs cannot be used"):
         report.raise_if_refused()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_place_that_cannot_be_written_is_no_bad_input_to_skip(jobs: int) -> None:
+    with pytest.raises(UnwritableError, match="/proc/rgrasp"):
+        run_stage([(str(k), k) for k in range(3)], write_nowhere, jobs=jobs)
 
 
 def test_a_worker_that_dies_ends_the_stage_with_one_message() -> None:

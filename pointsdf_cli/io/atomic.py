@@ -15,6 +15,10 @@ TEMPORARY_MARK = ".partial-"
 """Part of the name of every file under construction; nothing reads such a file."""
 
 
+class UnwritableError(InputError):
+    """The place for the output is what is wrong, and would be for the next input too."""
+
+
 @contextmanager
 def atomic_path(path: Path | str) -> Iterator[Path]:
     """A temporary path in `path`'s folder that takes its place when the block ends well.
@@ -23,7 +27,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     because writers choose their format by it.
 
     Raises:
-        InputError: The folder cannot be written, or the disk is full.
+        UnwritableError: The folder cannot be written, or the disk is full.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}{TEMPORARY_MARK}{uuid.uuid4().hex[:8]}{path.suffix}")
@@ -88,14 +92,14 @@ def require_folder(path: Path | str) -> Path:
     return path
 
 
-def unwritable(path: Path | str, error: OSError) -> InputError:
+def unwritable(path: Path | str, error: OSError) -> UnwritableError:
     """The user's view of an operating-system error met while writing `path`."""
     if error.errno == errno.ENOSPC or "No space left" in str(error):
-        return InputError(
+        return UnwritableError(
             "the disk is full; nothing half-written was kept",
             where=path,
-            hint="free some space or choose another --out, then run the same command again: "
-            "it resumes",
+            hint="free some space or choose another --out, then run the same command again; add "
+            "--resume to a training, and --force where a file is said to be there already",
         )
     reason = error.strerror or str(error)
-    return InputError(f"cannot be written ({reason})", where=path, hint="choose another --out")
+    return UnwritableError(f"cannot be written ({reason})", where=path, hint="choose another --out")

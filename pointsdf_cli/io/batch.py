@@ -19,6 +19,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.io.atomic import UnwritableError
 from pointsdf_cli.io.hdf5 import OptionsDifferError
 
 Task = TypeVar("Task")
@@ -128,7 +129,7 @@ def task_seed(seed: int, name: str) -> np.random.Generator:
 def _guarded(work: Callable[[Task], Result | None], task: Task) -> Result | InputError | None:
     try:
         return work(task)
-    except OptionsDifferError:
+    except (OptionsDifferError, UnwritableError):
         raise
     except InputError as error:
         return error
