@@ -63,7 +63,7 @@ def view(
         size = export.stat().st_size
         reporter.result(
             {"written": export, "bytes": size, **facts},
-            [f"{export}: {scene.frames} frames, {size / 1e6:.1f} MB; open it in any browser"],
+            [f"{export}: {_frames(scene.frames)}{size / 1e6:.1f} MB; open it in any browser"],
         )
         return
     from pointsdf_cli.viz.viewer import Viewer
@@ -74,6 +74,10 @@ def view(
             viewer.run()
         except KeyboardInterrupt:
             reporter.say("closed")
+
+
+def _frames(count: int) -> str:
+    return f"{count} frames, " if count > 1 else ""
 
 
 def url(host: str, port: int) -> str:

@@ -62,9 +62,9 @@ def closing_speeds(robot: RobotDescription) -> dict[str, float]:
         finger = [other for other in gains if fingers[other] & fingers[joint]]
         best = max(finger, key=lambda other: abs(gains[other]))
         if abs(gain) > CLOSES and abs(float(axes[joint] @ axes[best])) > PARALLEL:
-            column = robot.joint_names.index(joint)
-            travel = float(robot.upper[column] - robot.lower[column])
-            speed = min(travel / SECONDS, float(robot.velocity[column]), FASTEST)
+            k = robot.joint_names.index(joint)
+            travel = float(robot.upper[k] - robot.lower[k])
+            speed = min(travel / SECONDS, float(robot.velocity[k]), FASTEST)
             speeds[joint] = round(float(np.copysign(speed, gain)), 3)
     return speeds
 
@@ -153,9 +153,9 @@ def palm_frame(robot: RobotDescription) -> tuple[Array, bool]:
     front = 0.0 if body is None else float((body @ x).max())
     origin = front * x
     if jaws:
-        ends = _in_palm_link(robot, {tip: surface[tip] for tip in tips}, q[:1])
+        fingers = _in_palm_link(robot, {tip: surface[tip] for tip in tips}, q[:1])
         # Where the jaws meet may lie beside the link's own axis.
-        origin = min(front, max(float((p @ x).max()) for p in ends) - PAST_FACE) * x
+        origin = min(front, max(float((p @ x).max()) for p in fingers) - PAST_FACE) * x
         origin = origin + (closed.mean(axis=0) @ z) * z
     return transform(np.stack([x, np.cross(z, x), z], axis=1), origin), jaws
 
