@@ -29,7 +29,10 @@ def train_gs(
         typer.Option(help="The reconstruction network to build on.  [default: the bundled one]"),
     ] = None,
     robot: common.Robot = None,
-    epochs: Annotated[int | None, typer.Option(help="Passes over the grasps, at most.")] = None,
+    epochs: Annotated[
+        int | None,
+        typer.Option(help="Passes over the grasps, at most.  [default: 20 for geometry, 60]"),
+    ] = None,
     batch_size: Annotated[int | None, typer.Option(help="Grasps a step.")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="At its highest.")] = None,
     patience: Annotated[
@@ -71,7 +74,7 @@ def train_gs(
 
     variant = Variant(encoder, mode)
     chosen: dict[str, Any] = {
-        "epochs": epochs,
+        "epochs": variant.epochs if epochs is None else epochs,
         "batch_size": batch_size,
         "learning_rate": learning_rate,
         "patience": patience,

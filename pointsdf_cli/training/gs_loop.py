@@ -38,7 +38,7 @@ class SuccessTraining:
         seed: Of the split, the weights and the order.
     """
 
-    epochs: int = 20
+    epochs: int = 60
     batch_size: int = 128
     learning_rate: float = 2e-3
     encoder_rate: float = 0.3
