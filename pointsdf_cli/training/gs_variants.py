@@ -98,7 +98,7 @@ class Variant:
 
     @property
     def epochs(self) -> int:
-        """Passes over the grasps, if nobody says: embeddings take three times as many to be read."""
+        """Passes over the grasps, if nobody says; embeddings are read more slowly."""
         return 20 if self.encoder == GEOMETRY else 60
 
 
