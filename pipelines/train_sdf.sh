@@ -3,7 +3,7 @@
 #   pipelines/train_sdf.sh WORK [MESHES]
 # WORK    folder for data and checkpoints (about 8 GB)
 # MESHES  folder of free real meshes to add to the generated ones (may be left out)
-# MODEL (pointsdf-ray), MINUTES (90), THREADS (0: those that idle) and OBJECTS (4400) may be set.
+# MODEL (pointsdf-ray), MINUTES (150), THREADS (0: those that idle) and OBJECTS (4400) may be set.
 set -euo pipefail
 work=${1:?usage: pipelines/train_sdf.sh WORK [MESHES]}
 real=${2:-}
@@ -26,5 +26,8 @@ if [ -n "$real" ]; then
 fi
 resume=()
 [ -f "$work/$model/train_state.pt" ] && resume=(--resume)
+# Half as many views of each generated object as there are, all of the real ones: of what the network
+# is to see in the end, the real ones are nearer.
 rgrasp train-sdf --views "$work/views" --labels "$work/labels" --out "$work/$model" --model "$model" \
-    --minutes "${MINUTES:-90}" --threads "${THREADS:-0}" --held-out 0.03 --seed 0 "${resume[@]}"
+    --views-per-object 8 --views-per-object real=60 \
+    --minutes "${MINUTES:-150}" --threads "${THREADS:-0}" --held-out 0.03 --seed 0 "${resume[@]}"
