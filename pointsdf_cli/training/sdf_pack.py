@@ -119,13 +119,13 @@ def open_pack(
     if index_file.exists():
         index = json.loads(index_file.read_text(encoding="utf-8"))
         if index.get("fingerprint") == fingerprint:
-            return _load(folder, tuple(index["names"]))
+            return load_pack(folder, tuple(index["names"]))
         index_file.unlink()
     names, label_start = _build(pairs, folder, limits, on_progress)
     np.save(folder / "label_start.npy", label_start)
     # Written last: a pack without its index is unfinished and is built again.
     write_text_atomic(index_file, json.dumps({"fingerprint": fingerprint, "names": names}))
-    return _load(folder, tuple(names))
+    return load_pack(folder, tuple(names))
 
 
 def pack_views(
@@ -229,7 +229,8 @@ class _Appender:
         self.path.unlink()
 
 
-def _load(folder: Path, names: tuple[str, ...]) -> Pack:
+def load_pack(folder: Path, names: tuple[str, ...]) -> Pack:
+    """The arrays of a finished pack, mapped into memory."""
     arrays = {n: np.load(folder / f"{n}.npy", mmap_mode="r") for n in (*ARRAYS, *LABEL_ARRAYS)}
     return Pack(**arrays, names=names)
 
