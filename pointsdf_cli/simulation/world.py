@@ -63,7 +63,7 @@ class PhysicsConfig:
 
 FIRM = 200
 """Iterations that many contacts at once need: with 40, grasps of an object of some twenty pieces or
-more slip that hold with 200 (docs/trials.md). Collected grasps, of sixteen pieces at most, keep 40."""
+more slip that hold with 200 (docs/trials.md). Collected grasps, of sixteen at most, keep 40."""
 
 
 @dataclass(frozen=True)
