@@ -16,7 +16,14 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.plans import OK
 from pointsdf_cli.planning.answer import GraspPlanner, PlanOptions, View
-from pointsdf_cli.planning.fields import Field, MeanField, NearField
+from pointsdf_cli.planning.fields import (
+    Field,
+    MeanField,
+    NearField,
+    ReconstructionField,
+    SeenField,
+    UnionField,
+)
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import EmptyFieldError, Target, given_object, surface_of
@@ -122,17 +129,37 @@ def test_the_score_reads_the_methods_own_field_whatever_constrains(planner: Gras
     assert without.target.field(points).min() > 0.5
 
 
-def test_two_views_are_the_mean_of_both(planner: GraspPlanner) -> None:
+def test_two_views_are_the_mean_of_both_and_what_they_saw(planner: GraspPlanner) -> None:
     other = can_view(2.0)
-    one = planner.see(*vars(VIEW).values()).target.field
-    two = planner.see(*vars(other).values()).target.field
-    both = planner.see(*vars(VIEW).values(), more=(other,)).target.field
+    first, second = (planner.see(*vars(view).values()) for view in (VIEW, other))
+    joint = planner.see(*vars(VIEW).values(), more=(other,))
+    completed = [ReconstructionField(sight.reconstruction) for sight in (first, second)]
+    both = UnionField(MeanField(completed), SeenField(joint.points))
     points = np.random.default_rng(0).uniform(-0.08, 0.08, (50, 3)) + CAN
-    np.testing.assert_allclose(both(points), (one(points) + two(points)) / 2, atol=1e-6)
+    np.testing.assert_allclose(joint.target.field(points), both(points), atol=1e-6)
     truth = CylinderField(RADIUS, HEIGHT, CAN)(points)
     # A can is known to within 2 mm from one view, and from both no worse than from the worse one.
-    first, second, mean = (np.abs(field(points) - truth).mean() for field in (one, two, both))
-    assert mean < max(first, second) < 0.002
+    one, two, mean = (np.abs(s.target.field(points) - truth).mean() for s in (first, second, joint))
+    assert mean < max(one, two) < 0.002
+
+
+def test_the_hand_keeps_off_what_was_seen_where_the_network_saw_nothing(
+    planner: GraspPlanner,
+) -> None:
+    # A wire that stands out of the can: far too thin for a reconstruction.
+    wire = np.array(CAN) + np.column_stack([np.zeros((8, 2)), HEIGHT / 2 + 0.004 * np.arange(8)])
+    T = VIEW.T_world_camera
+    seen = np.concatenate([VIEW.points, (wire - T[:3, 3]) @ T[:3, :3]])
+    sight = planner.see(seen, T)
+    beside = wire[-1:] + [0.0, 0.01, 0.0]
+    assert ReconstructionField(sight.reconstruction)(beside)[0] > 0.012
+    for field in (sight.target.field, sight.target.kept):
+        value = field.with_gradient(beside)[0]
+        assert value[0] < 0.012
+        np.testing.assert_allclose(field(beside), value)
+    np.testing.assert_allclose(sight.target.field.with_gradient(beside)[1], [[0, 1, 0]], atol=1e-6)
+    assert isinstance(sight.target.score, CanGrasps)
+    assert sight.target.score.field(beside)[0] > 0.012
 
 
 def test_the_mean_has_the_mean_gradient() -> None:

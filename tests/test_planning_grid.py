@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from planning_worlds import BoxField, SphereField
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.fields import UnionField
 from pointsdf_cli.planning.grid import GridConfig, GridField, surface_box
 
 LOW, HIGH = np.full(3, -0.1), np.full(3, 0.1)
@@ -45,6 +46,23 @@ def test_a_plane_is_kept_exactly_and_a_sphere_to_curvature(points) -> None:
 def test_the_field_is_asked_less_often_than_the_finest_grid_has_nodes() -> None:
     grid = GridField(SphereField(0.05), LOW, HIGH, GridConfig(step=0.004))
     assert grid.queries < 0.25 * 51**3
+
+
+def test_the_lower_of_two_fields_keeps_the_bound_of_the_first(points) -> None:
+    ball, other = SphereField(0.05), SphereField(0.02, (0.06, 0.03, 0.0))
+    grid = GridField(ball, LOW, HIGH, GridConfig(step=0.004))
+    kept = grid(points)
+    joint = grid.lowered(other)
+    value, bound = joint.with_bound(points)
+    both = UnionField(ball, other)
+    assert (np.abs(value - both(points)) <= bound + 1e-12).all()
+    assert (value < ball(points) - 0.01).any()
+    np.testing.assert_array_equal(grid(points), kept)
+    values, gradients = both.with_gradient(points)
+    np.testing.assert_array_equal(values, both(points))
+    nearer = other(points) < ball(points)
+    np.testing.assert_array_equal(gradients[nearer], other.with_gradient(points[nearer])[1])
+    np.testing.assert_array_equal(gradients[~nearer], ball.with_gradient(points[~nearer])[1])
 
 
 def test_gradients_agree_with_differences_of_the_grid_itself(points) -> None:

@@ -59,7 +59,7 @@ def test_what_can_stand_stands_in_every_yaw(world: World, name: str, height: flo
     item = load_object(trials[0].object, SceneConfig())
     yaws, axes = [], []
     for trial in trials:
-        pose, yaw = place_object(world, item, trial, SceneConfig())
+        _, pose, yaw = place_object(world, item, trial, SceneConfig())
         placed = apply_transform(pose, item.mesh.vertices)
         assert placed[:, 2].max() == pytest.approx(height, abs=0.003)
         assert placed[:, 2].min() == pytest.approx(0.0, abs=0.003)
@@ -78,6 +78,24 @@ def test_what_can_stand_stands_in_every_yaw(world: World, name: str, height: flo
     np.testing.assert_allclose(np.mod(np.diff(axes[0::2]), 2 * np.pi), 2 * np.pi / 3, atol=1e-3)
 
 
+def test_a_ball_is_no_larger_for_having_a_foot(world: World, tmp_path: Path) -> None:
+    # A ball rests on any side; flattened for each of them it would grow by a tenth.
+    ball = trimesh.creation.icosphere(4, 0.04)
+    ball.export(tmp_path / "ball.ply")
+    trial = make_trials([TrialObject("ball", tmp_path / "ball.ply")], [Contender(METHODS[0])])[0]
+    item = load_object(trial.object, SceneConfig())
+    standing, pose, _ = place_object(world, item, trial, SceneConfig())
+    corners = np.concatenate([corners for corners, _ in standing.pieces])
+    assert np.linalg.norm(corners, axis=1).max() < 0.042
+    volume = sum(trimesh.convex.convex_hull(corners).volume for corners, _ in standing.pieces)
+    assert volume < 1.01 * ball.volume
+    # It stands: the corners that carry it span its centre of mass.
+    low = apply_transform(pose @ item.T_mesh_body, corners)
+    low = low[low[:, 2] < low[:, 2].min() + 5e-4]
+    middle = (pose @ item.T_mesh_body)[:2, 3]
+    assert Delaunay(low[:, :2]).find_simplex(middle) >= 0
+
+
 def test_a_can_whose_scanned_bottom_is_round_stands_upright(world: World, tmp_path: Path) -> None:
     can = trimesh.creation.cylinder(0.0375, 0.25, sections=64)
     # Its bottom bulges by 1.5 mm, as no can could stand that is so.
@@ -90,5 +108,5 @@ def test_a_can_whose_scanned_bottom_is_round_stands_upright(world: World, tmp_pa
     trials = make_trials([stands], [Contender(METHODS[0])])
     item = load_object(stands, SceneConfig())
     for trial in trials[:2]:
-        pose, _ = place_object(world, item, trial, SceneConfig())
+        _, pose, _ = place_object(world, item, trial, SceneConfig())
         assert pose[2, 2] > np.cos(np.radians(1))

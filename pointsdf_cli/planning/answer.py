@@ -45,6 +45,7 @@ from pointsdf_cli.planning.target import (
     absent_object,
     given_object,
     grid_for,
+    kept_off,
     reconstructed_object,
     seen_object,
 )
@@ -232,16 +233,19 @@ class GraspPlanner:
             for view in views:
                 eye, axes = view.T_world_camera[:3, 3], view.T_world_camera[:3, :3]
                 made.append(Reconstruction.from_cloud(self._shape, view.in_world, eye, axes, seed))
-            own = reconstructed_object(made, grid)
+            own = reconstructed_object(made, grid, world)
         else:
             own = seen_object(world, grid)
         timings = {"reconstruction": time.perf_counter() - began}
         began = time.perf_counter()
         grasps = self._grasps.on(views[0].points, T_world_camera, field=own.kept, seed=seed)
         timings["score"] = time.perf_counter() - began
-        constraint = own
         if field is not None:
             constraint = _constraint(field, world)
+        else:
+            # The score was trained on what the network completes; the hand keeps off what it
+            # misses, too.
+            constraint = kept_off(own, world) if made else own
         reconstruction = made[0] if made else None
         return Sight(Target.of(constraint, grasps, grasps), world, reconstruction, timings)
 

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.models.reconstruction import Reconstruction
@@ -63,6 +64,38 @@ class MeanField:
         answers = [field.with_gradient(points) for field in self._fields]
         values, gradients = (np.mean(part, axis=0) for part in zip(*answers, strict=True))
         return values, gradients
+
+
+class SeenField:
+    """The distance to the nearest seen point [N, 3]: a surface without an inside."""
+
+    def __init__(self, points: Array) -> None:
+        self._points = np.asarray(points, dtype=np.float64)
+        self._tree = KDTree(self._points)
+
+    def __call__(self, points: Array) -> Array:
+        return np.asarray(self._tree.query(points)[0])
+
+    def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        values, nearest = self._tree.query(points)
+        way = points - self._points[nearest]
+        return np.asarray(values), way / np.maximum(values, 1e-12)[:, None]
+
+
+class UnionField:
+    """The lower of two fields: what occupies space by either."""
+
+    def __init__(self, first: Field, second: Field) -> None:
+        self._first, self._second = first, second
+
+    def __call__(self, points: Array) -> Array:
+        return np.minimum(self._first(points), self._second(points))
+
+    def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        values, gradients = self._first.with_gradient(points)
+        others, their = self._second.with_gradient(points)
+        lower = others < values
+        return np.where(lower, others, values), np.where(lower[:, None], their, gradients)
 
 
 class NearField:

@@ -28,6 +28,7 @@ class MotionConfig:
     Attributes:
         attempts: Searches with another seed each (METHOD: three).
         seconds: Of each search, at most.
+        looks: Configurations that a search may look at; as many as it likes if None.
         range: Longest edge of the tree [rad].
         shortcuts: Rounds of shortcutting.
         approach: The last stretch.
@@ -36,6 +37,7 @@ class MotionConfig:
 
     attempts: int = 3
     seconds: float = 5.0
+    looks: int | None = None
     range: float = 0.8
     shortcuts: int = 30
     approach: ApproachConfig = field(default_factory=ApproachConfig)
@@ -152,7 +154,12 @@ def _connect(
     planner.setRange(config.range)
     planner.setProblemDefinition(problem)
     planner.setup()
-    if not planner.solve(ob.timedPlannerTerminationCondition(config.seconds)):
+    stop = ob.timedPlannerTerminationCondition(config.seconds)
+    if config.looks is not None:
+        most = checker.looked_at + config.looks
+        enough = ob.PlannerTerminationCondition(lambda: checker.looked_at > most)
+        stop = ob.plannerOrTerminationCondition(stop, enough)
+    if not planner.solve(stop):
         return None
     if not problem.hasExactSolution():
         return None

@@ -47,9 +47,16 @@ HALVINGS = (6, 11)
 """Iterations of `sqp` after which half of the seeds are left where they are: what costs three times
 as much as the best after six iterations does not catch up."""
 
-MARGIN = 0.004
+MARGIN = 0.006
 """What plans keep away from the object where they can [m]: what a reconstruction is off by on the
 side that was not seen, and the skin of contact solvers, are a few millimetres."""
+
+QUICK_LOOKS = 1000
+"""Configurations that a brief search for a motion may look at, with the margin and without: most
+motions are found within a few hundred."""
+
+BRIEFLY = 3
+"""Candidates to which motions are looked for briefly before any is looked at thoroughly."""
 
 LARGEST_CLEARANCE = 0.015
 """Distances are exact up to 2 cm only [m]; a grasp that stays farther away holds nothing."""
@@ -197,19 +204,20 @@ class Planner:
         return plan_of(problems.exact, self.inverse, found, best, motion, timings)
 
     def _motion_to(
-        self, checker: PathChecker, candidate: Candidate, start: Array, seed: int
+        self, checker: PathChecker, candidate: Candidate, start: Array, seed: int, thorough: bool
     ) -> Motion:
         """A motion that keeps as far from the object as the grasp itself and the margin, if there
         is one; else one that keeps the clearance."""
         config, least = self.config.motion, self.config.clearances.object
+        quick = replace(config, attempts=1, looks=QUICK_LOOKS)
         kept = min(self.config.margin, least + candidate.object_room) - SOLVER_MARGIN
-        if kept > least:
-            once = replace(config, attempts=1)
+        if kept > least and not thorough:
             wide = checker.keeping(kept)
-            motion = plan_motion(wide, self.inverse, start, candidate.q, seed, once)
+            motion = plan_motion(wide, self.inverse, start, candidate.q, seed, quick)
             if motion.trajectory is not None:
                 return motion
-        return plan_motion(checker, self.inverse, start, candidate.q, seed, config)
+        asked = config if thorough else quick
+        return plan_motion(checker, self.inverse, start, candidate.q, seed, asked)
 
     def _with_motion(
         self,
@@ -218,19 +226,28 @@ class Planner:
         start: Array,
         seed: int,
     ) -> tuple[Candidate | None, Motion | None, Synthesis]:
-        """The best accepted candidate that a motion leads to, or for want of one a spare."""
-        unreached: list[Candidate] = []
-        for k, candidate in enumerate([*found.accepted, *found.spares]):
-            motion = self._motion_to(checker, candidate, start, seed)
+        """The best accepted candidate that a motion leads to, or for want of one a spare.
+
+        The best few are looked at briefly before any is looked at thoroughly: where the way to one
+        is narrow, the next is hardly worse and often reached at once.
+        """
+        best = [*found.accepted, *found.spares]
+        turns = [(k, candidate, False) for k, candidate in enumerate(best[:BRIEFLY])]
+        turns += [(k, candidate, True) for k, candidate in enumerate(best)]
+        failure = ""
+        for k, candidate, thorough in turns:
+            motion = self._motion_to(checker, candidate, start, seed, thorough)
+            failure = failure or motion.failure
             if motion.trajectory is not None:
-                left, rejected = found.accepted[k:], found.rejected + unreached
-                found = replace(found, accepted=left, rejected=rejected)
+                passed = _unreached(best[:k])
+                found = replace(
+                    found, accepted=found.accepted[k:], rejected=found.rejected + passed
+                )
                 return candidate, motion, _with_warning(found, candidate)
-            if not candidate.reason:  # spares have a reason and are among the rejected
-                unreached.append(replace(candidate, reason="motion"))
+        unreached = _unreached(best)
         if not unreached:
             return None, None, found
-        sentence = explain("motion", unreached[0], found.seeds_tried) + f" ({motion.failure})"
+        sentence = explain("motion", unreached[0], found.seeds_tried) + f" ({failure})"
         return (
             None,
             None,
@@ -243,6 +260,12 @@ class Planner:
                 sentence=sentence,
             ),
         )
+
+
+def _unreached(candidates: list[Candidate]) -> list[Candidate]:
+    """Those to which no motion leads; spares have another reason already and are among the
+    rejected."""
+    return [replace(c, reason="motion") for c in candidates if not c.reason]
 
 
 def _with_warning(found: Synthesis, chosen: Candidate) -> Synthesis:

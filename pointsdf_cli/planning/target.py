@@ -20,6 +20,8 @@ from pointsdf_cli.planning.fields import (
     MeshField,
     NearField,
     ReconstructionField,
+    SeenField,
+    UnionField,
 )
 from pointsdf_cli.planning.grid import GridConfig, GridField, surface_box
 from pointsdf_cli.planning.objective import GraspScore
@@ -113,9 +115,16 @@ def grid_for(thickness: float) -> GridConfig:
 
 
 def reconstructed_object(
-    reconstructions: Sequence[Reconstruction], grid: GridConfig | None = None
+    reconstructions: Sequence[Reconstruction],
+    grid: GridConfig | None = None,
+    seen: Array | None = None,
 ) -> ObjectField:
     """What a network has completed from one view or more, in the world's frame.
+
+    Args:
+        reconstructions: One a view.
+        grid: How the field is kept.
+        seen: Points [N, 3] m that the box must enclose besides the surface.
 
     Raises:
         EmptyFieldError: The network sees nothing solid.
@@ -125,8 +134,21 @@ def reconstructed_object(
     low = np.min([r.centre - 0.75 / r.scale for r in reconstructions], axis=0)
     high = np.max([r.centre + 0.75 / r.scale for r in reconstructions], axis=0)
     step = 0.15 / max(r.scale for r in reconstructions)
-    shape = _boxed(fields[0] if len(fields) == 1 else MeanField(fields), low, high, step, grid)
+    field = fields[0] if len(fields) == 1 else MeanField(fields)
+    shape = _boxed(field, low, high, step, grid, seen)
     return replace(shape, field=NearField(shape.field, shape.low, shape.high))
+
+
+def kept_off(shape: ObjectField, seen: Array) -> ObjectField:
+    """The same object, and the seen points themselves: a network's surface may miss a thin part
+    that the camera saw.
+
+    Args:
+        shape: Its box must enclose the points.
+        seen: [N, 3], world, m.
+    """
+    points = SeenField(seen)
+    return replace(shape, field=UnionField(shape.field, points), kept=shape.kept.lowered(points))
 
 
 def mesh_object(
@@ -183,10 +205,17 @@ def reconstruction_target(
 
 
 def _boxed(
-    field: Field, low: Array, high: Array, step: float, grid: GridConfig | None
+    field: Field,
+    low: Array,
+    high: Array,
+    step: float,
+    grid: GridConfig | None,
+    seen: Array | None = None,
 ) -> ObjectField:
     try:
         low, high = surface_box(field, low, high, step)
     except InputError as error:
         raise EmptyFieldError("the network sees nothing solid in this cloud") from error
+    if seen is not None:
+        low, high = np.minimum(low, seen.min(axis=0)), np.maximum(high, seen.max(axis=0))
     return ObjectField.of(field, low - BOX_MARGIN, high + BOX_MARGIN, grid)

@@ -50,7 +50,10 @@ class SimObject:
 
 
 def prepare_object(
-    mesh: LoadedMesh, cache: Path | None = None, cut: QuickCutConfig | None = None
+    mesh: LoadedMesh,
+    cache: Path | None = None,
+    cut: QuickCutConfig | None = None,
+    feet: bool = True,
 ) -> SimObject:
     """Everything that does not change between attempts with a mesh.
 
@@ -58,6 +61,8 @@ def prepare_object(
         mesh: A closed mesh.
         cache: Where CoACD's pieces are kept; see `convex_pieces`.
         cut: Cut in this way instead of by CoACD.
+        feet: Give the pieces a flat foot for every pose that it may be made to stand in. Each moves
+            corners by a few millimetres; who knows the one pose needs one foot.
 
     Raises:
         InputError: It encloses no volume or has no resting pose.
@@ -80,11 +85,9 @@ def prepare_object(
         pieces = convex_pieces(mesh, cache=cache)
     else:
         pieces = quick_pieces(mesh.vertices, mesh.faces, cut)
-    pieces = with_flat_feet(
-        pieces,
-        mesh.vertices,
-        [poses[i] for i in standing_poses(poses)],
-    )
+    if feet:
+        standing = [poses[i] for i in standing_poses(poses)]
+        pieces = with_flat_feet(pieces, mesh.vertices, standing)
     # Flat things have moments near 0 about one axis, which no contact solver likes.
     moments = np.maximum(moments, 1e-6)
     body = [((corners - centre) @ axes, faces) for corners, faces in pieces]

@@ -24,6 +24,7 @@ from pointsdf_cli.geometry.frames import (
     wxyz_from_rotation,
 )
 from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.sim_object import SimObject
 
 Array = NDArray[np.float64]
@@ -101,7 +102,7 @@ class World:
         self._bullet = _import_bullet()
         self._client = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
         self._folder = Path(tempfile.mkdtemp(prefix="rgrasp-world-"))
-        self._object_file: tuple[str, Path] | None = None
+        self._object_file: tuple[Pieces, Path] | None = None
         self._steps = 0
 
     def close(self) -> None:
@@ -181,15 +182,30 @@ class World:
         states = self._bullet.getJointStates(self._body, self._joints, physicsClientId=self._client)
         return np.array([state[1] for state in states])
 
-    def drive_to(self, q: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
-        """Position targets for the joints at `columns` of q, with the largest efforts to use."""
+    def drive_to(
+        self,
+        q: ArrayLike,
+        columns: ArrayLike,
+        forces: ArrayLike,
+        speeds: ArrayLike | None = None,
+    ) -> None:
+        """Position targets for the joints at `columns` of q, with the largest efforts to use.
+
+        Args:
+            q: [J].
+            columns: [K], which joints.
+            forces: [K].
+            speeds: [K], at which the targets move: known, the joints do not lag behind them;
+                0 if None.
+        """
         columns = np.asarray(columns)
+        speeds = np.zeros(len(columns)) if speeds is None else np.asarray(speeds, float)
         self._bullet.setJointMotorControlArray(
             self._body,
             [self._joints[i] for i in columns],
             self._bullet.POSITION_CONTROL,
             targetPositions=np.asarray(q, float)[columns].tolist(),
-            targetVelocities=[0.0] * len(columns),
+            targetVelocities=speeds.tolist(),
             positionGains=[0.2] * len(columns),
             velocityGains=[1.0] * len(columns),
             forces=np.asarray(forces, float).tolist(),
@@ -359,8 +375,8 @@ class World:
 
     def _write_pieces(self, item: SimObject) -> Path:
         """The object's pieces as one OBJ file, which PyBullet takes as a union of hulls."""
-        key = f"{item.mesh.sha256}-{len(item.pieces)}"
-        if self._object_file is None or self._object_file[0] != key:
+        # The list itself, not what it holds: whoever changes pieces makes another list.
+        if self._object_file is None or self._object_file[0] is not item.pieces:
             path = self._folder / "object.obj"
             text, start = io.StringIO(), 1
             for i, (corners, faces) in enumerate(item.pieces):
@@ -369,7 +385,7 @@ class World:
                 text.writelines("f {} {} {}\n".format(*(f + start)) for f in faces)
                 start += len(corners)
             path.write_text(text.getvalue(), encoding="ascii")
-            self._object_file = (key, path)
+            self._object_file = (item.pieces, path)
         return self._object_file[1]
 
 

@@ -101,10 +101,12 @@ def _follow(world: World, trajectory: Array, times: Array, last: _Last) -> tuple
     columns = np.arange(len(robot.joint_names))
     steps = max(1, round(float(times[-1] - times[0]) / world.physics.step))
     touched = False
+    before = trajectory[0]
     for k in range(steps + round(REST / world.physics.step)):
         at = times[0] + min(k + 1, steps) * world.physics.step
         q = np.array([np.interp(at, times, column) for column in trajectory.T])
-        world.drive_to(q, columns, robot.effort)
+        world.drive_to(q, columns, robot.effort, (q - before) / world.physics.step)
+        before = q
         world.step()
         touched = touched or world.hand_contact().links > 0
         last(world, APPROACH)

@@ -124,7 +124,7 @@ class TrialRunner:
             InputError: The mesh cannot be used, or the object never rests.
         """
         item = self._item(trial.object)
-        T_world_object, yaw = place_object(self._world, item, trial, self.config.scene)
+        item, T_world_object, yaw = place_object(self._world, item, trial, self.config.scene)
         T_world_camera = place_camera(item, T_world_object, trial, self.config.scene)
         rng = trial.rng("view")
         vertices = apply_transform(T_world_object, item.mesh.vertices)

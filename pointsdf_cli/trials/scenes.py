@@ -76,15 +76,12 @@ class SceneConfig:
 
 
 def load_object(item: TrialObject, config: SceneConfig) -> SimObject:
-    """The object ready to be simulated.
+    """The object ready to be placed.
 
     Raises:
         InputError: Its mesh cannot be used.
     """
-    prepared = prepare_object(object_mesh(item), cut=config.cut)
-    if not item.stands_as_modelled:
-        return prepared
-    return on_its_foot(prepared, upright_pose(prepared, config))
+    return prepare_object(object_mesh(item), cut=config.cut, feet=False)
 
 
 def on_its_foot(item: SimObject, pose: StablePose) -> SimObject:
@@ -134,8 +131,9 @@ def hash_of(*arrays: NDArray[np.generic]) -> str:
 
 def place_object(
     world: World, item: SimObject, trial: Trial, config: SceneConfig
-) -> tuple[Array, float]:
-    """T_world_object [4, 4] of a trial and its yaw [rad]; the same for all views and contenders.
+) -> tuple[SimObject, Array, float]:
+    """The object with a foot to stand on, T_world_object [4, 4] of a trial and its yaw [rad]; the
+    same for all views and contenders.
 
     Yaws of one repeat are evenly spaced from an offset that is drawn for the repeat.
 
@@ -143,13 +141,14 @@ def place_object(
         InputError: The object never comes to rest.
     """
     rng = trial.rng("pose")
-    resting = None
+    resting, standing = None, item
     for _ in range(POSE_TRIES):
         if trial.object.stands_as_modelled:
             pose = upright_pose(item, config)
         else:
             pose = item.poses[draw_pose(item.poses, config.standing, rng)[0]]
-        resting = settle(world, item, pose, config.settling)
+        standing = on_its_foot(item, pose)
+        resting = settle(world, standing, pose, config.settling)
         if resting is not None or trial.object.stands_as_modelled:
             break
     if resting is None:
@@ -157,7 +156,7 @@ def place_object(
     yaw = float(rng.uniform(0, 2 * np.pi)) + 2 * np.pi * trial.yaw_index / trial.yaws
     yaw = float(np.mod(yaw, 2 * np.pi))
     shift = config.place_spread * trial.rng("scene").standard_normal(2)
-    return placed(resting, item, yaw, np.asarray(config.place) + shift), yaw
+    return standing, placed(resting, item, yaw, np.asarray(config.place) + shift), yaw
 
 
 def upright_pose(item: SimObject, config: SceneConfig) -> StablePose:
