@@ -11,7 +11,8 @@ import trimesh
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.simulation.decomposition import convex_pieces
-from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, prepare_object, with_flat_feet
+from pointsdf_cli.simulation.feet import with_flat_foot
+from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, prepare_object
 from pointsdf_cli.simulation.stable_poses import (
     StandingConfig,
     draw_pose,
@@ -133,7 +134,7 @@ def test_a_hull_that_lost_the_foot_of_its_can_stands_again() -> None:
     one_side = bottom[np.argsort(vertices[bottom, 0])[:3]]
     left = np.concatenate([vertices[above > 0.2], vertices[one_side]])
     fallen = trimesh.convex.convex_hull(left)
-    ((corners, _),) = with_flat_feet([(fallen.vertices, fallen.faces)], vertices, [pose])
+    ((corners, _),) = with_flat_foot([(fallen.vertices, fallen.faces)], vertices, pose)
     placed = corners @ pose.T_table_object[:3, :3].T + pose.T_table_object[:3, 3]
     mass = pose.T_table_object[:3, 3]
     assert tilt_margin(fallen.vertices @ pose.T_table_object[:3, :3].T + mass, mass) == 0.0
@@ -153,7 +154,7 @@ def test_what_is_nearly_foot_is_put_flat_and_the_rest_stays() -> None:
         * (pose.T_table_object[2, :3])
     )
     hull = trimesh.convex.convex_hull(rough)
-    ((corners, _),) = with_flat_feet([(hull.vertices, hull.faces)], vertices, [pose])
+    ((corners, _),) = with_flat_foot([(hull.vertices, hull.faces)], vertices, pose)
     height = corners @ pose.T_table_object[2, :3] + pose.T_table_object[2, 3]
     low = height[height < 0.1]
     assert np.abs(low).max() < 1e-9

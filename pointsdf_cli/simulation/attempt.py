@@ -18,6 +18,7 @@ from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig, Outcome
+from pointsdf_cli.simulation.feet import nearest_pose, on_its_foot
 from pointsdf_cli.simulation.heuristic import HeuristicConfig, draw_preshape, hand_of
 from pointsdf_cli.simulation.observe import CameraPlacement, Observer, resample
 from pointsdf_cli.simulation.reach import Reach, ReachConfig, Reacher
@@ -125,6 +126,7 @@ class Attempter:
         self._kinematics = Kinematics(robot)
         self._hand = hand_of(robot)
         self._settled: dict[tuple[str, int], Array | None] = {}
+        self._feet: tuple[SimObject, dict[int, SimObject]] | None = None
         self._last_scene: tuple[tuple[str, int], Scene] | None = None
 
     def close(self) -> None:
@@ -171,7 +173,7 @@ class Attempter:
             rng,
         )
         cloud = resample(scene.cloud, CLOUD_SIZE, rng)
-        self.world.reset(item, scene.T_world_object)
+        self.world.reset(self._standing(item, scene.T_world_object), scene.T_world_object)
         reach = self._reacher(preshape.T_world_palm, preshape.joints)
         outcome = None
         if reach.label == 0:
@@ -187,7 +189,7 @@ class Attempter:
         watch: Callable[[World, str], None] | None = None,
     ) -> Outcome:
         """Carry out a grasp in a world built anew, so that equal inputs give equal outcomes."""
-        self.world.reset(item, T_world_object, q)
+        self.world.reset(self._standing(item, T_world_object), T_world_object, q)
         return Executor(self.world, self.config.execution, self.palm, watch).run(q, lift)
 
     def replay(
@@ -256,8 +258,19 @@ class Attempter:
         if key not in self._settled:
             if len(self._settled) > 256:
                 self._settled.clear()  # objects come one after the other
-            self._settled[key] = settle(self.world, item, item.poses[which], self.config.settling)
+            pose = item.poses[which]
+            standing = self._standing(item, pose.T_table_object)
+            self._settled[key] = settle(self.world, standing, pose, self.config.settling)
         return self._settled[key]
+
+    def _standing(self, item: SimObject, T_world_object: Array) -> SimObject:
+        """The object with a foot for the resting pose that it is nearest to."""
+        if self._feet is None or self._feet[0] is not item:
+            self._feet = item, {}
+        which, made = nearest_pose(item, T_world_object), self._feet[1]
+        if which not in made:
+            made[which] = on_its_foot(item, item.poses[which])
+        return made[which]
 
     def _rng(self, item: SimObject, stream: int, index: int) -> np.random.Generator:
         name = zlib.crc32(item.mesh.name.encode())

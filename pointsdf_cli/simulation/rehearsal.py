@@ -26,7 +26,7 @@ from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
 from pointsdf_cli.simulation.lift import lift_path
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
 from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, LIGHTEST, SimObject
-from pointsdf_cli.simulation.world import FIRM, PhysicsConfig, World
+from pointsdf_cli.simulation.world import PhysicsConfig, World
 
 Array = NDArray[np.float64]
 
@@ -57,9 +57,7 @@ class RehearsalConfig:
     friction: tuple[float, float] = (0.45, 0.7)
     mass: tuple[float, float] = (0.7, 1.5)
     foot: float = 0.012
-    physics: PhysicsConfig = field(
-        default_factory=lambda: PhysicsConfig(step=1 / 240, iterations=FIRM)
-    )
+    physics: PhysicsConfig = field(default_factory=lambda: PhysicsConfig(step=1 / 240))
     cut: QuickCutConfig = field(default_factory=QuickCutConfig)
 
     def __post_init__(self) -> None:

@@ -8,19 +8,13 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, cKDTree
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.simulation.decomposition import Pieces, convex_pieces
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
-from pointsdf_cli.simulation.stable_poses import (
-    StablePose,
-    foot_height,
-    stable_poses,
-    standing_poses,
-)
+from pointsdf_cli.simulation.stable_poses import StablePose, stable_poses
 
 DENSITY = 400.0
 """Household things [kg/m³], counted over their volume: between a filled bottle and a toy."""
@@ -50,10 +44,7 @@ class SimObject:
 
 
 def prepare_object(
-    mesh: LoadedMesh,
-    cache: Path | None = None,
-    cut: QuickCutConfig | None = None,
-    feet: bool = True,
+    mesh: LoadedMesh, cache: Path | None = None, cut: QuickCutConfig | None = None
 ) -> SimObject:
     """Everything that does not change between attempts with a mesh.
 
@@ -61,8 +52,6 @@ def prepare_object(
         mesh: A closed mesh.
         cache: Where CoACD's pieces are kept; see `convex_pieces`.
         cut: Cut in this way instead of by CoACD.
-        feet: Give the pieces a flat foot for every pose that it may be made to stand in. Each moves
-            corners by a few millimetres; who knows the one pose needs one foot.
 
     Raises:
         InputError: It encloses no volume or has no resting pose.
@@ -85,9 +74,6 @@ def prepare_object(
         pieces = convex_pieces(mesh, cache=cache)
     else:
         pieces = quick_pieces(mesh.vertices, mesh.faces, cut)
-    if feet:
-        standing = [poses[i] for i in standing_poses(poses)]
-        pieces = with_flat_feet(pieces, mesh.vertices, standing)
     # Flat things have moments near 0 about one axis, which no contact solver likes.
     moments = np.maximum(moments, 1e-6)
     body = [((corners - centre) @ axes, faces) for corners, faces in pieces]
@@ -99,36 +85,3 @@ def prepare_object(
         inertia=moments,
         poses=poses,
     )
-
-
-def with_flat_feet(
-    pieces: Pieces, vertices: NDArray[np.float64], standing: list[StablePose]
-) -> Pieces:
-    """Convex pieces that stand on what the mesh stands on; all in the mesh frame.
-
-    A scan's bottom is a little round, and a hull of few corners leaves most of its rim out: a can
-    that stands in the world would rest on three corners here, and fall over. So the rim of the
-    mesh's foot is added to the pieces that it belongs to, and all that is foot is put flat.
-
-    Args:
-        pieces: Corners [V, 3] and faces [F, 3] of each.
-        vertices: [N, 3], of the mesh.
-        standing: The poses to do this for.
-    """
-    for pose in standing:
-        up, height = pose.T_table_object[2, :3], pose.T_table_object[2, 3]
-        lowest = min(float((corners @ up).min()) for corners, _ in pieces) + height
-        foot = max(lowest, 0.0) + foot_height(pose.height)
-        rim = vertices[vertices @ up + height < foot_height(pose.height)]
-        rim = rim[ConvexHull(rim @ pose.T_table_object[:2, :3].T).vertices]
-        away = [cKDTree(corners).query(rim)[0] for corners, _ in pieces]
-        owner = np.argmin(away, axis=0)
-        shaped = []
-        for k, (corners, _) in enumerate(pieces):
-            corners = np.concatenate([corners, rim[owner == k]])
-            above = corners @ up + height
-            corners = corners - np.where(above < foot, above, 0.0)[:, None] * up
-            hull = trimesh.convex.convex_hull(corners)
-            shaped.append((np.asarray(hull.vertices), np.asarray(hull.faces)))
-        pieces = shaped
-    return pieces

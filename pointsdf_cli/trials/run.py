@@ -36,7 +36,7 @@ from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.observe import Observer
 from pointsdf_cli.simulation.record import Recorder
 from pointsdf_cli.simulation.sim_object import SimObject
-from pointsdf_cli.simulation.world import FIRM, PhysicsConfig, World
+from pointsdf_cli.simulation.world import PhysicsConfig, World
 from pointsdf_cli.trials.contenders import ContenderOptions, Mind, weights_of
 from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
 from pointsdf_cli.trials.pictures import write_film
@@ -62,7 +62,7 @@ class TrialConfig:
 
     contenders: ContenderOptions = field(default_factory=ContenderOptions)
     scene: SceneConfig = field(default_factory=SceneConfig)
-    physics: PhysicsConfig = field(default_factory=lambda: PhysicsConfig(iterations=FIRM))
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
 
     def as_dict(self) -> dict[str, Any]:

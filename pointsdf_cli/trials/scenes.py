@@ -11,16 +11,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, transform
 from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
 from pointsdf_cli.objects.stand_ins import make_stand_in
 from pointsdf_cli.simulation.attempt import placed
+from pointsdf_cli.simulation.feet import on_its_foot
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig
 from pointsdf_cli.simulation.settle import SettleConfig, settle
-from pointsdf_cli.simulation.sim_object import SimObject, prepare_object, with_flat_feet
+from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.stable_poses import StablePose, StandingConfig, draw_pose
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.protocol import CAMERAS, Trial, TrialObject
@@ -42,10 +42,6 @@ TRUE_CUT = QuickCutConfig(
 outside of the mesh. With the sixteen pieces of the collection a biplane's wings are one block
 (docs/trials.md). What is convex but for a scanner's noise stays one piece: cut in twenty, a can
 slid out of every grasp, since each seam is two more contacts for a solver of few iterations."""
-
-
-FOOT = 5e-4
-"""Corners that are higher than this [m] above the lowest do not carry an object."""
 
 
 @dataclass(frozen=True)
@@ -81,31 +77,7 @@ def load_object(item: TrialObject, config: SceneConfig) -> SimObject:
     Raises:
         InputError: Its mesh cannot be used.
     """
-    return prepare_object(object_mesh(item), cut=config.cut, feet=False)
-
-
-def on_its_foot(item: SimObject, pose: StablePose) -> SimObject:
-    """The object with pieces that stand in this pose: as it is if they do, else with a flat foot.
-
-    A can's scanned bottom gives it many resting poses that lean a little this way and that, and a
-    hull made flat for all of them is flat for none.
-    """
-    to_mesh, up, height = item.T_mesh_body, pose.T_table_object[2, :3], pose.T_table_object[2, 3]
-    pieces = [
-        (corners @ to_mesh[:3, :3].T + to_mesh[:3, 3], faces) for corners, faces in item.pieces
-    ]
-    corners = np.concatenate([corners for corners, _ in pieces])
-    above = corners @ up + height
-    level = pose.T_table_object[:2, :3]
-    low = corners[above < above.min() + FOOT] @ level.T
-    # It stands if its centre of mass is over the polygon of these corners.
-    if np.linalg.matrix_rank(low - low[0]) == 2:
-        sides = ConvexHull(low).equations
-        if (sides @ np.append(level @ to_mesh[:3, 3], 1.0) < 0).all():
-            return item
-    flat = with_flat_feet(pieces, item.mesh.vertices, [pose])
-    body = [((corners - to_mesh[:3, 3]) @ to_mesh[:3, :3], faces) for corners, faces in flat]
-    return replace(item, pieces=body)
+    return prepare_object(object_mesh(item), cut=config.cut)
 
 
 def object_mesh(item: TrialObject) -> LoadedMesh:
