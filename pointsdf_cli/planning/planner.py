@@ -47,7 +47,7 @@ HALVINGS = (6, 11)
 """Iterations of `sqp` after which half of the seeds are left where they are: what costs three times
 as much as the best after six iterations does not catch up."""
 
-MARGIN = 0.006
+MARGIN = 0.004
 """What plans keep away from the object where they can [m]: what a reconstruction is off by on the
 side that was not seen, and the skin of contact solvers, are a few millimetres."""
 
