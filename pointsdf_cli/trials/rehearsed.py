@@ -80,7 +80,7 @@ class RehearsedAnswer(Answer):
     surface: Surface | None = None
 
 
-REHEARSED_SEARCH = SynthesisConfig(rounds=3, seeds=SeedConfig(palms=40, seeds=12))
+REHEARSED_SEARCH = SynthesisConfig(rounds=5, seeds=SeedConfig(palms=40, seeds=12))
 """More grasps a round than the paper's search needs: a rehearsal tells them apart."""
 
 
