@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,13 @@ from PIL import Image
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.pinhole import CAMERAS
 from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.cli.plan import plan as plan_command
+from pointsdf_cli.cli.trial import trial as trial_command
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
 from pointsdf_cli.io.plans import plan_as_json, read_plan
+from pointsdf_cli.planning.grasp_problem import Clearances
+from pointsdf_cli.planning.planner import MARGIN
 from pointsdf_cli.viz.shading import look_at
 
 TABLE = asset_path("clouds/table.ply")
@@ -173,3 +178,10 @@ def test_a_cloud_without_a_pose_is_refused(cli: Callable, tmp_path: Path) -> Non
     run = cli("plan", tmp_path / "lost.ply", "--out", tmp_path / "plan.h5")
     assert run.code == 2
     assert "--camera-pose" in run.err
+
+
+@pytest.mark.parametrize("command", [plan_command, trial_command])
+def test_the_commands_margin_is_the_planners(command: Callable[..., object]) -> None:
+    # Commands state it themselves: importing the planner would make --help slow.
+    assert signature(command).parameters["margin"].default == MARGIN
+    assert signature(command).parameters["clearance"].default == Clearances().object
