@@ -21,7 +21,6 @@ from pointsdf_cli.cli.trial import trial as trial_command
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
 from pointsdf_cli.io.plans import plan_as_json, read_plan
-from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.planner import MARGIN
 from pointsdf_cli.viz.shading import look_at
 
@@ -184,4 +183,3 @@ def test_a_cloud_without_a_pose_is_refused(cli: Callable, tmp_path: Path) -> Non
 def test_the_commands_margin_is_the_planners(command: Callable[..., object]) -> None:
     # Commands state it themselves: importing the planner would make --help slow.
     assert signature(command).parameters["margin"].default == MARGIN
-    assert signature(command).parameters["clearance"].default == Clearances().object
