@@ -88,6 +88,8 @@ HELD_FRACTION = 0.7
 """Of the lift's height that a held object must have risen."""
 STEADY_SPEED = 0.03
 """A slower object [m/s] rests in the hand."""
+CLEAR_HEIGHT = 0.05
+"""A hand this far [m] above where it gripped no longer reaches what it left on the table."""
 
 
 class Executor:
@@ -135,9 +137,9 @@ class Executor:
         self._grip(q)
         touched = world.hand_contact().links > 0
         gripped = self._object_in_palm()
-        self._follow(lift, config.lift_time, "lift")
+        self._lift(lift)
         # Nothing settles or shakes in a hand that left the object on the table.
-        if world.hand_contact().links or not world.object_on_table():
+        if not self._left_behind():
             self._settle()
             if config.shake > 0:
                 self._shake()
@@ -201,10 +203,14 @@ class Executor:
         world.drive_at(speeds, self._closing, efforts)
         self._hold(config.grip_time, "grip")
 
-    def _follow(self, path: Array, duration: float, phase: str) -> None:
-        """Move the arm along a path in joint space, slowly at both ends."""
-        world, robot = self._world, self._world.robot
-        steps = max(1, round(duration / world.physics.step))
+    def _lift(self, path: Array) -> None:
+        """Move the arm along a path in joint space, slowly at both ends.
+
+        It ends early where the rest can change nothing: the object is on the table and the hand
+        out of its reach.
+        """
+        world, robot, config = self._world, self._world.robot, self._config
+        steps = max(1, round(config.lift_time / world.physics.step))
         q = np.zeros(len(robot.joint_names))
         knots = np.linspace(0.0, 1.0, len(path))
         for k in range(steps):
@@ -212,7 +218,14 @@ class Executor:
             s = s * s * (3 - 2 * s)
             q[self._arm] = [np.interp(s, knots, path[:, a]) for a in range(path.shape[1])]
             world.drive_to(q, self._arm, robot.effort[self._arm])
-            self._advance(1, phase)
+            self._advance(1, "lift")
+            out_of_reach = s * config.lift_height >= CLEAR_HEIGHT
+            if out_of_reach and k % 8 == 0 and self._left_behind():
+                return
+
+    def _left_behind(self) -> bool:
+        """Whether the object is on the table, untouched by the hand."""
+        return self._world.object_on_table() and not self._world.hand_contact().links
 
     def _hold(self, duration: float, phase: str) -> None:
         self._advance(round(duration / self._world.physics.step), phase)

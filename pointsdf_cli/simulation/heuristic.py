@@ -37,8 +37,9 @@ class HeuristicConfig:
             that says so itself (`palm: {reach: …}`) is believed.
         table_gap: For a side grasp the palm is raised until the whole opened hand is this [m]
             above the table.
-        raise_top: Raise it for top grasps too: the opposed thumb points down 0.145 m, so low
-            objects are then grasped from too far above instead of being labelled -2.
+        raise_flat: For a top grasp of an object lower than `low_object`, raise the palm until the
+            whole opened hand is `table_gap` above the object: the opposed thumb points down
+            0.145 m, and would be in the table in every attempt.
     """
 
     top_standoff: float = 0.035
@@ -49,7 +50,7 @@ class HeuristicConfig:
     low_object: float = 0.03
     finger_reach: float = 0.02
     table_gap: float = 0.005
-    raise_top: bool = False
+    raise_flat: bool = True
 
     def __post_init__(self) -> None:
         for name in ("standoff_noise", "position_noise", "turn_noise", "low_object"):
@@ -208,8 +209,11 @@ def draw_preshape(
         palm = _side_palm(face, config, rng)
     joints = rng.uniform(hand.ranges[:, 0], hand.ranges[:, 1])
     lowest = (palm[2, :3] @ hand.outline(joints).T).min() + palm[2, 3]
-    if face.kind == SIDE or config.raise_top:
+    if face.kind == SIDE:
         palm[2, 3] += max(0.0, config.table_gap - float(lowest))
+    elif config.raise_flat and 2 * box.half[2] < config.low_object:
+        top = float(face.centre[2])
+        palm[2, 3] += max(0.0, top + config.table_gap - float(lowest))
     return Preshape(face.kind, palm, joints)
 
 
