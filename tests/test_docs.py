@@ -113,25 +113,41 @@ def test_a_block_is_what_it_says(block: Block) -> None:
 
 
 RUN = [page for page in PAGES if any(block.run for block in blocks(page))]
+FOLDERS = ("assets", "benchmarks", "pipelines", "tests")
 
 
 @pytest.mark.parametrize("page", RUN, ids=lambda page: page.name)
-def test_the_blocks_marked_run_do(page: Path, tmp_path: Path) -> None:
-    (tmp_path / "assets").symlink_to(REPOSITORY / "assets")
+def test_the_blocks_of_a_page_run_in_order(page: Path, tmp_path: Path) -> None:
+    for folder in FOLDERS:
+        (tmp_path / folder).symlink_to(REPOSITORY / folder)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     for block in blocks(page):
         if block.run:
             shell = [sys.executable, "-c"] if block.language == "python" else ["bash", "-euc"]
             done = subprocess.run(
-                [*shell, block.text], cwd=tmp_path, env={**os.environ, "PATH": path},
+                [*shell, block.shrunken], cwd=tmp_path, env={**os.environ, "PATH": path},
                 capture_output=True, text=True, check=False, timeout=300,
             )  # fmt: skip
             assert done.returncode == 0, f"{name(block)}\n{done.stdout}\n{done.stderr}"
 
 
-def test_some_blocks_are_run() -> None:
-    assert RUN
-    assert sum(len(commands(b.text)) for b in BLOCKS if b.language == "sh") > 20
+@pytest.mark.parametrize("block", [b for b in BLOCKS if b.language in ("sh", "python")], ids=name)
+def test_commands_are_run_or_say_why_not(block: Block) -> None:
+    advice = f"```{block.language} run, or <!-- not run: … -->"
+    assert block.run or block.reason, f"{name(block)}: {advice}"
+
+
+def test_sizes_are_put_in_place() -> None:
+    text = "rgrasp plan a --seed 3 \\\n--json\nrgrasp mesh a\nJOBS=4 python b/run.py --n 9"
+    sizes = ("plan.seed=1", "mesh.quiet", "JOBS=1", "n=2")
+    block = Block(Path("page.md"), 1, "sh", text, True, sizes)
+    told = "rgrasp plan --seed 1 a  --json\nrgrasp mesh --quiet a\nJOBS=1 python b/run.py --n 2"
+    assert block.shrunken == told
+    added = block._replace(sizes=("run.k=5",)).shrunken
+    assert "python b/run.py --k 5 --n 9" in added
+    for wrong in ("seeds=1", "trial.seed=1", "CORES=2"):
+        with pytest.raises(AssertionError, match="no place"):
+            _ = block._replace(sizes=(wrong,)).shrunken
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

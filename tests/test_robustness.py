@@ -36,6 +36,10 @@ COMMANDS = {
         "train-sdf", "--views", "@views", "--labels", "@labels", "--out", "OUT", "--pack", "@pack",
         "--steps", 1, "--batch-size", 2, "--queries", 8, "--held-out", 0.5, "--threads", 1,
     ],
+    "train-sdf, packing": [
+        "train-sdf", "--views", "@views", "--labels", "@labels", "--out", "OUT/ckpt",
+        "--pack", "OUT/pack", "--steps", 1, "--held-out", 0.5, "--threads", 1,
+    ],
     "collect-grasps": [
         "collect-grasps", "--meshes", "@meshes", "--pattern", "box*", "--out", "OUT", "--count", 1,
         "--jobs", 1, "--no-pictures",

@@ -37,7 +37,11 @@ def main() -> None:
             errno.ENAMETOOLONG,
             errno.EFBIG,
         ):
-            print(f"rgrasp: {error.filename or 'output'}: {error.strerror}", file=sys.stderr)
+            from pointsdf_cli.io.atomic import unwritable
+
+            print(
+                f"rgrasp: {unwritable(error.filename or 'output', error).message}", file=sys.stderr
+            )
             sys.exit(2)
         raise
 

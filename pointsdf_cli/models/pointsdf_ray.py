@@ -256,7 +256,8 @@ class LocalFeatures(nn.Module):
     def forward(self, x: Tensor, table: Tensor, index: Tensor) -> Tensor:
         """[B, Q, width] at x [B, Q, 3] from rows `index` [B, Q, K] of the table."""
         at_queries = self.from_offset(x * self.inverse_radius)
-        hidden = torch.relu(gather(table, index) + at_queries.unsqueeze(2))
+        # In place: these are the largest tensors of the decoder, and memory is what they cost.
+        hidden = gather(table, index).add_(at_queries.unsqueeze(2)).relu_()
         weights = self.score(hidden).softmax(dim=2).to(hidden.dtype)
         read = torch.matmul(weights.transpose(-1, -2), hidden)
         return self.out(read.flatten(-2))

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
-import os
 import shutil
-import sys
 import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +19,7 @@ from pointsdf_cli.geometry.frames import (
     wxyz_from_rotation,
 )
 from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.simulation.bullet import import_bullet, silence
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.sim_object import SimObject
 
@@ -95,7 +91,7 @@ class World:
     ) -> None:
         self.robot = robot
         self.physics = physics or PhysicsConfig()
-        self._bullet = _import_bullet()
+        self._bullet = import_bullet()
         self._client = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
         self._folder = Path(tempfile.mkdtemp(prefix="rgrasp-world-"))
         self._object_file: tuple[Pieces, Path] | None = None
@@ -306,7 +302,7 @@ class World:
     def _add_robot(self, q: Array) -> None:
         b, c, robot = self._bullet, self._client, self.robot
         wxyz = wxyz_from_rotation(robot.T_world_base[:3, :3])
-        with _silence():
+        with silence():
             self._body = b.loadURDF(
                 str(robot.urdf),
                 basePosition=robot.T_world_base[:3, 3].tolist(),
@@ -383,34 +379,3 @@ class World:
             path.write_text(text.getvalue(), encoding="ascii")
             self._object_file = (item.pieces, path)
         return self._object_file[1]
-
-
-def _import_bullet() -> Any:
-    try:
-        with _silence():
-            import pybullet
-    except ImportError as error:
-        raise RgraspError(
-            "the simulator needs PyBullet, which is not installed",
-            hint="pip install 'rgrasp[sim]' with Python 3.11 or older (PyBullet has wheels up to "
-            "3.11; newer Pythons compile it)",
-        ) from error
-    return pybullet
-
-
-@contextlib.contextmanager
-def _silence() -> Iterator[None]:
-    """Keep PyBullet's C code from writing between this process's results and messages."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    kept = os.dup(1), os.dup(2)
-    sink = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(sink, 1)
-        os.dup2(sink, 2)
-        yield
-    finally:
-        for number, copy in zip((1, 2), kept, strict=True):
-            os.dup2(copy, number)
-            os.close(copy)
-        os.close(sink)

@@ -11,18 +11,19 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.lib.format import open_memmap
+from numpy.lib.format import dtype_to_descr, write_array_header_1_0
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.atomic import write_text_atomic
+from pointsdf_cli.io.atomic import require_folder, unwritable, write_text_atomic
 from pointsdf_cli.io.labels import read_labels
 from pointsdf_cli.io.views import read_views
 from pointsdf_cli.models.neighbours import farthest_point_order
@@ -109,10 +110,10 @@ def open_pack(
         on_progress: Called with (objects done, objects).
 
     Raises:
-        InputError: An artifact is unreadable, or views and labels are of different meshes.
+        InputError: An artifact is unreadable, or views and labels are of different meshes; the
+            folder cannot be written, or the disk is full.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = require_folder(folder)
     limits = dict(views_per_object or {})
     fingerprint = _fingerprint(pairs, limits)
     index_file = folder / "index.json"
@@ -121,8 +122,14 @@ def open_pack(
         if index.get("fingerprint") == fingerprint:
             return load_pack(folder, tuple(index["names"]))
         index_file.unlink()
-    names, label_start = _build(pairs, folder, limits, on_progress)
-    np.save(folder / "label_start.npy", label_start)
+    try:
+        names, label_start = _build(pairs, folder, limits, on_progress)
+        np.save(folder / "label_start.npy", label_start)
+    except OSError as error:
+        for name in (*ARRAYS, *LABEL_ARRAYS):  # unfinished, and in the way where a disk is full
+            for suffix in (".bin", ".npy"):
+                (folder / f"{name}{suffix}").unlink(missing_ok=True)
+        raise unwritable(folder, error) from error
     # Written last: a pack without its index is unfinished and is built again.
     write_text_atomic(index_file, json.dumps({"fingerprint": fingerprint, "names": names}))
     return load_pack(folder, tuple(names))
@@ -220,12 +227,15 @@ class _Appender:
         self.rows += len(array)
 
     def finish(self, target: Path) -> None:
-        shape = (self.rows, *self.row)
-        source = np.memmap(self.path, dtype=self.dtype, mode="r", shape=shape)
-        array = open_memmap(target, mode="w+", dtype=self.dtype, shape=shape)
-        for start in range(0, self.rows, 4096):
-            array[start : start + 4096] = source[start : start + 4096]
-        array.flush()
+        header = {
+            "descr": dtype_to_descr(self.dtype),
+            "fortran_order": False,
+            "shape": (self.rows, *self.row),
+        }
+        # Plain writes: on a disk that fills, one into a mapped file kills the process.
+        with open(self.path, "rb") as rows, open(target, "wb") as handle:
+            write_array_header_1_0(handle, header)
+            shutil.copyfileobj(rows, handle)
         self.path.unlink()
 
 

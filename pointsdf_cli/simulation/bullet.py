@@ -1,0 +1,47 @@
+"""PyBullet, imported where it is needed and kept quiet: its C code writes where results go."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+from pointsdf_cli.errors import RgraspError
+
+
+def import_bullet() -> Any:
+    """The module `pybullet`, which greets on standard output when it is first imported.
+
+    Raises:
+        RgraspError: It is not installed.
+    """
+    try:
+        with silence():
+            import pybullet
+    except ImportError as error:
+        raise RgraspError(
+            "the simulator needs PyBullet, which is not installed",
+            hint="pip install 'rgrasp[sim]' with Python 3.11 or older (PyBullet has wheels up to "
+            "3.11; newer Pythons compile it)",
+        ) from error
+    return pybullet
+
+
+@contextlib.contextmanager
+def silence() -> Iterator[None]:
+    """Keep PyBullet's C code from writing between this process's results and messages."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = os.dup(1), os.dup(2)
+    sink = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(sink, 1)
+        os.dup2(sink, 2)
+        yield
+    finally:
+        for number, copy in zip((1, 2), kept, strict=True):
+            os.dup2(copy, number)
+            os.close(copy)
+        os.close(sink)
