@@ -67,12 +67,12 @@ def _resize(text: str, size: str) -> tuple[str, int]:
     option = f"--{option}"
     with_value = f"{option} {value}" if given else option
     if not command:
-        return re.subn(rf"{option}[ =]\S+", with_value, text)
+        return re.subn(rf"{option}[ =]+\S+", with_value, text)
     program = re.compile(rf"\brgrasp {command.replace('.', ' ')}(?= )|\b{command}\.py\b")
     lines, count = [], 0
     for line in text.split("\n"):
         if found := program.search(line):
-            line = re.sub(rf" {option}[ =]\S+", "", line) if given else line
+            line = re.sub(rf" {option}[ =]+\S+", "", line) if given else line
             line = program.sub(f"{found[0]} {with_value}", line, count=1)
             count += 1
         lines.append(line)

@@ -72,8 +72,8 @@ def plan(
     min_success: Annotated[
         float | None,
         typer.Option(
-            help="Grasps predicted to hold with less than this are no plan  [default: those with "
-            "less than 0.1 are one for want of better, with a warning]",
+            help="Grasps predicted to hold with less than this are no plan  [default: 0.1, and for "
+            "want of better 0.03, with a warning]",
             show_default=False,
         ),
     ] = None,

@@ -173,8 +173,8 @@ def explain(
     if reason == "low_success_probability":
         return (
             f"The best of {seeds_tried} grasps is predicted to hold with probability "
-            f"{best.success:.2f}, not above {config.least:g}: turn the object, or look at it "
-            "from another side."
+            f"{best.success:.2f}, not above {min(config.floor, config.least):g}: turn the object, "
+            "or look at it from another side."
         )
     if reason == "objective":
         return (
