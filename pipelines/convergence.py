@@ -115,7 +115,7 @@ def main() -> int:
                 stored = moved if name == ASIDE else grasps
                 outcome = attempter.replay(item, stored, row)
                 labels[name].append(label_of(outcome))
-                changed[name] += labels[name][-1] != grasps.label[row]
+                changed[name] += int(labels[name][-1] != grasps.label[row])
                 causes[name] += outcome.cause != CAUSES[grasps.cause[row]]
                 now_held[name] += outcome.held
                 if outcome.held and grasps.label[row] == HELD:
