@@ -133,3 +133,19 @@ def test_reset_forgets_everything(box: SimObject) -> None:
             ends.append(one.object_pose())
     assert np.array_equal(ends[0], ends[1])
     assert np.array_equal(ends[0], ends[2])
+
+
+@pytest.mark.parametrize("per_second", [480, 960])
+def test_a_joint_takes_back_its_error_at_a_rate_that_the_step_does_not_change(
+    per_second: int,
+) -> None:
+    # e^(−96 t) of the error is left, up to what a step can resolve: 0.8⁶ and 0.9¹² after 12.5 ms.
+    robot = load_robot()
+    with World(robot, PhysicsConfig(step=1 / per_second)) as world:
+        world.reset()
+        q = robot.home.copy()
+        q[6] += 0.02
+        world.drive_to(q, np.arange(len(q)), robot.effort)
+        world.step(per_second // 80)
+        left = (q[6] - world.configuration()[6]) / 0.02
+    assert left == pytest.approx((1 - 96 / per_second) ** (per_second // 80), abs=0.02)
