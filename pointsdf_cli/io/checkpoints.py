@@ -134,7 +134,7 @@ def read_config(path: Path | str) -> dict[str, Any]:
             f"is no checkpoint: it has no {CONFIG}",
             where=path,
             allowed=f"a directory with {WEIGHTS} and {CONFIG}",
-            hint="rgrasp train-sdf --views DIR --labels DIR --out CKPT",
+            hint="a directory that rgrasp train-sdf or rgrasp train-gs wrote",
         )
     config = read_json(config_file)
     if not isinstance(config, dict) or config.get("schema") != SCHEMA:
