@@ -97,6 +97,23 @@ def test_side_hand_stays_above_the_table() -> None:
         assert lowest == pytest.approx(QUIET.table_gap, abs=1e-9)
 
 
+def test_above_a_flat_object_a_hand_rises_over_it_but_not_beside_it() -> None:
+    # A box of 2.5 cm; the palm's x looks down, so a point at x = 0.1 is that far below the palm.
+    flat = box_cloud(size=(0.06, 0.1, 0.025))
+    heights = {}
+    for name, y in (("over", 0.0), ("beside", 0.1)):
+        points = np.array([[0.1, y, QUIET.finger_reach]])
+        hand = Hand(np.zeros((8, 2)), lambda joints, points=points: points)
+        palm = draw_preshape(flat, CAMERA, BASE, hand, QUIET, np.random.default_rng(0)).T_world_palm
+        heights[name] = palm[2, 3]
+    assert heights["over"] == pytest.approx(0.1 + 0.025 + QUIET.table_gap)
+    assert heights["beside"] == pytest.approx(0.1 + QUIET.table_gap)
+    high = box_cloud(size=(0.06, 0.1, 0.05))
+    hand = Hand(np.zeros((8, 2)), lambda joints: np.array([[0.1, 0.0, 0.0]]))
+    palm = draw_preshape(high, CAMERA, BASE, hand, QUIET, np.random.default_rng(0), "top")
+    assert palm.T_world_palm[2, 3] == pytest.approx(0.05 + QUIET.top_standoff)
+
+
 def test_noise_has_the_deviations_that_it_says() -> None:
     rng = np.random.default_rng(3)
     # Three deviations from touching, so nothing is cut off.

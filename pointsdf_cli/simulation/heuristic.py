@@ -37,9 +37,10 @@ class HeuristicConfig:
             that says so itself (`palm: {reach: …}`) is believed.
         table_gap: For a side grasp the palm is raised until the whole opened hand is this [m]
             above the table.
-        raise_flat: For a top grasp of an object lower than `low_object`, raise the palm until the
-            whole opened hand is `table_gap` above the object: the opposed thumb points down
-            0.145 m, and would be in the table in every attempt.
+        clear_flat: For a top grasp of an object lower than `low_object`, the palm is raised too,
+            until the opened hand is `table_gap` above the table, and where it is over the object
+            above that: a thumb that points down 0.145 m would be in the table in every attempt,
+            and fingers beside the object may stay where they are.
     """
 
     top_standoff: float = 0.035
@@ -50,7 +51,7 @@ class HeuristicConfig:
     low_object: float = 0.03
     finger_reach: float = 0.02
     table_gap: float = 0.005
-    raise_flat: bool = True
+    clear_flat: bool = True
 
     def __post_init__(self) -> None:
         for name in ("standoff_noise", "position_noise", "turn_noise", "low_object"):
@@ -208,13 +209,20 @@ def draw_preshape(
     else:
         palm = _side_palm(face, config, rng)
     joints = rng.uniform(hand.ranges[:, 0], hand.ranges[:, 1])
-    lowest = (palm[2, :3] @ hand.outline(joints).T).min() + palm[2, 3]
+    outline = apply_transform(palm, hand.outline(joints))
     if face.kind == SIDE:
-        palm[2, 3] += max(0.0, config.table_gap - float(lowest))
-    elif config.raise_flat and 2 * box.half[2] < config.low_object:
-        top = float(face.centre[2])
-        palm[2, 3] += max(0.0, top + config.table_gap - float(lowest))
+        palm[2, 3] += max(0.0, config.table_gap - float(outline[:, 2].min()))
+    elif config.clear_flat and 2 * box.half[2] < config.low_object:
+        palm[2, 3] += _to_clear(outline, box, config.table_gap)
     return Preshape(face.kind, palm, joints)
+
+
+def _to_clear(outline: Array, box: Box, gap: float) -> float:
+    """How far a hand with points [P, 3] must rise to be `gap` above the table and the box."""
+    aside = np.abs((outline - box.centre) @ box.axes[:2].T)
+    over = (aside <= box.half[:2]).all(axis=1)
+    ground = np.where(over, box.centre[2] + box.half[2], 0.0)
+    return max(0.0, float((ground + gap - outline[:, 2]).max()))
 
 
 def _top_palm(
