@@ -12,7 +12,7 @@ tiny)
     EVAL_SIZE="--resolution 32 --samples 1000"
     GRASPS="20"
     COLLECT="--no-pictures"
-    GS_LENGTH="--epochs 2"
+    GS_LENGTH="--epochs 2 --validation 0.5"
     TRIALS="--yaws 1 --cameras high --rehearse 1 --pictures 0"
     ;;
 small)
