@@ -31,16 +31,14 @@ class HeuristicConfig:
         standoff_noise: Standard deviation [m].
         position_noise: ... along the face [m].
         turn_noise: ... of the orientation, about each axis [rad].
-        low_object: An object lower than this [m] is grasped from the top only.
+        low_object: An object lower than this [m] is grasped from the top only, by a hand that is
+            raised until it clears the table and what of the object is below it: a thumb that
+            points down 0.145 m would be in the table in every attempt.
         finger_reach: How far along the fingers from the palm's origin the object's middle is
             put [m]: between the fingers and the thumb rather than at the fingers' roots. A hand
             that says so itself (`palm: {reach: …}`) is believed.
-        table_gap: For a side grasp the palm is raised until the whole opened hand is this [m]
-            above the table.
-        clear_flat: For a top grasp of an object lower than `low_object`, the palm is raised too,
-            until the opened hand is `table_gap` above the table, and where it is over the object
-            above that: a thumb that points down 0.145 m would be in the table in every attempt,
-            and fingers beside the object may stay where they are.
+        table_gap: Where the palm is raised (from the side, and above low objects), the whole
+            opened hand is this [m] above what is below it.
     """
 
     top_standoff: float = 0.035
@@ -51,7 +49,6 @@ class HeuristicConfig:
     low_object: float = 0.03
     finger_reach: float = 0.02
     table_gap: float = 0.005
-    clear_flat: bool = True
 
     def __post_init__(self) -> None:
         for name in ("standoff_noise", "position_noise", "turn_noise", "low_object"):
@@ -212,7 +209,7 @@ def draw_preshape(
     outline = apply_transform(palm, hand.outline(joints))
     if face.kind == SIDE:
         palm[2, 3] += max(0.0, config.table_gap - float(outline[:, 2].min()))
-    elif config.clear_flat and 2 * box.half[2] < config.low_object:
+    elif 2 * box.half[2] < config.low_object:
         palm[2, 3] += _to_clear(outline, box, config.table_gap)
     return Preshape(face.kind, palm, joints)
 
