@@ -7,8 +7,10 @@ A fenced block says by its first words what it is and what a test does with it:
     sh run plan.quiet   ... with `--quiet` added to every `rgrasp plan`; `plan.seed=3` likewise, and
                         `bench_mesh.threads=1` to every `python …/bench_mesh.py`
     sh run JOBS=1       ... with that variable in place of the one that the reader sees
-    sh                  parsed by the programs that they name, and not run: a comment before the
-                        block says why, as <!-- not run: it downloads 600 MB -->
+    sh                  parsed by the programs that they name, and not run here: a comment before
+                        the block names the page or script that runs these commands, as
+                        <!-- run by: .ci/run -->, or says why nothing does, as
+                        <!-- not run: it downloads 600 MB -->
     python run          run; `python` alone is compiled
     yaml json xml       parsed
     text                output, trees, formulas: left alone
@@ -28,13 +30,14 @@ from typing import NamedTuple
 LANGUAGES = ("sh", "python", "yaml", "json", "xml", "text", "prepare")
 PROGRAMS = ("rgrasp", "make", "python", ".venv/bin/python", "bash", "torchrun", "snakemake", "pip")
 _VARIABLE = re.compile(r"^[A-Z_]+=\S*$")
-_COMMENT = re.compile(r"^<!-- (run|not run): (.*?) ?-->$")
+_COMMENT = re.compile(r"^<!-- (run|run by|not run): (.*?) ?-->$")
 
 
 class Block(NamedTuple):
     """One block: its page, the line it begins in, its language, its text, and whether to run it.
 
-    `sizes` are the words after `run`; `reason` says why a block of commands is not run.
+    `sizes` are the words after `run`; `run_by` names the file that runs a block's commands, and
+    `reason` says why nothing does.
     """
 
     page: Path
@@ -43,6 +46,7 @@ class Block(NamedTuple):
     text: str
     run: bool = False
     sizes: tuple[str, ...] = ()
+    run_by: str = ""
     reason: str = ""
 
     @property
@@ -82,22 +86,22 @@ def _resize(text: str, size: str) -> tuple[str, int]:
 def blocks(page: Path) -> list[Block]:
     """All code blocks of a page, in order; comments that prepare are blocks as well."""
     found, lines = [], page.read_text(encoding="utf-8").splitlines()
-    at, reason = 0, ""
+    at, said = 0, {"run by": "", "not run": ""}
     while at < len(lines):
         line = lines[at]
         comment = _COMMENT.match(line.strip())
         if comment and comment[1] == "run":
             found.append(Block(page, at + 1, "prepare", comment[2], run=True))
         elif comment:
-            reason = comment[2]
+            said[comment[1]] = comment[2]
         elif line.lstrip().startswith("```"):
             language, *tags = line.strip().strip("`").split() or [""]
             indent = len(line) - len(line.lstrip())
             end = next(k for k in range(at + 1, len(lines)) if lines[k].strip() == "```")
             text = "\n".join(inner[indent:] for inner in lines[at + 1 : end])
             run = tags[:1] == ["run"]
-            found.append(Block(page, at + 1, language, text, run, tuple(tags[1:]), reason))
-            at, reason = end, ""
+            found.append(Block(page, at + 1, language, text, run, tuple(tags[1:]), *said.values()))
+            at, said = end, dict.fromkeys(said, "")
         elif line.startswith("    ") and (at == 0 or not lines[at - 1].strip()) and _program(line):
             found.append(Block(page, at + 1, "indented", line))
         at += 1

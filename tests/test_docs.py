@@ -133,8 +133,38 @@ def test_the_blocks_of_a_page_run_in_order(page: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("block", [b for b in BLOCKS if b.language in ("sh", "python")], ids=name)
 def test_commands_are_run_or_say_why_not(block: Block) -> None:
-    advice = f"```{block.language} run, or <!-- not run: … -->"
-    assert block.run or block.reason, f"{name(block)}: {advice}"
+    advice = f"```{block.language} run, or <!-- run by: … -->, or <!-- not run: … -->"
+    assert block.run or block.run_by or block.reason, f"{name(block)}: {advice}"
+
+
+def what_runs(words: Sequence[str]) -> str:
+    """A command without its options: `rgrasp plan`, `make demo`, or a script's name."""
+    if words[0] in ("rgrasp", "make"):
+        return " ".join(words[:2])
+    return Path(words[1] if words[0].endswith("python") else words[0]).name
+
+
+def run_in(file: Path) -> str:
+    """What a page's blocks or a script run, as text."""
+    if file.suffix == ".md":
+        return "\n".join(block.text for block in blocks(file) if block.run)
+    lines = file.read_text(encoding="utf-8").splitlines()
+    return "\n".join(line for line in lines if not line.lstrip().startswith("#"))
+
+
+@pytest.mark.parametrize("block", [b for b in BLOCKS if b.run_by], ids=name)
+def test_what_is_run_elsewhere_is_run_there(block: Block) -> None:
+    there = run_in(REPOSITORY / block.run_by)
+    for words in commands(block.text):
+        assert what_runs(words) in there, f"{name(block)}: {block.run_by} does not run {words}"
+
+
+def test_what_only_a_comment_names_is_not_run(tmp_path: Path) -> None:
+    script = tmp_path / "run"
+    script.write_text("# make coffee\nmake tea\n")
+    assert what_runs(["make", "tea", "-j2"]) in run_in(script)
+    assert what_runs(["make", "coffee"]) not in run_in(script)
+    assert what_runs([".venv/bin/python", "pipelines/a.py", "--b"]) == "a.py"
 
 
 def test_sizes_are_put_in_place() -> None:
