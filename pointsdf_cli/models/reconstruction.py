@@ -20,6 +20,7 @@ from torch import Tensor
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.normalise import network_frame, resample
+from pointsdf_cli.models.processor import side_by_side
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 
 CHUNK = 4096
@@ -117,8 +118,8 @@ class Reconstruction:
         Returns:
             f4 [...].
         """
-        network = self._to_network(x)
-        values = [self.model.decode(self.encoding, part[None])[0] for part in network.split(chunk)]
+        parts = self._to_network(x).split(chunk)
+        values = side_by_side(lambda part: self.model.decode(self.encoding, part[None])[0], parts)
         return self._distances(values, np.shape(x)[:-1])
 
     def sdf_and_gradient(

@@ -1,0 +1,68 @@
+"""Parts side by side: the same answers in the same order, with the caller's settings."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+import torch
+from torch import Tensor
+
+from pointsdf_cli.models.processor import side_by_side
+
+PARTS = torch.arange(40.0).reshape(-1, 1).split(6)
+
+
+@pytest.fixture(autouse=True)
+def two_threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+def test_every_part_is_answered_in_order_by_more_than_one_thread() -> None:
+    threads, both = set(), threading.Barrier(2)
+
+    def doubled(part: Tensor) -> Tensor:
+        if len(threads) < 2:
+            threads.add(threading.get_ident())
+            both.wait(10)  # breaks if one thread does everything
+        assert torch.get_num_threads() == 1
+        return 2 * part
+
+    answers = torch.cat(side_by_side(doubled, PARTS))
+    assert torch.equal(answers.ravel(), 2 * torch.arange(40.0))
+    assert torch.get_num_threads() == 2
+
+
+@pytest.mark.parametrize("lowered", [False, True])
+@pytest.mark.parametrize("gradients", [False, True])
+def test_the_callers_autocast_and_gradient_mode_hold(lowered: bool, gradients: bool) -> None:
+    weight = torch.ones(1, 1, requires_grad=True)
+    with torch.set_grad_enabled(gradients), torch.autocast("cpu", torch.bfloat16, enabled=lowered):
+        answers = side_by_side(lambda part: part @ weight, PARTS)
+    assert {a.dtype for a in answers} == {torch.bfloat16 if lowered else torch.float32}
+    assert {a.requires_grad for a in answers} == {gradients}
+
+
+def test_an_error_in_a_part_is_the_callers_and_threads_are_as_before() -> None:
+    def fails(part: Tensor) -> Tensor:
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        side_by_side(fails, PARTS)
+    assert torch.get_num_threads() == 2
+
+
+def test_one_part_or_one_thread_stays_here() -> None:
+    here = threading.get_ident()
+
+    def where(part: Tensor) -> Tensor:
+        assert threading.get_ident() == here
+        return part
+
+    side_by_side(where, PARTS[:1])
+    torch.set_num_threads(1)
+    side_by_side(where, PARTS)
