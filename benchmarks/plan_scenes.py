@@ -21,7 +21,7 @@ from pointsdf_cli.viz.shading import look_at
 
 Array = NDArray[np.float64]
 CAMERAS = {"high": 0.85, "low": 0.40}
-"""Heights of the two cameras above the table [m], 0.45 m apart (METHOD section 7)."""
+"""Heights of the two cameras above the table [m], 0.45 m apart (the paper, section V-C)."""
 AWAY = 0.85
 """Level distance from the object to the camera [m]."""
 WIDEST = 0.14

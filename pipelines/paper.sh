@@ -43,7 +43,7 @@ else
     step meshes-test rgrasp objects make --out "$test_meshes" --count "$TEST_OBJECTS" --seed 1000 --jobs "$jobs"
 fi
 
-# --- Views and labels (METHOD: 200 views a mesh) -----------------------------------------------
+# --- Views and labels (the paper: 200 views a mesh) -----------------------------------------------
 step render-train rgrasp render --meshes "$work/meshes/train" --out "$work/views/train" --views "$VIEWS" --seed 0 --jobs "$jobs" --skip-bad
 step render-test rgrasp render --meshes "$test_meshes" --out "$work/views/test" --views "$TEST_VIEWS" --seed 100 --jobs "$jobs" --skip-bad
 step label rgrasp label-sdf --views "$work/views/train" --meshes "$work/meshes/train" --out "$work/labels/train" --points "$LABELS" --jobs "$jobs" --skip-bad

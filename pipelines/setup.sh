@@ -25,7 +25,7 @@ if [ "$(uname -s)" = Linux ] && [ ${#missing[@]} -gt 0 ]; then
     fi
 fi
 
-# --- Python: 3.11 first, because PyBullet's wheels end there (newer ones compile it). ------------
+# --- Python: 3.11 first, because PyBullet's wheels end there. ------------
 python=""
 for candidate in ${PYTHON:-} python3.11 python3.12 python3.13 python3; do
     if "$candidate" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
@@ -40,7 +40,7 @@ if [ -z "$python" ]; then
 fi
 case "$("$python" -c 'import sys; print(sys.version_info[1])')" in
     11) ;;
-    *) echo "setup: $("$python" --version) has no PyBullet wheel; it will be compiled (minutes, needs a C++ compiler)" >&2 ;;
+    *) echo "setup: $("$python" --version) has no PyBullet wheel; the simulator will be left out" >&2 ;;
 esac
 
 [ -x .venv/bin/python ] || "$python" -m venv .venv

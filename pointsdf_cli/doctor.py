@@ -61,7 +61,7 @@ def _versions() -> tuple[bool, str]:
     fatal = [package for package in missing if package != "pybullet"]
     detail = f"Python {platform.python_version()}, " + ", ".join(found)
     if missing:
-        detail += f"; missing: {', '.join(missing)} (pip install 'rgrasp[sim]')"
+        detail += f"; missing: {', '.join(missing)} (pip install -c constraints.txt '.[sim]')"
     return not fatal, detail
 
 

@@ -1,6 +1,6 @@
 """`rgrasp mesh` as a user runs it, with a network whose answer is known: "inside" everywhere.
 
-Its surface is the whole box of METHOD.md section 1: ±0.8 about the centre of the cloud's bounding
+Its surface is the whole box of the network's frame: ±0.8 about the centre of the cloud's bounding
 box, in units of 1.03 times the cloud's largest extent, less half a cell on each side.
 """
 
@@ -218,3 +218,42 @@ def test_nothing_is_overwritten_unasked(full: Path, tmp_path: Path) -> None:
     assert "--force" in err
     assert out.read_text() == "mine"
     assert mesh(saved(tmp_path), full, "--out", out, "--force")[0] == 0
+
+
+TABLE = Path(__file__).resolve().parents[1] / "assets" / "clouds" / "table.ply"
+
+
+def test_a_whole_table_is_pointed_out_and_the_object_cut_out_of_it(
+    full: Path, tmp_path: Path
+) -> None:
+    code, _, err = mesh(TABLE, full, "--out", tmp_path / "all.ply")
+    assert code == 0
+    assert "--segment auto" in err
+    sizes = []
+    for name, options in (("largest", ()), ("mug", ("--target", "0.62,0.28,0.05"))):
+        out = tmp_path / f"{name}.ply"
+        code, _, err = mesh(TABLE, full, "--segment", "auto", *options, "--out", out)
+        assert code == 0, err
+        assert "on the table" in err
+        sizes.append(trimesh.load(out).extents)
+    # The network fills its box: 1.6 times the seen extent, and nothing here is wider than 20 cm.
+    assert max(size.max() for size in sizes) < 1.6 * 1.03 * 0.2
+    assert not np.allclose(*sizes)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--segment", "auto", "--target", "3,0,0"), "away from it"),
+        (("--segment", "auto", "--target", "3,0"), "--target"),
+        (("--segment", "yes"), "auto, none"),
+        (("--target", "0.6,0,0"), "--segment auto"),
+    ],
+)
+def test_what_cannot_be_cut_out_is_one_message(
+    options: tuple[str, ...], told: str, full: Path, tmp_path: Path
+) -> None:
+    code, _, err = mesh(TABLE, full, *options, "--out", tmp_path / "m.ply")
+    assert code == 2
+    assert told in err
+    assert not (tmp_path / "m.ply").exists()

@@ -1,4 +1,4 @@
-"""The network's frame, worked out by hand (METHOD §1)."""
+"""The network's frame, worked out by hand."""
 
 from __future__ import annotations
 

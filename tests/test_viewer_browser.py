@@ -95,7 +95,7 @@ def test_the_exported_page_draws_and_its_slider_moves_the_robot(
 
 
 def test_the_served_page_draws_and_its_slider_moves_the_robot(page: Any, scene: Scene) -> None:
-    pytest.importorskip("viser", reason="viser is not installed (pip install 'rgrasp[view]')")
+    pytest.importorskip("viser", reason="viser is not installed (pip install '.[view]')")
     from pointsdf_cli.viz.viewer import Viewer
 
     with socket.socket() as probe:

@@ -19,7 +19,7 @@ class DepthNoise:
 
     A camera that triangulates measures disparity d = f·b/z with an error that does not depend on
     z, so σ_z = z²/(f·b)·σ_d (Khoshelham and Elberink 2012, "Accuracy and resolution of Kinect
-    depth data", eq. 4). `sigma` fixes the factor: METHOD's 1 mm at 1.5 m.
+    depth data", eq. 4). `sigma` fixes the factor: the paper's 1 mm at 1.5 m.
 
     Attributes:
         sigma: Standard deviation at `REFERENCE_DEPTH` [m].

@@ -79,7 +79,7 @@ def from_field_of_view(width: int, height: int, vertical: float) -> Camera:
 
 
 CAMERAS = {
-    # The paper's simulated camera (METHOD: 640×480, vertical field of view 0.820305 rad).
+    # The paper's simulated camera (640×480, vertical field of view 0.820305 rad).
     "reference": from_field_of_view(640, 480, 0.820305),
     # The depth camera of a Kinect 2: nominal values of its factory calibration.
     "kinect2": Camera(512, 424, 365.456, 365.456, 254.878, 205.395),

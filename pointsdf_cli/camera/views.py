@@ -1,4 +1,4 @@
-"""Random views of a mesh as partial clouds (paper section III-A; METHOD §1, "Views")."""
+"""Random views of a mesh as partial clouds (paper section III-A)."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from pointsdf_cli.errors import InputError
 if TYPE_CHECKING:
     from pointsdf_cli.io.batch import StageReport
 
-Seed = Annotated[int, typer.Option(help="The same seed gives the same datasets.")]
+Seed = Annotated[int, typer.Option(help="Of all that is drawn at random.")]
 Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Processes; 0 takes all cores.")]
 Threads = Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")]
 Robot = Annotated[

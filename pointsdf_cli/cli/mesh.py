@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pointsdf_cli.cli import common
 
+if TYPE_CHECKING:
+    from numpy import float64
+    from numpy.typing import NDArray
+
+    from pointsdf_cli.io.clouds import Cloud
+
 FORMATS = ("ply", "obj", "stl", "glb")
+SCENE = 0.7
+"""A cloud wider than this [m] is more often of a whole table than of one object."""
 
 
 def mesh(
@@ -40,6 +48,24 @@ def mesh(
     drop_invalid: Annotated[
         bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
     ] = False,
+    segment: Annotated[
+        str,
+        typer.Option(help="auto: cut the object out of a cloud of a table, which needs its pose."),
+    ] = "none",
+    target: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z", help="With --segment auto: the object here, not the largest [m]."
+        ),
+    ] = None,
+    robot: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --segment auto: whose points are left out, at home [default: LBR4 + "
+            "Allegro].",
+            show_default=False,
+        ),
+    ] = None,
     all_parts: Annotated[
         bool, typer.Option("--all-parts", help="Keep small loose parts too.")
     ] = False,
@@ -92,7 +118,15 @@ def mesh(
         frame=frame or view.frame,
         T_world_camera=parse_pose(camera_pose) if camera_pose else view.T_world_camera,
     )
-    points, T_frame_camera = check_object_cloud(view, cloud).in_camera_frame()
+    if segment == "none":
+        if target is not None:
+            raise InputError("--target without --segment auto", hint="add --segment auto")
+        points, T_frame_camera = check_object_cloud(view, cloud).in_camera_frame()
+        if np.ptp(points, axis=0).max() > SCENE:
+            reporter.say(f"{cloud}: wide for one object; of a whole table, add --segment auto")
+    else:
+        points, T_frame_camera, said = _object_of(view, str(cloud), segment, target, robot)
+        reporter.say(said)
 
     # Seconds of imports: only for a cloud that can be used.
     import torch
@@ -148,6 +182,30 @@ def mesh(
             + (f"; {made.parts_dropped} loose parts dropped" if made.parts_dropped else ""),
         ],
     )
+
+
+def _object_of(
+    view: Cloud, name: str, segment: str, target: str | None, robot: Path | None
+) -> tuple[NDArray[float64], NDArray[float64], str]:
+    """The object's points [N, 3] in the camera's frame, T_frame_camera [4, 4], and what was kept.
+
+    Raises:
+        InputError: There is no object, or no pose, or an option says nonsense.
+    """
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.poses import place
+    from pointsdf_cli.planning.table_top import NoObjectError, look_at_table
+    from pointsdf_cli.robot.description import load_robot
+
+    described = load_robot(robot)
+    wanted = None if target is None else place(target, "--target")
+    try:
+        found = look_at_table([view], [name], described, described.home, segment, wanted)
+    except NoObjectError as error:
+        raise InputError(
+            error.what, where=error.where, allowed=error.allowed, hint=error.hint
+        ) from error
+    return found.views[0].points, view.in_camera_frame()[1], found.report[0]
 
 
 def mesh_path(out: Path | None, form: str | None) -> Path:

@@ -23,7 +23,7 @@ def plan(
     method: Annotated[str, typer.Option(help="reconstruction or partial-view.")] = "reconstruction",
     solver: Annotated[str, typer.Option(help="sqp, or slsqp: the paper's, slow.")] = "sqp",
     kind: Annotated[
-        str, typer.Option(help="side, top, or auto: whichever promises more; top first if low.")
+        str, typer.Option(help="side, top, or auto: the better of both, below 3 cm top first.")
     ] = "auto",
     target: Annotated[
         str | None,
@@ -72,8 +72,8 @@ def plan(
     min_success: Annotated[
         float | None,
         typer.Option(
-            help="Grasps predicted to hold with less than this are no plan  [default: 0.1, and for "
-            "want of better 0.03, with a warning]",
+            help="Refuse grasps with a lower predicted probability  [default: 0.1; if none reaches "
+            "it, the best above 0.03, with a warning]",
             show_default=False,
         ),
     ] = None,
@@ -109,7 +109,7 @@ def plan(
 ) -> None:
     """Plan a grasp of an object that nobody has modelled: configuration, motion, scores.
 
-    Exit code 3 says that no plan exists; the plan file then holds the reason.
+    Exit code 3 says that no plan was found; the plan file then holds the reason.
 
     Example: rgrasp plan cloud.ply --camera-pose 1.4,0,0.8,0.24,-0.66,-0.66,0.24
     """

@@ -1,4 +1,4 @@
-"""From a signed distance field to a closed mesh (METHOD.md section 1).
+"""From a signed distance field to a closed mesh.
 
 MISE finds the cells (`mise.py`), marching cubes interpolates the field's own values (not a
 thresholded copy, which would leave stairs), and one Newton step along each crossed edge pulls the

@@ -1,4 +1,4 @@
-"""How well a reconstruction matches the truth (METHOD.md section 3; Mescheder et al. 2019).
+"""How well a reconstruction matches the truth (docs/method.md, "Table I"; Mescheder et al. 2019).
 
 Volumetric IoU, Chamfer-L1 and normal consistency of two closed meshes in one frame. A failed
 reconstruction is not skipped but scored as the worst: an average over successes alone would

@@ -1,6 +1,6 @@
 """Multiresolution search for the grid cells that the zero level of a field crosses.
 
-MISE (Mescheder et al. 2019, METHOD.md section 1): a coarse grid is asked everywhere, and only the
+MISE (Mescheder et al. 2019): a coarse grid is asked everywhere, and only the
 cells that the surface crosses are subdivided. Three rules go beyond the paper's:
 
 - A corner, also of the coarse grid, is asked only where its sign is in doubt, or where it ends an

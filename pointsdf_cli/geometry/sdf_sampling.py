@@ -1,4 +1,4 @@
-"""Where to ask for signed distances around a mesh (METHOD §1, "Labels")."""
+"""Where to ask for signed distances around a mesh (docs/method.md, "Reconstruction")."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.signed_distance import SignedDistance, sample_surface
 
 MARGIN = 1.03
-"""The unit box is this much larger than what is scaled into it (METHOD §1, "Object frame")."""
+"""The unit box is this much larger than what is scaled into it (docs/method.md, "object frame")."""
 
 
 @dataclass(frozen=True)

@@ -180,7 +180,7 @@ def gather(values: Tensor, index: Tensor) -> Tensor:
 def inverse_density(points: Tensor, bandwidth: float) -> Tensor:
     """One over the Gaussian kernel density at each point, scaled to at most 1 in each cloud.
 
-    METHOD: PointConv's density compensation (Wu et al. 2018, section 3.1).
+    PointConv's density compensation (Wu et al. 2018, section 3.1).
 
     Args:
         points: [B, N, 3].

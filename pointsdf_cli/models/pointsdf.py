@@ -45,7 +45,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 
 
 class PointSDF(ShapeModel):
-    """See the module's docstring; the default arguments are METHOD §1's numbers.
+    """See the module's docstring; the default arguments are the paper's numbers.
 
     Args:
         centres: Centres of the four PointConv layers.

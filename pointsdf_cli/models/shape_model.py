@@ -34,7 +34,7 @@ class ShapeModel(nn.Module, ABC):
 
     architecture: str = ""
     box: float = 0.8
-    """Half the side of the box about the origin that the surface is looked for in (METHOD §1)."""
+    """Half the side of the box about the origin that the surface is looked for in."""
     gives_distances: bool = True
     """Whether the values bound how far the surface is, or are right in their sign only."""
     embedding_size: int = 256

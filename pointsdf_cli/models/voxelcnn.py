@@ -1,4 +1,4 @@
-"""VoxelCNN, the paper's baseline: a 32³ occupancy grid in, a 32³ occupancy grid out (METHOD §2).
+"""VoxelCNN, the paper's baseline: a 32³ occupancy grid in, a 32³ occupancy grid out.
 
 Trained by the cross-entropy of its logits at labelled points, which is its voxel cross-entropy
 sampled where the labels are. Between voxel centres the logits are interpolated; divided by a

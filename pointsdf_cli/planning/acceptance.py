@@ -14,7 +14,7 @@ from pointsdf_cli.planning.grasp_problem import GraspProblem
 
 @dataclass(frozen=True)
 class AcceptanceConfig:
-    """What is good, and what is good enough (METHOD section 6: h > 0.6 and the objective < 5).
+    """What is good, and what is good enough (the paper: h > 0.6 and the objective < 5).
 
     The paper's h was no calibrated probability; ours is, and grasps of which 6 in 10 hold do not
     exist for every object. So h > 0.6 ends the search, what is above `least` is taken where a

@@ -4,9 +4,9 @@
     answer = planner.plan(points, T_world_camera, seed=0)
     answer.plan.status, answer.plan.q, answer.candidates
 
-METHOD section 6: *reconstruction* constrains the robot by the shape that the network completes and
-judges grasps by the encoder that learned to reconstruct (PointSDF-Fixed); *partial-view* constrains
-it by the seen points alone, meshed at 32³, and judges by an encoder that learned from grasps only
+As in the paper (section V-C): *reconstruction* constrains the robot by the shape that the network
+completes and judges grasps by that shape (the paper by its embedding); *partial-view* constrains it
+by the seen points alone, meshed at 32³, and judges by an encoder that learned from grasps only
 (PointSDF-Scratch). Everything else is the same.
 """
 
@@ -58,7 +58,7 @@ SCRATCH = "weights/grasp_scratch"
 """PointSDF-Scratch, the success network of partial-view grasping, where it is bundled."""
 
 LOW_OBJECT = 0.03
-"""An object lower than this [m] is grasped from the top first (METHOD section 4)."""
+"""An object lower than this [m] is grasped from the top first (as the paper does)."""
 
 
 class ObjectGrasps(GraspScore, GraspPrior, Protocol):

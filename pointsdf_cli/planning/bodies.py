@@ -1,6 +1,6 @@
 """Exact distances of the robot's shapes to each other, to the table and to obstacles (coal).
 
-METHOD: a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. What lies
+The paper's a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. What lies
 farther apart than `reach`, by the balls around it, is given that gap: a lower bound, and no
 constraint that could be active.
 """

@@ -1,6 +1,6 @@
 """From where the robot is to the grasp: preshape, free way (OMPL's RRT-Connect), straight approach.
 
-METHOD section 6: up to three attempts at a collision-free joint-space path. All ways are checked
+The paper: up to three attempts at a collision-free joint-space path. All ways are checked
 all along (`path_check.py`), by one validator for planning, shortcutting and the result.
 """
 
@@ -26,7 +26,7 @@ class MotionConfig:
     """How hard to try.
 
     Attributes:
-        attempts: Searches with another seed each (METHOD: three).
+        attempts: Searches with another seed each (the paper: three).
         seconds: Of each search, at most.
         looks: Configurations that a search may look at; as many as it likes if None.
         range: Longest edge of the tree [rad].

@@ -1,4 +1,4 @@
-"""Partial-view grasping's obstacle: the seen points alone, meshed at 32³ (METHOD section 6).
+"""Partial-view grasping's obstacle: the seen points alone, meshed at 32³ (the paper, section V-C).
 
 It knows nothing of the unseen side, which is what reconstruction is compared against.
 """

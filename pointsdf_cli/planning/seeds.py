@@ -1,6 +1,6 @@
 """Where the solvers start: grasps drawn from the prior, reached by inverse kinematics.
 
-METHOD section 6: sample q_g from the prior's side component, palm above the table. Beyond the
+As the paper does: sample q_g from the prior's side component, palm above the table. Beyond the
 paper, many palms are drawn at once and every elbow position that reaches one is judged by the
 whole problem, so that the solver starts where little or nothing is in the way.
 """

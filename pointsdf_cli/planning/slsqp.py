@@ -29,7 +29,7 @@ class SlsqpConfig:
 
 
 class Slsqp:
-    """SLSQP with the constraints' minimum over each link (METHOD.md section 6)."""
+    """SLSQP with the constraints' minimum over each link (the paper's way)."""
 
     def __init__(self, config: SlsqpConfig | None = None) -> None:
         self.config = config or SlsqpConfig()

@@ -47,7 +47,7 @@ class SynthesisConfig:
     """How long to look.
 
     Attributes:
-        rounds: Of seeds (METHOD section 6: up to five).
+        rounds: Of seeds (the paper: up to five).
         enough: After so many rounds any accepted grasp ends the search, and so does a round that
             gains little where all that is free is poor; before, a good one does.
         polished: Solutions of a round that are solved again with the exact field, at most.

@@ -130,7 +130,7 @@ def reconstructed_object(
         EmptyFieldError: The network sees nothing solid.
     """
     fields = [ReconstructionField(reconstruction) for reconstruction in reconstructions]
-    # The network was trained in a box of ±0.6 (METHOD section 1), its meshes reach to ±0.8.
+    # The network was trained in a box of ±0.6 (`sdf_sampling.py`), its meshes reach to ±0.8.
     low = np.min([r.centre - 0.75 / r.scale for r in reconstructions], axis=0)
     high = np.max([r.centre + 0.75 / r.scale for r in reconstructions], axis=0)
     step = 0.15 / max(r.scale for r in reconstructions)

@@ -23,8 +23,8 @@ def import_bullet() -> Any:
     except ImportError as error:
         raise RgraspError(
             "the simulator needs PyBullet, which is not installed",
-            hint="pip install 'rgrasp[sim]' with Python 3.11 or older (PyBullet has wheels up to "
-            "3.11; newer Pythons compile it)",
+            hint="with Python 3.11, in rgrasp's folder: pip install -c constraints.txt '.[sim]' "
+            "(PyBullet has no wheels for newer Pythons)",
         ) from error
     return pybullet
 

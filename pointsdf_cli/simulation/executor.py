@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ExecutorConfig:
-    """How a grasp is carried out (METHOD §4, "Execution").
+    """How a grasp is carried out (as the paper's robot does).
 
     Attributes:
         speed_up: Closing speed over the real robot's; the simulated hand may close faster.

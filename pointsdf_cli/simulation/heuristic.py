@@ -1,4 +1,4 @@
-"""Preshapes around the faces of a partial cloud's bounding box (METHOD §4; Lu et al. 2020).
+"""Preshapes around the faces of a partial cloud's bounding box (Lu et al. 2020).
 
 Only the partial cloud, the camera's place and the robot's are used, as on the real robot.
 """

@@ -1,4 +1,4 @@
-"""`eval-sdf`: every method on every view, scored as Table I is (METHOD.md section 3).
+"""`eval-sdf`: every method on every view, scored as Table I is (docs/method.md, "Table I").
 
 The networks work in the camera's frame, as always. Their meshes are then carried into the mesh's
 own frame, where the truth's samples and search trees serve all views of an object; the metrics do

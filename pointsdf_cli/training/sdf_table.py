@@ -1,4 +1,4 @@
-"""Table I: what many scored reconstructions say about each method (METHOD.md section 3)."""
+"""Table I: what many scored reconstructions say about each method (docs/method.md, "Table I")."""
 
 from __future__ import annotations
 

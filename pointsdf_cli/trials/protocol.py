@@ -1,4 +1,4 @@
-"""Which trials there are: objects × yaws × repeats × cameras × contenders (METHOD section 7).
+"""Which trials there are: objects × yaws × repeats × cameras × contenders (the paper, section V-C).
 
 Both contenders of a pair meet the same object in the same place, seen by the same camera with the
 same noise. Everything is drawn from (seed, object, repeat, yaw, camera), never from the order in

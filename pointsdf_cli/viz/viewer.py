@@ -169,6 +169,7 @@ def _import_viser() -> Any:
     except ImportError as error:
         raise RgraspError(
             "the viewer needs viser, which is not installed",
-            hint="pip install 'rgrasp[view]', or --export page.html, which needs nothing",
+            hint="in rgrasp's folder: pip install -c constraints.txt '.[view]', or "
+            "--export page.html, which needs nothing",
         ) from error
     return viser
