@@ -75,11 +75,13 @@ def box_about(points: np.ndarray) -> np.ndarray:
     return (low + high) / 2 + np.array([[-half], [half]])
 
 
-def mesh(cloud: Path, checkpoint: Path, *options: object) -> tuple[int, str, str]:
+def mesh(
+    cloud: Path, checkpoint: Path, *options: object, quiet: bool = True
+) -> tuple[int, str, str]:
     # Unsmoothed, because the box that these networks fill has corners that are known exactly.
     result = run_cli(
         "mesh", cloud, "--checkpoint", checkpoint, "--resolution", RESOLUTION, "--threads", 1,
-        "--smooth", 0, "--quiet", *options,
+        "--smooth", 0, *["--quiet"] * quiet, *options,
     )  # fmt: skip
     return result.code, result.out, result.err
 
@@ -226,13 +228,13 @@ TABLE = Path(__file__).resolve().parents[1] / "assets" / "clouds" / "table.ply"
 def test_a_whole_table_is_pointed_out_and_the_object_cut_out_of_it(
     full: Path, tmp_path: Path
 ) -> None:
-    code, _, err = mesh(TABLE, full, "--out", tmp_path / "all.ply")
+    code, _, err = mesh(TABLE, full, "--out", tmp_path / "all.ply", quiet=False)
     assert code == 0
     assert "--segment auto" in err
     sizes = []
     for name, options in (("largest", ()), ("mug", ("--target", "0.62,0.28,0.05"))):
         out = tmp_path / f"{name}.ply"
-        code, _, err = mesh(TABLE, full, "--segment", "auto", *options, "--out", out)
+        code, _, err = mesh(TABLE, full, "--segment", "auto", *options, "--out", out, quiet=False)
         assert code == 0, err
         assert "on the table" in err
         sizes.append(trimesh.load(out).extents)
