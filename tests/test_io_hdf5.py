@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -120,13 +123,26 @@ def test_an_exception_while_writing_leaves_the_old_file_and_no_other(tmp_path: P
 
 
 def test_leftovers_of_a_killed_run_are_removed_and_nothing_else(tmp_path: Path) -> None:
-    with atomic_path(tmp_path / "a.h5") as temporary:
-        temporary.write_bytes(b"x")
-        name = temporary.name
-    (tmp_path / name).write_bytes(b"a writer was killed here")
+    kill = f"""
+import os, signal
+from pointsdf_cli.io.atomic import atomic_path
+with atomic_path({str(tmp_path / "a.h5")!r}) as temporary:
+    temporary.write_bytes(b"x")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", kill], check=False).returncode == -9
+    (killed,) = tmp_path.iterdir()
     (tmp_path / ".hidden").write_bytes(b"the user's")
+    with atomic_path(tmp_path / "b.h5") as temporary:
+        temporary.write_bytes(b"y")
+        elsewhere = tmp_path / killed.name.replace(".partial-", ".partial-0")  # another machine's
+        elsewhere.write_bytes(b"z")
+        remove_leftovers(tmp_path)
+        left = {p.name for p in tmp_path.iterdir()}
+        assert left == {".hidden", temporary.name, elsewhere.name}
+    os.utime(elsewhere, (0, 0))
     remove_leftovers(tmp_path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == [".hidden", "a.h5"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".hidden", "b.h5"]
 
 
 def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:

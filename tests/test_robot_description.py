@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.description import load_robot, robot_digest
 
 GRIPPER = Path(__file__).parent / "robots" / "gripper.yaml"
 
@@ -43,6 +43,27 @@ def test_hand_and_configuration() -> None:
     assert (q[:, robot.preshape_columns] == 0.2).all()
     rest = np.delete(q, [*range(7), *robot.preshape_columns], axis=1)
     assert (rest == 0).all()
+
+
+def test_a_margin_of_angles_is_none_of_lengths(tmp_path: Path) -> None:
+    for file in GRIPPER.parent.iterdir():
+        if file.is_file():
+            shutil.copy(file, tmp_path)
+    path = tmp_path / "gripper.yaml"
+    path.write_text(path.read_text() + "\narm_limit_margin: 0.25\n")
+    robot = load_robot(path)
+    assert (robot.lower[0], robot.upper[0]) == (0.0, 0.6)  # the rail
+    assert (robot.lower[2], robot.upper[2]) == (-1.25, 1.25)
+
+
+def test_the_digest_knows_the_robots_apart(tmp_path: Path) -> None:
+    for file in GRIPPER.parent.iterdir():
+        if file.is_file():
+            shutil.copy(file, tmp_path)
+    path = tmp_path / "gripper.yaml"
+    assert robot_digest(path) == robot_digest(GRIPPER) != robot_digest()
+    path.write_text(path.read_text().replace("xyz: [0.02, 0, 0]", "xyz: [0.03, 0, 0]"))
+    assert robot_digest(path) != robot_digest(GRIPPER)
 
 
 def test_neighbours_and_listed_pairs_are_not_checked() -> None:
@@ -79,7 +100,9 @@ def edit(key: str, value: Any) -> Callable[[dict[str, Any]], None]:
         (edit("mount", "here"), "mount"),
         (edit("home", [0.0]), "home"),
         (edit("home", [9.0, 0, 0, 0]), "home"),
-        (edit("arm_limit_margin", 0.9), "arm_limit_margin"),
+        (edit("arm_limit_margin", 1.2), "arm_limit_margin"),
+        (edit("mount", {"xzy": [0, 0, 1]}), "xzy"),
+        (edit("palm", {"link": "grip", "rech": 0.05}), "rech"),
         (edit("arm_limit_margin", -1), "arm_limit_margin"),
         (edit("links_on_table", ["floor"]), "floor"),
         (edit("may_touch", [["left", "left"]]), "may_touch"),

@@ -68,7 +68,7 @@ def _load(path: Path) -> Any:
     try:
         text = path.read_text(encoding="utf-8")
         data = json.loads(text) if path.suffix.lower() == ".json" else yaml.safe_load(text)
-    except (ValueError, yaml.YAMLError, RecursionError) as error:
+    except (ValueError, OverflowError, yaml.YAMLError, RecursionError) as error:
         kind = "JSON" if path.suffix.lower() == ".json" else "YAML"
         raise InputError(f"is not {kind}", where=path, allowed=FORMS) from error
     if isinstance(data, Mapping) and not _has_intrinsics(data):
@@ -140,7 +140,7 @@ def _check_distortion(data: Mapping[str, Any], path: Path) -> None:
             continue
         try:
             largest = float(np.abs(np.asarray(value, dtype=np.float64)).max(initial=0.0))
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             continue  # a name of a model, not its numbers
         if not largest <= SMALLEST_DISTORTION:
             raise InputError(
@@ -155,7 +155,7 @@ def _check_distortion(data: Mapping[str, Any], path: Path) -> None:
 
 
 def _whole(value: Any, path: Path) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or value % 1 != 0:
         raise InputError(f"has a width or height of {value!r}", where=path, allowed="whole numbers")
     return int(value)
 

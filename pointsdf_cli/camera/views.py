@@ -17,7 +17,8 @@ from pointsdf_cli.geometry.frames import random_rotation, transform
 from pointsdf_cli.io.batch import task_seed
 from pointsdf_cli.io.hdf5 import is_complete
 from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
-from pointsdf_cli.io.views import SCHEMA, VERSION, Views, write_views
+from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.io.views import SCHEMA, VERSION, Views, read_views_header, write_views
 
 CLOUD_SIZE = 1000
 FEWEST_PIXELS = 50
@@ -90,6 +91,10 @@ def render_file(task: ViewTask) -> ViewSummary | None:
     """
     config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
     if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):
+        if read_views_header(task.out).mesh_hash != file_sha256(task.mesh):
+            raise InputError(
+                f"shows another version of {task.mesh}", where=task.out, hint="add --force"
+            )
         return None
     mesh = load_mesh(task.mesh, task.config.unit)
     try:

@@ -32,7 +32,7 @@ def collect_grasps(
         float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
     ] = 0.0,
     record: Annotated[
-        int, typer.Option(help="Write this many attempts as GIF films beside the report.")
+        int, typer.Option(min=0, help="Write this many attempts as GIF films beside the report.")
     ] = 0,
     pictures: Annotated[
         bool, typer.Option(help="Six successes and six failures as pictures in report.html.")
@@ -53,6 +53,7 @@ def collect_grasps(
     """
     from dataclasses import replace
 
+    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.atomic import remove_leftovers, require_folder, write_text_atomic
     from pointsdf_cli.io.batch import shard_of
     from pointsdf_cli.io.grasps import read_grasps
@@ -88,6 +89,9 @@ def collect_grasps(
     started = time.monotonic()
     refused = _collect(tasks, quotas, splits, jobs, reporter, whole=shard is None)
     items = [(name, *read_grasps(task.out)) for name, task in tasks.items() if task.out.is_file()]
+    if refused and not items:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in sorted(refused.items())[:5])
+        raise InputError(f"no mesh could be used: {reasons}", where=meshes)
     strips = _films(items, tasks, out, record, pictures)
     write_text_atomic(
         out / "report.html",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Seed = Annotated[int, typer.Option(help="Of all that is drawn at random.")]
 Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Processes; 0 takes all cores.")]
-Threads = Annotated[int, typer.Option(help="Processor threads; 0 takes those that idle.")]
+Threads = Annotated[int, typer.Option(min=0, help="Processor threads; 0 takes those that idle.")]
 Robot = Annotated[
     Path | None, typer.Option(help="A robot's YAML.  [default: LBR4 with Allegro hand]")
 ]

@@ -59,6 +59,12 @@ def eval_sdf(
     from pointsdf_cli.viz.reconstruction_gallery import draw_gallery
 
     IsosurfaceConfig(resolution)
+    if out.suffix.lower() in (".csv", ".png"):
+        raise InputError(
+            f"{out.name} is the name of what goes beside the table",
+            where="--out",
+            allowed="such as table.json",
+        )
     if beside not in (None, *PUBLISHED):
         raise InputError(
             f"no published table {beside!r}", where="--beside", allowed=", ".join(PUBLISHED)
@@ -115,7 +121,7 @@ def eval_sdf(
     }
     write_text_atomic(table_path, json.dumps(result, indent=1, ensure_ascii=False) + "\n")
     write_text_atomic(csv_path, objects_csv(scored))
-    if gallery:
+    if gallery and main:
         by_name = {task.name: task for task in tasks}
         first = [row for row in main if row.method == config.checkpoints[0][0]]
         chosen = evaluation.best_median_worst(first, gallery)
@@ -132,9 +138,18 @@ def eval_sdf(
 
 
 def labels_of(checkpoints: list[Path]) -> list[str]:
-    """Short names: each directory's own, with its parent's where two would be the same."""
-    names = [path.resolve().name for path in checkpoints]
+    """Short names: each directory's own, or its whole path where two would be the same.
+
+    Raises:
+        InputError: One is given twice.
+    """
+    from pointsdf_cli.errors import InputError
+
+    whole = [path.resolve() for path in checkpoints]
+    if len(set(whole)) < len(whole):
+        raise InputError("a checkpoint is given twice", where="--checkpoint", allowed="each once")
+    names = [path.name for path in whole]
     return [
-        name if names.count(name) == 1 else f"{path.resolve().parent.name}/{name}"
-        for name, path in zip(names, checkpoints, strict=True)
+        name if names.count(name) == 1 else str(path)
+        for name, path in zip(names, whole, strict=True)
     ]

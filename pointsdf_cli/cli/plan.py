@@ -120,10 +120,10 @@ def plan(
 
     reporter = common.Reporter(quiet, as_json)
     common.check_seed(seed)
+    require_new(out, force)
     picture = None if no_picture else picture or out.with_suffix(".png")
-    for path in (out, picture, trajectory):
-        if path is not None:
-            require_new(path, force)
+    files = {"--out": out, "--picture": picture, "--trajectory": trajectory}
+    _require_places({option: path for option, path in files.items() if path is not None}, force)
     wanted = None if target is None else place(target, "--target")
     views = _read_clouds(clouds, camera_pose or [], frame, unit, drop_invalid)
 
@@ -172,14 +172,22 @@ def plan(
     for line in session.report:
         reporter.say(line)
     answer = session.answer.plan
-    config = _config(options, clouds, seed)
+    asked: dict[str, Any] = {
+        "rehearse": rehearse,
+        "target": target,
+        "start": start,
+        "segment": segment,
+    }
+    asked |= {"environment": environment and str(environment), "ignore_others": ignore_others}
+    asked |= {"unit": unit, "frame": frame, "camera_pose": camera_pose}
+    config = _config(planner.options, clouds, seed) | asked
+    for stale in (trajectory, picture):  # a motion to another object must not outlive its plan
+        if stale is not None:
+            stale.unlink(missing_ok=True)
     write_plan(out, answer, seed=seed, config=config)
     found = answer.status == OK
-    if trajectory is not None:
-        if found:
-            write_trajectory(trajectory, answer)
-        else:
-            trajectory.unlink(missing_ok=True)  # a motion to another object must not stay there
+    if trajectory is not None and found:
+        write_trajectory(trajectory, answer)
     if picture is not None:
         title, below = _headline(answer), "; ".join(session.report)
         q = answer.q if found else session.start
@@ -187,6 +195,22 @@ def plan(
     _report(reporter, answer, session.report, out, picture, trajectory if found else None)
     if not found:
         raise NoPlanError(f"no plan ({answer.reason}): {answer.sentence.rstrip('.')}", where=out)
+
+
+def _require_places(files: dict[str, Path], force: bool) -> None:
+    """Each file has a place of its own that can be written: known before the planning.
+
+    Raises:
+        InputError: Two have one path, one exists already, or a folder cannot be written.
+    """
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.atomic import require_folder, require_new
+
+    places = [path.resolve() for path in files.values()]
+    if len(set(places)) < len(places):
+        raise InputError("two outputs have one path", where=", ".join(files), allowed="one each")
+    for path in files.values():
+        require_folder(require_new(path, force).parent)
 
 
 def _read_clouds(
@@ -232,8 +256,11 @@ def _config(options: Any, clouds: list[Path], seed: int) -> dict[str, Any]:
     """What the plan file keeps of how it was made."""
     from dataclasses import asdict
 
+    from pointsdf_cli.io.provenance import file_sha256
+
     config = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
-    return config | {"clouds": [str(path) for path in clouds], "seed": seed}
+    sums = [file_sha256(path) for path in clouds]
+    return config | {"clouds": [str(path) for path in clouds], "cloud_sha256": sums, "seed": seed}
 
 
 def _headline(plan: Plan) -> str:

@@ -119,8 +119,10 @@ def init(
     """
     from pointsdf_cli.io.atomic import require_new, write_text_atomic
     from pointsdf_cli.robot.first_guess import as_yaml, first_guess
+    from pointsdf_cli.robot.urdf import read_urdf
 
     reporter = common.Reporter(quiet, as_json)
+    read_urdf(urdf)  # what is no URDF is said before a place beside it is asked for
     out = require_new(out or urdf.with_suffix(".yaml"), force)
     data = first_guess(urdf, out, palm)
     write_text_atomic(out, as_yaml(data))

@@ -63,7 +63,7 @@ def train_gs(
     """
     from pointsdf_cli.cli.signals import stop_requests
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.checkpoints import has_train_state
+    from pointsdf_cli.io.checkpoints import has_train_state, require_checkpoint_place
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.training.gs_data import read_grasp_data
@@ -83,6 +83,7 @@ def train_gs(
     config = SuccessTraining(
         seed=common.check_seed(seed), **{k: v for k, v in chosen.items() if v is not None}
     )
+    require_checkpoint_place(out)
     if not resume and has_train_state(out) and not force:
         raise InputError(
             "holds a training run already", where=f"--out {out}", hint="add --resume, or --force"

@@ -64,7 +64,11 @@ def train_sdf(
 
     from pointsdf_cli.cli.signals import stop_requests
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.checkpoints import has_train_state, read_config
+    from pointsdf_cli.io.checkpoints import (
+        has_train_state,
+        read_config,
+        require_checkpoint_place,
+    )
     from pointsdf_cli.io.provenance import git_commit
     from pointsdf_cli.models.registry import build_model, load_model, use_threads
     from pointsdf_cli.training import sdf_loop
@@ -95,6 +99,7 @@ def train_sdf(
     if not 0.0 < held_out < 1.0:
         raise InputError(f"{held_out} is no share", where="--held-out", allowed="between 0 and 1")
     common.torch_device(device)
+    require_checkpoint_place(out)
     if not resume and has_train_state(out) and not force:
         raise InputError(
             "holds a training run already", where=f"--out {out}", hint="add --resume, or --force"
@@ -108,7 +113,7 @@ def train_sdf(
         if not workers.is_first:
             workers.wait()
         with reporter.progress("packing", len(pairs)) as bar:
-            data = open_pack(pairs, folder, limits, lambda n, _: bar.advance(""))
+            data = open_pack(pairs, folder, limits, lambda n, _: bar.advance(""), views)
         if workers.is_first:
             workers.wait()
         split = split_views(data, held_out, seed)
@@ -180,7 +185,7 @@ def _limits(entries: list[str]) -> dict[str, int]:
     limits = {}
     for entry in entries:
         folder, _, number = entry.rpartition("=")
-        if not number.isdigit() or int(number) < 1:
+        if not number.isdecimal() or int(number) < 1:
             raise InputError(
                 f"{entry!r} is no number of views",
                 where="--views-per-object",

@@ -43,6 +43,9 @@ def close_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Close
     whole = _as_manifold(vertices, faces)
     steps: list[str] = []
     if whole is None:
+        # What no face uses would count in the size, and may be NaN.
+        used, faces = np.unique(faces, return_inverse=True)
+        vertices, faces = vertices[used], faces.reshape(-1, 3)
         mesh = trimesh.Trimesh(vertices, faces, process=True, validate=True)
         whole = _as_manifold(mesh.vertices, mesh.faces)
         if whole is not None:

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
+import time
 import uuid
+import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pointsdf_cli.errors import InputError
 
 TEMPORARY_MARK = ".partial-"
 """Part of the name of every file under construction; nothing reads such a file."""
+ABANDONED = 86400.0
+"""What another machine has been building for so long [s] was left by a run that was killed."""
+_HOST = f"{zlib.crc32(platform.node().encode()):08x}"
 
 
 class UnwritableError(InputError):
@@ -30,7 +36,8 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         UnwritableError: The folder cannot be written, or the disk is full.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}{TEMPORARY_MARK}{uuid.uuid4().hex[:8]}{path.suffix}")
+    builder = f"{_HOST}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+    temporary = path.with_name(f".{path.stem}{TEMPORARY_MARK}{builder}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -50,9 +57,27 @@ def write_text_atomic(path: Path | str, text: str) -> None:
 
 
 def remove_leftovers(folder: Path | str) -> None:
-    """Remove temporary files that a killed run left in `folder` (they hold nothing finished)."""
+    """Remove temporary files that a killed run left in `folder` (they hold nothing finished).
+
+    What a process is building at this moment stays: it may be another shard.
+    """
     for leftover in Path(folder).glob(f".*{TEMPORARY_MARK}*"):
-        leftover.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):
+            if leftover.is_file() and _is_abandoned(leftover):
+                leftover.unlink()
+
+
+def _is_abandoned(temporary: Path) -> bool:
+    builder = temporary.name.rpartition(TEMPORARY_MARK)[2].partition(".")[0].split("-")
+    if builder[0] != _HOST or len(builder) != 3 or not builder[1].isdecimal():
+        return time.time() - temporary.stat().st_mtime > ABANDONED
+    try:
+        os.kill(int(builder[1]), 0)
+    except ProcessLookupError:
+        return True
+    except OSError:  # somebody else's process
+        pass
+    return False
 
 
 def require_new(path: Path | str, force: bool) -> Path:

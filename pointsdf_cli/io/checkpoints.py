@@ -24,7 +24,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.atomic import TEMPORARY_MARK, unwritable
+from pointsdf_cli.io.atomic import TEMPORARY_MARK, require_folder, unwritable
 from pointsdf_cli.io.untrusted import read_json
 
 WEIGHTS, CONFIG, TRAIN_STATE = "model.safetensors", "config.json", "train_state.pt"
@@ -57,7 +57,7 @@ def write_checkpoint(
     """Write or replace a checkpoint directory in one step.
 
     Args:
-        path: The directory. Other files in it are kept.
+        path: The directory, or a link to one. What else is in it is kept.
         config: Written as config.json, with schema and version added.
         weights: By name; None keeps the weights that are there.
         train_state: Plain types and tensors; None keeps the state that is there.
@@ -66,7 +66,7 @@ def write_checkpoint(
     Raises:
         InputError: The place cannot be written, or is a file.
     """
-    path = Path(path)
+    path = Path(path).resolve()
     if path.exists() and not path.is_dir():
         raise InputError("is a file, and a checkpoint is a directory", where=path)
     temporary = path.with_name(f".{path.name}{TEMPORARY_MARK}{uuid.uuid4().hex[:8]}")
@@ -81,18 +81,40 @@ def write_checkpoint(
             (temporary / TRAIN_STATE).write_bytes(image.getbuffer())
         text = json.dumps({"schema": SCHEMA, "schema_version": VERSION, **config}, indent=1)
         (temporary / CONFIG).write_text(text + "\n", encoding="utf-8")
-        for kept in path.iterdir() if path.exists() else ():
-            if not (temporary / kept.name).exists() and kept.is_file():
-                os.link(kept, temporary / kept.name)
         for written in temporary.iterdir():
             written.chmod(0o644)  # the safetensors library hides its files from other users
             with open(written, "rb") as handle:
                 os.fsync(handle.fileno())
-        _take_place(temporary, path)
+        for kept in path.iterdir() if path.exists() else ():
+            if not (temporary / kept.name).exists() and kept.is_file():
+                os.link(kept, temporary / kept.name)
+        aside = _take_place(temporary, path)
+        for rest in aside.iterdir() if aside.exists() else ():
+            if rest.is_dir():
+                os.rename(rest, path / rest.name)
     except OSError as error:
         raise unwritable(path, error) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(_aside(path), ignore_errors=True)
+
+
+def require_checkpoint_place(path: Path | str) -> None:
+    """A checkpoint can be written at `path`: known before the training, not after it.
+
+    Raises:
+        InputError: It is a file or the working directory, or cannot be written.
+    """
+    path = Path(path).resolve()
+    if path == Path.cwd():
+        raise InputError(
+            "is where you are, and a checkpoint replaces its directory",
+            where="--out",
+            allowed="a directory of its own, such as --out ckpt",
+        )
+    if path.exists() and not path.is_dir():
+        raise InputError("is a file, and a checkpoint is a directory", where=path)
+    require_folder(path.parent)
 
 
 def read_checkpoint(path: Path | str) -> Checkpoint:
@@ -187,20 +209,28 @@ def _storable(weights: Mapping[str, Tensor], half: bool) -> dict[str, Tensor]:
     return storable
 
 
-def _take_place(new: Path, old: Path) -> None:
-    """Put directory `new` at `old`; where the kernel can, both names are exchanged at once."""
+def _aside(path: Path) -> Path:
+    return path.with_name(f".{path.name}{TEMPORARY_MARK}old")
+
+
+def _take_place(new: Path, old: Path) -> Path:
+    """Put directory `new` at `old`; where the kernel can, both names are exchanged at once.
+
+    Returns:
+        Where the old directory is now, if there was one.
+    """
     if not old.exists():
         os.rename(new, old)
-        return
+        return new
     at_working_directory, exchange = -100, 2
     renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if renameat2 is not None:
         arguments = (at_working_directory, os.fsencode(new), at_working_directory, os.fsencode(old))
         if renameat2(*arguments, exchange) == 0:
-            return
+            return new
     # A file system without the exchange: two renames, the old one kept until the new is in place.
-    aside = old.with_name(f".{old.name}{TEMPORARY_MARK}old")
+    aside = _aside(old)
     shutil.rmtree(aside, ignore_errors=True)
     os.rename(old, aside)
     os.rename(new, old)
-    shutil.rmtree(aside, ignore_errors=True)
+    return aside

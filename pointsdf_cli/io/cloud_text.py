@@ -16,6 +16,9 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.ply import RawCloud
 from pointsdf_cli.io.untrusted import read_npy_array
 
+MOST_COLUMNS = 16
+"""A row of more numbers is a row of an image, and no point."""
+
 _HEAD_LINES = 100
 """Comments and column titles may take up so many lines."""
 
@@ -62,6 +65,13 @@ def read_npy(path: Path) -> RawCloud:
         InputError: Damaged, holds Python objects, or is of another shape or type.
     """
     array = read_npy_array(path)
+    if array.ndim == 2 and array.shape[1] > MOST_COLUMNS:
+        raise InputError(
+            f"is an array {list(array.shape)}: a depth image rather than points",
+            where=path,
+            allowed="numbers [N, 3], [N, 6] or [height, width, 3]",
+            hint=f"rgrasp cloud {path} --intrinsics K.json makes a cloud of it",
+        )
     if array.dtype.kind not in "fiu" or array.ndim not in (2, 3) or array.shape[-1] < 3:
         raise InputError(
             f"is an array {list(array.shape)} of {array.dtype}",

@@ -79,6 +79,12 @@ class Cloud:
                 hint="add --camera-pose X,Y,Z,QW,QX,QY,QZ",
             )
         behind = np.count_nonzero(points[:, 2] <= 0)
+        if behind and behind == np.count_nonzero(~self.points.any(axis=1)):
+            raise InputError(
+                f"{behind} of {len(points)} points are 0 0 0, which is how some cameras write that "
+                "they saw nothing",
+                hint="add --drop-invalid to leave those points out",
+            )
         if behind:
             raise InputError(
                 f"{behind} of {len(points)} points lie behind the camera (z ≤ 0), so these are "
@@ -205,16 +211,20 @@ def _size_error(points: NDArray[np.float64], size: float, where: Any) -> InputEr
         f"the cloud is {size:.2g} m across: a whole scene, not one object",
         where=where,
         allowed=allowed,
-        hint="cut the object out first; `rgrasp plan` does so with --segment auto",
+        hint="cut the object out first: rgrasp mesh and plan do so with --segment auto",
     )
 
 
 def _finite(raw: RawCloud, path: Path, drop: bool) -> RawCloud:
+    """The points that say where something is; 0 0 0, as some drivers write that nothing was seen,
+    is left out with the others."""
     finite: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(raw.points), axis=1)
     bad = len(finite) - int(np.count_nonzero(finite))
-    if not bad:
+    if drop:
+        finite &= raw.points.any(axis=1)
+    if finite.all():
         return raw
-    if not drop or bad == len(finite):
+    if bad and (not drop or not finite.any()):
         raise InputError(
             f"{bad} of {len(finite)} points are NaN or infinite",
             where=path,

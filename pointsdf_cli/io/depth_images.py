@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.untrusted import read_npy_array
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy")
 LARGEST_PIXELS = 64_000_000
@@ -102,9 +103,9 @@ def _array(path: Path) -> NDArray:
     if not path.is_file():
         raise InputError("no such image", where=path)
     try:
-        values = np.load(path, allow_pickle=False, mmap_mode="r")
-        if not isinstance(values, np.ndarray) or values.size > LARGEST_PIXELS:
-            raise ValueError("no single array of an image's size")
-        return np.array(values)
-    except (ValueError, OSError, EOFError) as error:
+        values = read_npy_array(path)
+    except InputError as error:
         raise InputError("is no NPY array of an image", where=path) from error
+    if values.size > LARGEST_PIXELS:
+        raise InputError(f"has {values.size} pixels", where=path)
+    return values

@@ -244,6 +244,6 @@ def unreadable(path: Path, error: Exception) -> InputError:
         "cannot be read as HDF5: not such a file, or cut short",
         where=path,
         allowed="a whole .h5 file written by rgrasp",
-        hint="delete it and run the stage again: it makes only what is missing "
+        hint="move it away, if it is one, and run the stage again: it makes only what is missing "
         f"({(str(error).splitlines() or ['no more is known'])[0][:120]})",
     )

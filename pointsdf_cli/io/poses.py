@@ -66,7 +66,7 @@ def numbers_in(text: str, where: str, allowed: str) -> NDArray[np.float64]:
             text = path.read_text(encoding="utf-8")
         words = text.replace(",", " ").replace(";", " ").split()
         numbers = np.array([float(word) for word in words])
-    except (ValueError, TypeError, OSError) as error:
+    except (ValueError, TypeError, OverflowError, OSError) as error:
         raise InputError(
             f"{text[:60]!r} is neither numbers nor a file of them", where=where, allowed=allowed
         ) from error

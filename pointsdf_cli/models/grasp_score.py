@@ -131,7 +131,7 @@ class EmbeddingGrasps(ObjectGrasps):
 
     def __init__(self, model: GraspModel, place: ObjectPlace, shape: Reconstruction) -> None:
         super().__init__(model, place)
-        self._embedding = shape.encoding.embedding.float()
+        self._embedding = shape.encoding.embedding.float().cpu()  # as the rest of the score is
         self._size = torch.tensor(shape.size, dtype=torch.float32)[None]
         self._axes = torch.tensor(shape.R_frame_camera.T.copy(), dtype=torch.float32)
         self._centre, self._scale = torch.tensor(shape.centre), shape.scale

@@ -87,7 +87,8 @@ def label_file(task: LabelTask) -> LabelSummary | None:
         raise InputError(
             "is not the mesh that its views were rendered from (other contents)",
             where=task.mesh,
-            hint=f"render it again: rgrasp render --meshes {task.mesh} --force",
+            hint="render it again: rgrasp render --meshes MESHES --out VIEWS --force "
+            f"--pattern '{task.mesh.name}'",
         )
     try:
         samples = sample_sdf(

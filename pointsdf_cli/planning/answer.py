@@ -31,6 +31,7 @@ from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.grasp_problem import Clearances
+from pointsdf_cli.planning.grid import GridConfig
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.planner import HALVINGS, MARGIN, Planner, PlannerConfig, Rank
 from pointsdf_cli.planning.reasons import too_large
@@ -241,7 +242,7 @@ class GraspPlanner:
         grasps = self._grasps.on(views[0].points, T_world_camera, field=own.kept, seed=seed)
         timings["score"] = time.perf_counter() - began
         if field is not None:
-            constraint = _constraint(field, world)
+            constraint = _constraint(field, world, grid)
         else:
             # The score was trained on what the network completes; the hand keeps off what it
             # misses, too.
@@ -327,10 +328,10 @@ class GraspPlanner:
         return Answer(no_plan(self.robot, "no_object", f"{what[0].upper()}{what[1:]}."), None, None)
 
 
-def _constraint(field: Field | Literal["none"], points: Array) -> ObjectField:
+def _constraint(field: Field | Literal["none"], points: Array, grid: GridConfig) -> ObjectField:
     if isinstance(field, str):
         return absent_object(points)
-    return given_object(field, points)
+    return given_object(field, points, grid)
 
 
 def _success_network(options: PlanOptions, robot: RobotDescription) -> GraspModel:

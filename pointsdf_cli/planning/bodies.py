@@ -37,6 +37,7 @@ class BodyDistances:
 
     Attributes:
         names: Each column's two bodies, as ("link", "link") or ("link", "obstacle").
+        is_table: [M], whether the second is the table.
     """
 
     def __init__(
@@ -61,7 +62,7 @@ class BodyDistances:
                 b = self._bodies[j]
                 if j < moving and frozenset((a.name, b.name)) not in checked:
                     continue
-                if b.name == "table" and a.name in robot.links_on_table:
+                if environment.table and j == moving and a.name in robot.links_on_table:
                     continue
                 pairs.append((i, j))
         self._pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
@@ -74,7 +75,10 @@ class BodyDistances:
         self._centres = np.array([body.centre for body in self._bodies])
         self._local = np.array([body.pose for body in self._bodies])
         self._radii = np.array([body.radius for body in self._bodies])
-        self._table = np.array([b.name == "table" for b in self._bodies])
+        self._table = np.zeros(len(self._bodies), dtype=bool)
+        if environment.table:
+            self._table[moving] = True
+        self.is_table: NDArray[np.bool_] = self._table[self._pairs[:, 1]]
         self._request = coal.DistanceRequest()
         self._request.enable_signed_distance = True
 

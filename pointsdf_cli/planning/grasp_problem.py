@@ -107,13 +107,13 @@ class GraspProblem:
         self.object = ObjectDistances(geometry, field, reach, slope)
         self._jacobian = ContactJacobian(kinematics)
         self.names = self.object.names + self.bodies.names
-        other = [name for _, name in self.names]
-        links = set(kinematics.links)
-        self._is_object = np.array([name == "object" for name in other])
-        self._is_table = np.array([name == "table" for name in other])
-        self._is_self = np.array([name in links for name in other])
+        # By place and not by name: an obstacle may be called as its owner likes.
+        count = len(self.object.names)
+        self.is_object = np.arange(len(self.names)) < count
+        self._is_self = np.concatenate([np.zeros(count, bool), self.bodies.other_link != WORLD])
+        self.is_table = np.concatenate([np.zeros(count, bool), self.bodies.is_table])
         self._margin = np.select(
-            [self._is_object, self._is_self],
+            [self.is_object, self._is_self],
             [self.clearances.object, self.clearances.self],
             self.clearances.environment,
         )
@@ -125,7 +125,7 @@ class GraspProblem:
         """The same with another clearance to the object [m]."""
         other = copy(self)
         other.clearances = replace(self.clearances, object=clearance)
-        other._margin = np.where(self._is_object, clearance, self._margin)
+        other._margin = np.where(self.is_object, clearance, self._margin)
         return other
 
     def cost(self, x: Array) -> Cost:
@@ -141,11 +141,11 @@ class GraspProblem:
         """How far x [B, n] is from violating each kind of constraint."""
         _, contacts = self.contacts(x, gradients=False)
         room = contacts.distance - self._margin
-        relevant, fixed = self._relevant, ~(self._is_object | self._is_table | self._is_self)
+        relevant, fixed = self._relevant, ~(self.is_object | self.is_table | self._is_self)
         return Residuals(
             *(
                 room[:, kind & relevant].min(axis=1, initial=np.inf)
-                for kind in (self._is_object, self._is_table, fixed, self._is_self)
+                for kind in (self.is_object, self.is_table, fixed, self._is_self)
             )
         )
 

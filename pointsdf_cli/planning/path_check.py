@@ -70,12 +70,8 @@ class PathChecker:
         clearances = clearances or Clearances()
         self._object = ObjectDistances(geometry, field)
         self._bodies = BodyDistances(geometry, environment or Environment(), reach=0.02)
-        links = set(kinematics.links)
-        self._body_margin = np.array(
-            [
-                clearances.self if other in links else clearances.environment
-                for _, other in self._bodies.names
-            ]
+        self._body_margin = np.where(
+            self._bodies.other_link != WORLD, clearances.self, clearances.environment
         )
         self._object_margin = clearances.object
         self._object_columns = len(self._object.names)

@@ -281,7 +281,7 @@ def _ranked(found: Synthesis, rank: Rank) -> Synthesis:
         return replace(found, spares=rank(list(found.spares)))
     kept = rank(list(found.accepted))
     left = [c for c in found.accepted if not any(c is k for k in kept)]
-    dropped = [replace(c, reason="low_success_probability") for c in left]
+    dropped = [replace(c, reason="not_tried" if kept else "low_success_probability") for c in left]
     found = replace(found, accepted=kept, rejected=found.rejected + dropped)
     if kept:
         return replace(found, best=kept[0])

@@ -23,8 +23,9 @@ REASONS = (
     "objective",
     "motion",
     "solver",
+    "not_tried",
 )
-"""Reason codes of the plan artifact."""
+"""Reason codes of the plan artifact; "not_tried" is a rejected grasp's only: others came first."""
 
 FREE_SHARE = 0.05
 """If fewer of the reached grasps than this are free as drawn, what they meet is the reason."""
@@ -87,6 +88,11 @@ def why_none(
         return "low_success_probability", (
             "The success network saw no grasp of this kind in training: ask for the other --kind, "
             "or train it on more grasps."
+        )
+    if not drawn.above_table:
+        return "table_collision", (
+            f"The palms of all {drawn.drawn} drawn grasps are below the table's top: the object is "
+            "too low for this kind; ask for the other --kind, or check the camera's pose."
         )
     if miss is None:
         return "inverse_kinematics", explain("inverse_kinematics", None, seeds_tried, config)

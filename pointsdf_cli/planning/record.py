@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pointsdf_cli.io.plans import NO_PLAN, OK, AcceptedGrasps, Plan, RejectedSeeds
 from pointsdf_cli.planning.acceptance import Candidate
@@ -43,8 +44,8 @@ def plan_of(
         rotation, position, _ = inverse.palm(q[None, robot.arm])
         T_world_palm = np.eye(4)
         T_world_palm[:3, :3], T_world_palm[:3, 3] = rotation[0], position[0]
-        to_object = link_clearance(problem, best.x, links, "object")
-        to_table = link_clearance(problem, best.x, links, "table")
+        to_object = link_clearance(problem, best.x, links, problem.is_object)
+        to_table = link_clearance(problem, best.x, links, problem.is_table)
         trajectory, times = motion.trajectory.positions, motion.trajectory.times
     return Plan(
         status=OK if best is not None else NO_PLAN,
@@ -99,15 +100,17 @@ def shaped_links(robot: RobotDescription) -> tuple[str, ...]:
     return tuple(link for link in robot.tree.links if robot.tree.shapes[link])
 
 
-def link_clearance(problem: GraspProblem, x: Array, links: tuple[str, ...], to: str) -> Array:
-    """Smallest distance [L] of each link to "object", "table" or an obstacle [m]; infinite where
-    it is not checked. Far distances are lower bounds."""
+def link_clearance(
+    problem: GraspProblem, x: Array, links: tuple[str, ...], to: NDArray[np.bool_]
+) -> Array:
+    """Smallest distance [L] of each link among the problem's distances `to` (a mask) [m]; infinite
+    where it is not checked. Far distances are lower bounds."""
     _, contacts = problem.contacts(x[None], gradients=False)
     clearance = np.full(len(links), np.inf)
     place = {link: k for k, link in enumerate(links)}
-    for m, (link, other) in enumerate(problem.names):
-        if other == to:
-            clearance[place[link]] = min(clearance[place[link]], contacts.distance[0, m])
+    for m in np.flatnonzero(to):
+        link = place[problem.names[m][0]]
+        clearance[link] = min(clearance[link], contacts.distance[0, m])
     return clearance
 
 

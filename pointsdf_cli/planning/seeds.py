@@ -100,7 +100,7 @@ def draw_seeds(
     draws = [prior.sample(one, each, rng) for one in wanted]
     preshape, palm = (np.concatenate(part) for part in zip(*draws, strict=True))
     kinds = np.repeat(wanted, [len(one) for one, _ in draws])
-    above = palm[:, 2, 3] >= config.lowest_palm
+    above = (palm[:, 2, 3] >= config.lowest_palm) | (not problem.environment.table)
     preshape, palm, kinds = preshape[above], palm[above], kinds[above]
     n = problem.variables.count
     if not len(palm):

@@ -97,7 +97,7 @@ def plan_on_table(
             f"the table is seen at z = {height * 1000:.0f} mm, not 0: check the camera's pose"
         )
     if others and len(seen.others):
-        beside = clutter(seen.others)
+        beside = clutter(seen.others, [one.name for one in environment.obstacles])
         if beside:
             report.append(f"{len(beside)} other things are obstacles")
         environment = replace(environment, obstacles=(*environment.obstacles, *beside))

@@ -7,8 +7,9 @@ unchanged, as nothing but its largest part is left to keep.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 import trimesh
@@ -83,11 +84,12 @@ def look_at_table(
 
     Raises:
         InputError: No pose, or no cloud of an object.
-        NoObjectError: Nothing is left of the first cloud.
+        NoObjectError: No cloud shows an object; the first one's reason.
     """
     if segment not in SEGMENT:
         raise InputError(f"no {segment!r}", where="--segment", allowed=", ".join(SEGMENT))
     views, others, report, heights = [], [], [], []
+    problem: NoObjectError | None = None
     own = robot_points(robot, start)
     for cloud, name in zip(clouds, names, strict=True):
         if cloud.T_world_camera is None:
@@ -106,8 +108,10 @@ def look_at_table(
         world = apply_transform(cloud.T_world_camera, points)
         free = off_robot(world, own)
         points, world = points[free], world[free]
-        found = _segment(world, name, target, first=not views)
-        if found is None:
+        try:
+            found = _segment(world, name, target)
+        except NoObjectError as error:
+            problem = problem or error
             report.append(f"{name}: the object is not seen")
             continue
         sentence = found.report()
@@ -121,22 +125,26 @@ def look_at_table(
         if target is None:
             # The other cameras are asked for what the first one chose.
             target = np.median(world[found.kept], axis=0)
+    if problem is not None and not views:
+        raise problem
     rest = np.concatenate(others) if others else np.zeros((0, 3))
     height = float(np.median(heights)) if heights else None
     return TableTop(tuple(views), rest, tuple(report), height)
 
 
-def clutter(points: Array, config: SegmentationConfig = WORKSPACE) -> tuple[Obstacle, ...]:
+def clutter(points: Array, taken: Collection[str] = ()) -> tuple[Obstacle, ...]:
     """Other things as obstacles: the hull of each cluster's points, down to the table.
 
     Args:
         points: [N, 3], world, m; what one camera saw, or several.
+        taken: Names that other obstacles have.
     """
+    names = (name for k in count(1) if (name := f"seen_{k}") not in taken)
     obstacles: list[Obstacle] = []
     if not len(points):
         return ()
-    label, counts = clusters(points, config.gap)
-    for k in np.flatnonzero(counts >= config.fewest):  # fewer are noise
+    label, counts = clusters(points, WORKSPACE.gap)
+    for k in np.flatnonzero(counts >= WORKSPACE.fewest):  # fewer are noise
         cluster = points[label == k]
         foot = cluster * [1.0, 1.0, 0.0]
         try:
@@ -144,27 +152,24 @@ def clutter(points: Array, config: SegmentationConfig = WORKSPACE) -> tuple[Obst
         except QhullError:  # a sheet on edge, seen as a line
             continue
         faces = np.asarray(hull.faces, dtype=np.int32)
-        name = f"seen_{len(obstacles) + 1}"
         obstacles.append(
-            Obstacle(name, "mesh", (), np.eye(4), np.asarray(hull.vertices, dtype=float), faces)
+            Obstacle(
+                next(names), "mesh", (), np.eye(4), np.asarray(hull.vertices, dtype=float), faces
+            )
         )
     return tuple(obstacles)
 
 
-def _segment(world: Array, name: str, target: Array | None, first: bool) -> Segmentation | None:
+def _segment(world: Array, name: str, target: Array | None) -> Segmentation:
     try:
         found = segment_object(world, WORKSPACE, target)
     except InputError as error:
-        if not first:
-            return None
         raise NoObjectError(
             error.what, where=name, allowed=error.allowed, hint=error.hint
         ) from error
     if target is not None:
         away = float(np.linalg.norm(world[found.kept] - target, axis=1).min())
         if away > TARGET_REACH:
-            if not first:
-                return None
             raise NoObjectError(
                 f"the object nearest to --target is {away:.2f} m away from it",
                 where=name,

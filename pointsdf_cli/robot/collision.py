@@ -34,6 +34,8 @@ def table_clearance(
         lowest = [s.lowest(rotation[..., i, :, :], position[..., i, :]) for s in shapes]
         links.append(link)
         heights.append(torch.stack(lowest, dim=-1).amin(dim=-1))
+    if not links:
+        return (), rotation.new_full((*rotation.shape[:-3], 0), torch.inf)
     return tuple(links), torch.stack(heights, dim=-1)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -138,6 +139,22 @@ def load_robot(path: Path | str | None = None) -> RobotDescription:
     return robot_of(read_yaml(path), path)
 
 
+def robot_digest(path: Path | str | None = None) -> str:
+    """SHA-256 of all that describes a robot: its YAML, its URDF and the shapes that this names.
+
+    Raises:
+        InputError: As `load_robot`.
+    """
+    path = asset_path(BUNDLED) if path is None else Path(path)
+    robot = load_robot(path)
+    digest = hashlib.sha256(path.read_bytes() + robot.urdf.read_bytes())
+    for link in robot.tree.links:
+        for shape in robot.tree.shapes[link]:
+            if shape.vertices is not None:
+                digest.update(shape.vertices.tobytes())
+    return digest.hexdigest()
+
+
 def robot_of(data: Any, path: Path) -> RobotDescription:
     """The robot of the contents of a YAML file that is, or will be, at `path`.
 
@@ -184,8 +201,10 @@ class _Reader:
         self.check_limits(joints)
         margin = self.number("arm_limit_margin", 0.0, 0.0, 1.0)
         lower, upper = hard_lower.copy(), hard_upper.copy()
-        lower[: len(arm)] += margin
-        upper[: len(arm)] -= margin
+        # An angle is no length: sliding joints may go to their ends.
+        turning = np.array([movable[name].kind != "prismatic" for name in arm])
+        lower[: len(arm)] += margin * turning
+        upper[: len(arm)] -= margin * turning
         if (lower >= upper).any():
             raise self.wrong("arm_limit_margin", f"of {margin} leaves no range", "a smaller margin")
         preshape = self.mapping("preshape_joints", hand)
@@ -206,7 +225,16 @@ class _Reader:
         if not isinstance(palm, Mapping) or palm.get("link") not in tree.links:
             raise self.wrong("palm", "has no such `link`", ", ".join(tree.links))
         reach = palm.get("reach")
-        palm_link, T_link_palm = _carrier(tree, hand, str(palm["link"]), self.pose("palm", palm))
+        moved = {link for link in tree.links if tree.shapes[link]} & _beyond(tree, hand)
+        if not moved:
+            raise self.wrong(
+                "hand_joints",
+                "move no link with a <collision> shape",
+                "a URDF whose fingers have <collision> geometry, not <visual> alone",
+            )
+        palm_link, T_link_palm = _carrier(
+            tree, hand, str(palm["link"]), self.pose("palm", palm, ("link", "reach"))
+        )
         home = np.clip(np.zeros(len(joints)), lower, upper)
         if "home" in self.data:
             given = self.data["home"]
@@ -284,9 +312,13 @@ class _Reader:
             raise self.wrong(key, f"is {value}", f"{low:g} to {high:g}")
         return value
 
-    def pose(self, key: str, value: Any) -> Array:
+    def pose(self, key: str, value: Any, beside: tuple[str, ...] = ()) -> Array:
         if not isinstance(value, Mapping):
             raise self.wrong(key, f"is {value!r}", "{xyz: [x, y, z], wxyz: [w, x, y, z]}")
+        known = ("xyz", "wxyz", *beside)
+        unknown = [one for one in value if one not in known]
+        if unknown:
+            raise self.wrong(key, f"has {unknown[0]!r}, which is no key", ", ".join(known))
         wxyz = self.vector(key, value.get("wxyz", [1, 0, 0, 0]), 4)
         if abs(np.linalg.norm(wxyz) - 1) > 1e-3:
             raise self.wrong(key, f"has wxyz {wxyz.tolist()}", "a unit quaternion, w first")
@@ -317,6 +349,15 @@ class _Reader:
                 raise self.wrong("may_touch", f"holds {pair!r}", "pairs of two different links")
             pairs.add(frozenset(pair))
         return frozenset(pairs)
+
+
+def _beyond(tree: Tree, joints: tuple[str, ...]) -> set[str]:
+    """The links that these joints move."""
+    found: set[str] = set()
+    for joint in tree.joints:  # parents come first
+        if joint.name in joints or joint.parent in found:
+            found.add(joint.child)
+    return found
 
 
 def _carrier(tree: Tree, hand: tuple[str, ...], link: str, pose: Array) -> tuple[str, Array]:

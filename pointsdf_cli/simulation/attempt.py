@@ -127,7 +127,7 @@ class Attempter:
         self._hand = hand_of(robot)
         self._settled: dict[tuple[str, int], Array | None] = {}
         self._feet: tuple[SimObject, dict[int, SimObject]] | None = None
-        self._last_scene: tuple[tuple[str, int], Scene] | None = None
+        self._last_scene: tuple[tuple[str, str, int], Scene] | None = None
 
     def close(self) -> None:
         """Leave the physics client."""
@@ -225,7 +225,7 @@ class Attempter:
         Raises:
             InputError: The object never comes to rest, or no view shows it.
         """
-        key = (item.mesh.sha256, index)
+        key = (item.mesh.name, item.mesh.sha256, index)
         if self._last_scene is not None and self._last_scene[0] == key:
             return self._last_scene[1]
         scene = self._draw_scene(item, self._rng(item, 1, index))

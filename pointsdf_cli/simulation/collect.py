@@ -25,7 +25,8 @@ from pointsdf_cli.io.grasps import (
 )
 from pointsdf_cli.io.hdf5 import is_complete
 from pointsdf_cli.io.meshes import load_mesh
-from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.robot.description import load_robot, robot_digest
 from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter, as_grasps
 from pointsdf_cli.simulation.sim_object import prepare_object
 
@@ -94,6 +95,7 @@ def collect_object(task: CollectTask) -> CollectSummary | None:
     """
     torch.set_num_threads(1)
     config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
+    config |= {"mesh": file_sha256(task.mesh), "robot": robot_digest(task.robot)}
     done: Grasps | None = None
     if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):
         done, _ = read_grasps(task.out)
@@ -148,7 +150,7 @@ def first_quotas(splits: dict[str, str], count: int) -> dict[str, int]:
     """How many executed grasps to ask of every object so that the splits sum to 80% and 20%.
 
     Raises:
-        InputError: Fewer grasps than objects.
+        InputError: No grasps.
     """
     if count < 1:
         raise InputError(f"{count} grasps", where="--count", allowed="1 or more")

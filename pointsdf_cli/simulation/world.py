@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,7 +99,8 @@ class World:
         self.physics = physics or PhysicsConfig()
         self._bullet = import_bullet()
         self._client = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
-        self._folder = Path(tempfile.mkdtemp(prefix="rgrasp-world-"))
+        self._temporary = tempfile.TemporaryDirectory(prefix="rgrasp-world-")  # gone at exit, too
+        self._folder = Path(self._temporary.name)
         self._object_file: tuple[Pieces, Path] | None = None
         self._steps = 0
 
@@ -109,7 +109,7 @@ class World:
         if self._client >= 0:
             self._bullet.disconnect(self._client)
             self._client = -1
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._temporary.cleanup()
 
     def __enter__(self) -> World:
         return self

@@ -45,9 +45,10 @@ def nearest_neighbours(data: GraspData, known: NDArray[np.int64]) -> NDArray[np.
     numbers, size = pose_numbers(data, centre.astype(np.float64), 1.0 / extent.max(axis=1))
     inputs = torch.cat([numbers, size], dim=1).double().numpy()
     scaled = (inputs - inputs[known].mean(0)) / (inputs[known].std(0) + 1e-9)
-    _, near = cKDTree(scaled[known]).query(scaled, k=NEIGHBOURS + 1)
-    neighbours = known[np.minimum(near, len(known) - 1)]
+    count = min(NEIGHBOURS, len(known) - 1)
+    _, near = cKDTree(scaled[known]).query(scaled, k=count + 1)
+    neighbours = known[near]
     own = neighbours == np.arange(len(data))[:, None]
     # Itself stands first where it is known; else the farthest of the eleven is one too many.
     own[~own.any(axis=1), -1] = True
-    return data.label[neighbours[~own].reshape(len(data), NEIGHBOURS)].mean(axis=1)
+    return data.label[neighbours[~own].reshape(len(data), count)].mean(axis=1)

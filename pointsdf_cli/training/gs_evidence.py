@@ -30,7 +30,7 @@ from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model, use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.description import load_robot, robot_digest
 from pointsdf_cli.training.gs_data import GraspData
 from pointsdf_cli.training.precision import autocast_dtype
 
@@ -98,7 +98,7 @@ def evidence_of(
             hashlib.sha256(file.read_bytes()).hexdigest(),
             weights,
             None if sweep is None else asdict(sweep),
-            load_robot(robot).name,
+            robot_digest(robot),
         ]
         key = hashlib.sha256(json.dumps(decides).encode()).hexdigest()
         out = cache / f"{name.replace('/', '__')}-{key[:16]}.h5"

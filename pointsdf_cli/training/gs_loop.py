@@ -195,8 +195,9 @@ def train_success(
         seconds, clock = seconds + now - clock, now
         state = {
             "config": asdict(config),
-            "weights": weights_of(learner),
-            "optimiser": optimiser.state_dict(),
+            # Copies: a stop within the next epoch writes this state after more steps.
+            "weights": copy.deepcopy(weights_of(learner)),
+            "optimiser": copy.deepcopy(optimiser.state_dict()),
             "rng": torch.get_rng_state(),
             "epoch": epoch,
             "seconds": seconds,

@@ -265,18 +265,14 @@ def train_sdf(
             seconds = workers.most(seconds)  # one clock, or they would not end at the same step
         if now - reported >= report_every:
             mean = float(losses) / since_report
-            if not math.isfinite(mean):
-                raise RgraspError(
-                    f"the loss is {mean} at step {step}", hint="lower --learning-rate"
-                )
-            total += float(losses)
+            total += _finite(float(losses), step)
             speed = since_report * config.batch_size / (now - reported)
             left = seconds * (1.0 / max(fraction_done(), 1e-9) - 1.0)
             on_progress(Progress(step, fraction_done(), mean, speed, left))
             losses.zero_()
             since_report, reported = 0, now
         if step % config.validate_every == 0 or fraction_done() >= 1.0:
-            total = workers.mean(total + float(losses))
+            total = _finite(workers.mean(total + float(losses)), step)
             result = validate(pack, split, average.model, config.loss, low_precision, target)
             history.append(_entry(step, seconds, total / since_validation, result))
             is_best = _best(history) is history[-1]
@@ -288,6 +284,12 @@ def train_sdf(
             since_report, since_validation, total = 0, 0, 0.0
             clock = reported = time.monotonic()
     return TrainResult(True, step, seconds, history, _best(history))
+
+
+def _finite(loss: float, step: int) -> float:
+    if not math.isfinite(loss):
+        raise RgraspError(f"the loss is {loss} at step {step}", hint="lower --learning-rate")
+    return loss
 
 
 def _entry(step: int, seconds: float, loss: float, result: Validation) -> dict[str, float]:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.atomic import require_folder, unwritable, write_text_atomic
+from pointsdf_cli.io.atomic import atomic_path, require_folder, unwritable, write_text_atomic
 from pointsdf_cli.io.labels import read_labels
 from pointsdf_cli.io.views import read_views
 from pointsdf_cli.models.neighbours import farthest_point_order
@@ -100,6 +100,7 @@ def open_pack(
     folder: Path | str,
     views_per_object: Mapping[str, int] | None = None,
     on_progress: Callable[[int, int], None] | None = None,
+    root: Path | None = None,
 ) -> Pack:
     """The pack of these artifacts, built in `folder` unless it is there already.
 
@@ -108,10 +109,13 @@ def open_pack(
         folder: Where the arrays lie; a finished pack of other files is replaced.
         views_per_object: Keep only the first so many views of each; by folder, "" for the rest.
         on_progress: Called with (objects done, objects).
+        root: Objects are named by where their views lie below it; by default below the deepest
+            folder that they share.
 
     Raises:
-        InputError: An artifact is unreadable, or views and labels are of different meshes; the
-            folder cannot be written, or the disk is full.
+        InputError: An artifact is unreadable, or views and labels are of different meshes; no
+            object lies in a folder of `views_per_object`; the pack cannot be written, or the disk
+            is full.
     """
     folder = require_folder(folder)
     limits = dict(views_per_object or {})
@@ -123,16 +127,23 @@ def open_pack(
             return load_pack(folder, tuple(index["names"]))
         index_file.unlink()
     try:
-        names, label_start = _build(pairs, folder, limits, on_progress)
-        np.save(folder / "label_start.npy", label_start)
+        shared = os.path.commonpath([view_file.parent for view_file, _ in pairs])
+        below = Path(shared) if root is None or not root.is_dir() else root
+        objects = [
+            view_file.relative_to(below).with_suffix("").as_posix() for view_file, _ in pairs
+        ]
+        _check_limits(objects, limits)
+        label_start = _build(pairs, objects, folder, limits, on_progress)
+        with atomic_path(folder / "label_start.npy") as temporary:
+            np.save(temporary, label_start)
     except OSError as error:
         for name in (*ARRAYS, *LABEL_ARRAYS):  # unfinished, and in the way where a disk is full
-            for suffix in (".bin", ".npy"):
+            for suffix in (f"-{os.getpid()}.bin", ".npy"):
                 (folder / f"{name}{suffix}").unlink(missing_ok=True)
         raise unwritable(folder, error) from error
     # Written last: a pack without its index is unfinished and is built again.
-    write_text_atomic(index_file, json.dumps({"fingerprint": fingerprint, "names": names}))
-    return load_pack(folder, tuple(names))
+    write_text_atomic(index_file, json.dumps({"fingerprint": fingerprint, "names": objects}))
+    return load_pack(folder, tuple(objects))
 
 
 def pack_views(
@@ -166,14 +177,15 @@ def pack_views(
 
 def _build(
     pairs: Sequence[tuple[Path, Path]],
+    names: Sequence[str],
     folder: Path,
     limits: Mapping[str, int],
     on_progress: Callable[[int, int], None] | None,
-) -> tuple[list[str], NDArray[np.int64]]:
+) -> NDArray[np.int64]:
+    """Write the arrays; where each object's labels start."""
     writers: dict[str, _Appender] = {}
-    names, starts = list[str](), [0]
-    root = Path(os.path.commonpath([view_file.parent for view_file, _ in pairs]))
-    for done, (view_file, label_file) in enumerate(pairs):
+    starts = [0]
+    for done, (name, (view_file, label_file)) in enumerate(zip(names, pairs, strict=True)):
         views, labels = read_views(view_file), read_labels(label_file)
         if views.mesh_hash != labels.mesh_hash:
             raise InputError(
@@ -181,22 +193,33 @@ def _build(
                 where=view_file,
                 hint="render and label the same meshes again with --force",
             )
-        name = str(view_file.relative_to(root).with_suffix(""))
         kept = slice(None, _limit(name, limits))
         arrays: dict[str, NDArray] = pack_views(views.cloud[kept], views.T_camera_object[kept])
         arrays["object_of_view"] = np.full(len(arrays["scale"]), done, np.int32)
         arrays["points"], arrays["sdf"] = labels.points, labels.sdf
         for key, array in arrays.items():
             if key not in writers:
-                writers[key] = _Appender(folder / f"{key}.bin", array)
+                # Its own, should another process be packing here.
+                writers[key] = _Appender(folder / f"{key}-{os.getpid()}.bin", array)
             writers[key].append(array, view_file)
-        names.append(name)
         starts.append(starts[-1] + len(labels.sdf))
         if on_progress is not None:
             on_progress(done + 1, len(pairs))
     for key, writer in writers.items():
         writer.finish(folder / f"{key}.npy")
-    return names, np.array(starts, np.int64)
+    return np.array(starts, np.int64)
+
+
+def _check_limits(names: Sequence[str], limits: Mapping[str, int]) -> None:
+    """Every folder that is limited holds an object: a typing error would limit nothing."""
+    for prefix in limits:
+        if prefix and not any(name.startswith(prefix.rstrip("/") + "/") for name in names):
+            folders = sorted({name.rpartition("/")[0] for name in names} - {""})
+            raise InputError(
+                f"no views lie in {prefix!r}",
+                where="--views-per-object",
+                allowed=", ".join(folders[:20]) or "a number alone: the views lie in no folders",
+            )
 
 
 def _limit(name: str, limits: Mapping[str, int]) -> int | None:
@@ -233,7 +256,12 @@ class _Appender:
             "shape": (self.rows, *self.row),
         }
         # Plain writes: on a disk that fills, one into a mapped file kills the process.
-        with open(self.path, "rb") as rows, open(target, "wb") as handle:
+        # Beside its place first: another training may still have the old array mapped.
+        with (
+            atomic_path(target) as temporary,
+            open(self.path, "rb") as rows,
+            open(temporary, "wb") as handle,
+        ):
             write_array_header_1_0(handle, header)
             shutil.copyfileobj(rows, handle)
         self.path.unlink()

@@ -49,16 +49,13 @@ class TrialObject:
     Attributes:
         name: As in the results.
         mesh: Its file; None for the stand-in of that name.
+        upright: Whether the mesh's z axis is known to be up: YCB is scanned upright, as stand-ins
+            are made. Other meshes may lie in any way.
     """
 
     name: str
     mesh: Path | None = None
-
-    @property
-    def stands_as_modelled(self) -> bool:
-        """Whether the mesh's z axis is known to be up: YCB is scanned upright, as stand-ins are
-        made. Other meshes may lie in any way."""
-        return self.name in STAND_INS
+    upright: bool = False
 
 
 @dataclass(frozen=True)
@@ -173,15 +170,15 @@ def choose_objects(
     if objects == "auto":
         objects = "eight" if by_paper or meshes is None else "all"
     if objects == "eight":
-        return [TrialObject(name, by_paper.get(name)) for name in STAND_INS]
+        return [TrialObject(name, by_paper.get(name), upright=True) for name in STAND_INS]
     if meshes is None and objects in ("all", "others"):
         raise InputError(f"--objects {objects} needs a folder", hint="--meshes DIR")
     taken = set(by_paper.values()) if objects == "others" else set()
     every = [TrialObject(path.stem, path) for path in files if path not in taken]
     if objects in ("all", "others"):
         return _distinct(every)
-    known = {item.name: item for item in every}
-    known |= {name: TrialObject(name, by_paper.get(name)) for name in STAND_INS}
+    known = {name: TrialObject(name, by_paper.get(name), upright=True) for name in STAND_INS}
+    known |= {item.name: item for item in every}  # a file of that very name is what was meant
     chosen = []
     for name in objects.split(","):
         if name not in known:
@@ -208,14 +205,20 @@ def make_trials(
         InputError: No yaw, repeat or contender, or an unknown camera.
     """
     if yaws < 1 or repeats < 1:
-        raise InputError(f"{yaws} yaws, {repeats} repeats", allowed="1 or more of each")
+        where = "--yaws" if yaws < 1 else "--repeats"
+        raise InputError(f"{min(yaws, repeats)}", where=where, allowed="1 or more")
     unknown = [camera for camera in cameras if camera not in CAMERAS]
     if unknown or not cameras:
         raise InputError(
             f"no camera {', '.join(unknown)!r}", where="--cameras", allowed=", ".join(CAMERAS)
         )
-    if len(set(contenders)) != len(contenders) or not contenders:
-        raise InputError("methods and ablations must be given, each once", where="--method")
+    twice = sorted({one.name for one in contenders if list(contenders).count(one) > 1})
+    if twice or not contenders:
+        raise InputError(
+            f"{twice[0]} is given twice" if twice else "nothing to try",
+            where="--method, --ablation",
+            allowed="each once",
+        )
     return [
         Trial(item, yaw, yaws, repeat, camera, contender, seed)
         for item in objects

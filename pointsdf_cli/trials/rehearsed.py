@@ -64,7 +64,7 @@ class RehearsedPlannerConfig:
 
     def __post_init__(self) -> None:
         if self.count < 1 or not 0 <= self.enough <= 1:
-            raise InputError(f"{self.count} grasps", where="--rehearse", allowed="1 or more")
+            raise InputError(f"{self.count} grasps", where="--rehearse", allowed="0 or more")
 
 
 @dataclass(frozen=True)
@@ -134,6 +134,13 @@ class RehearsedPlanner(GraspPlanner):
         """
         if rank is not None or satisfied is not None:
             raise ValueError("rehearsals rank the grasps themselves")
+        if environment is not None and not environment.table:
+            raise InputError(
+                "a rehearsal puts the object on the table, and there is none",
+                where="--rehearse",
+                allowed="an environment with `table: true`",
+                hint="leave --rehearse out",
+            )
         began = time.perf_counter()
         if surface is None and sight.reconstruction is not None:
             surface = believed_surface(sight.reconstruction, self.config.resolution)

@@ -17,7 +17,7 @@ from pointsdf_cli.trials.protocol import (
     PUBLISHED_SECONDS,
     RECONSTRUCTION,
 )
-from pointsdf_cli.trials.statistics import Share
+from pointsdf_cli.trials.statistics import Share, wilson
 from pointsdf_cli.trials.summary import Summary, compare, summarise
 from pointsdf_cli.viz import html
 
@@ -84,21 +84,22 @@ PICTURE_NOTE = (
 
 def success_figure(summaries: Sequence[Summary]) -> Figure:
     """Bars by camera beside the published ones, and by object, with Wilson intervals."""
-    objects = list(summaries[0].by_object)[:24]
+    objects = list(dict.fromkeys(item for s in summaries for item in s.by_object))[:24]
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(13, 3.8), width_ratios=(1, max(1.2, 0.18 * len(objects)))
     )
-    cameras = [*summaries[0].by_camera, "all"]
+    cameras = [*dict.fromkeys(c for s in summaries for c in s.by_camera), "all"]
+    none = wilson(0, 0)  # not tried: no bar
     width = 0.8 / (2 * len(summaries))
     for i, summary in enumerate(summaries):
         colour = COLOURS[summary.method]
-        shares = [summary.by_camera.get(c, summary.held) for c in cameras]
+        shares = [(summary.by_camera | {"all": summary.held}).get(c, none) for c in cameras]
         _bars(left, np.arange(len(cameras)) + 2 * i * width, shares, width, colour, summary.name)
         published = [PUBLISHED[summary.method].get(c, np.nan) for c in cameras]
         at = np.arange(len(cameras)) + (2 * i + 1) * width
         left.bar(at, published, width, color=colour, alpha=0.35, label=f"{summary.name}, published")
         wide = 0.8 / len(summaries)
-        shares = [summary.by_object[item] for item in objects if item in summary.by_object]
+        shares = [summary.by_object.get(item, none) for item in objects]
         _bars(right, np.arange(len(shares)) + i * wide, shares, wide, colour, summary.name)
     left.set_xticks(np.arange(len(cameras)) + 0.4 - width / 2, cameras)
     right.set_xticks(np.arange(len(objects)) + 0.3, objects, rotation=40, ha="right", fontsize=8)

@@ -16,6 +16,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.hdf5 import is_complete
 from pointsdf_cli.io.plans import OK, Plan
+from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.io.trials import (
     TRIAL_SCHEMA,
     TRIAL_VERSION,
@@ -29,7 +30,7 @@ from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.fields import MeshField
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
-from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.description import load_robot, robot_digest
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.executor import ExecutorConfig
@@ -241,10 +242,11 @@ def run_trial_task(task: TrialTask) -> TrialRow | None:
     trial = task.trial
     config = task.config.as_dict() | {"seed": trial.seed, "yaws": trial.yaws, "trial": trial.name}
     config["weights"] = weights_of(trial.contender, task.config.contenders)
-    config["mesh"] = "" if trial.object.mesh is None else trial.object.mesh.name
-    if not task.force and is_complete(
-        task.out, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, config=config
-    ):
+    config["mesh"] = "" if trial.object.mesh is None else file_sha256(trial.object.mesh)
+    config["contenders"] |= {"robot": robot_digest(task.config.contenders.robot)}
+    filmed = task.film is None or task.film.is_file()
+    complete = is_complete(task.out, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, config=config)
+    if complete and filmed and not task.force:
         return None
     runner = _runner(task.config)
     recorder = Recorder(rate=10.0) if task.film is not None else None

@@ -115,13 +115,13 @@ def place_object(
     rng = trial.rng("pose")
     resting, standing = None, item
     for _ in range(POSE_TRIES):
-        if trial.object.stands_as_modelled:
+        if trial.object.upright:
             pose = upright_pose(item, config)
         else:
             pose = item.poses[draw_pose(item.poses, config.standing, rng)[0]]
         standing = on_its_foot(item, pose)
         resting = settle(world, standing, pose, config.settling)
-        if resting is not None or trial.object.stands_as_modelled:
+        if resting is not None or trial.object.upright:
             break
     if resting is None:
         raise InputError("never comes to rest on a table", where=trial.object.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import socket
 import time
 from contextlib import redirect_stdout
 from typing import Any
@@ -36,6 +37,10 @@ class Viewer:
         if not 1 <= port <= 65535:
             raise InputError(f"port {port}", where="--port", allowed="1 to 65535")
         try:
+            # viser binds in a thread of its own, and waits for ever if that fails.
+            kind, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+            with socket.socket(kind) as probe:
+                probe.bind(address)
             with redirect_stdout(io.StringIO()):  # it prints a banner, and stdout is for results
                 self._server = viser.ViserServer(
                     host=host, port=port, label=scene.title, verbose=False
