@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The tests with the oldest dependencies that pyproject.toml allows, in an environment of their own.
-#   pipelines/min_versions.sh [VENV] [pytest arguments]     (a download of about 1 GB; not in CI)
+#   pipelines/min_versions.sh [VENV] [pytest arguments]     (a download of some gigabytes; not in CI)
 # With CONSTRAINTS=/dev/null: with the newest there are.
 set -euo pipefail
 cd "$(dirname "$0")/.."

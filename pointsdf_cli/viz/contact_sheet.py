@@ -241,4 +241,4 @@ def _palette() -> Image.Image:
 def _font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
     # matplotlib ships DejaVu Sans, so the sheet looks the same on every machine.
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(Path(get_data_path()) / "fonts" / "ttf" / name, size)
+    return ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / name), size)
