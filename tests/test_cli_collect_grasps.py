@@ -56,6 +56,20 @@ def test_collects_skips_and_resumes(cli: Callable[..., Any], meshes: Path, tmp_p
     other = cli(*run, "--seed", 5, "--no-pictures")
     assert other.code == 2
     assert "other options" in other.err
+    trimesh.creation.cylinder(0.03, 0.16).export(meshes / "can.ply")
+    taller = cli(*run, "--no-pictures")
+    assert taller.code == 2
+    assert "other options" in taller.err
+    assert (out / "can.h5").read_bytes() == before
+
+
+def test_where_nothing_can_be_grasped_that_is_said(
+    cli: Callable[..., Any], meshes: Path, tmp_path: Path
+) -> None:
+    (meshes / "can.ply").unlink()
+    run = cli("collect-grasps", "--meshes", meshes, "--out", tmp_path / "g", "--count", 2)
+    assert run.code == 2
+    assert "crate: is too large" in run.err
 
 
 def test_killed_at_random_moments_nothing_is_lost_and_nothing_double(

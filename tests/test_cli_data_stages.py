@@ -185,3 +185,11 @@ def test_killed_at_random_moments_a_stage_resumes_to_the_same_datasets(tmp_path:
         assert run_cli(*command).code == 0
         assert_equal_contents(tmp_path / name[:-1], tmp_path / name)
         assert all(path.suffix == ".h5" for path in (tmp_path / name).iterdir())
+
+
+def test_views_of_a_mesh_that_has_changed_are_not_kept(views: Path, mesh_folder: Path) -> None:
+    trimesh.creation.box((0.05, 0.05, 0.05)).export(mesh_folder / "ball.ply")
+    result = run_cli(*RENDER, "--meshes", mesh_folder, "--out", views)
+    assert result.code == 2
+    assert "another version" in result.err
+    assert "--force" in result.err

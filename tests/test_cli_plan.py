@@ -171,6 +171,29 @@ def test_bad_options_are_refused(
     assert not (tmp_path / "plan.h5").exists()
 
 
+def test_every_output_has_a_place_of_its_own(cli: Callable, tmp_path: Path) -> None:
+    out = tmp_path / "plan.png"  # where its own picture would go
+    both = tmp_path / "p.h5"
+    for arguments in (["--out", out], ["--out", both, "--trajectory", both]):
+        run = cli("plan", TABLE, *arguments)
+        assert run.code == 2
+        assert "one path" in run.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_motion_of_another_plan_stays(cli: Callable, tmp_path: Path) -> None:
+    out, motion, picture = (tmp_path / name for name in ("p.h5", "m.json", "p.png"))
+    motion.write_text("another plan's")
+    picture.write_text("another plan's")
+    scene = read_cloud(TABLE)
+    bare = replace(scene, points=scene.points[:60])
+    write_cloud(tmp_path / "bare.ply", bare)
+    run = cli("plan", tmp_path / "bare.ply", "--out", out, "--trajectory", motion, "--force")
+    assert run.code == 3
+    assert not motion.exists()
+    assert not picture.exists() or picture.read_bytes()[:4] == b"\x89PNG"
+
+
 def test_a_cloud_without_a_pose_is_refused(cli: Callable, tmp_path: Path) -> None:
     cloud = read_cloud(TABLE)
     write_cloud(tmp_path / "lost.ply", Cloud(cloud.points, frame="camera"))

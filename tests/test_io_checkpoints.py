@@ -14,6 +14,7 @@ from pointsdf_cli.io.checkpoints import (
     has_train_state,
     read_checkpoint,
     read_train_state,
+    require_checkpoint_place,
     write_checkpoint,
 )
 from pointsdf_cli.models.registry import build_model, load_model
@@ -116,3 +117,20 @@ def test_a_file_is_never_overwritten_by_a_checkpoint(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a file"):
         write_checkpoint(tmp_path / "taken", config={})
     assert (tmp_path / "taken").read_text() == "mine"
+
+
+def test_what_else_lies_there_stays_and_a_link_stays_a_link(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (checkpoint / "notes").mkdir()
+    (checkpoint / "notes" / "thesis.txt").write_text("mine")
+    link = tmp_path / "link"
+    link.symlink_to(checkpoint)
+    write_checkpoint(link, config=read_checkpoint(checkpoint).config, train_state={"step": 9})
+    assert link.is_symlink()
+    assert read_train_state(checkpoint) == {"step": 9}
+    assert (checkpoint / "notes" / "thesis.txt").read_text() == "mine"
+    assert sorted(p.name for p in tmp_path.iterdir()) == [checkpoint.name, "link"]
+    monkeypatch.chdir(checkpoint)
+    with pytest.raises(InputError, match="where you are"):
+        require_checkpoint_place(Path("."))

@@ -187,6 +187,22 @@ def test_invalid_points_are_refused_or_dropped(tmp_path: Path) -> None:
     assert np.array_equal(kept, np.delete(POINTS, [3, 7], axis=0))
 
 
+def test_zeros_where_nothing_was_seen_are_dropped_with_what_is_invalid(tmp_path: Path) -> None:
+    holed = POINTS.copy()
+    holed[[3, 7]] = 0.0
+    np.save(tmp_path / "holed.npy", holed)
+    with pytest.raises(InputError, match=r"2 of 200 points are 0 0 0[^$]*--drop-invalid"):
+        read_cloud(tmp_path / "holed.npy").in_camera_frame()
+    kept = read_cloud(tmp_path / "holed.npy", drop_invalid=True).points
+    assert np.array_equal(kept, np.delete(POINTS, [3, 7], axis=0))
+
+
+def test_a_depth_image_is_no_table_of_points(tmp_path: Path) -> None:
+    np.save(tmp_path / "depth.npy", np.ones((480, 640), np.float32))
+    with pytest.raises(InputError, match="rgrasp cloud"):
+        read_cloud(tmp_path / "depth.npy")
+
+
 def test_world_cloud_without_a_camera_asks_for_one() -> None:
     with pytest.raises(InputError, match="--camera-pose"):
         Cloud(POINTS, frame="world").in_camera_frame()

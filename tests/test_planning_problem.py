@@ -7,7 +7,8 @@ import pytest
 from planning_worlds import CylinderField, NearPalm
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.objective import ObjectiveConfig
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
@@ -114,3 +115,18 @@ def test_equal_starts_give_equal_plans(robot, problem) -> None:
 def test_a_negative_clearance_is_refused() -> None:
     with pytest.raises(InputError, match="clearance"):
         Clearances(object=-0.01)
+
+
+@pytest.mark.parametrize("name", ["post", "object", "allegro_palm"])
+def test_an_obstacle_may_have_any_name(name: str, robot, problem) -> None:  # type: ignore[no-untyped-def]
+    x = starts(robot, problem, 1)
+    palm = Obstacle(name, "sphere", (0.02,), transform(np.eye(3), np.array(PLACE) - [0.08, 0, 0]))
+    there = GraspProblem(
+        RobotGeometry(Kinematics(robot)),
+        NearPalm(PLACE, (1.0, 0.0, 0.0), np.zeros(8)),
+        CylinderField(RADIUS, 0.24, CENTRE),
+        Environment(obstacles=(palm,)),
+    )
+    free, met = problem.residuals(x), there.residuals(x)
+    assert met.obstacles < 0 < free.obstacles
+    assert (met.object, met.self_collision) == (free.object, free.self_collision)

@@ -125,3 +125,20 @@ def test_a_start_is_typed_for_the_arm_or_for_all() -> None:
         start_configuration("1,2,3", ROBOT)
     with pytest.raises(InputError, match="beyond its limit"):
         start_configuration("0,0,0,0,0,0,9", ROBOT)
+
+
+def test_it_does_not_matter_which_camera_comes_first() -> None:
+    both = np.concatenate([TABLE, THINGS])
+    blind = cloud(TABLE)
+    for clouds in ([cloud(both), blind], [blind, cloud(both)]):
+        seen = look_at_table(clouds, ["a", "b"], ROBOT, HOME)
+        assert len(seen.views) == 1
+        assert sum("is not seen" in line for line in seen.report) == 1
+
+
+def test_seen_things_take_no_name_that_an_obstacle_has() -> None:
+    block = sheet((0.6, 0.0, 0.05), (0.03, 0.03, 0.03))
+    (one,) = clutter(block)
+    assert one.name == "seen_1"
+    (other,) = clutter(block, ["seen_1", "post"])
+    assert other.name == "seen_2"

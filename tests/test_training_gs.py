@@ -319,3 +319,21 @@ def test_nonsense_settings_are_refused() -> None:
     for wrong in ({"epochs": 0}, {"validation": 1.0}, {"learning_rate": -1.0}):
         with pytest.raises(InputError):
             SuccessTraining(**wrong)  # type: ignore[arg-type]
+
+
+def test_a_run_stopped_within_an_epoch_carries_on_from_the_last_whole_one() -> None:
+    data, x = rule_data(6, 30)
+    split = split_grasps(data, 0.25, 0)
+    config = replace(CONFIG, epochs=6)
+    whole = train_success(data, split, rule_learner(x), config)
+    states: list[dict] = []
+    asked = iter(range(10**6))
+    train_success(
+        data, split, rule_learner(x), config,
+        on_epoch=lambda fitted, state: states.append(state),
+        should_stop=lambda: bool(states) and next(asked) >= 1,
+    )  # fmt: skip
+    assert len(states) == 1
+    states[0]["history"] = states[0]["history"][:1]
+    again = train_success(data, split, rule_learner(x), config, resume=states[0])
+    assert same(whole, again)

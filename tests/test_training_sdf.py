@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.checkpoints import read_checkpoint, read_train_state
 from pointsdf_cli.io.labels import Labels, write_labels
 from pointsdf_cli.io.views import Views, write_views
@@ -255,6 +256,17 @@ def test_the_other_networks_train_too(architecture: str, pack: Pack, tmp_path: P
     assert result.finished
     assert np.isfinite(result.history[-1]["object_loss"])
     assert load_model(tmp_path / "run").architecture == architecture
+
+
+def test_a_loss_that_is_no_number_ends_the_run_and_leaves_no_weights(
+    pack: Pack, tmp_path: Path
+) -> None:
+    wild = replace(CONFIG, learning_rate=1e38, warmup=0, clip=0.0, steps=6, validate_every=2)
+    with pytest.raises(RgraspError, match="lower --learning-rate"):
+        _run(pack, tmp_path / "ckpt", wild)
+    stored = tmp_path / "ckpt" / "model.safetensors"
+    if stored.exists():
+        assert all(torch.isfinite(t).all() for t in load_file(stored).values())
 
 
 def test_nonsense_settings_are_refused() -> None:

@@ -67,6 +67,14 @@ def test_a_ycb_folder_gives_its_objects_and_stand_ins_for_the_rest(tmp_path: Pat
     assert [i.name for i in choose_objects(folder, "lego,011_banana")] == ["lego", "011_banana"]
 
 
+def test_a_mesh_of_a_papers_name_is_that_mesh(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "mustard", "006_mustard_bottle")
+    (mine,) = choose_objects(folder, "mustard")
+    assert (mine.mesh, mine.upright) == (folder / "mustard.ply", False)
+    (theirs,) = choose_objects(None, "mustard")
+    assert (theirs.mesh, theirs.upright) == (None, True)
+
+
 def test_any_other_folder_gives_all_its_meshes(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, "cup", "box")
     assert [item.name for item in choose_objects(folder)] == ["box", "cup"]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.container import BarContainer
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.trials import (
@@ -19,7 +20,7 @@ from pointsdf_cli.io.trials import (
     write_trial,
     write_trials,
 )
-from pointsdf_cli.trials.report import html_report, markdown_report
+from pointsdf_cli.trials.report import html_report, markdown_report, success_figure
 from pointsdf_cli.trials.summary import compare, summarise
 
 ROW = TrialRow(
@@ -130,3 +131,17 @@ def test_the_page_stands_alone_and_says_what_the_table_says(rows: list[TrialRow]
     markdown = markdown_report(rows, "trials")
     assert "| reconstruction | 100% [34, 100] of 2 |" in markdown
     assert "When does geometry matter" in markdown
+
+
+def test_what_was_not_tried_has_no_bar(rows: list[TrialRow]) -> None:
+    partial = [
+        row
+        for row in rows
+        if not row.ablation
+        and (row.method == "reconstruction" or (row.camera, row.object) == ("high", "lego"))
+    ]
+    figure = success_figure(summarise(partial))
+    drawn = [group for group in figure.axes[1].containers if isinstance(group, BarContainer)]
+    heights = [[bar.get_height() for bar in group] for group in drawn]
+    assert [len(group) for group in heights] == [2, 2]
+    assert sum(np.isnan(height) for group in heights for height in group) == 1
