@@ -199,3 +199,13 @@ def test_hull_is_closed_and_outward() -> None:
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(8, rel=0.05)
     assert convex_hull(cube * [1, 1, 0]) is None
+
+
+@pytest.mark.parametrize("command", [("eval-sdf", "--views", "v", "--meshes", "m"),
+                                     ("eval-gs", "--grasps", "g")])  # fmt: skip
+def test_a_table_takes_no_name_of_what_goes_beside_it(command: tuple, tmp_path: Path) -> None:
+    out = tmp_path / "table.png"
+    result = run_cli(*command, "--checkpoint", tmp_path, "--out", out)
+    assert result.code == 2
+    assert "goes beside the table" in result.err
+    assert not out.exists()

@@ -59,6 +59,20 @@ def check_seed(seed: int) -> int:
     return seed
 
 
+def check_table_name(out: Path, beside: tuple[str, ...]) -> None:
+    """Refuse a table the name of what is written beside it, which has one of these suffixes.
+
+    Raises:
+        InputError: It has such a suffix.
+    """
+    if out.suffix.lower() in beside:
+        raise InputError(
+            f"{out.name} is the name of what goes beside the table",
+            where="--out",
+            allowed="such as table.json",
+        )
+
+
 def torch_device(name: str) -> str:
     """`name`, if torch can compute there.
 

@@ -55,12 +55,7 @@ def eval_gs(
     from pointsdf_cli.viz.success_figure import draw_success_figure
 
     seed = common.check_seed(seed)
-    if out.suffix.lower() == ".png":
-        raise InputError(
-            f"{out.name} is the name of the picture beside the table",
-            where="--out",
-            allowed="such as figure3.json",
-        )
+    common.check_table_name(out, (".png",))
     table_path, picture = (require_new(path, force) for path in (out, out.with_suffix(".png")))
     use_threads(threads or idle_processors())
     machine = load_robot(robot)

@@ -59,12 +59,7 @@ def eval_sdf(
     from pointsdf_cli.viz.reconstruction_gallery import draw_gallery
 
     IsosurfaceConfig(resolution)
-    if out.suffix.lower() in (".csv", ".png"):
-        raise InputError(
-            f"{out.name} is the name of what goes beside the table",
-            where="--out",
-            allowed="such as table.json",
-        )
+    common.check_table_name(out, (".csv", ".png"))
     if beside not in (None, *PUBLISHED):
         raise InputError(
             f"no published table {beside!r}", where="--beside", allowed=", ".join(PUBLISHED)
