@@ -244,10 +244,11 @@ def run_trial_task(task: TrialTask) -> TrialRow | None:
     config["weights"] = weights_of(trial.contender, task.config.contenders)
     config["mesh"] = "" if trial.object.mesh is None else file_sha256(trial.object.mesh)
     config["contenders"] |= {"robot": robot_digest(task.config.contenders.robot)}
-    filmed = task.film is None or task.film.is_file()
     complete = is_complete(task.out, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, config=config)
-    if complete and filmed and not task.force:
-        return None
+    if complete and not task.force:
+        filmed = task.film is None or task.film.is_file()
+        if filmed or read_trial(task.out)[0].cause == NO_PLAN:  # without a motion, no film
+            return None
     runner = _runner(task.config)
     recorder = Recorder(rate=10.0) if task.film is not None else None
     row, evidence = runner.run(trial, recorder)
