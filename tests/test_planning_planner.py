@@ -158,3 +158,34 @@ def test_where_the_best_grasp_has_no_motion_the_next_one_is_taken(planner: Plann
     assert motion is not None
     assert motion.failure == ""
     assert rest.rejected[-1].reason == "motion"
+
+
+def test_a_grasp_that_the_arm_cannot_lift_from_comes_last(planner: Planner) -> None:
+    problems = planner.problems(target(), Environment())
+    found = synthesise(
+        problems, target().prior, planner.inverse, planner.solver, np.random.default_rng(0), SMALL
+    )
+    assert found.best is not None
+    good = found.best
+    # An arm that points nearly straight up has nowhere higher to go.
+    upright = np.clip(np.zeros(23), planner.robot.lower, planner.robot.upper)
+    stuck = replace(good, q=0.3 * planner.robot.home + 0.7 * upright, objective=0.0)
+    checker = PathChecker(planner.geometry, target().field)
+
+    both = replace(found, accepted=[stuck, good])
+    best, motion, rest = planner._with_motion(checker, both, planner.robot.home, 0)
+    assert best is good
+    assert motion is not None
+    assert rest.rejected[-1].reason == "lift"
+    assert rest.sentence == ""
+
+    alone = replace(found, accepted=[stuck])
+    best, motion, rest = planner._with_motion(checker, alone, planner.robot.home, 0)
+    assert best is stuck
+    assert motion is not None
+    assert "no room to lift" in rest.sentence
+
+    patient = Planner(planner.robot, replace(planner.config, lift_height=0.0))
+    best, _, rest = patient._with_motion(checker, both, planner.robot.home, 0)
+    assert best is stuck
+    assert rest.sentence == ""

@@ -12,7 +12,7 @@ from trial_worlds import CAN_AT, can_grasp, can_in_world
 
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
-from pointsdf_cli.simulation.lift import lift_path
+from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.rehearsal import (
     Rehearsal,
     RehearsalConfig,

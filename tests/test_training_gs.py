@@ -182,8 +182,15 @@ def test_a_run_ends_when_validation_stops_getting_better() -> None:
     assert len(fitted.history) < 100
 
 
-def interrupted(make, data: GraspData, split: Split, config: SuccessTraining, after: int) -> Fitted:  # type: ignore[no-untyped-def]
-    """A run stopped after some epochs and resumed by another learner."""
+def interrupted(  # type: ignore[no-untyped-def]
+    make,
+    data: GraspData,
+    split: Split,
+    config: SuccessTraining,
+    after: int,
+    later: Split | None = None,
+) -> Fitted:
+    """A run stopped after some epochs and resumed by another learner, maybe with another split."""
     states = []
     train_success(
         data, split, make(), config,
@@ -191,7 +198,7 @@ def interrupted(make, data: GraspData, split: Split, config: SuccessTraining, af
         should_stop=lambda: len(states) >= after,
     )  # fmt: skip
     assert len(states) == after
-    return train_success(data, split, make(), config, resume=states[-1])
+    return train_success(data, later or split, make(), config, resume=states[-1])
 
 
 def same(a: Fitted, b: Fitted) -> bool:
@@ -208,6 +215,8 @@ def test_a_stopped_and_resumed_run_equals_an_uninterrupted_one() -> None:
     assert same(whole, interrupted(lambda: rule_learner(x), data, split, config, 2))
     with pytest.raises(InputError, match="other settings"):
         train_success(data, split, rule_learner(x), config, resume={"config": {}})
+    with pytest.raises(InputError, match="held out"):
+        interrupted(lambda: rule_learner(x), data, split, config, 2, split_grasps(data, 0.5, 0))
 
 
 @pytest.fixture(scope="module")

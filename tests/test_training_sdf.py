@@ -221,6 +221,12 @@ def test_other_settings_are_not_resumed(pack: Pack, tmp_path: Path) -> None:
         _run(pack, tmp_path / "other", resume=True)
 
 
+def test_another_split_is_not_resumed(pack: Pack, tmp_path: Path) -> None:
+    _run(pack, tmp_path, stop_at=2)
+    with pytest.raises(InputError, match="held out"):
+        train_sdf(pack, split_views(pack, 0.34, 1), _small(), CONFIG, tmp_path, resume=True)
+
+
 def test_the_kept_weights_are_those_of_the_best_validation(pack: Pack, tmp_path: Path) -> None:
     seen: list[Progress] = []
     config = replace(CONFIG, steps=12, validate_every=2)

@@ -5,7 +5,11 @@ from __future__ import annotations
 import functools
 import hashlib
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from pointsdf_cli import __version__
 
@@ -39,3 +43,14 @@ def file_sha256(path: Path | str) -> str:
     """The SHA-256 of a file's bytes, in hexadecimal."""
     with open(path, "rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def data_sha256(names: Iterable[str], *arrays: ArrayLike) -> str:
+    """The SHA-256 of what a training run learns from, in hexadecimal: names, and arrays that say
+    which part of them does what."""
+    digest = hashlib.sha256("\0".join(names).encode())
+    for array in arrays:
+        values = np.ascontiguousarray(array)
+        digest.update(f"\0{values.dtype.str}{values.shape}".encode())
+        digest.update(values)
+    return digest.hexdigest()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -37,6 +37,7 @@ from pointsdf_cli.planning.target import KEPT_GRID, Target
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.lift import lift_path
 
 Rank = Callable[[list[Candidate]], list[Candidate]]
 """Puts accepted candidates in the order in which motions are looked for, and may leave some out."""
@@ -73,6 +74,8 @@ class PlannerConfig:
             comes nearer, down to the clearance, is taken all the same.
         grid: How the object's field is kept for `sqp`.
         halvings: When `sqp` gives half of its seeds up; never if empty.
+        lift_height: A grasp that the arm can raise so far [m] goes before one that it cannot; at 0
+            none is asked to.
         beyond: Where the kept field less its bound exceeds the clearance by less than this [m],
             the exact one is asked.
         objective, synthesis, motion: Of the stages.
@@ -83,6 +86,7 @@ class PlannerConfig:
     margin: float = MARGIN
     grid: GridConfig = KEPT_GRID
     halvings: tuple[int, ...] = HALVINGS
+    lift_height: float = 0.15
     beyond: float = 0.0025
     objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
     synthesis: SynthesisConfig = field(default_factory=SynthesisConfig)
@@ -229,22 +233,29 @@ class Planner:
         """The best accepted candidate that a motion leads to, or for want of one a spare.
 
         The best few are looked at briefly before any is looked at thoroughly: where the way to one
-        is narrow, the next is hardly worse and often reached at once.
+        is narrow, the next is hardly worse and often reached at once. One that the arm cannot lift
+        from is taken only where no motion leads to another.
         """
         best = [*found.accepted, *found.spares]
         turns = [(k, candidate, False) for k, candidate in enumerate(best[:BRIEFLY])]
         turns += [(k, candidate, True) for k, candidate in enumerate(best)]
         failure = ""
+        stuck: dict[int, Motion] = {}
         for k, candidate, thorough in turns:
+            if k in stuck:
+                continue
             motion = self._motion_to(checker, candidate, start, seed, thorough)
             failure = failure or motion.failure
-            if motion.trajectory is not None:
-                passed = _unreached(best[:k])
-                found = replace(
-                    found, accepted=found.accepted[k:], rejected=found.rejected + passed
-                )
-                return candidate, motion, _with_warning(found, candidate)
-        unreached = _unreached(best)
+            if motion.trajectory is None:
+                continue
+            if self._lifts_from(candidate):
+                return candidate, motion, _taken(found, best, k, stuck)
+            stuck[k] = motion
+        if stuck:
+            k, motion = next(iter(stuck.items()))
+            found = _taken(found, best, k, stuck)
+            return best[k], motion, replace(found, sentence=f"{found.sentence} {STUCK}".strip())
+        unreached = _passed(best, stuck)
         if not unreached:
             return None, None, found
         sentence = explain("motion", unreached[0], found.seeds_tried) + f" ({failure})"
@@ -261,11 +272,30 @@ class Planner:
             ),
         )
 
+    def _lifts_from(self, candidate: Candidate) -> bool:
+        """Whether the arm can raise the hand from a grasp."""
+        height = self.config.lift_height
+        return not height or lift_path(self.inverse, self.robot, candidate.q, height) is not None
 
-def _unreached(candidates: list[Candidate]) -> list[Candidate]:
-    """Those to which no motion leads; spares have another reason already and are among the
-    rejected."""
-    return [replace(c, reason="motion") for c in candidates if not c.reason]
+
+STUCK = "The arm has no room to lift the object from there: move it, or the robot."
+
+
+def _taken(found: Synthesis, best: list[Candidate], k: int, stuck: Container[int]) -> Synthesis:
+    """`found` with best[k] as its plan; those before it are rejected."""
+    passed = _passed(best[:k], stuck)
+    found = replace(found, accepted=found.accepted[k:], rejected=found.rejected + passed)
+    return _with_warning(found, best[k])
+
+
+def _passed(candidates: list[Candidate], stuck: Container[int]) -> list[Candidate]:
+    """Those to which no motion leads, or no lift from; spares have another reason already and are
+    among the rejected."""
+    return [
+        replace(c, reason="lift" if k in stuck else "motion")
+        for k, c in enumerate(candidates)
+        if not c.reason
+    ]
 
 
 def _with_warning(found: Synthesis, chosen: Candidate) -> Synthesis:

@@ -24,8 +24,10 @@ REASONS = (
     "motion",
     "solver",
     "not_tried",
+    "lift",
 )
-"""Reason codes of the plan artifact; "not_tried" is a rejected grasp's only: others came first."""
+"""Reason codes of the plan artifact. "not_tried" (others came first) and "lift" (the arm cannot
+raise the hand from there) are rejected grasps' only."""
 
 FREE_SHARE = 0.05
 """If fewer of the reached grasps than this are free as drawn, what they meet is the reason."""

@@ -22,8 +22,8 @@ from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
-from pointsdf_cli.simulation.lift import lift_path
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
 from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, LIGHTEST, SimObject
 from pointsdf_cli.simulation.world import PhysicsConfig, World

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.io.provenance import data_sha256
 from pointsdf_cli.models.processor import keep_large_allocations
 from pointsdf_cli.training.gs_calibration import Platt, fit_platt, negative_log_likelihood
 from pointsdf_cli.training.gs_data import GraspData, Split
@@ -134,9 +135,14 @@ def train_success(
     epoch, seconds = 0, 0.0
     history: list[dict[str, float]] = []
     best: dict[str, Tensor] = {}
+    learns_from = data_sha256(data.names, data.object_of, data.label, split.train, split.validation)
     if resume is not None:
         if resume["config"] != asdict(config):
             raise InputError("was begun with other settings", hint="drop --resume")
+        if resume.get("data", learns_from) != learns_from:
+            raise InputError(
+                "was begun with other grasps, or with other objects held out", hint="drop --resume"
+            )
         load_weights(learner, resume["weights"])
         optimiser.load_state_dict(resume["optimiser"])
         torch.set_rng_state(resume["rng"])
@@ -195,6 +201,7 @@ def train_success(
         seconds, clock = seconds + now - clock, now
         state = {
             "config": asdict(config),
+            "data": learns_from,
             # Copies: a stop within the next epoch writes this state after more steps.
             "weights": copy.deepcopy(weights_of(learner)),
             "optimiser": copy.deepcopy(optimiser.state_dict()),

@@ -14,6 +14,7 @@ import torch
 
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.checkpoints import read_train_state, write_checkpoint
+from pointsdf_cli.io.provenance import data_sha256
 from pointsdf_cli.models.processor import keep_large_allocations
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.training.distributed import ALONE, Workers
@@ -167,7 +168,7 @@ def train_sdf(
         should_stop: Asked before each step; True writes the state and returns.
 
     Raises:
-        InputError: Nothing to resume, or it was another configuration.
+        InputError: Nothing to resume, or it was another configuration or other data.
         RgraspError: The loss is no longer finite.
     """
     keep_large_allocations()
@@ -183,10 +184,12 @@ def train_sdf(
     average = WeightAverage(model, config.average)
     low_precision = autocast_dtype(config.precision, target)
     step, seconds, history = 0, 0.0, list[dict[str, float]]()
+    learned_from = data_sha256(pack.names, pack.object_of_view, pack.label_start, *split)
     torch.manual_seed(config.seed + workers.rank)
     if resume:
         state = read_train_state(out)
         _check_same_run(state, model, config, out)
+        _check_same_data(state, learned_from, out)
         model.load_state_dict(state["model"])
         optimiser.load_state_dict(state["optimiser"])
         average.load(state["average"])
@@ -212,6 +215,7 @@ def train_sdf(
                 "architecture": model.architecture,
                 "arguments": model.config(),
                 "config": config.as_dict(),
+                "data": learned_from,
                 "model": model.state_dict(),
                 "optimiser": optimiser.state_dict(),
                 "average": average.state(),
@@ -315,4 +319,16 @@ def _check_same_run(
             f"was trained with other settings ({changes})",
             where=out,
             hint="give the same options as before, or choose another --out",
+        )
+
+
+def _check_same_data(state: Mapping[str, Any], learned_from: str, out: Path | str) -> None:
+    """Refuse to carry on with other objects, views or labels, or another choice of what is held
+    out: the run would be judged by what it has learned."""
+    if state.get("data", learned_from) != learned_from:
+        raise InputError(
+            "was trained on other data, or with another part of it held out",
+            where=out,
+            hint="give the same --views, --labels, --held-out and --views-per-object as before, or "
+            f"begin anew from its weights: --start-from {out} and another --out",
         )

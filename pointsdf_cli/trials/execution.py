@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.executor import (
     HELD_FRACTION,
     Executor,
     ExecutorConfig,
     Outcome,
 )
-from pointsdf_cli.simulation.lift import lift_path
 from pointsdf_cli.simulation.record import Moment
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
