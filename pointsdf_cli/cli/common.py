@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.strict_json import to_json
 
 if TYPE_CHECKING:
     from pointsdf_cli.io.batch import StageReport
@@ -118,7 +118,7 @@ class Reporter:
     def result(self, values: Mapping[str, Any], lines: list[str] | None = None) -> None:
         """The command's result: `values` as JSON, or `lines` (by default "name: value")."""
         if self.as_json:
-            print(json.dumps(values, default=_plain, ensure_ascii=False))
+            print(to_json(values))
         else:
             for line in lines if lines is not None else [f"{k}: {v}" for k, v in values.items()]:
                 print(line)
@@ -209,12 +209,3 @@ def finish_stage(
             reporter.say(f"skipped: {error.message}")
         return
     report.raise_if_refused()
-
-
-def _plain(value: Any) -> Any:
-    """JSON for paths, NumPy scalars and arrays."""
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} has no JSON form")

@@ -38,13 +38,12 @@ def eval_gs(
 
     Example: rgrasp eval-gs --checkpoint gs/ --grasps grasps/ --out figure3.json
     """
-    import json
-
     import numpy as np
 
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.atomic import require_new, write_text_atomic
     from pointsdf_cli.io.provenance import git_commit
+    from pointsdf_cli.io.strict_json import to_json
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.training import gs_baselines
@@ -107,7 +106,7 @@ def eval_gs(
         "seed": seed,
         "git_commit": git_commit(),
     }
-    write_text_atomic(table_path, json.dumps(result, indent=1, ensure_ascii=False) + "\n")
+    write_text_atomic(table_path, to_json(result, indent=1) + "\n")
     draw_success_figure(picture, table, evaluation.PUBLISHED)
     about = result["held_out"]
     lines = [

@@ -46,13 +46,12 @@ def eval_sdf(
 
     Example: rgrasp eval-sdf --checkpoint ckpt/ --views views/ --meshes ycb/ --out table.json
     """
-    import json
-
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.geometry.isosurface import IsosurfaceConfig
     from pointsdf_cli.io.atomic import require_new, write_text_atomic
     from pointsdf_cli.io.batch import run_stage
     from pointsdf_cli.io.provenance import git_commit
+    from pointsdf_cli.io.strict_json import to_json
     from pointsdf_cli.models.registry import load_model
     from pointsdf_cli.training import evaluate_sdf as evaluation
     from pointsdf_cli.training.sdf_table import PUBLISHED, objects_csv, summarise, table_lines
@@ -114,7 +113,7 @@ def eval_sdf(
         "git_commit": git_commit(),
         "seconds": round(report.seconds, 1),
     }
-    write_text_atomic(table_path, json.dumps(result, indent=1, ensure_ascii=False) + "\n")
+    write_text_atomic(table_path, to_json(result, indent=1) + "\n")
     write_text_atomic(csv_path, objects_csv(scored))
     if gallery and main:
         by_name = {task.name: task for task in tasks}

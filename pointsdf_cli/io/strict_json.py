@@ -1,0 +1,37 @@
+"""JSON that any program can read: a number that is none (NaN, infinity) becomes null.
+
+Python would write `NaN`, which is no JSON: `jq` and every browser refuse the whole document.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+
+def to_json(value: Any, indent: int | None = None) -> str:
+    """`value` as JSON.
+
+    Args:
+        value: Mappings, sequences, arrays, numbers, texts, paths, None.
+        indent: Spaces a level; all on one line if None.
+
+    Raises:
+        TypeError: There is something else in it.
+    """
+    return json.dumps(_plain(value), indent=indent, ensure_ascii=False, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "tolist"):  # arrays, their scalars, tensors
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
