@@ -130,6 +130,18 @@ def test_pcd_viewpoint_is_the_camera_in_the_world(tmp_path: Path) -> None:
     assert apply_transform(T_world_camera, points) == pytest.approx(world)
 
 
+def test_pcd_colours_written_as_whole_numbers_are_bits(tmp_path: Path) -> None:
+    path = tmp_path / "cloud.pcd"
+    packed = [0xFF102030, 0x00FFFEFD, 0x80000001]
+    path.write_text(
+        "VERSION 0.7\nFIELDS x y z rgba\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH 3\n"
+        "HEIGHT 1\nPOINTS 3\nDATA ascii\n" + "".join(f"{k} 0 1 {p}\n" for k, p in enumerate(packed))
+    )
+    colours = read_cloud(path).colours
+    assert colours is not None
+    assert colours.tolist() == [[0x10, 0x20, 0x30], [0xFF, 0xFE, 0xFD], [0, 0, 1]]
+
+
 @given(data=st.binary(max_size=400))
 @settings(max_examples=60, deadline=None)
 def test_lzf_literals_come_back(data: bytes) -> None:

@@ -146,6 +146,26 @@ def test_mesh_that_is_there_is_not_fetched_again(server: Server, tmp_path: Path)
     assert len(server.seen) == requests
 
 
+def test_a_run_killed_at_the_lock_leaves_no_mesh_without_its_sum(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server.put(NAME, good_archive())
+    with monkeypatch.context() as patch:
+
+        def killed(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        patch.setattr("pointsdf_cli.objects.fetch._write_lock", killed)
+        with pytest.raises(KeyboardInterrupt):
+            fetch_ycb(tmp_path, ["003"], server.url, patience=QUICK)
+    assert not (tmp_path / f"{NAME}.ply").exists()
+    states, refused = fetch_ycb(tmp_path, ["003"], server.url, patience=QUICK)
+    assert (states, refused) == ({NAME: "fetched"}, [])
+    # Or killed right after the lock: the mesh is missing, and fetched again.
+    (tmp_path / f"{NAME}.ply").unlink()
+    assert fetch_ycb(tmp_path, ["003"], server.url, patience=QUICK)[0] == {NAME: "fetched"}
+
+
 def test_broken_transfers_resume_where_they_broke(server: Server, tmp_path: Path) -> None:
     data = good_archive()
     url = server.put(NAME, data)

@@ -13,6 +13,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.planning.answer import PlanOptions
 from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.trials.protocol import (
     CAMERAS,
     NO_SUCCESS,
@@ -86,6 +87,14 @@ def test_contenders_of_a_pair_see_the_same_points(runner: TrialRunner, can: Tria
     np.testing.assert_array_equal(one.T_world_object[0], two.T_world_object[0])
     # Whoever thinks all grasps equally good predicts that each holds.
     assert row.success_probability == pytest.approx(1.0)
+
+
+def test_grasps_that_will_be_shaken_are_rehearsed_so() -> None:
+    shaken = TrialRunner(TrialConfig(execution=ExecutorConfig(shake=3.0)))
+    planner = shaken._mind(Contender("reconstruction"))._planner
+    shaken.close()
+    assert isinstance(planner, RehearsedPlanner)
+    assert planner._rehearsal._execution.shake == 3.0
 
 
 def test_partial_views_cannot_be_rehearsed_on() -> None:

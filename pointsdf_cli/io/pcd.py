@@ -170,7 +170,14 @@ def _ascii_columns(body: bytes, header: _Header, path: Path) -> Any:
             f"the points are not {header.length} rows of numbers: damaged or cut short", where=path
         ) from error
     starts = np.cumsum(widths) - widths
-    return {name: table[:, start] for name, start in zip(names, starts, strict=True)}
+    columns = {name: table[:, start] for name, start in zip(names, starts, strict=True)}
+    for name, column in columns.items():
+        kind = header.record[name].base
+        # Of a packed colour that is written as a whole number, the number's bits count.
+        if kind.kind in "iu" and kind.itemsize <= 4 and np.isfinite(column).all():
+            limits = np.iinfo(kind)
+            columns[name] = np.clip(column, limits.min, limits.max).astype(kind)
+    return columns
 
 
 def _compressed_columns(body: bytes, header: _Header, path: Path) -> Any:

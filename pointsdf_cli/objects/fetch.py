@@ -140,11 +140,15 @@ def _fetch_one(
         size = archive.stat().st_size
         with tempfile.TemporaryDirectory(dir=archive.parent) as scratch:
             mesh = load_mesh(extract_mesh(archive, Path(scratch) / name))
-        save_mesh(mesh_path, mesh.vertices, mesh.faces)
+            made = Path(scratch) / mesh_path.name
+            save_mesh(made, mesh.vertices, mesh.faces)
+            lock[name] = LockEntry(url, sha256, size, file_sha256(made), mesh.repair)
+            # The sum first: a run killed in between fetches a missing mesh again, but would refuse
+            # one that it knows nothing of.
+            _write_lock(out, lock)
+            made.replace(mesh_path)
     finally:
         archive.unlink(missing_ok=True)
-    lock[name] = LockEntry(url, sha256, size, file_sha256(mesh_path), mesh.repair)
-    _write_lock(out, lock)
     return "fetched"
 
 

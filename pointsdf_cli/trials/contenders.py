@@ -31,6 +31,7 @@ from pointsdf_cli.planning.partial_view import partial_mesh
 from pointsdf_cli.planning.planner import MARGIN, PlannerConfig
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.trials import protocol
 from pointsdf_cli.trials.protocol import Contender
 from pointsdf_cli.trials.rehearsed import (
@@ -133,10 +134,15 @@ class Mind:
         contender: Who.
         options: What all share.
         grasps: Success network to use instead of a checkpoint's.
+        execution: How its grasps will be carried out, for rehearsals.
     """
 
     def __init__(
-        self, contender: Contender, options: ContenderOptions, grasps: GraspModel | None = None
+        self,
+        contender: Contender,
+        options: ContenderOptions,
+        grasps: GraspModel | None = None,
+        execution: ExecutorConfig | None = None,
     ) -> None:
         self.contender = contender
         ablation = contender.ablation
@@ -147,7 +153,9 @@ class Mind:
             )
         asked = plan_options(contender, options)
         if _rehearses(contender, options):
-            config = RehearsedPlannerConfig(count=options.rehearse)
+            config = RehearsedPlannerConfig(
+                count=options.rehearse, execution=execution or ExecutorConfig()
+            )
             self._planner: GraspPlanner = RehearsedPlanner(asked, grasps, config)
         else:
             self._planner = GraspPlanner(asked, grasps)

@@ -31,6 +31,7 @@ from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.planner import Rank
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import Satisfied, SynthesisConfig
+from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.rehearsal import (
     UNTRIED,
     Rehearsal,
@@ -54,6 +55,7 @@ class RehearsedPlannerConfig:
         most_motions: Grasps to which motions are looked for.
         resolution: Of the surface that is rehearsed on, cells along the network's box.
         rehearsal: See there.
+        execution: How grasps will be carried out: they are rehearsed so, shaken if they will be.
     """
 
     count: int = 12
@@ -61,6 +63,7 @@ class RehearsedPlannerConfig:
     most_motions: int = 6
     resolution: int = 64
     rehearsal: RehearsalConfig = field(default_factory=RehearsalConfig)
+    execution: ExecutorConfig = field(default_factory=ExecutorConfig)
 
     def __post_init__(self) -> None:
         if self.count < 1 or not 0 <= self.enough <= 1:
@@ -113,7 +116,7 @@ class RehearsedPlanner(GraspPlanner):
         search = replace(REHEARSED_SEARCH, acceptance=options.synthesis.acceptance)
         super().__init__(replace(options, synthesis=search, halvings=()), grasps)
         self.config = config or RehearsedPlannerConfig()
-        self._rehearsal = Rehearsal(self.robot, self.config.rehearsal)
+        self._rehearsal = Rehearsal(self.robot, self.config.rehearsal, self.config.execution)
 
     def plan_seen(
         self,

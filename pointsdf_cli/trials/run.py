@@ -184,7 +184,9 @@ class TrialRunner:
 
     def _mind(self, contender: Contender) -> Mind:
         if contender not in self._minds:
-            self._minds[contender] = Mind(contender, self.config.contenders, self._grasps)
+            self._minds[contender] = Mind(
+                contender, self.config.contenders, self._grasps, self.config.execution
+            )
         return self._minds[contender]
 
     def _row(
