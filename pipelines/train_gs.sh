@@ -7,6 +7,7 @@
 #           "geometry pointsdf-fixed pointsdf-scratch voxelcnn-fixed voxelcnn-scratch"
 # SDF       reconstruction to build on (the bundled one), VOXELCNN  a trained VoxelCNN, without
 #           which voxelcnn-fixed is left out; THREADS and JOBS (0: those that idle) may be set.
+# OPTIONS   more options of train-gs, for all: "--epochs 1"
 # WORK/geometry and WORK/pointsdf-scratch are what assets/weights/grasp_geometry and grasp_scratch hold.
 set -euo pipefail
 trap "exit 130" INT TERM # what was stopped is not finished
@@ -35,8 +36,7 @@ for variant in $variants; do
         ;;
     # Encoders overfit a few hundred objects soon: few epochs, whose rate falls to nothing.
     pointsdf-scratch | voxelcnn-scratch)
-        options+=(--encoder "${variant%-scratch}" --mode scratch --epochs "${SCRATCH_EPOCHS:-20}"
-            --patience 6 --batch-size 64)
+        options+=(--encoder "${variant%-scratch}" --mode scratch --epochs 20 --patience 6 --batch-size 64)
         ;;
     *)
         echo "no variant $variant" >&2
@@ -46,7 +46,7 @@ for variant in $variants; do
     if [ ! -e "$out/finished" ]; then
         again=--force
         [ -f "$out/train_state.pt" ] && again=--resume
-        rgrasp train-gs "${common[@]}" --out "$out" "${options[@]}" "$again"
+        rgrasp train-gs "${common[@]}" --out "$out" "${options[@]}" ${OPTIONS:-} "$again"
         touch "$out/finished"
     fi
     rows+=(--checkpoint "$out")

@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 LANGUAGES = ("sh", "python", "yaml", "json", "xml", "text", "prepare")
 PROGRAMS = ("rgrasp", "make", "python", ".venv/bin/python", "bash", "torchrun", "snakemake", "pip")
-_VARIABLE = re.compile(r"^[A-Z_]+=\S*$")
+_VARIABLE = re.compile(r"^[A-Z_]+=.*$", re.DOTALL)
 _COMMENT = re.compile(r"^<!-- (run|run by|not run): (.*?) ?-->$")
 
 

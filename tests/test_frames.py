@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from pointsdf_cli.geometry.frames import (
     apply_transform,
@@ -13,6 +14,7 @@ from pointsdf_cli.geometry.frames import (
     is_rigid,
     random_rotation,
     rotation_from_wxyz,
+    rotation_vector,
     transform,
     wxyz_from_rotation,
 )
@@ -82,3 +84,14 @@ def test_what_is_not_rigid_is_known(matrix: np.ndarray) -> None:
 
 def test_a_rotation_with_a_shift_is_rigid() -> None:
     assert is_rigid(transform(QUARTER_TURN_ABOUT_Z, [1, 2, 3]))
+
+
+def test_rotation_vectors_are_scipys_and_small_ones_the_skew_part() -> None:
+    rotations = random_rotation(np.random.default_rng(4), 50).reshape(5, 10, 3, 3)
+    expected = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_rotvec().reshape(5, 10, 3)
+    np.testing.assert_allclose(rotation_vector(rotations), expected, atol=1e-7)
+    tiny = np.array([3e-8, -1e-8, 2e-8])
+    np.testing.assert_allclose(
+        rotation_vector(Rotation.from_rotvec(tiny).as_matrix()), tiny, atol=1e-15
+    )
+    np.testing.assert_array_equal(rotation_vector(np.eye(3)), np.zeros(3))

@@ -90,6 +90,20 @@ def wxyz_from_rotation(rotation: ArrayLike) -> Array:
     return np.asarray(np.where(wxyz[..., :1] < 0, -wxyz, wxyz))
 
 
+def rotation_vector(rotation: ArrayLike) -> Array:
+    """Axis times angle [..., 3] of rotations [..., 3, 3]; sound up to half a turn, where the axis
+    is lost and the vector is zero."""
+    m = np.asarray(rotation, dtype=np.float64)
+    axis = 0.5 * np.stack(
+        [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]],
+        axis=-1,
+    )
+    sine = np.linalg.norm(axis, axis=-1)
+    angle = np.arctan2(sine, (np.trace(m, axis1=-2, axis2=-1) - 1) / 2)
+    scale = np.where(sine > 1e-6, angle / np.maximum(sine, 1e-12), 1.0)
+    return np.asarray(axis * scale[..., None])
+
+
 def random_rotation(rng: np.random.Generator, count: int | None = None) -> Array:
     """Rotations [count, 3, 3] (one [3, 3] without a count), uniform over SO(3).
 

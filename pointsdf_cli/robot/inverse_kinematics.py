@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import rotation_vector
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.urdf import Joint
 
@@ -187,7 +188,7 @@ class InverseKinematics:
         self, q: Array, goal_rotation: Array, goal_position: Array, active: NDArray[np.int64]
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
         rotation, position, jacobian = self.palm(q)
-        turn = _rotation_vector(goal_rotation[active] @ np.swapaxes(rotation, 1, 2))
+        turn = rotation_vector(goal_rotation[active] @ np.swapaxes(rotation, 1, 2))
         way = goal_position[active] - position
         done = (np.linalg.norm(way, axis=1) < self.config.position_tolerance) & (
             np.linalg.norm(turn, axis=1) < self.config.rotation_tolerance
@@ -251,21 +252,3 @@ def _cross(a: Array, b: Array) -> Array:
     product[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
     product[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     return product
-
-
-def _rotation_vector(rotation: Array) -> Array:
-    """Axis times angle [B, 3] of rotations [B, 3, 3]; sound up to half a turn."""
-    axis = 0.5 * np.stack(
-        [
-            rotation[:, 2, 1] - rotation[:, 1, 2],
-            rotation[:, 0, 2] - rotation[:, 2, 0],
-            rotation[:, 1, 0] - rotation[:, 0, 1],
-        ],
-        axis=1,
-    )
-    sine = np.linalg.norm(axis, axis=1)
-    cosine = (np.trace(rotation, axis1=1, axis2=2) - 1) / 2
-    angle = np.arctan2(sine, cosine)
-    # Near half a turn the skew part vanishes; any direction leads away from there.
-    scale = np.where(sine > 1e-6, angle / np.maximum(sine, 1e-12), 1.0)
-    return axis * scale[:, None]

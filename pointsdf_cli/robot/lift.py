@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.frames import rotation_vector
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
@@ -63,7 +64,7 @@ def _follow(
         now = path[-1].copy()
         for _ in range(12):
             turned, at, jacobian = solver.palm(now[None])
-            error = np.concatenate([goal - at[0], _turn(rotation[0] @ turned[0].T)])
+            error = np.concatenate([goal - at[0], rotation_vector(rotation[0] @ turned[0].T)])
             J = rows @ jacobian[0]
             free = np.ones(len(now), dtype=bool)
             step = _least_squares(J, rows @ error)
@@ -79,7 +80,7 @@ def _follow(
                 break
         turned, at, _ = solver.palm(now[None])
         off = float(np.linalg.norm(at[0] - goal))
-        turn = float(np.linalg.norm(_turn(rotation[0] @ turned[0].T)))
+        turn = float(np.linalg.norm(rotation_vector(rotation[0] @ turned[0].T)))
         most = 0.005 if weight == 1.0 else MOST_TURN
         if off > OFF_LINE or turn > most or np.abs(now - path[-1]).max() > 0.3:
             return None
@@ -92,17 +93,3 @@ def _least_squares(matrix: Array, right: Array) -> Array:
     normal = matrix @ matrix.T + 1e-6 * np.eye(len(matrix))
     step: Array = matrix.T @ np.linalg.solve(normal, right)
     return step
-
-
-def _turn(relative: Array) -> Array:
-    """The rotation vector [3] of a rotation [3, 3] of less than half a turn."""
-    skew = np.array(
-        [
-            relative[2, 1] - relative[1, 2],
-            relative[0, 2] - relative[2, 0],
-            relative[1, 0] - relative[0, 1],
-        ]
-    )
-    sine = float(np.linalg.norm(skew)) / 2
-    angle = float(np.arctan2(sine, (np.trace(relative) - 1) / 2))
-    return skew / 2 * (angle / sine if sine > 1e-9 else 1.0)
