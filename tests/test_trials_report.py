@@ -20,7 +20,7 @@ from pointsdf_cli.io.trials import (
     write_trial,
     write_trials,
 )
-from pointsdf_cli.trials.report import html_report, markdown_report, success_figure
+from pointsdf_cli.trials.report import html_report, markdown_report, p_value, success_figure
 from pointsdf_cli.trials.summary import compare, summarise
 
 ROW = TrialRow(
@@ -131,6 +131,10 @@ def test_the_page_stands_alone_and_says_what_the_table_says(rows: list[TrialRow]
     markdown = markdown_report(rows, "trials")
     assert "| reconstruction | 100% [34, 100] of 2 |" in markdown
     assert "When does geometry matter" in markdown
+
+
+def test_a_small_p_is_no_zero() -> None:
+    assert [p_value(p) for p in (1.0, 0.0063, 2 * 0.5**39)] == ["1", "0.0063", "3.6e-12"]
 
 
 def test_what_was_not_tried_has_no_bar(rows: list[TrialRow]) -> None:

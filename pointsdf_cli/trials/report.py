@@ -153,7 +153,7 @@ def _tests(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
                     test.only_first,
                     test.only_second,
                     test.neither,
-                    f"{test.p:.4f}",
+                    p_value(test.p),
                 )
             )
     header = ("pairs of trials", "both held", "only first", "only second", "neither", "p (McNemar)")
@@ -201,7 +201,7 @@ def _ablations(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
         whole = next((t for t in summaries if t.method == s.method and not t.ablation), None)
         p = ""
         if whole is not None and s.ablation:
-            p = f"{compare(rows, s.name, whole.name).p:.3f}"
+            p = p_value(compare(rows, s.name, whole.name).p)
         body.append(
             (
                 s.name,
@@ -252,6 +252,11 @@ def percent(share: Share) -> str:
 def counts(share: Share) -> str:
     """A share as "5 of 6"."""
     return f"{share.successes} of {share.trials}"
+
+
+def p_value(p: float) -> str:
+    """Two significant digits, however small: "0.0063", "3.6e-12", "1"."""
+    return f"{p:.2g}"
 
 
 def _plain(cell: object) -> str:
