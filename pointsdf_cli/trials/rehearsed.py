@@ -52,6 +52,8 @@ class RehearsedPlannerConfig:
     Attributes:
         count: Grasps of a round that are rehearsed, the best by the objective.
         enough: A grasp that holds in this share of its rehearsals ends the search.
+        room: Of equally good grasps those that keep this distance to the object until the hand
+            closes [m] are rehearsed first: what was not seen may be nearer than believed.
         most_motions: Grasps to which motions are looked for.
         resolution: Of the surface that is rehearsed on, cells along the network's box.
         rehearsal: See there.
@@ -60,6 +62,7 @@ class RehearsedPlannerConfig:
 
     count: int = 12
     enough: float = 0.75
+    room: float = 0.006
     most_motions: int = 6
     resolution: int = 64
     rehearsal: RehearsalConfig = field(default_factory=RehearsalConfig)
@@ -151,7 +154,8 @@ class RehearsedPlanner(GraspPlanner):
         if surface is None:
             answer = super().plan_seen(sight, environment, start, seed)
             return RehearsedAnswer(answer.plan, answer.target, answer.reconstruction)
-        pool = _Pool(self._rehearsal, surface, self.config, seed)
+        least = self.config.room - self.options.clearances.object
+        pool = _Pool(self._rehearsal, surface, self.config, least, seed)
         answer = super().plan_seen(
             sight, environment, start, seed, rank=pool.ranked, satisfied=pool.satisfied
         )
@@ -165,19 +169,23 @@ class _Pool:
     """Rehearsed candidates of all rounds."""
 
     def __init__(
-        self, rehearsal: Rehearsal, surface: Surface, config: RehearsedPlannerConfig, seed: int
+        self,
+        rehearsal: Rehearsal,
+        surface: Surface,
+        config: RehearsedPlannerConfig,
+        least_room: float,
+        seed: int,
     ) -> None:
         self._rehearsal, self._surface, self._config = rehearsal, surface, config
-        self._seed = seed
+        self._least_room, self._seed = least_room, seed
         self._candidates: list[Candidate] = []
         self._tried: list[Rehearsed] = []
         self.seconds = 0.0
 
     def satisfied(self, new: list[Candidate]) -> bool:
         """Rehearse the candidates of a round; whether any holds often enough."""
-        new = sorted(new, key=lambda c: (c.objective, -c.success))
         began = time.perf_counter()
-        chosen = new[: self._config.count]
+        chosen = promising_first(new, self._least_room)[: self._config.count]
         try:
             tried = self._rehearsal(*self._surface, np.stack([c.q for c in chosen]), self._seed)
         except InputError:  # nothing solid to rehearse on: the objective alone decides
@@ -204,6 +212,12 @@ class _Pool:
             if np.array_equal(candidate.q, plan.q):
                 return tried
         return None
+
+
+def promising_first(candidates: list[Candidate], least_room: float) -> list[Candidate]:
+    """The order in which grasps are rehearsed: by the objective, which is 0 for all good ones; of
+    these the ones with room first, and the likeliest first of all that have it."""
+    return sorted(candidates, key=lambda c: (c.objective, c.object_room < least_room, -c.success))
 
 
 def believed_surface(reconstruction: Reconstruction, resolution: int = 64) -> Surface | None:

@@ -1,0 +1,21 @@
+"""Which grasps are rehearsed first."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pointsdf_cli.planning.acceptance import Candidate
+from pointsdf_cli.trials.rehearsed import promising_first
+
+
+def grasp(success: float, room: float, objective: float = 0.0) -> Candidate:
+    none = np.zeros(0)
+    return Candidate(none, none, success, 0.0, objective, room, 1.0, 1.0, 1.0, 1.0, "")
+
+
+def test_of_good_grasps_those_with_room_come_first() -> None:
+    tight, roomy = grasp(0.95, 0.001), grasp(0.7, 0.02)
+    likely, poor = grasp(0.8, 0.005), grasp(0.3, 0.02, objective=0.4)
+    assert promising_first([poor, tight, roomy, likely], 0.005) == [likely, roomy, tight, poor]
+    # Without a wish for room, by success alone; a grasp that is not good stays behind.
+    assert promising_first([poor, tight, roomy, likely], 0.0) == [tight, likely, roomy, poor]
