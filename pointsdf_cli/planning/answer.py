@@ -38,6 +38,7 @@ from pointsdf_cli.planning.reasons import too_large
 from pointsdf_cli.planning.record import no_plan
 from pointsdf_cli.planning.screen import narrowest
 from pointsdf_cli.planning.seeds import EITHER, KINDS, GraspPrior
+from pointsdf_cli.planning.support import hidden_below, stands
 from pointsdf_cli.planning.synthesis import Satisfied, SynthesisConfig
 from pointsdf_cli.planning.target import (
     EmptyFieldError,
@@ -210,6 +211,7 @@ class GraspPlanner:
         seed: int = 0,
         field: Field | Literal["none"] | None = None,
         more: Sequence[View] = (),
+        table: bool = True,
     ) -> Sight:
         """Complete the object, keep its field on a grid, and ready the score.
 
@@ -221,6 +223,8 @@ class GraspPlanner:
                 "none" for no constraint. The score reads the method's own all the same.
             more: Further views of the same object. Each is completed on its own, and the mean of
                 the fields is the object; the first view is what the score is made for.
+            table: The object rests on the table: what could not stand there as it was completed
+                keeps the hand out of the unseen space below it, too (`support.py`).
 
         Raises:
             EmptyFieldError: The network sees nothing solid.
@@ -243,10 +247,15 @@ class GraspPlanner:
         timings["score"] = time.perf_counter() - began
         if field is not None:
             constraint = _constraint(field, world, grid)
-        else:
+        elif made:
             # The score was trained on what the network completes; the hand keeps off what it
             # misses, too.
-            constraint = kept_off(own, world) if made else own
+            hidden = _unseen_support(own, views) if table else np.zeros((0, 3))
+            known = np.concatenate([world, hidden])
+            whole = reconstructed_object(made, grid, known) if len(hidden) else own
+            constraint = kept_off(whole, known)
+        else:
+            constraint = own
         reconstruction = made[0] if made else None
         return Sight(Target.of(constraint, grasps, grasps), world, reconstruction, timings)
 
@@ -277,7 +286,8 @@ class GraspPlanner:
             InputError: The start is no configuration within the joint limits.
         """
         try:
-            sight = self.see(points, T_world_camera, seed, field, more)
+            table = environment is None or environment.table
+            sight = self.see(points, T_world_camera, seed, field, more, table)
         except EmptyFieldError as error:
             return self.nothing(error.what)
         return self.plan_seen(sight, environment, start, seed, rank)
@@ -326,6 +336,14 @@ class GraspPlanner:
     def nothing(self, what: str) -> Answer:
         """The answer to a cloud that shows no object."""
         return Answer(no_plan(self.robot, "no_object", f"{what[0].upper()}{what[1:]}."), None, None)
+
+
+def _unseen_support(shape: ObjectField, views: Sequence[View]) -> Array:
+    """Places [M, 3] where something unseen must hold a shape up; none where it stands by itself."""
+    solid = shape.kept.inside()
+    if not len(solid) or stands(shape.field, solid, shape.low, shape.high):
+        return np.zeros((0, 3))
+    return hidden_below(solid, [(view.T_world_camera[:3, 3], view.in_world) for view in views])
 
 
 def _constraint(field: Field | Literal["none"], points: Array, grid: GridConfig) -> ObjectField:

@@ -116,6 +116,10 @@ class GridField:
         joint._index()
         return joint
 
+    def inside(self) -> Array:
+        """The nodes [N, 3] of the finest level whose values are negative, m."""
+        return self._low + self.config.step * np.argwhere(self._values < 0)
+
     def nodes(self) -> tuple[Array, Array]:
         """Kept values [X, Y, Z] on nodes `config.step` apart, and the first node's place [3]."""
         return self._values, self._low
