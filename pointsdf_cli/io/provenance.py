@@ -52,5 +52,5 @@ def data_sha256(names: Iterable[str], *arrays: ArrayLike) -> str:
     for array in arrays:
         values = np.ascontiguousarray(array)
         digest.update(f"\0{values.dtype.str}{values.shape}".encode())
-        digest.update(values)
+        digest.update(values.tobytes())
     return digest.hexdigest()
