@@ -12,13 +12,13 @@ from planning_worlds import AroundObject, CylinderField, NearPalm
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.plans import Plan, read_plan, write_plan
-from pointsdf_cli.planning.acceptance import AcceptanceConfig
+from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.seeds import SeedConfig
-from pointsdf_cli.planning.synthesis import SynthesisConfig, synthesise
+from pointsdf_cli.planning.synthesis import Synthesis, SynthesisConfig, synthesise
 from pointsdf_cli.planning.target import Target
 from pointsdf_cli.robot.description import load_robot
 
@@ -138,14 +138,18 @@ def test_bad_options_are_refused(planner: Planner) -> None:
         planner.plan(target(), start=np.zeros(7))
 
 
+def found_for_the_can(planner: Planner) -> tuple[Synthesis, Candidate]:
+    """What a search finds, and its best candidate."""
+    problems = planner.problems(target(), Environment())
+    rng = np.random.default_rng(0)
+    found = synthesise(problems, target().prior, planner.inverse, planner.solver, rng, SMALL)
+    assert found.best is not None
+    return found, found.best
+
+
 def test_where_the_best_grasp_has_no_motion_the_next_one_is_taken(planner: Planner) -> None:
     """The best candidate is boxed in by a start that reaches only the other one."""
-    problems = planner.problems(target(), Environment())
-    found = synthesise(
-        problems, target().prior, planner.inverse, planner.solver, np.random.default_rng(0), SMALL
-    )
-    assert found.best is not None
-    good = found.best
+    found, good = found_for_the_can(planner)
     # A configuration that stands in the can: nothing leads there.
     inside = good.q.copy()
     inside[1] += 0.3
@@ -161,12 +165,7 @@ def test_where_the_best_grasp_has_no_motion_the_next_one_is_taken(planner: Plann
 
 
 def test_a_grasp_that_the_arm_cannot_lift_from_comes_last(planner: Planner) -> None:
-    problems = planner.problems(target(), Environment())
-    found = synthesise(
-        problems, target().prior, planner.inverse, planner.solver, np.random.default_rng(0), SMALL
-    )
-    assert found.best is not None
-    good = found.best
+    found, good = found_for_the_can(planner)
     # An arm that points nearly straight up has nowhere higher to go.
     upright = np.clip(np.zeros(23), planner.robot.lower, planner.robot.upper)
     stuck = replace(good, q=0.3 * planner.robot.home + 0.7 * upright, objective=0.0)
