@@ -1,10 +1,12 @@
 """How far is what a view hides from what it shows, before and after turning about the axis found?
 
-    python pipelines/twin_distance.py PACK [--pattern train/*cup*] [--views 10]
+    python pipelines/twin_distance.py PACK [--pattern train/*cup*] [--views 10] [--sideways 0.001]
 
 PACK is what `train-sdf` packed. For label points at most 2 mm inside each object's surface: the
 distance to the nearest observed point, and that of the point's twin (`models/revolution.py`).
-Printed in mm by object, medians and 80% quantiles over its views; 0.2 s an object.
+Printed in mm by object, medians and 80% quantiles over its views; and of the places that are
+farther than 0.08 network units from what was seen, the share whose twins are within 0.05 of it and
+truly on the surface (right), and within 0.05 but not on it (wrong). 0.5 s an object.
 """
 
 from __future__ import annotations
@@ -17,11 +19,21 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pointsdf_cli.models.revolution import places, revolution_axis, surface_normals, twins
+from scipy.spatial import cKDTree
+
+from pointsdf_cli.models.revolution import (
+    SIDEWAYS,
+    places,
+    revolution_axis,
+    surface_normals,
+    twins,
+)
 from pointsdf_cli.training.sdf_pack import load_pack
 
 INSIDE = 0.002
 POINTS = 400
+HIDDEN, NEAR, ON = 0.08, 0.05, 0.02
+"""Network units: from what was seen; of a twin to it; of a twin to the true surface."""
 
 
 def main() -> None:
@@ -29,38 +41,57 @@ def main() -> None:
     parser.add_argument("pack", type=Path)
     parser.add_argument("--pattern", default="*")
     parser.add_argument("--views", type=int, default=10)
+    parser.add_argument("--sideways", type=float, default=SIDEWAYS)
     options = parser.parse_args()
     torch.set_num_threads(1)
     names = json.loads((options.pack / "index.json").read_text(encoding="utf-8"))["names"]
     pack = load_pack(options.pack, tuple(names))
-    medians = []
+    rows = []
     for number, name in enumerate(names):
         if not fnmatch(name, options.pattern):
             continue
         views = np.flatnonzero(pack.object_of_view == number)[: options.views]
         labels = slice(pack.label_start[number], pack.label_start[number + 1])
-        sdf = pack.sdf[labels]
-        hidden = pack.points[labels][(sdf < 0) & (sdf > -INSIDE)][:POINTS]
+        places_m, sdf = pack.points[labels], pack.sdf[labels]
+        just_inside = np.flatnonzero((sdf < 0) & (sdf > -INSIDE))[:POINTS]
         to_network = pack.to_network[views]
-        x = np.einsum("vij,nj->vni", to_network[:, :, :3], hidden) + to_network[:, None, :, 3]
-        x = torch.from_numpy(x.astype(np.float32))
+        everywhere = np.einsum("vij,nj->vni", to_network[:, :, :3], places_m)
+        everywhere = (everywhere + to_network[:, None, :, 3]).astype(np.float32)
+        x = torch.from_numpy(everywhere[:, just_inside])
         cloud = torch.from_numpy(pack.clouds[views].astype(np.float32))
         camera = torch.from_numpy(pack.cameras[views])
         neighbours = torch.from_numpy(pack.neighbours[views].astype(np.int64))
         points = cloud[:, : neighbours.shape[1]]
-        axis = revolution_axis(points, surface_normals(points, neighbours, cloud, camera), camera)
+        normals = surface_normals(points, neighbours, cloud, camera)
+        axis = revolution_axis(points, normals, camera, options.sideways)
         twin, _ = twins(x, axis, cloud, places(cloud, axis))
-        unit = torch.from_numpy(pack.scale[views])[:, None] / 1000.0  # network units per mm
-        before, after = (torch.cdist(p, cloud).amin(-1) / unit for p in (x, twin))
-        row = [float(d.quantile(q)) for d in (before, after) for q in (0.5, 0.8)]
-        medians.append(row)
-        print(f"{name:40} seen {row[0]:5.1f} ({row[1]:5.1f})  turned {row[2]:5.1f} ({row[3]:5.1f})")
-    if medians:
-        middle = np.median(medians, axis=0)
-        print(
-            f"{len(medians)} objects, medians: seen {middle[0]:.1f} ({middle[1]:.1f}), "
-            f"turned {middle[2]:.1f} ({middle[3]:.1f})"
+        before, after = (torch.cdist(p, cloud).amin(-1).numpy() for p in (x, twin))
+        at_twin = np.stack(
+            [
+                sdf[cKDTree(known).query(there)[1]] * scale
+                for known, there, scale in zip(everywhere, twin.numpy(), pack.scale[views])
+            ]
         )
+        hidden = before > HIDDEN
+        if not hidden.any():
+            continue
+        near = after[hidden] < NEAR
+        on = np.abs(at_twin[hidden]) < ON
+        mm = 1000.0 / pack.scale[views][:, None]
+        row = [float(np.quantile(d * mm, q)) for d in (before, after) for q in (0.5, 0.8)]
+        rows.append(row + [float((near & on).mean()), float((near & ~on).mean())])
+        print(f"{name:40} {_line(rows[-1])}")
+    if rows:
+        print(f"{len(rows)} objects, distances' medians: {_line(list(np.median(rows, axis=0)))}")
+        right, wrong = np.mean(rows, axis=0)[4:]
+        print(f"means: right {right:.2f}, wrong {wrong:.2f}")
+
+
+def _line(row: list[float]) -> str:
+    return (
+        f"seen {row[0]:5.1f} ({row[1]:5.1f})  turned {row[2]:5.1f} ({row[3]:5.1f})  "
+        f"hidden: right {row[4]:.2f} wrong {row[5]:.2f}"
+    )
 
 
 if __name__ == "__main__":

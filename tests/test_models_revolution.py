@@ -9,6 +9,7 @@ import torch
 from pointsdf_cli.models.neighbours import farthest_point_order, gather, nearest_neighbours
 from pointsdf_cli.models.registry import build_model
 from pointsdf_cli.models.revolution import (
+    SIDEWAYS,
     Axis,
     places,
     revolution_axis,
@@ -42,11 +43,11 @@ def _half_vase(noise: float, handle: int = 0, count: int = 1000) -> torch.Tensor
     return torch.from_numpy(cloud)[None]
 
 
-def _axis(cloud: torch.Tensor) -> Axis:
+def _axis(cloud: torch.Tensor, sideways: float = 0.0) -> Axis:
     points = gather(cloud, farthest_point_order(cloud, 256))
     neighbours = nearest_neighbours(points, cloud, 24)
     normals = surface_normals(points, neighbours, cloud, CAMERA)
-    return revolution_axis(points, normals, CAMERA)
+    return revolution_axis(points, normals, CAMERA, sideways)
 
 
 @pytest.mark.parametrize(("noise", "handle"), [(0.0, 0), (0.003, 0), (0.003, 120)])
@@ -64,15 +65,50 @@ def test_the_axis_points_to_the_camera() -> None:
     assert float(((CAMERA - axis.point) * axis.direction).sum()) > 0
 
 
-def test_the_axis_of_a_ball_goes_through_its_centre() -> None:
+@pytest.mark.parametrize("sideways", [0.0, 1e-3])
+def test_the_axis_of_a_ball_goes_through_its_centre(sideways: float) -> None:
+    axis = _axis(_near_side_of_a_ball(), sideways)
+    offset = np.array([0.1, 0.0, 0.2]) - axis.point[0].numpy()
+    direction = axis.direction[0].numpy()
+    assert np.linalg.norm(offset - (offset @ direction) * direction) < 0.01
+
+
+def _near_side_of_a_ball() -> torch.Tensor:
     rng = np.random.default_rng(1)
     outwards = rng.normal(size=(3000, 3))
     outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
     cloud = 0.4 * outwards[outwards[:, 2] < -0.1][:1000] + [0.1, 0.0, 0.2]
-    axis = _axis(torch.from_numpy(cloud)[None])
-    offset = np.array([0.1, 0.0, 0.2]) - axis.point[0].numpy()
-    direction = axis.direction[0].numpy()
-    assert np.linalg.norm(offset - (offset @ direction) * direction) < 0.01
+    return torch.from_numpy(cloud + rng.normal(0.0, 0.003, cloud.shape))[None]
+
+
+def test_of_the_axes_of_a_ball_one_across_the_view_is_wanted() -> None:
+    cloud = _near_side_of_a_ball()
+    axis = _axis(cloud, SIDEWAYS)
+    view = torch.nn.functional.normalize(CAMERA, dim=-1)
+    assert abs(float((axis.direction * view).sum())) < 0.1
+    # Turned about it, the far side has been seen.
+    far = torch.tensor([[[0.1, 0.0, 0.6]]], dtype=cloud.dtype)
+    twin, _ = twins(far, axis, cloud, places(cloud, axis))
+    assert float(torch.cdist(far, cloud).min()) > 0.3
+    assert float(torch.cdist(twin, cloud).min()) < 0.03
+
+
+@pytest.mark.parametrize("away", [0.2, 0.6, 1.5])
+def test_an_axis_that_is_the_only_one_is_found_from_anywhere(away: float) -> None:
+    # Only one line fits a vase, be it seen from above or from the side.
+    rng = np.random.default_rng(0)
+    heights, angles = rng.uniform(-0.4, 0.4, 9000), rng.uniform(-np.pi, np.pi, 9000)
+    points = _turned(heights, 0.3 + 0.1 * np.sin(4 * heights), angles)
+    outwards = _turned(np.zeros(9000), np.ones(9000), angles) - POINT
+    side = np.cross(DIRECTION, [0.0, 0.0, 1.0])
+    across = np.cross(side / np.linalg.norm(side), DIRECTION)
+    view = np.cos(away) * DIRECTION + np.sin(away) * across
+    cloud = torch.from_numpy(points[outwards @ view > 0.2 * np.sin(away)][:1000])[None]
+    camera = torch.from_numpy(3.0 * view)[None]
+    near = gather(cloud, farthest_point_order(cloud, 256))
+    normals = surface_normals(near, nearest_neighbours(near, cloud, 24), cloud, camera)
+    axis = revolution_axis(near, normals, camera, SIDEWAYS)
+    assert abs(float(axis.direction[0] @ torch.from_numpy(DIRECTION))) > np.cos(np.radians(3))
 
 
 def test_normals_of_a_slab_seen_from_an_edge_miss_the_axis_of_any_turning() -> None:

@@ -78,6 +78,9 @@ def test_order_prefers_many_tries_and_keeps_equals() -> None:
     )
     assert best_first([unable, never, once, often]) == [3, 2, 1, 0]
     assert best_first([once, once]) == [0, 1]
+    # Half a chance that what it was tried on is true: five of five are then less than one of one.
+    assert best_first([often, once], [0.5, 1.0]) == [1, 0]
+    assert best_first([often, never], [0.5, 1.0]) == [0, 1]
 
 
 def test_the_lift_is_straight_and_keeps_the_palm(grasp: NDArray[np.float64]) -> None:

@@ -59,6 +59,7 @@ class PointSDFRay(ShapeModel):
         heads: Heads of the attention over the third layer's centres; 0 leaves it out.
         search: How neighbours are chosen: `exact`, or `subsets`, which is faster and about as good.
         revolution: Whether the decoder reads the evidence at a query's twin too.
+        sideways: Of its axis, see `revolution_axis`.
     """
 
     architecture = "pointsdf-ray"
@@ -76,6 +77,7 @@ class PointSDFRay(ShapeModel):
         heads: int = 4,
         search: str = "exact",
         revolution: bool = False,
+        sideways: float = 0.0,
     ) -> None:
         super().__init__()
         self.centres, self.neighbours = tuple(centres), tuple(neighbours)
@@ -83,7 +85,7 @@ class PointSDFRay(ShapeModel):
         self.width, self.blocks, self.local, self.heads = width, blocks, local, heads
         if search not in SEARCHES:
             raise ValueError(f"no neighbour search {search!r}")
-        self.search, self.revolution = search, revolution
+        self.search, self.revolution, self.sideways = search, revolution, sideways
         self.packed_neighbours = (centres[0], neighbours[0])
 
         self.layers = nn.ModuleList(
@@ -133,6 +135,7 @@ class PointSDFRay(ShapeModel):
             "heads": self.heads,
             "search": self.search,
             "revolution": self.revolution,
+            "sideways": self.sideways,
         }
 
     def begin_with(self, other: ShapeModel) -> None:
@@ -187,7 +190,7 @@ class PointSDFRay(ShapeModel):
         if self.revolution:
             with torch.autocast(cloud.device.type, enabled=False):
                 normals = surface_normals(fine_at, neighbours, cloud, camera)
-                axis = revolution_axis(fine_at, normals, camera)
+                axis = revolution_axis(fine_at, normals, camera, self.sideways)
                 evidence |= {f"axis_{name}": value for name, value in axis._asdict().items()}
                 evidence["places"] = places(cloud, axis)
         return Encoding(self.to_embedding(features.flatten(1)), evidence)

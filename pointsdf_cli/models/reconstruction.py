@@ -10,6 +10,7 @@ come out in the cloud's own frame and in metres; the network's frame stays insid
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,7 +55,7 @@ class Reconstruction:
         points: ArrayLike,
         camera_position: ArrayLike,
         R_frame_camera: ArrayLike | None = None,
-        seed: int = 0,
+        seed: int | Sequence[int] = 0,
     ) -> Reconstruction:
         """Read one partial cloud.
 

@@ -29,6 +29,9 @@ TOLERANCE = 0.03
 """Distance (network units) by which a normal may pass the axis before it counts half."""
 RIDGE = 1e-3
 """Keeps the axis of a cylinder from sliding along itself and of a plane from being anywhere."""
+SIDEWAYS = 1e-3
+"""How much worse (mean square of what the normals pass it by, network units) an axis across the
+viewing direction may fit than one along it (`pipelines/twin_distance.py --sideways`)."""
 NEARNESS = 0.15
 """Weight of nearness in space where a twin's azimuth is chosen: of two points seen at the same
 height and distance from the axis, the one that lies nearer to the query."""
@@ -75,16 +78,23 @@ def surface_normals(points: Tensor, neighbours: Tensor, cloud: Tensor, camera: T
 
 
 @torch.no_grad()
-def revolution_axis(points: Tensor, normals: Tensor, camera: Tensor) -> Axis:
+def revolution_axis(points: Tensor, normals: Tensor, camera: Tensor, sideways: float = 0.0) -> Axis:
     """The line that most normals meet.
+
+    A ball turns about every line through its centre, and many things about more than one. About the
+    one that points to the camera nothing unseen turns to where something was seen, about one across
+    everything does: of axes that fit nearly equally well the one across is wanted.
 
     Args:
         points: [B, M, 3], float32.
         normals: [B, M, 3], of unit length.
         camera: [B, 3].
+        sideways: How much worse an axis across the viewing direction may fit, see `SIDEWAYS`.
     """
     moment = torch.cross(points, normals, dim=-1)
     weight = torch.ones_like(points[..., 0])
+    view = torch.nn.functional.normalize(camera, dim=-1)
+    along_view = sideways * view.unsqueeze(-1) * view.unsqueeze(-2)
     eye = torch.eye(3, dtype=points.dtype, device=points.device)
     for _ in range(ROUNDS):
         weighted_normals = weight.unsqueeze(-1) * normals
@@ -93,7 +103,8 @@ def revolution_axis(points: Tensor, normals: Tensor, camera: Tensor) -> Axis:
         mixed = moment.transpose(1, 2) @ weighted_normals
         across = normals.transpose(1, 2) @ weighted_normals + RIDGE * total * eye
         eliminated = torch.linalg.solve(across, mixed.transpose(1, 2))
-        values, vectors = torch.linalg.eigh(along - mixed @ eliminated)
+        fit = along - mixed @ eliminated + total * along_view
+        values, vectors = torch.linalg.eigh(fit)
         direction = vectors[..., 0]
         line_moment = -(eliminated @ direction.unsqueeze(-1)).squeeze(-1)
         miss = (normals @ line_moment.unsqueeze(-1) + moment @ direction.unsqueeze(-1)).squeeze(-1)

@@ -27,6 +27,7 @@ from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
+from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import Field
@@ -45,6 +46,7 @@ from pointsdf_cli.planning.target import (
     ObjectField,
     Target,
     absent_object,
+    completed_field,
     given_object,
     grid_for,
     kept_off,
@@ -93,6 +95,7 @@ class PlanOptions:
         halvings: When the solver gives half of its seeds up; never if empty.
         device: Where the networks are.
         synthesis: How long to look, and what is good enough.
+        redraws: Other draws of a cloud's points that are completed too, to be asked about grasps.
     """
 
     method: str = RECONSTRUCTION
@@ -106,6 +109,7 @@ class PlanOptions:
     halvings: tuple[int, ...] = HALVINGS
     device: str = "cpu"
     synthesis: SynthesisConfig = field(default_factory=SynthesisConfig)
+    redraws: int = 0
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -145,12 +149,14 @@ class Sight:
         points: [N, 3], all views in the world, m.
         reconstruction: Of the first view; None in partial-view grasping.
         timings: Seconds by stage.
+        redrawn: What other draws of the points say, as many as the options ask for.
     """
 
     target: Target
     points: Array
     reconstruction: Reconstruction | None
     timings: dict[str, float]
+    redrawn: tuple[Field, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -234,11 +240,14 @@ class GraspPlanner:
         grid = grid_for(narrowest(world))
         began = time.perf_counter()
         made: list[Reconstruction] = []
+        redrawn: tuple[Field, ...] = ()
         if self._shape is not None:
-            for view in views:
-                eye, axes = view.T_world_camera[:3, 3], view.T_world_camera[:3, :3]
-                made.append(Reconstruction.from_cloud(self._shape, view.in_world, eye, axes, seed))
+            made = _completed(self._shape, views, seed)
             own = reconstructed_object(made, grid, world)
+            if field is None:
+                others = range(1, 1 + self.options.redraws)
+                again = [_completed(self._shape, views, (seed, draw)) for draw in others]
+                redrawn = tuple(completed_field(each, own.low, own.high) for each in again)
         else:
             own = seen_object(world, grid)
         timings = {"reconstruction": time.perf_counter() - began}
@@ -257,7 +266,8 @@ class GraspPlanner:
         else:
             constraint = own
         reconstruction = made[0] if made else None
-        return Sight(Target.of(constraint, grasps, grasps), world, reconstruction, timings)
+        target = Target.of(constraint, grasps, grasps)
+        return Sight(target, world, reconstruction, timings, redrawn)
 
     def plan(
         self,
@@ -336,6 +346,18 @@ class GraspPlanner:
     def nothing(self, what: str) -> Answer:
         """The answer to a cloud that shows no object."""
         return Answer(no_plan(self.robot, "no_object", f"{what[0].upper()}{what[1:]}."), None, None)
+
+
+def _completed(
+    network: ShapeModel, views: Sequence[View], seed: int | Sequence[int]
+) -> list[Reconstruction]:
+    """Each view completed on its own, from the points that `seed` draws of it."""
+    return [
+        Reconstruction.from_cloud(
+            network, view.in_world, view.T_world_camera[:3, 3], view.T_world_camera[:3, :3], seed
+        )
+        for view in views
+    ]
 
 
 def _unseen_support(shape: ObjectField, views: Sequence[View]) -> Array:

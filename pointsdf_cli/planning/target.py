@@ -129,14 +129,22 @@ def reconstructed_object(
     Raises:
         EmptyFieldError: The network sees nothing solid.
     """
-    fields = [ReconstructionField(reconstruction) for reconstruction in reconstructions]
     # The network was trained in a box of ±0.6 (`sdf_sampling.py`), its meshes reach to ±0.8.
     low = np.min([r.centre - 0.75 / r.scale for r in reconstructions], axis=0)
     high = np.max([r.centre + 0.75 / r.scale for r in reconstructions], axis=0)
     step = 0.15 / max(r.scale for r in reconstructions)
-    field = fields[0] if len(fields) == 1 else MeanField(fields)
-    shape = _boxed(field, low, high, step, grid, seen)
+    shape = _boxed(_mean_field(reconstructions), low, high, step, grid, seen)
     return replace(shape, field=NearField(shape.field, shape.low, shape.high))
+
+
+def completed_field(reconstructions: Sequence[Reconstruction], low: Array, high: Array) -> Field:
+    """What `reconstructed_object` asks, within a box [m] that is known already."""
+    return NearField(_mean_field(reconstructions), low, high)
+
+
+def _mean_field(reconstructions: Sequence[Reconstruction]) -> Field:
+    fields = [ReconstructionField(reconstruction) for reconstruction in reconstructions]
+    return fields[0] if len(fields) == 1 else MeanField(fields)
 
 
 def kept_off(shape: ObjectField, seen: Array) -> ObjectField:

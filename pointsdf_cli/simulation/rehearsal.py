@@ -8,6 +8,7 @@ the true object is used.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -177,16 +178,23 @@ class Rehearsal:
             return np.asarray(self._kinematics.palm(torch.from_numpy(q)).numpy())
 
 
-def best_first(tried: list[Rehearsed]) -> list[int]:
+def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -> list[int]:
     """Indices of grasps, the one most likely to hold first; equals keep their order.
 
     The share is (held + 1/2) / (tries + 1), so that one success of one try is less than five of
     five, and no try at all comes last.
+
+    Args:
+        tried: How each did.
+        chances: That what it was tried on is true as far as this grasp is concerned, a factor of
+            its share; 1 each if None.
     """
+    chances = [1.0] * len(tried) if chances is None else chances
 
     def cost(k: int) -> tuple[bool, float, float]:
         one = tried[k]
-        return not one.tries, -(one.held + 0.5) / (one.tries + 1), -round(one.rise, 2)
+        share = chances[k] * (one.held + 0.5) / (one.tries + 1)
+        return not one.tries, -share, -round(one.rise, 2)
 
     return sorted(range(len(tried)), key=cost)
 

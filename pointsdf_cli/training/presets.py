@@ -6,6 +6,7 @@ from typing import Any
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.pointsdf import PRESETS as POINTSDF_PRESETS
+from pointsdf_cli.models.revolution import SIDEWAYS
 from pointsdf_cli.training.sdf_loop import TrainConfig
 from pointsdf_cli.training.sdf_loss import SdfLoss
 
@@ -47,4 +48,4 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
         return {}, TrainConfig(loss=SdfLoss("sign", sign_weight=1.0))
     if model == "pointsdf":
         return dict(POINTSDF_PRESETS["small"]), TrainConfig()
-    return {"revolution": True}, TrainConfig()
+    return {"revolution": True, "sideways": SIDEWAYS}, TrainConfig()

@@ -8,6 +8,7 @@ all rounds is taken in the end, whatever it promises.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,6 +30,7 @@ from pointsdf_cli.planning.answer import (
 )
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.planner import Rank
+from pointsdf_cli.planning.redraws import Redraws
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import Satisfied, SynthesisConfig
 from pointsdf_cli.simulation.executor import ExecutorConfig
@@ -54,6 +56,8 @@ class RehearsedPlannerConfig:
         enough: A grasp that holds in this share of its rehearsals ends the search.
         room: Of equally good grasps those that keep this distance to the object until the hand
             closes [m] are rehearsed first: what was not seen may be nearer than believed.
+        redraws: Other draws of the cloud's points that are asked. A grasp that any of them has
+            nearer to the object than the clearance never ends the search.
         most_motions: Grasps to which motions are looked for.
         resolution: Of the surface that is rehearsed on, cells along the network's box.
         rehearsal: See there.
@@ -63,6 +67,7 @@ class RehearsedPlannerConfig:
     count: int = 12
     enough: float = 0.75
     room: float = 0.006
+    redraws: int = 3
     most_motions: int = 6
     resolution: int = 64
     rehearsal: RehearsalConfig = field(default_factory=RehearsalConfig)
@@ -85,6 +90,9 @@ class RehearsedAnswer(Answer):
     rehearsed: Rehearsed | None = None
     surface: Surface | None = None
 
+
+CONTRADICTED = 0.5
+"""What a grasp counts for that another draw of the points contradicts, of what it would without."""
 
 REHEARSED_SEARCH = SynthesisConfig(rounds=5, seeds=SeedConfig(palms=40, seeds=12))
 """More grasps a round than the paper's search needs: a rehearsal tells them apart."""
@@ -117,8 +125,9 @@ class RehearsedPlanner(GraspPlanner):
             )
         # A rehearsal may like what the score does not: all seeds are solved to the end.
         search = replace(REHEARSED_SEARCH, acceptance=options.synthesis.acceptance)
-        super().__init__(replace(options, synthesis=search, halvings=()), grasps)
         self.config = config or RehearsedPlannerConfig()
+        options = replace(options, synthesis=search, halvings=(), redraws=self.config.redraws)
+        super().__init__(options, grasps)
         self._rehearsal = Rehearsal(self.robot, self.config.rehearsal, self.config.execution)
 
     def plan_seen(
@@ -154,8 +163,14 @@ class RehearsedPlanner(GraspPlanner):
         if surface is None:
             answer = super().plan_seen(sight, environment, start, seed)
             return RehearsedAnswer(answer.plan, answer.target, answer.reconstruction)
-        least = self.config.room - self.options.clearances.object
-        pool = _Pool(self._rehearsal, surface, self.config, least, seed)
+        clearance = self.options.clearances.object
+        redraws = Redraws(self.planner.geometry, sight.redrawn)
+
+        def contradicted(candidates: list[Candidate]) -> list[bool]:
+            return list(redraws.contradicted(np.stack([c.q for c in candidates]), clearance))
+
+        least = self.config.room - clearance
+        pool = _Pool(self._rehearsal, surface, self.config, least, contradicted, seed)
         answer = super().plan_seen(
             sight, environment, start, seed, rank=pool.ranked, satisfied=pool.satisfied
         )
@@ -174,26 +189,35 @@ class _Pool:
         surface: Surface,
         config: RehearsedPlannerConfig,
         least_room: float,
+        contradicted: Callable[[list[Candidate]], list[bool]],
         seed: int,
     ) -> None:
         self._rehearsal, self._surface, self._config = rehearsal, surface, config
         self._least_room, self._seed = least_room, seed
+        self._are_contradicted = contradicted
         self._candidates: list[Candidate] = []
+        self._contradicted: list[bool] = []
         self._tried: list[Rehearsed] = []
         self.seconds = 0.0
 
     def satisfied(self, new: list[Candidate]) -> bool:
         """Rehearse the candidates of a round; whether any holds often enough."""
         began = time.perf_counter()
-        chosen = promising_first(new, self._least_room)[: self._config.count]
+        contradicted = self._are_contradicted(new)
+        order = promising_first(new, self._least_room, contradicted)[: self._config.count]
+        chosen = [new[k] for k in order]
         try:
             tried = self._rehearsal(*self._surface, np.stack([c.q for c in chosen]), self._seed)
         except InputError:  # nothing solid to rehearse on: the objective alone decides
             tried = [UNTRIED] * len(chosen)
         self._candidates += chosen
+        self._contradicted += [contradicted[k] for k in order]
         self._tried += tried
         self.seconds += time.perf_counter() - began
-        return any(one.tries > 1 and one.share >= self._config.enough for one in tried)
+        return any(
+            one.tries > 1 and one.share >= self._config.enough and not contradicted[k]
+            for k, one in zip(order, tried, strict=True)
+        )
 
     def ranked(self, accepted: list[Candidate]) -> list[Candidate]:
         """The best candidates of all rounds, best first; those not rehearsed come last.
@@ -202,7 +226,8 @@ class _Pool:
         """
         if not self._candidates and accepted:  # for want of better ones
             self.satisfied(accepted)
-        order = [self._candidates[k] for k in best_first(self._tried)]
+        chances = [CONTRADICTED if one else 1.0 for one in self._contradicted]
+        order = [self._candidates[k] for k in best_first(self._tried, chances)]
         order += [c for c in accepted if not any(c is one for one in order)]
         return order[: self._config.most_motions]
 
@@ -214,10 +239,18 @@ class _Pool:
         return None
 
 
-def promising_first(candidates: list[Candidate], least_room: float) -> list[Candidate]:
-    """The order in which grasps are rehearsed: by the objective, which is 0 for all good ones; of
-    these the ones with room first, and the likeliest first of all that have it."""
-    return sorted(candidates, key=lambda c: (c.objective, c.object_room < least_room, -c.success))
+def promising_first(
+    candidates: list[Candidate], least_room: float, contradicted: Sequence[bool]
+) -> list[int]:
+    """The order in which grasps are rehearsed: first those that no other draw of the points
+    contradicts; of these by the objective, which is 0 for all good ones; of equals the ones with
+    room first, and the likeliest first of all that have it."""
+
+    def cost(k: int) -> tuple[bool, float, bool, float]:
+        one = candidates[k]
+        return contradicted[k], one.objective, one.object_room < least_room, -one.success
+
+    return sorted(range(len(candidates)), key=cost)
 
 
 def believed_surface(reconstruction: Reconstruction, resolution: int = 64) -> Surface | None:
