@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.models.revolution import (
@@ -69,7 +68,9 @@ def main() -> None:
         at_twin = np.stack(
             [
                 sdf[cKDTree(known).query(there)[1]] * scale
-                for known, there, scale in zip(everywhere, twin.numpy(), pack.scale[views])
+                for known, there, scale in zip(
+                    everywhere, twin.numpy(), pack.scale[views], strict=True
+                )
             ]
         )
         hidden = before > HIDDEN
