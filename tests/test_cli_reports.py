@@ -5,8 +5,15 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import run_cli
+
+from pointsdf_cli.assets import asset_path
+
+
+def bundled(name: str) -> Path:
+    return asset_path(f"weights/{name}")
 
 
 @pytest.fixture(scope="module")
@@ -96,3 +103,65 @@ def test_a_report_on_nothing_is_an_input_error(folder: str, tmp_path: Path) -> N
     result = run_cli("report", tmp_path / folder)
     assert result.code == 2
     assert not list((tmp_path / "empty").iterdir())
+
+
+def test_one_file_of_views_or_labels_has_a_page_with_its_mesh(data: Path, tmp_path: Path) -> None:
+    for stage, word in (("views", "Views"), ("labels", "Signed distances")):
+        page = tmp_path / f"{stage}.html"
+        result = run_cli("report", data / stage / "ball.h5", "--out", page)
+        assert result.code == 0, result.err
+        text = page.read_text()
+        assert f"<h2>{word}</h2>" in text
+        assert text.count("data:image/png;base64,") == 1
+        assert "ring" not in text
+
+
+def test_a_checkpoint_has_a_page_with_its_settings_and_its_loss(data: Path, tmp_path: Path) -> None:
+    train = ("train-sdf", "--views", data / "views", "--labels", data / "labels", "--steps", 2)
+    small = ("--batch-size", 2, "--queries", 8, "--held-out", 0.5, "--threads", 1, "-q")
+    assert run_cli(*train, *small, "--out", tmp_path / "ckpt").code == 0
+    page = tmp_path / "page.html"
+    assert run_cli("report", tmp_path / "ckpt", "--out", page).code == 0
+    text = page.read_text()
+    assert "<td>training.learning_rate</td>" in text
+    assert text.count("data:image/png;base64,") == 1
+    described = json.loads(run_cli("info", tmp_path / "ckpt", "--json").out)
+    assert described["facts"]["architecture"] == "pointsdf-ray"
+    sizes = [np.prod(entry["shape"]) for entry in described["datasets"].values()]
+    assert described["facts"]["weights"] == sum(sizes) > 1e6
+    # What is shipped has no training state, and no curve.
+    assert run_cli("report", bundled("grasp_geometry"), "--out", page, "--force").code == 0
+    assert "data:image/png" not in page.read_text()
+    assert "<td>calibration.scale</td>" in page.read_text()
+
+
+def test_clouds_and_meshes_are_described_in_their_unit(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (500, 3)) * [40, 20, 10] + [0, 0, 800]
+    np.savetxt(tmp_path / "box.xyz", points)
+    told = ("info", tmp_path / "box.xyz", "--unit", "mm", "--json")
+    facts = json.loads(run_cli(*told).out)["facts"]
+    assert facts["points"] == 500
+    assert facts["extents [m]"] == pytest.approx([0.08, 0.04, 0.02], abs=1e-3)
+    assert facts["frame"] == "camera"
+    assert facts["T_world_camera"] is None
+    page = tmp_path / "page.html"
+    assert run_cli("report", tmp_path / "box.xyz", "--unit", "mm", "--out", page).code == 0
+    assert page.read_text().count("data:image/png;base64,") == 1
+    assert "[0.07" in page.read_text()
+
+
+def test_the_page_on_a_mesh_shows_it(data: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    assert run_cli("report", data / "meshes" / "ball.ply", "--out", page).code == 0
+    assert page.read_text().count("data:image/png;base64,") == 1
+
+
+@pytest.mark.parametrize("name", ["nothing.h5", "notes.txt.gz"])
+def test_what_there_is_no_page_on_is_refused(tmp_path: Path, name: str) -> None:
+    if name.endswith("gz"):
+        (tmp_path / name).write_bytes(b"words")
+    result = run_cli("report", tmp_path / name)
+    assert result.code == 2
+    assert name in result.err
+    assert not list(tmp_path.glob("*.html"))

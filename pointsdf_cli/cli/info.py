@@ -12,8 +12,13 @@ from pointsdf_cli.cli import common
 
 def info(
     artifacts: Annotated[
-        list[Path], typer.Argument(help="HDF5 artifacts or meshes.", metavar="ARTIFACT...")
+        list[Path],
+        typer.Argument(
+            help="HDF5 artifacts, clouds, meshes, directories of checkpoints.",
+            metavar="ARTIFACT...",
+        ),
     ],
+    unit: Annotated[str, typer.Option(help="Of clouds and meshes: m, cm, mm or inch.")] = "m",
     quiet: common.Quiet = False,
     as_json: common.Json = False,
 ) -> None:
@@ -24,7 +29,7 @@ def info(
     from pointsdf_cli.io.describe import describe
 
     reporter = common.Reporter(quiet, as_json)
-    for path, description in [(path, describe(path)) for path in artifacts]:
+    for path, description in [(path, describe(path, unit)) for path in artifacts]:
         reporter.result({"path": path, **description}, _lines(path, description))
 
 

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, read_cloud
 from pointsdf_cli.io.hdf5 import open_hdf5, unreadable
 from pointsdf_cli.io.meshes import MESH_SUFFIXES, load_mesh
+from pointsdf_cli.io.ply import ply_has_faces
+
+SUFFIXES = tuple(dict.fromkeys([".h5", *CLOUD_SUFFIXES, *MESH_SUFFIXES]))
+"""Of the files that can be described."""
 
 
-def describe(path: Path | str) -> dict[str, Any]:
-    """`{"facts": {...}, "datasets": {name: {"dtype", "shape", "units", "frame"}}}` of one file.
+def describe(path: Path | str, unit: str = "m") -> dict[str, Any]:
+    """`{"facts": {...}, "datasets": {name: {"dtype", "shape", "units", "frame"}}}` of one artifact.
+
+    Args:
+        path: An artifact, a cloud, a mesh, or the directory of a checkpoint.
+        unit: Of a cloud's or mesh's coordinates; facts are in metres.
 
     Raises:
         InputError: No such file, damaged, or of no kind that rgrasp knows.
@@ -22,15 +33,76 @@ def describe(path: Path | str) -> dict[str, Any]:
     path = Path(path)
     if not path.exists():
         raise InputError("no such file", where=path)
-    if path.suffix.lower() in (".h5", ".hdf5"):
+    if path.is_dir():
+        return _checkpoint(path)
+    suffix = path.suffix.lower()
+    if suffix in (".h5", ".hdf5"):
         return _hdf5(path)
-    if path.suffix.lower() in MESH_SUFFIXES:
-        return _mesh(path)
+    if is_cloud(path):
+        return _cloud(path, unit)
+    if suffix in MESH_SUFFIXES:
+        return _mesh(path, unit)
     raise InputError(
         "is of no kind that rgrasp knows",
         where=path,
-        allowed="an artifact (.h5) or a mesh (" + ", ".join(MESH_SUFFIXES) + ")",
+        allowed="an artifact, a cloud, a mesh (" + ", ".join(SUFFIXES) + ") or a checkpoint",
     )
+
+
+def is_cloud(path: Path) -> bool:
+    """Whether a file that exists is a cloud by its suffix, and a PLY by its having no faces."""
+    suffix = path.suffix.lower()
+    return not ply_has_faces(path) if suffix == ".ply" else suffix in CLOUD_SUFFIXES
+
+
+def flattened(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings as one level: {"model.width": 256, ...}; lists stay as they are."""
+    flat: dict[str, Any] = {}
+    for name, value in config.items():
+        if isinstance(value, Mapping) and value:
+            flat |= flattened(value, f"{prefix}{name}.")
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
+def _checkpoint(path: Path) -> dict[str, Any]:
+    from pointsdf_cli.io.checkpoints import read_checkpoint  # torch takes a second
+
+    checkpoint = read_checkpoint(path)
+    datasets = {
+        name: {
+            "dtype": str(tensor.dtype).removeprefix("torch."),
+            "shape": list(tensor.shape),
+            "units": "",
+            "frame": "",
+        }
+        for name, tensor in sorted(checkpoint.weights.items())
+    }
+    facts = flattened(checkpoint.config)
+    facts["weights"] = sum(tensor.numel() for tensor in checkpoint.weights.values())
+    return {"facts": facts, "datasets": datasets}
+
+
+def _cloud(path: Path, unit: str) -> dict[str, Any]:
+    cloud = read_cloud(path, unit, drop_invalid=True)
+    facts = {
+        "points": len(cloud.points),
+        **_box(cloud.points),
+        "normals": cloud.normals is not None,
+        "colours": cloud.colours is not None,
+        "frame": cloud.frame,
+        "T_world_camera": None if cloud.T_world_camera is None else cloud.T_world_camera.tolist(),
+    }
+    return {"facts": facts, "datasets": {}}
+
+
+def _box(points: NDArray[np.floating]) -> dict[str, list[float]]:
+    low, high = points.min(axis=0), points.max(axis=0)
+    return {
+        "extents [m]": (high - low).round(5).tolist(),
+        "centre [m]": ((low + high) / 2).round(5).tolist(),
+    }
 
 
 def _hdf5(path: Path) -> dict[str, Any]:
@@ -58,14 +130,12 @@ def _contents(path: Path) -> dict[str, Any]:
     return {"facts": facts, "datasets": datasets}
 
 
-def _mesh(path: Path) -> dict[str, Any]:
-    mesh = load_mesh(path)
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+def _mesh(path: Path, unit: str) -> dict[str, Any]:
+    mesh = load_mesh(path, unit)
     facts = {
         "vertices": len(mesh.vertices),
         "faces": len(mesh.faces),
-        "extents [m]": (high - low).round(5).tolist(),
-        "centre [m]": ((low + high) / 2).round(5).tolist(),
+        **_box(mesh.vertices),
         "repair": mesh.repair,
         "sha256": mesh.sha256,
     }

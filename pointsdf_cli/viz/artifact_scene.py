@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, read_cloud
+from pointsdf_cli.io.describe import is_cloud
 from pointsdf_cli.io.hdf5 import open_hdf5
 from pointsdf_cli.io.meshes import MESH_SUFFIXES
-from pointsdf_cli.io.ply import ply_has_faces
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.grasp_scenes import grasps_scene, plan_scene, trial_scene
 from pointsdf_cli.viz.robot_check_picture import robot_scene
@@ -40,10 +40,7 @@ def scene_of(path: Path, options: SceneOptions) -> Scene:
         raise InputError("no such file", where=path)
     if path.is_dir():
         raise InputError("is a folder", where=path, allowed="one file: a cloud, mesh or artifact")
-    if suffix == ".ply":
-        faces = ply_has_faces(path)
-        return mesh_scene(path, options) if faces else cloud_scene(path, options)
-    if suffix in CLOUD_SUFFIXES:
+    if is_cloud(path):
         return cloud_scene(path, options)
     if suffix in MESH_SUFFIXES:
         return mesh_scene(path, options)

@@ -50,11 +50,23 @@ def scan(folder: Path, meshes: Path | None = None) -> DataFolder:
             where=folder,
             allowed="a folder that rgrasp render or label-sdf wrote to",
         )
-    roots = [folder, *([meshes] if meshes else [])]
-    files = sorted(
+    return DataFolder(found["views"], found["labels"], _meshes_below(folder, meshes))
+
+
+def single(path: Path, schema: str, meshes: Path | None = None) -> DataFolder:
+    """One file of views or labels, as `schema` says; its mesh is looked for as `rgrasp` writes
+    (meshes/a.ply beside views/a.h5), and below `meshes`."""
+    beside = [path.parent, path.parent.parent / "meshes"]
+    found = _meshes_below(*(folder for folder in (*beside, meshes) if folder and folder.is_dir()))
+    views, labels = ([path] if schema == kind else [] for kind in ("views", "labels"))
+    return DataFolder(views, labels, found)
+
+
+def _meshes_below(*folders: Path | None) -> list[Path]:
+    roots = [folder for folder in folders if folder is not None]
+    return sorted(
         {p for root in roots for p in root.rglob("*") if p.suffix.lower() in MESH_SUFFIXES}
     )
-    return DataFolder(found["views"], found["labels"], files)
 
 
 def data_report(found: DataFolder, title: str) -> str:

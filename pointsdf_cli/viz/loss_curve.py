@@ -11,11 +11,17 @@ from pointsdf_cli.io.atomic import atomic_path
 
 
 def draw_loss_curve(history: Sequence[Mapping[str, float]], path: Path | str) -> None:
+    """`loss_figure` as a picture: .png, .pdf or .svg."""
+    figure = loss_figure(history)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=150)
+
+
+def loss_figure(history: Sequence[Mapping[str, float]]) -> Figure:
     """Losses and label IoU over training time.
 
     Args:
         history: One entry a validation, as `train_sdf` keeps them (at least one).
-        path: The picture, .png, .pdf or .svg.
     """
     minutes = [entry["seconds"] / 60.0 for entry in history]
     figure = Figure(figsize=(8, 3.2), layout="constrained")
@@ -33,5 +39,4 @@ def draw_loss_curve(history: Sequence[Mapping[str, float]], path: Path | str) ->
     for axes in (losses, overlap):
         axes.grid(alpha=0.3)
         axes.legend(frameon=False)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=150)
+    return figure
