@@ -36,7 +36,9 @@ def shape_report(path: Path, unit: str, title: str) -> str:
     if is_cloud(path):
         cloud = read_cloud(path, unit, drop_invalid=True)
         figure = _sides(apply_transform(cloud_place(cloud), cloud.points))
-        said = "The points as seen from the robot, from its right and from above, coloured by height."
+        said = (
+            "The points as seen from the robot, from its right and from above, coloured by height."
+        )
     else:
         figure, said = _turned(load_mesh(path, unit)), "Red is the back of a face."
     rows = [(name, str(value)) for name, value in facts.items() if value is not None]
