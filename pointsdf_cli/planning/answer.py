@@ -247,7 +247,7 @@ class GraspPlanner:
             if field is None:
                 others = range(1, 1 + self.options.redraws)
                 again = [_completed(self._shape, views, (seed, draw)) for draw in others]
-                redrawn = tuple(completed_field(each, own.low, own.high) for each in again)
+                redrawn = tuple(completed_field(each) for each in again)
         else:
             own = seen_object(world, grid)
         timings = {"reconstruction": time.perf_counter() - began}

@@ -129,17 +129,31 @@ def reconstructed_object(
     Raises:
         EmptyFieldError: The network sees nothing solid.
     """
-    # The network was trained in a box of ±0.6 (`sdf_sampling.py`), its meshes reach to ±0.8.
-    low = np.min([r.centre - 0.75 / r.scale for r in reconstructions], axis=0)
-    high = np.max([r.centre + 0.75 / r.scale for r in reconstructions], axis=0)
-    step = 0.15 / max(r.scale for r in reconstructions)
+    low, high, step = _network_box(reconstructions)
     shape = _boxed(_mean_field(reconstructions), low, high, step, grid, seen)
     return replace(shape, field=NearField(shape.field, shape.low, shape.high))
 
 
-def completed_field(reconstructions: Sequence[Reconstruction], low: Array, high: Array) -> Field:
-    """What `reconstructed_object` asks, within a box [m] that is known already."""
-    return NearField(_mean_field(reconstructions), low, high)
+def completed_field(reconstructions: Sequence[Reconstruction]) -> Field:
+    """What `reconstructed_object` asks, without the grid; far from everything if nothing is solid.
+
+    Args:
+        reconstructions: One a view.
+    """
+    field = _mean_field(reconstructions)
+    try:
+        low, high = surface_box(field, *_network_box(reconstructions))
+    except InputError:
+        return NoField()
+    return NearField(field, low - BOX_MARGIN, high + BOX_MARGIN)
+
+
+def _network_box(reconstructions: Sequence[Reconstruction]) -> tuple[Array, Array, float]:
+    """Where the networks may put a surface, [3] and [3] m, and how finely to look for it [m]."""
+    # The network was trained in a box of ±0.6 (`sdf_sampling.py`), its meshes reach to ±0.8.
+    low = np.min([r.centre - 0.75 / r.scale for r in reconstructions], axis=0)
+    high = np.max([r.centre + 0.75 / r.scale for r in reconstructions], axis=0)
+    return low, high, 0.15 / max(r.scale for r in reconstructions)
 
 
 def _mean_field(reconstructions: Sequence[Reconstruction]) -> Field:
