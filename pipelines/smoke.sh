@@ -5,8 +5,8 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 work=$(mktemp -d)
-server=
-trap '[ -z "$server" ] || kill "$server"; rm -rf "$work"' EXIT
+server= running=
+trap '[ -z "$server" ] || kill "$server"; [ -z "$running" ] || kill -KILL -- "-$running" 2>/dev/null; rm -rf "$work"' EXIT
 
 rgrasp objects make --out "$work/meshes" --count 6 --seed 1 --quiet
 rgrasp render --meshes "$work/meshes" --out "$work/views" --views 20 --quiet
@@ -46,7 +46,7 @@ cp "$(find "$work/meshes" -name '*.ply' | sort | head -1)" "$scan/nontextured.pl
 tar -C "$work/ycb" -czf "$work/ycb/003_cracker_box_google_16k.tgz" 003_cracker_box
 python -u -m http.server 0 --bind 127.0.0.1 --directory "$work/ycb" >"$work/server.log" 2>&1 &
 server=$!
-until grep -q "port [0-9]" "$work/server.log"; do kill -0 "$server" && sleep 0.1; done
+until grep -q "port [0-9]" "$work/server.log"; do kill -0 "$server" || exit 1; sleep 0.1; done
 url=http://127.0.0.1:$(sed -n 's/.*port \([0-9]*\).*/\1/p' "$work/server.log" | head -1)
 rgrasp objects fetch ycb --out "$work/fetched" --objects 003 --base-url "$url" --quiet >/dev/null
 test -s "$work/fetched/003_cracker_box.ply"
@@ -59,9 +59,10 @@ flow=("$work/snakemake/bin/snakemake" -s pipelines/Snakefile --cores 2 --rerun-i
     --directory "$work" --config scale=tiny work="$work/flow" shards=2)
 setsid "${flow[@]}" >"$work/flow.log" 2>&1 &
 running=$!
-until [ -n "$(ls "$work/flow/done" 2>/dev/null)" ]; do kill -0 "$running" && sleep 0.2; done
+until [ -n "$(ls "$work/flow/done" 2>/dev/null)" ]; do kill -0 "$running" || exit 1; sleep 0.2; done
 kill -KILL -- "-$running"
 wait "$running" || true
+running=
 ! "${flow[@]}" >"$work/flow.log" 2>&1 || { echo "smoke: the killed workflow was not locked" >&2; exit 1; }
 grep -q -- --unlock "$work/flow.log"
 "${flow[@]}" --unlock >"$work/flow.log" 2>&1

@@ -89,6 +89,9 @@ def test_every_form_of_intrinsics_is_the_same_camera(tmp_path: Path, name: str) 
     (tmp_path / name).write_text(write(FORMS[name]))
     camera = read_intrinsics(str(tmp_path / name), WIDTH, HEIGHT)
     assert camera == Camera(WIDTH, HEIGHT, FX, FY, CX, CY)
+    if name.endswith("yaml"):  # as `ros2 topic echo` ends a message
+        (tmp_path / name).write_text(f"{yaml.safe_dump(FORMS[name])}---\n")
+        assert read_intrinsics(str(tmp_path / name), WIDTH, HEIGHT) == camera
 
 
 WRONG: dict[str, tuple[Any, str]] = {

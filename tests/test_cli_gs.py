@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from grasp_worlds import write_balls
 
+from pointsdf_cli.assets import asset_path
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.registry import default_checkpoint
 from pointsdf_cli.robot.description import load_robot
@@ -46,6 +47,12 @@ def test_training_then_scoring(cli, grasps: Path, tmp_path: Path) -> None:  # ty
     other = cli(*options[:5], "--encoder", "pointsdf", "--mode", "scratch", *QUICK, "--resume")
     assert other.code == 2
     assert "VoxelCNN-Scratch" in other.err
+
+    asked = ("train-gs", "--grasps", grasps, "--out", geometry, *QUICK, "--resume")
+    other = cli(*asked, "--sdf", asset_path("weights/pointsdf"))
+    assert other.code == 2
+    assert "another reconstruction" in other.err
+    assert cli(*asked).code == 0
 
     table = tmp_path / "table.json"
     scored = cli(

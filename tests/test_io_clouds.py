@@ -343,3 +343,60 @@ def test_millions_of_points(tmp_path: Path) -> None:
     points = np.tile(POINTS, (10_000, 1))
     write_cloud(tmp_path / "many.ply", Cloud(points))
     assert np.array_equal(read_cloud(tmp_path / "many.ply").points[-200:], POINTS)
+
+
+def test_a_pcd_viewpoint_has_the_unit_of_the_points(tmp_path: Path) -> None:
+    world = apply_transform(POSE, POINTS) * 1000
+    turned = " ".join(map(repr, wxyz_from_rotation(POSE[:3, :3]).tolist()))
+    place = " ".join(map(repr, (1000 * POSE[:3, 3]).tolist()))
+    head = (
+        "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+        f"WIDTH {len(world)}\nHEIGHT 1\nVIEWPOINT {place} {turned}\nPOINTS {len(world)}\n"
+        "DATA ascii\n"
+    )
+    rows = "\n".join(" ".join(map(repr, row)) for row in world.tolist())
+    (tmp_path / "a.pcd").write_text(head + rows + "\n")
+    cloud = read_cloud(tmp_path / "a.pcd", "mm")
+    np.testing.assert_allclose(cloud.T_world_camera, POSE, atol=1e-9)
+    np.testing.assert_allclose(cloud.in_camera_frame()[0], POINTS, atol=1e-6)
+
+
+def test_options_say_more_than_a_header(tmp_path: Path) -> None:
+    header = "comment frame camera_depth_optical_frame\ncomment T_world_camera 1 2 3\n"
+    (tmp_path / "a.ply").write_bytes(ply(b"1 2 3\n" * 3, more=header))
+    with pytest.raises(InputError, match="--frame"):
+        read_cloud(tmp_path / "a.ply", T_world_camera=POSE)
+    cloud = read_cloud(tmp_path / "a.ply", frame="camera", T_world_camera=POSE)
+    assert cloud.frame == "camera"
+    np.testing.assert_array_equal(cloud.T_world_camera, POSE)
+    with pytest.raises(InputError, match="camera, world"):
+        read_cloud(tmp_path / "a.ply", frame="moon", T_world_camera=POSE)
+
+
+@pytest.mark.parametrize(
+    "titles", ["x,y,z", ",x,y,z", "intensity,z,y,x", '"X","Y","Z"', "r,g,b,x,y,z", "x,y,z,nx,ny,nz"]
+)
+def test_titles_say_which_columns_are_which(titles: str, tmp_path: Path) -> None:
+    """As pandas writes a table, its index first; and in any order."""
+    known = {
+        **dict(zip("xyz", POINTS.T, strict=True)),
+        **dict(zip("rgb", COLOURS.T, strict=True)),
+        **dict(zip(("nx", "ny", "nz"), NORMALS.T, strict=True)),
+        "": np.arange(len(POINTS)),
+        "intensity": np.full(len(POINTS), 0.5),
+    }
+    columns = [known[title.strip('"').lower()] for title in titles.split(",")]
+    rows = "\n".join(",".join(repr(float(v)) for v in row) for row in zip(*columns, strict=True))
+    (tmp_path / "a.csv").write_text(f"{titles}\n{rows}\n")
+    cloud = read_cloud(tmp_path / "a.csv")
+    np.testing.assert_array_equal(cloud.points, POINTS)
+    assert (cloud.colours is not None) == titles.startswith("r,")
+    assert (cloud.normals is not None) == titles.endswith("nz")
+    if cloud.colours is not None:
+        np.testing.assert_array_equal(cloud.colours, COLOURS)
+
+
+def test_a_point_a_column_is_to_be_transposed(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", POINTS.T)
+    with pytest.raises(InputError, match="transposed"):
+        read_cloud(tmp_path / "a.npy")

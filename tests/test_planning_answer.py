@@ -27,6 +27,7 @@ from pointsdf_cli.planning.fields import (
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import EmptyFieldError, Target, given_object, surface_of
+from pointsdf_cli.trials.rehearsed import believed_surface
 from pointsdf_cli.viz.shading import look_at
 
 Array = np.ndarray
@@ -141,6 +142,13 @@ def test_two_views_are_the_mean_of_both_and_what_they_saw(planner: GraspPlanner)
     # A can is known to within 2 mm from one view, and from both no worse than from the worse one.
     one, two, mean = (np.abs(s.target.field(points) - truth).mean() for s in (first, second, joint))
     assert mean < max(one, two) < 0.002
+    # What is rehearsed on is what both say, too.
+    assert first.fused is None
+    surface = believed_surface(joint.reconstruction, 32, joint.fused)
+    off = np.abs(MeanField(completed)(surface[0]))
+    assert np.quantile(off, 0.95) < 0.003  # cells of 5 mm
+    alone = believed_surface(joint.reconstruction, 32)
+    assert np.quantile(np.abs(MeanField(completed)(alone[0])), 0.95) > np.quantile(off, 0.95)
 
 
 def test_the_hand_keeps_off_what_was_seen_where_the_network_saw_nothing(

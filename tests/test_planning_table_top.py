@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,8 +11,9 @@ import trimesh
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.clouds import Cloud
-from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.environment import Environment, Obstacle, read_environment
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
+from pointsdf_cli.planning.table_session import table_doubt
 from pointsdf_cli.planning.table_top import NoObjectError, clutter, look_at_table
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.own_points import robot_points
@@ -142,3 +145,26 @@ def test_seen_things_take_no_name_that_an_obstacle_has() -> None:
     assert one.name == "seen_1"
     (other,) = clutter(block, ["seen_1", "post"])
     assert other.name == "seen_2"
+
+
+@pytest.mark.parametrize(("off", "said"), [(0.0, ""), (0.03, "z = 30 mm"), (-0.06, "below it")])
+def test_a_pose_at_the_wrong_height_is_doubted(off: float, said: str) -> None:
+    scene = cloud(np.concatenate([TABLE, THINGS]) + [0.0, 0.0, off])
+    seen = look_at_table([scene], ["a"], ROBOT, HOME)
+    doubt = table_doubt(seen.table_height, [scene])
+    assert said in doubt
+    assert bool(doubt) == bool(said)
+
+
+def test_a_place_and_no_segmentation_contradict_each_other() -> None:
+    scene = cloud(THINGS)
+    with pytest.raises(InputError, match="--segment auto"):
+        look_at_table([scene], ["a"], ROBOT, HOME, segment="none", target=LARGE)
+
+
+def test_an_obstacle_may_be_in_millimetres_and_as_large_as_a_wall(tmp_path: Path) -> None:
+    trimesh.creation.box((3000, 100, 2000)).export(tmp_path / "wall.stl")
+    entry = "obstacles: [{name: wall, mesh: wall.stl, scale: 0.001, xyz: [0, 1, 1]}]"
+    (tmp_path / "e.yaml").write_text(entry)
+    (wall,) = read_environment(tmp_path / "e.yaml").obstacles
+    np.testing.assert_allclose(np.ptp(wall.vertices, axis=0), (3.0, 0.1, 2.0), atol=1e-6)

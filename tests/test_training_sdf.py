@@ -221,6 +221,22 @@ def test_other_settings_are_not_resumed(pack: Pack, tmp_path: Path) -> None:
         _run(pack, tmp_path / "other", resume=True)
 
 
+def test_an_argument_newer_than_a_run_had_its_default(pack: Pack, tmp_path: Path) -> None:
+    _run(pack, tmp_path, stop_at=2)
+    state = read_train_state(tmp_path)
+    name = next(name for name in ("sideways", "preset", "dropout") if name in state["arguments"])
+    del state["arguments"][name]
+    torch.save(state, tmp_path / "train_state.pt")
+    assert _run(pack, tmp_path, resume=True).finished
+
+
+def test_other_labels_of_the_same_objects_are_not_resumed(pack: Pack, tmp_path: Path) -> None:
+    _run(pack, tmp_path, stop_at=2)
+    other = replace(pack, sdf=pack.sdf + np.float32(1e-3))
+    with pytest.raises(InputError, match="other data"):
+        _run(other, tmp_path, resume=True)
+
+
 def test_another_split_is_not_resumed(pack: Pack, tmp_path: Path) -> None:
     _run(pack, tmp_path, stop_at=2)
     with pytest.raises(InputError, match="held out"):

@@ -67,7 +67,7 @@ def _load(path: Path) -> Any:
         raise InputError("no such intrinsics", where=str(path), allowed=FORMS)
     try:
         text = path.read_text(encoding="utf-8")
-        data = json.loads(text) if path.suffix.lower() == ".json" else yaml.safe_load(text)
+        data = json.loads(text) if path.suffix.lower() == ".json" else _first_document(text)
     except (ValueError, OverflowError, yaml.YAMLError, RecursionError) as error:
         kind = "JSON" if path.suffix.lower() == ".json" else "YAML"
         raise InputError(f"is not {kind}", where=path, allowed=FORMS) from error
@@ -76,6 +76,11 @@ def _load(path: Path) -> Any:
         if len(inner) == 1:
             return inner[0]
     return data
+
+
+def _first_document(text: str) -> Any:
+    """`ros2 topic echo` ends each message by `---`, and YAML begins another document there."""
+    return next(iter(yaml.safe_load_all(text)), None)
 
 
 def _has_intrinsics(data: Mapping[str, Any]) -> bool:

@@ -73,6 +73,23 @@ def check_table_name(out: Path, beside: tuple[str, ...]) -> None:
         )
 
 
+def check_picture(path: Path | None, force: bool) -> Path | None:
+    """The path of a picture, if a PNG can be written there; known before the work, not after.
+
+    Raises:
+        InputError: It has another suffix, exists already, or its folder cannot be written.
+    """
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.atomic import require_folder, require_new
+
+    if path is None:
+        return None
+    if path.suffix.lower() != ".png" or path.is_dir():
+        raise InputError("is no picture's name", where=path, allowed="a file that ends in .png")
+    require_folder(require_new(path, force).parent)
+    return path
+
+
 def torch_device(name: str) -> str:
     """`name`, if torch can compute there.
 

@@ -91,7 +91,6 @@ def mesh(
     Example: rgrasp mesh cloud.ply --out mesh.ply
     """
     import time
-    from dataclasses import replace
 
     import numpy as np
 
@@ -108,16 +107,9 @@ def mesh(
         raise InputError(f"{smooth} passes", where="--smooth", allowed="0 to 1000")
     IsosurfaceConfig(resolution)  # a wrong resolution is known before anything is read
     out = require_new(mesh_path(out, form), force)
-    if picture:
-        require_new(picture, force)
-    if frame not in (None, "camera", "world"):
-        raise InputError(f"no frame {frame!r}", where="--frame", allowed="camera, world")
-    view = read_cloud(cloud, unit, drop_invalid)
-    view = replace(
-        view,
-        frame=frame or view.frame,
-        T_world_camera=parse_pose(camera_pose) if camera_pose else view.T_world_camera,
-    )
+    common.check_picture(picture, force)
+    pose = parse_pose(camera_pose) if camera_pose else None
+    view = read_cloud(cloud, unit, drop_invalid, frame, pose)
     if segment == "none":
         if target is not None:
             raise InputError("--target without --segment auto", hint="add --segment auto")
@@ -229,6 +221,8 @@ def mesh_path(out: Path | None, form: str | None) -> Path:
         return out.with_suffix(f".{form}")
     if suffix != form:
         raise InputError(
-            f"--format {form} and --out {out.name} disagree", where="--format", allowed=suffix
+            f"--format {form} and --out {out.name} disagree",
+            where="--out",
+            allowed=f"a name that ends in .{form}",
         )
     return out

@@ -47,7 +47,7 @@ def make(
 
     seed, jobs = common.check_seed(seed), common.job_count(jobs)
     chosen = None if families is None else [name.strip() for name in families.split(",")]
-    sheet = _check_sheet(sheet)
+    sheet = common.check_picture(sheet, force)
     reporter = common.Reporter(quiet, as_json)
     total = len(shard_of(range(max(count, 0)), shard))
     with reporter.progress("objects", total) as progress:
@@ -97,7 +97,7 @@ def fetch(
     if collection != "ycb":
         raise InputError(f"no collection {collection!r}", where="COLLECTION", allowed="ycb")
     wanted = None if objects is None else [name.strip() for name in objects.split(",")]
-    sheet = _check_sheet(sheet)
+    sheet = common.check_picture(sheet, force)
     reporter = common.Reporter(quiet, as_json)
     with reporter.progress("fetch", len(choose_ycb(wanted))) as progress:
         states, refused = fetch_ycb(
@@ -122,19 +122,6 @@ def fetch(
             + "\n".join(f"  {error.message}" for error in refused[:10]),
             where=out,
         )
-
-
-def _check_sheet(path: Path | None) -> Path | None:
-    """The sheet's path, if a PNG can be written there; known before the work, not after."""
-    from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.atomic import require_folder
-
-    if path is None:
-        return None
-    if path.suffix.lower() != ".png" or path.is_dir():
-        raise InputError("is no picture's name", where=path, allowed="a file that ends in .png")
-    require_folder(path.parent)
-    return path
 
 
 def _draw_sheet(path: Path, meshes: list[Path]) -> None:

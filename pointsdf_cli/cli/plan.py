@@ -123,6 +123,7 @@ def plan(
     require_new(out, force)
     picture = None if no_picture else picture or out.with_suffix(".png")
     files = {"--out": out, "--picture": picture, "--trajectory": trajectory}
+    common.check_picture(picture, force)
     _require_places({option: path for option, path in files.items() if path is not None}, force)
     wanted = None if target is None else place(target, "--target")
     views = _read_clouds(clouds, camera_pose or [], frame, unit, drop_invalid)
@@ -221,14 +222,10 @@ def _read_clouds(
     Raises:
         InputError: A cloud cannot be read, or the options do not fit.
     """
-    from dataclasses import replace
-
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.clouds import read_cloud
     from pointsdf_cli.io.poses import camera_pose
 
-    if frame not in (None, "camera", "world"):
-        raise InputError(f"no frame {frame!r}", where="--frame", allowed="camera, world")
     if poses and len(poses) != len(paths):
         raise InputError(
             f"{len(poses)} poses for {len(paths)} clouds",
@@ -237,18 +234,22 @@ def _read_clouds(
         )
     views = []
     for k, path in enumerate(paths):
-        view = read_cloud(path, unit, drop_invalid)
-        pose = camera_pose(poses[k]) if poses else view.T_world_camera
-        views.append(replace(view, frame=frame or view.frame, T_world_camera=pose))
+        pose = camera_pose(poses[k]) if poses else None
+        views.append(read_cloud(path, unit, drop_invalid, frame, pose))
     return views
 
 
 def _acceptance(min_success: float | None) -> AcceptanceConfig:
     """The usual thresholds, or with no exception for want of better."""
+    from pointsdf_cli.errors import InputError
     from pointsdf_cli.planning.acceptance import AcceptanceConfig
 
     if min_success is None:
         return AcceptanceConfig()
+    if not 0 <= min_success < 1:
+        raise InputError(
+            f"{min_success} is no probability", where="--min-success", allowed="0 ≤ p < 1"
+        )
     return AcceptanceConfig(max(min_success, 0.6), min_success, floor=min_success)
 
 

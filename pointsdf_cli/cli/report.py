@@ -53,6 +53,14 @@ def report(
         artifacts / "report.html" if artifacts.is_dir() else artifacts.with_suffix(".html")
     )
     made = _content(artifacts, robot, meshes, unit, title)
+    if pictures and isinstance(made, str):
+        from pointsdf_cli.errors import InputError
+
+        raise InputError(
+            "only pages on views and labels have pictures as files",
+            where="--pictures",
+            hint="leave it out: the page holds its pictures",
+        )
     text = made if isinstance(made, str) else data_report(made, title)
     write_text_atomic(require_new(page, force), text)
     written = [page]

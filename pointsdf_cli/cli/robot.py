@@ -31,13 +31,12 @@ def check(
     from dataclasses import asdict
 
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.atomic import atomic_path, require_new
+    from pointsdf_cli.io.atomic import atomic_path
     from pointsdf_cli.robot.check import check_robot
     from pointsdf_cli.robot.description import load_robot
 
     reporter = common.Reporter(quiet, as_json)
-    if picture:
-        require_new(picture, force)
+    common.check_picture(picture, force)
     described = load_robot(robot)
     found = check_robot(described, common.check_seed(seed))
     if picture:

@@ -63,7 +63,11 @@ def train_gs(
     """
     from pointsdf_cli.cli.signals import stop_requests
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.checkpoints import has_train_state, require_checkpoint_place
+    from pointsdf_cli.io.checkpoints import (
+        forget_train_state,
+        has_train_state,
+        require_checkpoint_place,
+    )
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.training.gs_data import read_grasp_data
@@ -89,7 +93,7 @@ def train_gs(
             "holds a training run already", where=f"--out {out}", hint="add --resume, or --force"
         )
     use_threads(threads or idle_processors())
-    state = resumable_state(out, variant) if resume else None
+    state = resumable_state(out, variant, sdf) if resume else None
     reporter = common.Reporter(quiet, as_json)
     machine = load_robot(robot)
     data = read_grasp_data(grasps, machine)
@@ -98,6 +102,8 @@ def train_gs(
     with reporter.progress("asking the reconstruction", len(data.names)) as bar:
         sources = Sources(cache, sdf, robot, common.job_count(jobs), bar.advance)
         prepared = prepare(data, split, variant, sources, seed)
+    if force and not resume:
+        forget_train_state(out)
     checkpointer = Checkpointer(
         out, prepared, variant, machine, data, split, config, prior_of(data, machine), half
     )

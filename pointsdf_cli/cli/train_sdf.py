@@ -65,6 +65,7 @@ def train_sdf(
     from pointsdf_cli.cli.signals import stop_requests
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.checkpoints import (
+        forget_train_state,
         has_train_state,
         read_config,
         require_checkpoint_place,
@@ -140,6 +141,8 @@ def train_sdf(
             f"{len(data.names)} objects, {len(split.train)} views to train on, "
             f"{len(split.held_out_objects)} of held-out objects"
         )
+        if force and not resume and workers.is_first:
+            forget_train_state(out)
         with stop_requests() as should_stop:
             result = sdf_loop.train_sdf(
                 data,

@@ -47,7 +47,8 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     except OSError as error:
         raise unwritable(path, error) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # a file in place of a folder: there is nothing to remove
+            temporary.unlink()
 
 
 def write_text_atomic(path: Path | str, text: str) -> None:

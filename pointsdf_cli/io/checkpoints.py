@@ -197,6 +197,11 @@ def read_train_state(path: Path | str) -> dict[str, Any]:
     return state
 
 
+def forget_train_state(path: Path | str) -> None:
+    """Remove what could be resumed: another run begins there, and must not be taken for it."""
+    (Path(path) / TRAIN_STATE).unlink(missing_ok=True)
+
+
 def has_train_state(path: Path | str) -> bool:
     """Whether `path` holds something to resume."""
     return (Path(path) / TRAIN_STATE).exists()

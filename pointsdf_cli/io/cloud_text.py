@@ -1,7 +1,8 @@
 """Clouds as plain tables: text (XYZ, TXT, CSV) and NumPy arrays.
 
-Three columns are x y z; six are x y z and a normal where every row's last three have unit length,
-or a colour where they are whole numbers from 0 to 255. Further columns are left out.
+Titles say which columns are x, y and z, normals (nx ny nz) and colours (r g b, or red green blue).
+Without them three columns are x y z; six are x y z and a normal where every row's last three have
+unit length, or a colour where they are whole numbers from 0 to 255. Further columns are left out.
 """
 
 from __future__ import annotations
@@ -55,6 +56,9 @@ def read_xyz(path: Path) -> RawCloud:
     for line in head[:first]:
         key, _, value = line.lstrip("#/ ").partition(" ")
         comments[key.rstrip(":")] = value.strip()
+    titles = _words(head[first - 1].lstrip("#/ ")) if first else []
+    if len(titles) == table.shape[1] and {"x", "y", "z"} <= set(titles):
+        return _from_titles(table, titles, comments)
     return _from_table(table, comments, path)
 
 
@@ -65,6 +69,13 @@ def read_npy(path: Path) -> RawCloud:
         InputError: Damaged, holds Python objects, or is of another shape or type.
     """
     array = read_npy_array(path)
+    if array.ndim == 2 and array.shape[1] > MOST_COLUMNS and array.shape[0] in (3, 6):
+        raise InputError(
+            f"is an array {list(array.shape)}: a point a column",
+            where=path,
+            allowed="numbers [N, 3], [N, 6] or [height, width, 3]",
+            hint="store it transposed",
+        )
     if array.ndim == 2 and array.shape[1] > MOST_COLUMNS:
         raise InputError(
             f"is an array {list(array.shape)}: a depth image rather than points",
@@ -79,6 +90,38 @@ def read_npy(path: Path) -> RawCloud:
             allowed="numbers [N, 3], [N, 6] or [height, width, 3]",
         )
     return _from_table(array.reshape(-1, array.shape[-1]).astype(np.float64), {}, path)
+
+
+def _words(row: str) -> list[str]:
+    """The entries of a row; an empty one, as a table's first title may be, is "" ."""
+    for separator in ",;":
+        if separator in row:
+            return [word.strip().strip('"').lower() for word in row.split(separator)]
+    return row.lower().split()
+
+
+def _from_titles(
+    table: NDArray[np.float64], titles: list[str], comments: dict[str, str]
+) -> RawCloud:
+    """The columns that are called x y z, wherever they stand, and normals and colours."""
+
+    def columns(*names: str) -> NDArray[np.float64] | None:
+        if not set(names) <= set(titles):
+            return None
+        return table[:, [titles.index(name) for name in names]]
+
+    points = columns("x", "y", "z")
+    assert points is not None
+    colours = columns("r", "g", "b")
+    colours = columns("red", "green", "blue") if colours is None else colours
+    if colours is not None and not np.array_equal(colours, np.clip(np.round(colours), 0, 255)):
+        colours = None  # shares of one, or nothing that is a colour
+    return RawCloud(
+        points,
+        columns("nx", "ny", "nz"),
+        None if colours is None else colours.astype(np.uint8),
+        comments,
+    )
 
 
 def _is_numbers(row: str) -> bool:

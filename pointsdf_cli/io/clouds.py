@@ -27,6 +27,7 @@ from pointsdf_cli.io.meshes import UNITS
 from pointsdf_cli.io.pcd import read_pcd
 from pointsdf_cli.io.ply import RawCloud, read_ply, write_ply
 
+FRAMES = ("camera", "world")
 FEWEST_POINTS = 50
 SMALLEST, LARGEST = 0.005, 2.0
 """Bounds [m] of the longest side of a partial view of something that a hand may grasp."""
@@ -96,13 +97,22 @@ class Cloud:
         return points, T_frame_camera
 
 
-def read_cloud(path: Path | str, unit: str = "m", drop_invalid: bool = False) -> Cloud:
+def read_cloud(
+    path: Path | str,
+    unit: str = "m",
+    drop_invalid: bool = False,
+    frame: str | None = None,
+    T_world_camera: NDArray[np.float64] | None = None,
+) -> Cloud:
     """Read a cloud of any size from any of the formats.
 
     Args:
         path: A file whose suffix is one of CLOUD_SUFFIXES.
-        unit: The unit of its coordinates, a key of `UNITS`; the result is in metres.
+        unit: The unit of its coordinates, a key of `UNITS`; the result is in metres. So is a PCD's
+            viewpoint; a header's `T_world_camera` is in metres always.
         drop_invalid: Leave out points that are NaN or infinite, instead of refusing them.
+        frame: "camera" or "world", whatever the file says; None for what it says.
+        T_world_camera: [4, 4], whatever the file says; None for what it says.
 
     Raises:
         InputError: No such file, another format, damaged or cut short, no points, or coordinates
@@ -111,6 +121,8 @@ def read_cloud(path: Path | str, unit: str = "m", drop_invalid: bool = False) ->
     path = Path(path)
     if unit not in UNITS:
         raise InputError(f"unknown unit {unit!r}", where="--unit", allowed=", ".join(UNITS))
+    if frame not in (None, *FRAMES):
+        raise InputError(f"no frame {frame!r}", where="--frame", allowed=", ".join(FRAMES))
     if path.is_dir():
         raise InputError("is a folder, and a point cloud is needed", where=path)
     if not path.exists():
@@ -127,12 +139,16 @@ def read_cloud(path: Path | str, unit: str = "m", drop_invalid: bool = False) ->
     if len(raw.points) == 0:
         raise InputError("holds no points", where=path)
     raw = _finite(raw, path, drop_invalid)
-    pose = _pose(raw.comments, path)
+    pose = T_world_camera
+    if pose is None:
+        pose = _pose(raw.comments, path)
+        if pose is not None and path.suffix.lower() == ".pcd":
+            pose[:3, 3] *= UNITS[unit]  # its header holds the viewpoint in the points' own unit
     return Cloud(
         points=raw.points * UNITS[unit],
         normals=_unit_normals(raw.normals),
         colours=raw.colours,
-        frame=_frame(raw.comments, path),
+        frame=frame or _frame(raw.comments, path),
         T_world_camera=pose,
     )
 
@@ -251,9 +267,12 @@ def _unit_normals(normals: NDArray[np.float64] | None) -> NDArray[np.float64] | 
 
 def _frame(comments: dict[str, str], path: Path) -> str:
     frame = comments.get("frame", "camera").strip()
-    if frame not in ("camera", "world"):
+    if frame not in FRAMES:
         raise InputError(
-            f"unknown frame {frame!r} in the header", where=path, allowed="camera, world"
+            f"unknown frame {frame!r} in the header",
+            where=path,
+            allowed=", ".join(FRAMES),
+            hint="add --frame camera if the camera looks along +z there, or --frame world",
         )
     return frame
 
@@ -263,7 +282,7 @@ def _pose(comments: dict[str, str], path: Path) -> NDArray[np.float64] | None:
     if text is None:
         return None
     try:
-        pose = np.array([float(word) for word in text.split()]).reshape(4, 4)
+        pose = np.array([float(word) for word in text.replace(",", " ").split()]).reshape(4, 4)
     except ValueError as error:
         raise InputError(
             "the header's T_world_camera is not 16 numbers", where=path, allowed="4×4, row by row"

@@ -33,12 +33,12 @@ def describe(path: Path | str, unit: str = "m") -> dict[str, Any]:
     path = Path(path)
     if not path.exists():
         raise InputError("no such file", where=path)
-    if path.is_dir():
+    if (path / "config.json").is_file():
         return _checkpoint(path)
-    suffix = path.suffix.lower()
+    suffix = "" if path.is_dir() else path.suffix.lower()
     if suffix in (".h5", ".hdf5"):
         return _hdf5(path)
-    if is_cloud(path):
+    if suffix and is_cloud(path):
         return _cloud(path, unit)
     if suffix in MESH_SUFFIXES:
         return _mesh(path, unit)

@@ -110,13 +110,34 @@ def load_mesh(path: Path | str, unit: str = "m") -> LoadedMesh:
     path = Path(path)
     if unit not in UNITS:
         raise InputError(f"unknown unit {unit!r}", where="--unit", allowed=", ".join(UNITS))
-    vertices, faces = _read(path)
+    vertices, faces = _surface(path)
     vertices = vertices * UNITS[unit]
+    _check_size(path, vertices[np.unique(faces)], unit)
+    return _closed(path, vertices, faces)
+
+
+def load_body(path: Path | str, scale: float = 1.0) -> LoadedMesh:
+    """As `load_mesh`, of any size: nothing to grasp, but something that stands in the way.
+
+    Args:
+        path: The file.
+        scale: Metres for each of its numbers.
+    """
+    path = Path(path)
+    vertices, faces = _surface(path)
+    return _closed(path, vertices * scale, faces)
+
+
+def _surface(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    vertices, faces = _read(path)
     if not len(faces):
         raise InputError("holds no faces", where=path, allowed="a triangle mesh")
     if not np.isfinite(vertices[np.unique(faces)]).all():
         raise InputError("holds vertices that are NaN or infinite", where=path)
-    _check_size(path, vertices[np.unique(faces)], unit)
+    return vertices, faces
+
+
+def _closed(path: Path, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> LoadedMesh:
     try:
         closed = close_mesh(vertices, faces)
     except InputError as error:

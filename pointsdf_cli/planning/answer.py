@@ -150,6 +150,7 @@ class Sight:
         reconstruction: Of the first view; None in partial-view grasping.
         timings: Seconds by stage.
         redrawn: What other draws of the points say, as many as the options ask for.
+        fused: What several views say together; None of one view.
     """
 
     target: Target
@@ -157,6 +158,7 @@ class Sight:
     reconstruction: Reconstruction | None
     timings: dict[str, float]
     redrawn: tuple[Field, ...] = ()
+    fused: Field | None = None
 
 
 @dataclass(frozen=True)
@@ -267,7 +269,8 @@ class GraspPlanner:
             constraint = own
         reconstruction = made[0] if made else None
         target = Target.of(constraint, grasps, grasps)
-        return Sight(target, world, reconstruction, timings, redrawn)
+        fused = own.field if len(made) > 1 else None
+        return Sight(target, world, reconstruction, timings, redrawn, fused)
 
     def plan(
         self,

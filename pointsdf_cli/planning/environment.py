@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import rotation_from_wxyz, transform
-from pointsdf_cli.io.meshes import load_mesh
+from pointsdf_cli.io.meshes import load_body
 from pointsdf_cli.io.untrusted import read_yaml
 
 Array = NDArray[np.float64]
@@ -122,8 +122,8 @@ def _obstacle(entry: Any, place: int, path: Path) -> Obstacle:
     scale = _vector({"scale": [entry.get("scale", 1.0)]}, "scale", (1.0,), where)[0]
     if scale <= 0:
         raise InputError(f"has the scale {scale}", where=where, allowed="above 0")
-    mesh = load_mesh(path.parent / str(entry["mesh"]))
-    return Obstacle(name, "mesh", (), pose, np.asarray(mesh.vertices) * scale, mesh.faces)
+    mesh = load_body(path.parent / str(entry["mesh"]), scale)
+    return Obstacle(name, "mesh", (), pose, np.asarray(mesh.vertices), mesh.faces)
 
 
 def _vector(entry: Mapping[str, Any], key: str, default: tuple[float, ...], where: str) -> Array:

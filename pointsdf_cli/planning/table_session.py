@@ -21,6 +21,9 @@ from pointsdf_cli.viz.plan_picture import PlanScene
 TABLE_OFF = 0.005
 """A seen table that is farther from z = 0 than this [m] is worth a warning."""
 
+BELOW, MUCH = 0.01, 0.1
+"""More than this share of all points that much [m] below the table is no noise."""
+
 
 @dataclass(frozen=True)
 class TableSession:
@@ -91,11 +94,9 @@ def plan_on_table(
         said = (f"{error.where}: {error.what}",)
         return TableSession(answer, said, q, world, camera, environment.obstacles)
     report = list(seen.report)
-    height = seen.table_height
-    if height is not None and abs(height) > TABLE_OFF:
-        report.append(
-            f"the table is seen at z = {height * 1000:.0f} mm, not 0: check the camera's pose"
-        )
+    doubt = table_doubt(seen.table_height, clouds) if segment == "auto" else ""
+    if doubt:
+        report.append(doubt)
     if others and len(seen.others):
         beside = clutter(seen.others, [one.name for one in environment.obstacles])
         if beside:
@@ -105,9 +106,26 @@ def plan_on_table(
     answer = planner.plan(
         first.points, first.T_world_camera, environment, q, seed, more=tuple(more)
     )
+    if doubt:
+        sentence = f"{answer.plan.sentence} {doubt[0].upper()}{doubt[1:]}.".strip()
+        answer = replace(answer, plan=replace(answer.plan, sentence=sentence))
     points = np.concatenate([view.in_world for view in seen.views])
     camera = first.T_world_camera[:3, 3]
     return TableSession(answer, tuple(report), q, points, camera, environment.obstacles)
+
+
+def table_doubt(height: float | None, clouds: Sequence[Cloud]) -> str:
+    """What speaks against the camera's pose; nothing if the table is where it should be."""
+    if height is not None and abs(height) > TABLE_OFF:
+        return f"the table is seen at z = {height * 1000:.0f} mm, not 0: check the camera's pose"
+    world = np.concatenate([_in_world(cloud) for cloud in clouds])
+    below = float((world[:, 2] < -BELOW).mean())
+    if height is None and below > MUCH:
+        return (
+            f"no table is seen at z = 0, and {below:.0%} of the points lie below it: check the "
+            "camera's pose"
+        )
+    return ""
 
 
 def _in_world(cloud: Cloud) -> Array:

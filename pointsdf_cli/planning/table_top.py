@@ -88,6 +88,8 @@ def look_at_table(
     """
     if segment not in SEGMENT:
         raise InputError(f"no {segment!r}", where="--segment", allowed=", ".join(SEGMENT))
+    if segment == "none" and target is not None:
+        raise InputError("--target without --segment auto", hint="leave one of the two out")
     views, others, report, heights = [], [], [], []
     problem: NoObjectError | None = None
     own = robot_points(robot, start)

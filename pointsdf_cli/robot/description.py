@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -185,7 +186,8 @@ class _Reader:
         return InputError(f"`{key}` {what}", where=self.path, allowed=allowed)
 
     def robot(self) -> RobotDescription:
-        urdf = self.path.parent / str(self.data["urdf"])
+        # The YAML's folder may not exist yet; `newdir/../robot.urdf` does.
+        urdf = Path(os.path.realpath(self.path.parent / str(self.data["urdf"])))
         tree = read_urdf(urdf)
         movable = {joint.name: joint for joint in tree.joints if joint.kind in MOVING}
         arm = self.names("arm_joints", movable)

@@ -95,6 +95,7 @@ def collect_object(task: CollectTask) -> CollectSummary | None:
     """
     torch.set_num_threads(1)
     config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
+    config |= {"split": task.split}  # which other meshes there are decides it
     config |= {"mesh": file_sha256(task.mesh), "robot": robot_digest(task.robot)}
     done: Grasps | None = None
     if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):

@@ -135,7 +135,9 @@ def train_success(
     epoch, seconds = 0, 0.0
     history: list[dict[str, float]] = []
     best: dict[str, Tensor] = {}
-    learns_from = data_sha256(data.names, data.object_of, data.label, split.train, split.validation)
+    learns_from = data_sha256(
+        data.names, data.object_of, data.T_world_palm, data.label, split.train, split.validation
+    )
     if resume is not None:
         if resume["config"] != asdict(config):
             raise InputError("was begun with other settings", hint="drop --resume")

@@ -15,32 +15,47 @@ from scipy.special import expit
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import read_config, read_train_state
 from pointsdf_cli.io.provenance import git_commit
-from pointsdf_cli.models.grasp_checkpoint import write_grasp_checkpoint
+from pointsdf_cli.models.grasp_checkpoint import weights_hash, write_grasp_checkpoint
 from pointsdf_cli.models.grasp_prior import GraspPrior
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.training import gs_metrics
 from pointsdf_cli.training.gs_data import GraspData, Split
 from pointsdf_cli.training.gs_evaluation import describe_grasps
 from pointsdf_cli.training.gs_loop import Fitted, SuccessTraining
-from pointsdf_cli.training.gs_variants import Prepared, Variant
+from pointsdf_cli.training.gs_variants import FIXED, Prepared, Variant, reconstruction_of
 
 SAVE_EVERY = 20.0
 """Seconds between states written while training; small networks take less than one an epoch."""
 
 
-def resumable_state(out: Path, variant: Variant) -> dict[str, Any]:
+def resumable_state(out: Path, variant: Variant, sdf: Path | None = None) -> dict[str, Any]:
     """The state that a stopped run left in its checkpoint directory.
 
+    Args:
+        out: The directory.
+        variant: What is to be trained.
+        sdf: The reconstruction that is asked; the bundled one if None.
+
     Raises:
-        InputError: There is none, or it is of another variant.
+        InputError: There is none, or it is of another variant, or has learned from what another
+            reconstruction says.
     """
-    state = read_train_state(out)
-    found = read_config(out).get("variant")
+    state, config = read_train_state(out), read_config(out)
+    found = config.get("variant")
     if found != variant.title:
         raise InputError(
             f"holds a run of {found}, not of {variant.title}",
             where=f"--out {out}",
             hint="give the same --encoder and --mode as before, or choose another --out",
+        )
+    before = config.get("encoder", {})
+    if variant.mode == FIXED and before.get("sha256") != weights_hash(
+        reconstruction_of(variant, sdf)
+    ):
+        raise InputError(
+            f"was begun with another reconstruction ({before.get('checkpoint')})",
+            where=f"--out {out}",
+            hint="give the same --sdf as before, or choose another --out",
         )
     return state
 

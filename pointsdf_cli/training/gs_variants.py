@@ -158,7 +158,7 @@ def prepare(
     """
     robot = load_robot(sources.robot)
     sweep = HandSweep(robot, SweepConfig())
-    checkpoint = None if variant.mode == SCRATCH else _reconstruction(variant, sources.sdf)
+    checkpoint = None if variant.mode == SCRATCH else reconstruction_of(variant, sources.sdf)
     if checkpoint is None:
         encoder = build_model(ARCHITECTURES[variant.encoder][0], seed=seed)
     else:
@@ -251,7 +251,7 @@ def prior_of(data: GraspData, robot: RobotDescription) -> GraspPrior:
         return fit(free)
 
 
-def _reconstruction(variant: Variant, sdf: Path | None) -> Path:
+def reconstruction_of(variant: Variant, sdf: Path | None) -> Path:
     if sdf is None:
         if variant.encoder == VOXELCNN:
             raise InputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -94,6 +95,10 @@ class TrainConfig:
         return asdict(self)
 
 
+LABEL_STRIDE = 101
+"""Every so many-th label tells one set of data from another."""
+
+
 @dataclass(frozen=True)
 class Progress:
     """What is known after a step.
@@ -184,7 +189,14 @@ def train_sdf(
     average = WeightAverage(model, config.average)
     low_precision = autocast_dtype(config.precision, target)
     step, seconds, history = 0, 0.0, list[dict[str, float]]()
-    learned_from = data_sha256(pack.names, pack.object_of_view, pack.label_start, *split)
+    learned_from = data_sha256(
+        pack.names,
+        pack.object_of_view,
+        pack.label_start,
+        pack.to_network,  # other views lie elsewhere, other labels are other numbers
+        pack.sdf[::LABEL_STRIDE],
+        *split,
+    )
     torch.manual_seed(config.seed + workers.rank)
     if resume:
         state = read_train_state(out)
@@ -308,7 +320,11 @@ def _check_same_run(
     state: Mapping[str, Any], model: ShapeModel, config: TrainConfig, out: Path | str
 ) -> None:
     """Refuse to carry on a run with another model or other numbers."""
-    found = {"model": state.get("architecture"), **state.get("arguments", {}), **state["config"]}
+    # An argument that is newer than the run had its default.
+    parameters = inspect.signature(type(model)).parameters.values()
+    defaults = {p.name: _plain(p.default) for p in parameters if p.default is not p.empty}
+    arguments = {**defaults, **state.get("arguments", {})}
+    found = {"model": state.get("architecture"), **arguments, **state["config"]}
     wanted = {"model": model.architecture, **model.config(), **config.as_dict()}
     differing = [name for name in wanted if name in found and found[name] != wanted[name]]
     # A longer run of the same kind may be wanted; it changes the schedule from here on only.
@@ -320,6 +336,11 @@ def _check_same_run(
             where=out,
             hint="give the same options as before, or choose another --out",
         )
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as the lists that a configuration holds."""
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _check_same_data(state: Mapping[str, Any], learned_from: str, out: Path | str) -> None:

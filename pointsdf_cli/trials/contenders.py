@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pointsdf_cli.assets import asset_path
-from pointsdf_cli.io.checkpoints import WEIGHTS, read_checkpoint
+from pointsdf_cli.io.checkpoints import CONFIG, WEIGHTS, read_checkpoint
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.planning.answer import (
@@ -97,14 +97,15 @@ def plan_options(contender: Contender, options: ContenderOptions) -> PlanOptions
 
 @functools.cache
 def weights_of(contender: Contender, options: ContenderOptions) -> str:
-    """A check sum of all weights that could have a say: trials with others are other trials."""
+    """A check sum of all checkpoints that could have a say: trials with others are other trials."""
     total = hashlib.sha256()
     asked = plan_options(contender, options)
     folders = [asked.checkpoint, asked.grasp_checkpoint, *sorted(asset_path("weights").iterdir())]
     for folder in folders:
-        path = None if folder is None else folder / WEIGHTS
-        if path is not None and path.is_file():
-            total.update(path.read_bytes())
+        files = [] if folder is None else [folder / WEIGHTS, folder / CONFIG]
+        for file in files:
+            if file.is_file():
+                total.update(file.read_bytes())
     return total.hexdigest()[:16]
 
 
@@ -122,9 +123,14 @@ def check_contender(contender: Contender, options: ContenderOptions) -> None:
         read_grasp_checkpoint(asked.grasp_checkpoint, None, load_robot(asked.robot))
 
 
-def _rehearses(contender: Contender, options: ContenderOptions) -> bool:
+def rehearsal_of(
+    contender: Contender, options: ContenderOptions, execution: ExecutorConfig | None = None
+) -> RehearsedPlannerConfig | None:
+    """How a contender rehearses; None for one that does not."""
     reconstructs = contender.method == protocol.RECONSTRUCTION
-    return reconstructs and options.rehearse > 0 and contender.ablation != protocol.NO_REHEARSAL
+    if not reconstructs or not options.rehearse or contender.ablation == protocol.NO_REHEARSAL:
+        return None
+    return RehearsedPlannerConfig(count=options.rehearse, execution=execution or ExecutorConfig())
 
 
 class Mind:
@@ -152,11 +158,9 @@ class Mind:
                 grasps or load_grasp_model(options.grasp_checkpoint, None, options.device, robot)
             )
         asked = plan_options(contender, options)
-        if _rehearses(contender, options):
-            config = RehearsedPlannerConfig(
-                count=options.rehearse, execution=execution or ExecutorConfig()
-            )
-            self._planner: GraspPlanner = RehearsedPlanner(asked, grasps, config)
+        rehearsal = rehearsal_of(contender, options, execution)
+        if rehearsal is not None:
+            self._planner: GraspPlanner = RehearsedPlanner(asked, grasps, rehearsal)
         else:
             self._planner = GraspPlanner(asked, grasps)
 

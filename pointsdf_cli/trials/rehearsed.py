@@ -29,6 +29,7 @@ from pointsdf_cli.planning.answer import (
     Sight,
 )
 from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.planner import Rank
 from pointsdf_cli.planning.redraws import Redraws
 from pointsdf_cli.planning.seeds import SeedConfig
@@ -158,7 +159,8 @@ class RehearsedPlanner(GraspPlanner):
             )
         began = time.perf_counter()
         if surface is None and sight.reconstruction is not None:
-            surface = believed_surface(sight.reconstruction, self.config.resolution)
+            resolution = self.config.resolution
+            surface = believed_surface(sight.reconstruction, resolution, sight.fused)
         meshing = time.perf_counter() - began
         if surface is None:
             answer = super().plan_seen(sight, environment, start, seed)
@@ -253,10 +255,18 @@ def promising_first(
     return sorted(range(len(candidates)), key=cost)
 
 
-def believed_surface(reconstruction: Reconstruction, resolution: int = 64) -> Surface | None:
-    """The reconstructed surface; None where the network sees no inside."""
+def believed_surface(
+    reconstruction: Reconstruction, resolution: int = 64, fused: Field | None = None
+) -> Surface | None:
+    """The reconstructed surface; None where the network sees no inside.
+
+    Args:
+        reconstruction: Of the first view.
+        resolution: Cells along its box.
+        fused: What all views say together, where there are several.
+    """
     try:
-        mesh = mesh_reconstruction(reconstruction, resolution)
+        mesh = mesh_reconstruction(reconstruction, resolution, field=fused)
     except EmptySurfaceError:
         return None
     return mesh.vertices, mesh.faces

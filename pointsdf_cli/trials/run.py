@@ -38,7 +38,7 @@ from pointsdf_cli.simulation.observe import Observer
 from pointsdf_cli.simulation.record import Recorder
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import PhysicsConfig, World
-from pointsdf_cli.trials.contenders import ContenderOptions, Mind, weights_of
+from pointsdf_cli.trials.contenders import ContenderOptions, Mind, rehearsal_of, weights_of
 from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
 from pointsdf_cli.trials.pictures import write_film
 from pointsdf_cli.trials.protocol import Contender, Trial, TrialObject
@@ -244,6 +244,8 @@ def run_trial_task(task: TrialTask) -> TrialRow | None:
     trial = task.trial
     config = task.config.as_dict() | {"seed": trial.seed, "yaws": trial.yaws, "trial": trial.name}
     config["weights"] = weights_of(trial.contender, task.config.contenders)
+    rehearsal = rehearsal_of(trial.contender, task.config.contenders, task.config.execution)
+    config["rehearsal"] = None if rehearsal is None else asdict(rehearsal)
     config["mesh"] = "" if trial.object.mesh is None else file_sha256(trial.object.mesh)
     config["contenders"] |= {"robot": robot_digest(task.config.contenders.robot)}
     complete = is_complete(task.out, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, config=config)
