@@ -90,7 +90,7 @@ def bare_distances_per_second(meshes: list[Path], labels: Path) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--meshes", type=Path, help="a folder of meshes; default: 160 generated")
+    parser.add_argument("--meshes", type=Path, help="a folder of meshes; default: 120 generated")
     parser.add_argument("--objects", type=int, default=OBJECTS)
     parser.add_argument("--views", type=int, default=VIEWS, help="an object")
     parser.add_argument("--points", type=int, default=POINTS, help="an object")

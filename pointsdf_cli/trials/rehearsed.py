@@ -245,7 +245,7 @@ def promising_first(
     candidates: list[Candidate], least_room: float, contradicted: Sequence[bool]
 ) -> list[int]:
     """The order in which grasps are rehearsed: first those that no other draw of the points
-    contradicts; of these by the objective, which is 0 for all good ones; of equals the ones with
+    contradicts; of these by the objective, which is 0 for most good ones; of equals the ones with
     room first, and the likeliest first of all that have it."""
 
     def cost(k: int) -> tuple[bool, float, bool, float]:
