@@ -3,7 +3,7 @@
 A network reads 1000 of the points that were seen. Where something unseen may be is a guess, and
 another thousand make another guess. A solver that looks for a place for a hand finds the places
 where one guess is wrong; it has not seen the others, so they are independent witnesses. (Of 142
-grasps of trials three other draws contradict 3 of the 6 with which the hand touched the object too
+grasps of trials four other draws contradict 3 of the 6 with which the hand touched the object too
 early, and none of the 136 others: docs/trials.md, "Other draws".)
 """
 
