@@ -173,8 +173,10 @@ class Attempter:
             rng,
         )
         cloud = resample(scene.cloud, CLOUD_SIZE, rng)
-        self.world.reset(self._standing(item, scene.T_world_object), scene.T_world_object)
-        reach = self._reacher(preshape.T_world_palm, preshape.joints)
+        arms = self._reacher.arms(preshape.T_world_palm)
+        if len(arms):
+            self.world.reset(self._standing(item, scene.T_world_object), scene.T_world_object)
+        reach = self._reacher(preshape.T_world_palm, preshape.joints, arms)
         outcome = None
         if reach.label == 0:
             outcome = self.execute(item, scene.T_world_object, reach.q, reach.lift, watch)

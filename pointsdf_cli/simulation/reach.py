@@ -88,17 +88,30 @@ class Reacher:
         self._robot = world.robot
         self.config = config or ReachConfig()
 
-    def __call__(self, T_world_palm: Array, joints: Array) -> Reach:
-        """A way to the palm pose [4, 4] with preshape joints [K]; the world's robot is moved."""
-        robot, config = self._robot, self.config
+    def arms(self, T_world_palm: Array) -> Array:
+        """Arm configurations [B, A] for the palm pose [4, 4], the nearest to home first.
+
+        Needs no scene: where there are none, none has to be built.
+        """
         solutions = self._solver.solve(T_world_palm)
         arms = solutions.arm[0][solutions.reached[0]]
+        home = self._robot.home[self._robot.arm]
+        order = np.argsort(np.abs(arms - home).max(axis=1), kind="stable")
+        return _different(arms[order])[: self.config.candidates]
+
+    def __call__(self, T_world_palm: Array, joints: Array, arms: Array | None = None) -> Reach:
+        """A way to a palm pose in the world's scene; the world's robot is moved.
+
+        Args:
+            T_world_palm: [4, 4].
+            joints: [K], of the preshape.
+            arms: [B, A], what `arms` gives for this pose, where it was asked already.
+        """
+        robot = self._robot
+        arms = self.arms(T_world_palm) if arms is None else arms
         if not len(arms):
             q = robot.configuration(np.full(len(robot.arm_joints), np.nan), joints)
             return self._none(NO_CONFIGURATION, "no_ik", q)
-        home = robot.home[robot.arm]
-        arms = _different(arms[np.argsort(np.abs(arms - home).max(axis=1), kind="stable")])
-        arms = arms[: config.candidates]
         free, touched = [], "self"
         for arm in arms:
             hits = self._world.collisions(robot.configuration(arm, joints))
@@ -219,4 +232,4 @@ def _different(arms: Array) -> Array:
     for arm in arms:
         if all(np.abs(arm - other).max() > 0.1 for other in kept):
             kept.append(arm)
-    return np.array(kept)
+    return np.array(kept).reshape(-1, arms.shape[1])
