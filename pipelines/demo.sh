@@ -3,8 +3,8 @@
 # bundled weights; objects made here, depth views of them, exact signed distances; pictures of all.
 #   pipelines/demo.sh [DIR]      (about a minute; DIR defaults to demo/)
 set -euo pipefail
+out=$(realpath -m --relative-to="$(dirname "$0")/.." "${1:-demo}")
 cd "$(dirname "$0")/.."
-out=${1:-demo}
 
 rgrasp plan assets/clouds/table.ply --out "$out/plan.h5" --trajectory "$out/motion.json" --force
 rgrasp objects make --out "$out/meshes" --count 24 --seed 7 --sheet "$out/objects.png" --force

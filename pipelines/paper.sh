@@ -7,14 +7,22 @@
 # pipelines/Snakefile. JOBS processes (all cores). TEST_MESHES: a folder of other objects to
 # test on, such as one made by `rgrasp objects fetch ycb`; by default objects of another seed.
 set -euo pipefail
-cd "$(dirname "$0")/.."
 scale=${SCALE:-tiny}
-work=${1:-paper-$scale}
+work=$(realpath -m "${1:-paper-$scale}")
+TEST_MESHES=${TEST_MESHES:+$(realpath "$TEST_MESHES")}
+cd "$(dirname "$0")/.."
 jobs=${JOBS:-0}
 # shellcheck source=pipelines/scales.sh
 source pipelines/scales.sh "$scale"
 
 mkdir -p "$work/done"
+# Steps that are done are not looked at again, so they must be of this paper.
+asked="SCALE=$scale TEST_MESHES=$TEST_MESHES"
+if [ "$(cat "$work/done/.asked" 2>/dev/null || echo "$asked")" != "$asked" ]; then
+    echo "$work: was begun with $(cat "$work/done/.asked"), and now it is $asked; choose another WORK" >&2
+    exit 2
+fi
+echo "$asked" >"$work/done/.asked"
 
 # A step that ended well leaves a mark; what has a mark is not begun again. Within a step, the
 # commands know by themselves which of their files are finished.

@@ -193,3 +193,25 @@ def test_views_of_a_mesh_that_has_changed_are_not_kept(views: Path, mesh_folder:
     assert result.code == 2
     assert "another version" in result.err
     assert "--force" in result.err
+
+
+def test_labels_in_another_unit_are_not_kept(tmp_path: Path) -> None:
+    meshes, views, labels = tmp_path / "meshes", tmp_path / "views", tmp_path / "labels"
+    meshes.mkdir()
+    trimesh.creation.box((8.0, 6.0, 4.0)).export(meshes / "box.ply")
+    places = ("--meshes", meshes, "--out", views)
+    made = run_cli(*RENDER, *places, "--unit", "cm")
+    assert made.code == 0, made.err
+    label = (*LABEL, "--meshes", meshes, "--views", views, "--out", labels)
+    assert run_cli(*label).code == 0
+    assert "1 there already" in run_cli(*label).out
+    assert run_cli(*RENDER, *places, "--unit", "inch", "--force").code == 0
+    refused = run_cli(*label)
+    assert refused.code == 2
+    assert "unit: cm there, inch now" in refused.err
+    assert run_cli(*label, "--force").code == 0
+    across = np.ptp(read_labels(labels / "box.h5").points, axis=0).max()
+    assert across > 8 * 0.0254
+    # The report finds the mesh in its unit without being told.
+    page = run_cli("report", tmp_path, "--out", tmp_path / "page.html")
+    assert page.code == 0, page.err

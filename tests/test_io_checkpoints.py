@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 from pathlib import Path
 
@@ -134,3 +135,37 @@ def test_what_else_lies_there_stays_and_a_link_stays_a_link(
     monkeypatch.chdir(checkpoint)
     with pytest.raises(InputError, match="where you are"):
         require_checkpoint_place(Path("."))
+
+
+def test_a_folder_that_cannot_be_moved_costs_nothing_else(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a", "b", "c"):
+        (checkpoint / name).mkdir()
+        (checkpoint / name / "mine.txt").write_text(name)
+    rename = os.rename
+
+    def refused(source: Path, target: Path) -> None:
+        if Path(source).name == "b":
+            raise PermissionError(13, "Permission denied")
+        rename(source, target)
+
+    monkeypatch.setattr("pointsdf_cli.io.checkpoints.os.rename", refused)
+    with pytest.raises(InputError, match="Permission denied"):
+        write_checkpoint(checkpoint, config=read_checkpoint(checkpoint).config)
+    kept = sorted(path.read_text() for path in tmp_path.rglob("mine.txt"))
+    assert kept == ["a", "b", "c"]
+
+
+def test_a_file_system_without_links_keeps_what_lies_there(
+    checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (checkpoint / "loss.png").write_bytes(b"picture")
+
+    def none(*_: object) -> None:
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr("pointsdf_cli.io.checkpoints.os.link", none)
+    write_checkpoint(checkpoint, config=read_checkpoint(checkpoint).config, train_state={"step": 3})
+    assert (checkpoint / "loss.png").read_bytes() == b"picture"
+    assert read_train_state(checkpoint) == {"step": 3}

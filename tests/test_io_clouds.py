@@ -400,3 +400,9 @@ def test_a_point_a_column_is_to_be_transposed(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", POINTS.T)
     with pytest.raises(InputError, match="transposed"):
         read_cloud(tmp_path / "a.npy")
+
+
+def test_titles_without_coordinates_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("id,px,py,pz\n" + "1,0.1,0.2,0.3\n" * 60)
+    with pytest.raises(InputError, match="none of which is called x, y or z"):
+        read_cloud(tmp_path / "a.csv")

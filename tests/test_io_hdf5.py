@@ -150,3 +150,16 @@ def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--force"):
         require_new(tmp_path / "a", force=False)
     assert require_new(tmp_path / "a", force=True) == tmp_path / "a"
+
+
+def test_only_ordinary_files_are_replaced_and_a_link_stays_a_link(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="no ordinary file"):
+        require_new(tmp_path / "pipe", force=True)
+    (tmp_path / "far").mkdir()
+    (tmp_path / "far" / "plan").write_text("old")
+    (tmp_path / "plan").symlink_to(tmp_path / "far" / "plan")
+    with atomic_path(tmp_path / "plan") as temporary:
+        temporary.write_text("new")
+    assert (tmp_path / "plan").is_symlink()
+    assert (tmp_path / "far" / "plan").read_text() == "new"

@@ -131,3 +131,19 @@ def test_real_scans_load_closed(shared_meshes: Path) -> None:
         mesh = load_mesh(shared_meshes / "test" / "ycb" / f"{name}.ply")
         assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
         assert 0.03 < mesh.size < 0.35
+
+
+def test_hidden_files_are_no_meshes(tmp_path: Path, box_mesh: trimesh.Trimesh) -> None:
+    for place in ("mug.ply", "._mug.ply", ".archives/tmp1/cup.ply", "below/pan.ply"):
+        (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
+        box_mesh.export(tmp_path / place)
+    assert [path.name for path in find_meshes(tmp_path)] == ["pan.ply", "mug.ply"]
+
+
+@pytest.mark.parametrize("pattern", ["**.ply", "/tmp/*.ply", ""])
+def test_a_wrong_pattern_is_one_message(
+    tmp_path: Path, box_mesh: trimesh.Trimesh, pattern: str
+) -> None:
+    box_mesh.export(tmp_path / "box.ply")
+    with pytest.raises(InputError, match="pattern"):
+        find_meshes(tmp_path, pattern)

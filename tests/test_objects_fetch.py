@@ -155,7 +155,7 @@ def test_a_run_killed_at_the_lock_leaves_no_mesh_without_its_sum(
         def killed(*_: object) -> None:
             raise KeyboardInterrupt
 
-        patch.setattr("pointsdf_cli.objects.fetch._write_lock", killed)
+        patch.setattr("pointsdf_cli.objects.fetch._add_to_lock", killed)
         with pytest.raises(KeyboardInterrupt):
             fetch_ycb(tmp_path, ["003"], server.url, patience=QUICK)
     assert not (tmp_path / f"{NAME}.ply").exists()

@@ -22,7 +22,7 @@ from pointsdf_cli.io.atomic import TEMPORARY_MARK
 from pointsdf_cli.io.meshes import load_mesh
 from pointsdf_cli.io.object_mesh import read_object_about, write_object_mesh
 from pointsdf_cli.objects.generate import make_object
-from pointsdf_cli.objects.store import MANIFEST, make_objects
+from pointsdf_cli.objects.store import MANIFEST, make_objects, write_manifest
 
 QUICK = ["banana", "lemon", "wood_block", "carton"]
 
@@ -180,3 +180,20 @@ def test_out_that_is_a_file_is_refused(tmp_path: Path, cli: Callable) -> None:  
     assert result.code == 2
     assert "folder" in result.err
     assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_another_seed_does_not_mix_a_second_series_in(tmp_path: Path) -> None:
+    make_objects(tmp_path, 3, seed=0)
+    before = contents(tmp_path)
+    with pytest.raises(InputError, match="object 0 of another seed"):
+        make_objects(tmp_path, 3, seed=1)
+    assert contents(tmp_path) == before
+    make_objects(tmp_path, 3, seed=1, force=True)
+    assert len(list(tmp_path.glob("*.ply"))) == 3
+
+
+def test_what_another_shard_is_writing_is_not_listed(tmp_path: Path) -> None:
+    make_objects(tmp_path, 1, seed=1, families=["lemon"])
+    whole = (tmp_path / "00000_lemon.ply").read_bytes()
+    (tmp_path / ".00001_lemon.partial-0-1-2.ply").write_bytes(whole)
+    assert len(write_manifest(tmp_path).read_text().splitlines()) == 2

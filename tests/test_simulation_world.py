@@ -140,7 +140,8 @@ def test_reset_forgets_everything(box: SimObject) -> None:
 def test_a_joint_takes_back_its_error_at_a_rate_that_the_step_does_not_change(
     per_second: int,
 ) -> None:
-    # e^(−96 t) of the error is left, up to what a step can resolve: 0.6³, 0.8⁶ and 0.9¹² after 12.5 ms.
+    # e^(−96 t) of the error is left, up to what a step can resolve: after 12.5 ms 0.6³, 0.8⁶ and
+    # 0.9¹² of it.
     robot = load_robot()
     with World(robot, PhysicsConfig(step=1 / per_second)) as world:
         world.reset()

@@ -73,6 +73,12 @@ def check_table_name(out: Path, beside: tuple[str, ...]) -> None:
         )
 
 
+def cache_beside(folder: Path) -> Path:
+    """Where what is worked out from a folder's grasps is kept: `grasps-cache` beside `grasps`."""
+    whole = folder.resolve()
+    return whole.with_name(whole.name + "-cache")
+
+
 def check_picture(path: Path | None, force: bool) -> Path | None:
     """The path of a picture, if a PNG can be written there; known before the work, not after.
 

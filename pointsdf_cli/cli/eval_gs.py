@@ -54,6 +54,7 @@ def eval_gs(
     from pointsdf_cli.viz.success_figure import draw_success_figure
 
     seed = common.check_seed(seed)
+    require_new(out, force)
     common.check_table_name(out, (".png",))
     table_path, picture = (require_new(path, force) for path in (out, out.with_suffix(".png")))
     use_threads(threads or idle_processors())
@@ -69,7 +70,7 @@ def eval_gs(
                 hint="collect more grasps, or of more objects",
             )
     reporter = common.Reporter(quiet, as_json)
-    cache = cache or grasps.with_name(grasps.name + "-cache")
+    cache = cache or common.cache_beside(grasps)
     methods: list[evaluation.Scored] = []
     prior = None
     with reporter.progress("eval-gs", len(data.names)) as bar:

@@ -98,7 +98,7 @@ def train_gs(
     machine = load_robot(robot)
     data = read_grasp_data(grasps, machine)
     split = split_for(data, variant, config.validation, seed)
-    cache = cache or grasps.with_name(grasps.name + "-cache")
+    cache = cache or common.cache_beside(grasps)
     with reporter.progress("asking the reconstruction", len(data.names)) as bar:
         sources = Sources(cache, sdf, robot, common.job_count(jobs), bar.advance)
         prepared = prepare(data, split, variant, sources, seed)

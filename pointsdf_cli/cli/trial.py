@@ -95,7 +95,13 @@ def trial(
     from pointsdf_cli.trials.contenders import ContenderOptions, check_contender
     from pointsdf_cli.trials.protocol import choose_objects, make_trials
     from pointsdf_cli.trials.report import html_report, markdown_report, percent
-    from pointsdf_cli.trials.run import TrialConfig, TrialTask, read_rows, run_trial_task
+    from pointsdf_cli.trials.run import (
+        TrialConfig,
+        TrialTask,
+        read_rows,
+        require_same_options,
+        run_trial_task,
+    )
     from pointsdf_cli.trials.summary import summarise
 
     load_robot(robot)  # a wrong robot file is said once, not by every worker
@@ -139,6 +145,8 @@ def trial(
     refused = {tasks[name].trial.object.name: error.what for name, error in report.refused}
     for name, why in refused.items():
         reporter.say(f"skipped: {name}: {why}")
+    done = {name for name, _ in mine}
+    require_same_options([task for name, task in tasks.items() if name not in done])
     rows = read_rows(list(tasks.values()))
     if not rows:
         raise InputError(

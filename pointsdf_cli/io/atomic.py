@@ -36,6 +36,8 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         UnwritableError: The folder cannot be written, or the disk is full.
     """
     path = Path(path)
+    if path.is_symlink():
+        path = path.resolve()  # what it points to is replaced, not the link
     builder = f"{_HOST}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
     temporary = path.with_name(f".{path.stem}{TEMPORARY_MARK}{builder}{path.suffix}")
     try:
@@ -90,6 +92,8 @@ def require_new(path: Path | str, force: bool) -> Path:
     path = Path(path)
     if path.is_dir():
         raise InputError("is a folder, and a file is to be written there", where=path)
+    if path.exists() and not path.is_file():
+        raise InputError("is no ordinary file, and would be replaced by one", where=path)
     if path.exists() and not force:
         raise InputError(
             "exists already, and nothing is overwritten unasked",

@@ -123,7 +123,7 @@ def shard_of(tasks: Sequence[Task], shard: str | None) -> list[Task]:
 
 def task_seed(seed: int, name: str) -> np.random.Generator:
     """A random generator for one task, the same whoever runs it and in whatever order."""
-    return np.random.default_rng([seed, zlib.crc32(name.encode())])
+    return np.random.default_rng([seed, zlib.crc32(name.encode("utf-8", "surrogateescape"))])
 
 
 def _guarded(work: Callable[[Task], Result | None], task: Task) -> Result | InputError | None:

@@ -14,6 +14,7 @@ import os
 import shutil
 import uuid
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -87,16 +88,42 @@ def write_checkpoint(
                 os.fsync(handle.fileno())
         for kept in path.iterdir() if path.exists() else ():
             if not (temporary / kept.name).exists() and kept.is_file():
-                os.link(kept, temporary / kept.name)
-        aside = _take_place(temporary, path)
-        for rest in aside.iterdir() if aside.exists() else ():
-            if rest.is_dir():
-                os.rename(rest, path / rest.name)
+                _link(kept, temporary / kept.name)
+        _move_rest(_take_place(temporary, path), path)
     except OSError as error:
         raise unwritable(path, error) from error
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        shutil.rmtree(_aside(path), ignore_errors=True)
+        for emptied in (temporary, _aside(path)):
+            _remove_ours(emptied, path)
+
+
+def _link(kept: Path, place: Path) -> None:
+    try:
+        os.link(kept, place)
+    except OSError:  # a file system without links
+        shutil.copy2(kept, place)
+
+
+def _move_rest(aside: Path, path: Path) -> None:
+    """What else was in the old directory, into the new one; what cannot be moved stays there."""
+    for rest in list(aside.iterdir()) if aside.exists() else ():
+        if not os.path.lexists(path / rest.name):
+            os.rename(rest, path / rest.name)
+
+
+def _remove_ours(folder: Path, path: Path) -> None:
+    """Remove a directory's copies of a checkpoint's files, and the directory if nothing is left.
+
+    Never more: it may hold what is the user's and could not be moved.
+    """
+    if not folder.is_dir():
+        return
+    for file in list(folder.iterdir()):
+        ours = file.name in (WEIGHTS, TRAIN_STATE, CONFIG) or (path / file.name).is_file()
+        if ours and (file.is_file() or file.is_symlink()):
+            file.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def require_checkpoint_place(path: Path | str) -> None:
@@ -238,7 +265,7 @@ def _take_place(new: Path, old: Path) -> Path:
             return new
     # A file system without the exchange: two renames, the old one kept until the new is in place.
     aside = _aside(old)
-    shutil.rmtree(aside, ignore_errors=True)
+    _remove_ours(aside, old)
     os.rename(old, aside)
     os.rename(new, old)
     return aside

@@ -59,6 +59,12 @@ def read_xyz(path: Path) -> RawCloud:
     titles = _words(head[first - 1].lstrip("#/ ")) if first else []
     if len(titles) == table.shape[1] and {"x", "y", "z"} <= set(titles):
         return _from_titles(table, titles, comments)
+    if len(titles) == table.shape[1] > 3 and not {"x", "y", "z"} & set(titles):
+        raise InputError(
+            f"has columns {', '.join(titles)}, none of which is called x, y or z",
+            where=path,
+            allowed="a row of titles with x, y and z, or none at all: then the first three are",
+        )
     return _from_table(table, comments, path)
 
 

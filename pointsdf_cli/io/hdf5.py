@@ -181,8 +181,16 @@ def open_hdf5(path: Path | str) -> h5py.File:
         if not heaps_end(path):
             raise OSError("a damaged heap of strings")
         return h5py.File(path, "r")
+    except PermissionError as error:
+        raise InputError("cannot be read (permission denied)", where=path) from error
     except OSError as error:
         raise unreadable(path, error) from error
+
+
+def mesh_unit(file: h5py.File) -> str:
+    """The unit that the mesh of an open artifact was read in, metres where none is named."""
+    options = json.loads(str(file.attrs.get("config_json", "{}")))
+    return str(options.get("unit", "m"))
 
 
 def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[str, Any]) -> bool:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.repair import close_mesh
-from pointsdf_cli.io.atomic import TEMPORARY_MARK, atomic_path
+from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.provenance import file_sha256
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".dae", ".3mf")
@@ -67,10 +67,16 @@ def find_meshes(folder: Path | str, pattern: str = "*") -> list[Path]:
                 allowed="a folder, or " + ", ".join(MESH_SUFFIXES),
             )
         return [folder]
+    try:
+        matching_files = list(folder.rglob(pattern))
+    except (ValueError, NotImplementedError) as error:
+        raise InputError(
+            f"{pattern!r} is no pattern ({error})", where="--pattern", allowed="such as '*.ply'"
+        ) from error
     found = sorted(
         path
-        for path in folder.rglob(pattern)
-        if path.suffix.lower() in MESH_SUFFIXES and TEMPORARY_MARK not in path.name
+        for path in matching_files
+        if path.suffix.lower() in MESH_SUFFIXES and not _is_hidden(path.relative_to(folder))
     )
     if not found:
         matching = "" if pattern == "*" else f" that match {pattern}"
@@ -87,6 +93,11 @@ def find_meshes(folder: Path | str, pattern: str = "*") -> list[Path]:
                 hint=f"choose one kind with --pattern '*{path.suffix}'",
             )
     return found
+
+
+def _is_hidden(path: Path) -> bool:
+    """Under construction, or somebody's notes beside a mesh (`._mug.ply`, `.archives/`)."""
+    return any(part.startswith(".") for part in path.parts)
 
 
 def artifact_path(mesh: Path, meshes: Path | str, out: Path | str) -> Path:

@@ -85,8 +85,11 @@ def read_npy_array(path: Path) -> NDArray[Any]:
 
 
 def _bytes(path: Path, most: int) -> bytes:
-    with open(path, "rb") as handle:
-        data = handle.read(most + 1)
+    try:
+        with open(path, "rb") as handle:
+            data = handle.read(most + 1)
+    except PermissionError as error:
+        raise InputError("cannot be read (permission denied)", where=path) from error
     if len(data) > most:
         raise InputError(f"is larger than {most >> 20} MB", where=path)
     return data

@@ -66,6 +66,8 @@ def download(
             try:
                 _fetch_rest(client, url, part, tag, patience.largest, on_bytes)
                 break
+            except (httpx.InvalidURL, httpx.UnsupportedProtocol, httpx.TooManyRedirects) as error:
+                raise InputError(f"cannot be fetched from ({error})", where=url) from error
             except (_Broken, httpx.TransportError) as error:
                 gained = (part.stat().st_size if part.exists() else 0) > before
                 failures = 1 if gained else failures + 1

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -145,14 +147,21 @@ def _fetch_one(
             lock[name] = LockEntry(url, sha256, size, file_sha256(made), mesh.repair)
             # The sum first: a run killed in between fetches a missing mesh again, but would refuse
             # one that it knows nothing of.
-            _write_lock(out, lock)
+            _add_to_lock(out, name, lock[name])
             made.replace(mesh_path)
     finally:
         archive.unlink(missing_ok=True)
     return "fetched"
 
 
-def _write_lock(out: Path, lock: dict[str, LockEntry]) -> None:
-    entries = {name: asdict(lock[name]) for name in sorted(lock)}
-    document = {"format": _LOCK_FORMAT, "objects": entries}
-    write_text_atomic(out / LOCK, json.dumps(document, indent=1) + "\n")
+def _add_to_lock(out: Path, name: str, entry: LockEntry) -> None:
+    """One more entry; those that another run has added since this one began stay."""
+    guard = os.open(out, os.O_RDONLY)
+    try:
+        fcntl.flock(guard, fcntl.LOCK_EX)
+        lock = read_lock(out) | {name: entry}
+        entries = {known: asdict(lock[known]) for known in sorted(lock)}
+        document = {"format": _LOCK_FORMAT, "objects": entries}
+        write_text_atomic(out / LOCK, json.dumps(document, indent=1) + "\n")
+    finally:
+        os.close(guard)

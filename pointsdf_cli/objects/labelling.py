@@ -9,7 +9,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.sdf_sampling import SamplingConfig, sample_sdf
 from pointsdf_cli.io.atomic import TEMPORARY_MARK
 from pointsdf_cli.io.batch import task_seed
-from pointsdf_cli.io.hdf5 import is_complete
+from pointsdf_cli.io.hdf5 import OptionsDifferError, is_complete, open_hdf5
 from pointsdf_cli.io.labels import SCHEMA, VERSION, Labels, write_labels
 from pointsdf_cli.io.meshes import find_meshes, load_mesh
 from pointsdf_cli.io.views import read_views_header
@@ -79,9 +79,19 @@ def label_file(task: LabelTask) -> LabelSummary | None:
         InputError: The mesh is not the one that the views show, or cannot be labelled.
     """
     config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
-    if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):
-        return None
     views = read_views_header(task.views)
+    # The same file in another unit is another object; labels in metres say nothing about it.
+    config |= {} if views.unit == "m" else {"unit": views.unit}
+    if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):
+        with open_hdf5(task.out) as file:
+            labelled = str(file.attrs.get("mesh_hash"))
+        if labelled != views.mesh_hash:
+            raise OptionsDifferError(
+                "are labels of another mesh than the one that the views show",
+                where=task.out,
+                hint="choose another --out, or add --force to make them anew",
+            )
+        return None
     mesh = load_mesh(task.mesh, views.unit)
     if mesh.sha256 != views.mesh_hash:
         raise InputError(

@@ -13,7 +13,12 @@ from typing import Any
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.atomic import remove_leftovers, require_folder, write_text_atomic
+from pointsdf_cli.io.atomic import (
+    TEMPORARY_MARK,
+    remove_leftovers,
+    require_folder,
+    write_text_atomic,
+)
 from pointsdf_cli.io.batch import StageReport, run_stage, shard_of
 from pointsdf_cli.io.hdf5 import OptionsDifferError
 from pointsdf_cli.io.object_mesh import read_object_about, write_object_mesh
@@ -96,6 +101,7 @@ def make_file(task: ObjectTask) -> dict[str, Any] | None:
     """
     if task.path.exists() and not task.force and _is_same(task):
         return None
+    _require_one_series(task)
     made = make_object(task.seed, task.index, task.families)
     about = {
         "name": made.name,
@@ -115,7 +121,8 @@ def make_file(task: ObjectTask) -> dict[str, Any] | None:
 
 def write_manifest(folder: Path) -> Path:
     """Write `objects.csv`: a row for every generated object in the folder, sorted by name."""
-    rows = [about for path in sorted(folder.glob("*.ply")) if (about := read_object_about(path))]
+    paths = [p for p in sorted(folder.glob("*.ply")) if TEMPORARY_MARK not in p.name]
+    rows = [about for path in paths if (about := read_object_about(path))]
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     sides = ["extent_x_m", "extent_y_m", "extent_z_m"]
@@ -129,6 +136,26 @@ def write_manifest(folder: Path) -> Path:
     path = folder / MANIFEST
     write_text_atomic(path, text.getvalue())
     return path
+
+
+def _require_one_series(task: ObjectTask) -> None:
+    """Objects of two seeds under one number would be two series in one folder, told by nothing.
+
+    Raises:
+        OptionsDifferError: The folder holds another object of this number.
+    """
+    for other in task.path.parent.glob(f"{task.index:05d}_*.ply"):
+        about = read_object_about(other) if other.name != task.path.name else None
+        if about is None:
+            continue
+        if not task.force:
+            raise OptionsDifferError(
+                f"is object {task.index} of another seed or other families "
+                f"(seed {about.get('seed')} there, {task.seed} now)",
+                where=other,
+                hint="choose another --out, or add --force to replace it",
+            )
+        other.unlink(missing_ok=True)
 
 
 def _is_same(task: ObjectTask) -> bool:

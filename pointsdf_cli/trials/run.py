@@ -242,13 +242,7 @@ def run_trial_task(task: TrialTask) -> TrialRow | None:
         OptionsDifferError: The file was made with other options.
     """
     torch.set_num_threads(1)
-    trial = task.trial
-    config = task.config.as_dict() | {"seed": trial.seed, "yaws": trial.yaws, "trial": trial.name}
-    config["weights"] = weights_of(trial.contender, task.config.contenders)
-    rehearsal = rehearsal_of(trial.contender, task.config.contenders, task.config.execution)
-    config["rehearsal"] = None if rehearsal is None else asdict(rehearsal)
-    config["mesh"] = "" if trial.object.mesh is None else file_sha256(trial.object.mesh)
-    config["contenders"] |= {"robot": robot_digest(task.config.contenders.robot)}
+    trial, config = task.trial, _options_of(task)
     complete = is_complete(task.out, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, config=config)
     if complete and not task.force:
         filmed = task.film is None or task.film.is_file()
@@ -262,6 +256,29 @@ def run_trial_task(task: TrialTask) -> TrialRow | None:
         write_film(task.film, runner.robot, mesh, recorder.moments, recorder.rate)
     write_trial(task.out, row, evidence, config)
     return row
+
+
+def require_same_options(tasks: list[TrialTask]) -> None:
+    """What lies there of these trials was made as they would be: other shards' work is counted.
+
+    Raises:
+        OptionsDifferError: A file was made with other options.
+    """
+    for task in tasks:
+        config = _options_of(task)
+        is_complete(task.out, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, config=config)
+
+
+def _options_of(task: TrialTask) -> dict[str, Any]:
+    """All that decides a trial's outcome."""
+    trial = task.trial
+    config = task.config.as_dict() | {"seed": trial.seed, "yaws": trial.yaws, "trial": trial.name}
+    config["weights"] = weights_of(trial.contender, task.config.contenders)
+    rehearsal = rehearsal_of(trial.contender, task.config.contenders, task.config.execution)
+    config["rehearsal"] = None if rehearsal is None else asdict(rehearsal)
+    config["mesh"] = "" if trial.object.mesh is None else file_sha256(trial.object.mesh)
+    config["contenders"] |= {"robot": robot_digest(task.config.contenders.robot)}
+    return config
 
 
 def read_rows(tasks: list[TrialTask]) -> list[TrialRow]:

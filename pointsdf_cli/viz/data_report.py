@@ -9,7 +9,7 @@ import numpy as np
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import TEMPORARY_MARK
-from pointsdf_cli.io.hdf5 import open_hdf5
+from pointsdf_cli.io.hdf5 import mesh_unit, open_hdf5
 from pointsdf_cli.io.labels import Labels, read_labels
 from pointsdf_cli.io.meshes import MESH_SUFFIXES, LoadedMesh, load_mesh
 from pointsdf_cli.io.provenance import file_sha256
@@ -132,9 +132,10 @@ def _mesh(artifact: Path, found: DataFolder) -> list[LoadedMesh]:
     """The mesh that an artifact was made from, known by its hash; empty if it is not here."""
     with open_hdf5(artifact) as file:
         name, digest = str(file.attrs["mesh_file"]), str(file.attrs["mesh_hash"])
+        unit = mesh_unit(file)
     for path in found.meshes:
         if path.name == name and file_sha256(path) == digest:
-            return [load_mesh(path)]
+            return [load_mesh(path, unit)]
     return []
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.grasps import CAUSES, HELD, KINDS, Grasps, GraspsMeta
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.viz import html
@@ -69,9 +70,14 @@ def write_gif(path: Path, robot: RobotMeshes, film: Film, rate: float) -> None:
         Image.fromarray(draw_frame(robot, film.mesh, frame, eye, target)).quantize(64)
         for frame in film.frames
     ]
-    images[0].save(
-        path, save_all=True, append_images=images[1:], duration=round(1000 / rate), loop=0
-    )
+    with atomic_path(path) as temporary:
+        images[0].save(
+            temporary,
+            save_all=True,
+            append_images=images[1:],
+            duration=round(1000 / rate),
+            loop=0,
+        )
 
 
 def grasp_report(

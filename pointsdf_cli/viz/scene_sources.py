@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.hdf5 import mesh_unit, open_hdf5
 from pointsdf_cli.io.meshes import load_mesh
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.robot.description import RobotDescription
@@ -69,9 +70,11 @@ def mesh_part(name: str, vertices: NDArray, faces: NDArray, opacity: float = 1.0
 def named_mesh(name: str, digest: str, artifact: Path, options: SceneOptions) -> list[Part]:
     """The mesh that an artifact was made from, if it lies where it was looked for."""
     folders = [options.meshes] if options.meshes else [artifact.parent]
+    with open_hdf5(artifact) as file:
+        unit = mesh_unit(file)
     for folder in folders:
         for path in sorted(folder.rglob(name)) if folder.is_dir() else []:
             if path.is_file() and file_sha256(path) == digest:
-                mesh = load_mesh(path, options.unit)
+                mesh = load_mesh(path, options.unit if unit == "m" else unit)
                 return [mesh_part(name, mesh.vertices, mesh.faces, 0.35)]
     return []
