@@ -90,8 +90,6 @@ HELD_FRACTION = 0.7
 """Of the lift's height that a held object must have risen."""
 STEADY_SPEED = 0.03
 """A slower object [m/s] rests in the hand."""
-LOOK_TIME = 1 / 60
-"""The object is looked at this often [s], whatever the step."""
 CLEAR_HEIGHT = 0.05
 """A hand this far [m] above where it gripped no longer reaches what it left on the table."""
 
@@ -123,7 +121,6 @@ class Executor:
         self._closing = robot.closing_columns
         self._still = np.setdiff1d(self._hand, self._closing)
         self._fastest = 0.0
-        self._look = max(1, round(LOOK_TIME / world.physics.step))
 
     def run(self, q: ArrayLike, lift: Array) -> Outcome:
         """Close, grip, lift along a path, settle, judge.
@@ -225,7 +222,7 @@ class Executor:
             world.drive_to(q, self._arm, robot.effort[self._arm])
             self._advance(1, "lift")
             out_of_reach = s * config.lift_height >= CLEAR_HEIGHT
-            if out_of_reach and k % self._look == 0 and self._left_behind():
+            if out_of_reach and k % 8 == 0 and self._left_behind():
                 return
 
     def _left_behind(self) -> bool:
@@ -265,7 +262,7 @@ class Executor:
         for done in range(1, steps + 1):
             world.step()
             # The same looks whether anybody watches or not: they decide what counts as flung.
-            if done % self._look == 0 or done == steps:
+            if done % 8 == 0 or done == steps:
                 self._fastest = max(self._fastest, world.object_speed()[0])
             if self._watch:
                 self._watch(world, phase)

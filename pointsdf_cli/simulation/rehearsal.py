@@ -58,7 +58,7 @@ class RehearsalConfig:
     friction: tuple[float, float] = (0.45, 0.7)
     mass: tuple[float, float] = (0.7, 1.5)
     foot: float = 0.012
-    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+    physics: PhysicsConfig = field(default_factory=lambda: PhysicsConfig(step=1 / 240))
     cut: QuickCutConfig = field(default_factory=QuickCutConfig)
 
     def __post_init__(self) -> None:

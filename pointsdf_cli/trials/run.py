@@ -63,8 +63,7 @@ class TrialConfig:
 
     contenders: ContenderOptions = field(default_factory=ContenderOptions)
     scene: SceneConfig = field(default_factory=SceneConfig)
-    # Finer than what grasps are learned from and rehearsed in: a trial is to be no repetition.
-    physics: PhysicsConfig = field(default_factory=lambda: PhysicsConfig(step=1 / 480))
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
 
     def as_dict(self) -> dict[str, Any]:
