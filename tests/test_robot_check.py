@@ -14,7 +14,7 @@ from PIL import Image
 from pointsdf_cli.robot.check import ERROR, check_robot
 from pointsdf_cli.robot.closing import closing_of, fingertips, to_palm_axis
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.viz.robot_check_picture import robot_scene
+from pointsdf_cli.viz.robot_check_picture import AXES, PATH_COLOUR, check_picture, robot_scene
 
 ROBOTS = Path(__file__).parent / "robots"
 
@@ -154,3 +154,10 @@ def test_the_scene_closes_the_hand() -> None:
     assert gap[-1] < gap[0]
     assert scene.captions[-1] == "100 % closed"
     assert {"samples", "ways of fingertips", "palm"} <= set(scene.layers)
+
+
+def test_the_axes_of_the_picture_keep_their_colours() -> None:
+    seen = check_picture(load_robot()).reshape(-1, 3).astype(int)
+    for colour in (*AXES, PATH_COLOUR):
+        drawn = np.abs(seen - 255 * np.array(colour)).max(axis=1) < 4
+        assert drawn.sum() > 5, colour

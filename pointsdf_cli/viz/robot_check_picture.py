@@ -130,13 +130,14 @@ def _ways(closing: Closing, palm: Array) -> list[Painted]:
             if np.linalg.norm(b - a) > 1e-6:
                 parts.append(_rod(a, b, 0.0012, PATH_COLOUR))
         ball = trimesh.creation.icosphere(subdivisions=1, radius=0.004)
-        parts.append(Painted(np.asarray(ball.vertices) + way[-1], np.asarray(ball.faces), AXES[0]))
+        end = np.asarray(ball.vertices) + way[-1]
+        parts.append(Painted(end, np.asarray(ball.faces), PATH_COLOUR, unlit=True))
     return parts
 
 
 def _rod(a: Array, b: Array, radius: float, colour: tuple[float, float, float]) -> Painted:
     mesh = trimesh.creation.cylinder(radius, segment=np.stack([a, b]), sections=10)
-    return Painted(np.asarray(mesh.vertices), np.asarray(mesh.faces), colour)
+    return Painted(np.asarray(mesh.vertices), np.asarray(mesh.faces), colour, unlit=True)
 
 
 def _dots(points: Array, size: float) -> Painted:

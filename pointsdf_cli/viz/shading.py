@@ -24,11 +24,13 @@ class Painted:
         vertices: [V, 3], world, m.
         faces: [F, 3].
         colour: Red, green and blue in [0, 1].
+        unlit: Shown in that very colour, wherever the light comes from, as signs want to be.
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     colour: tuple[float, float, float]
+    unlit: bool = False
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0, 0, 1)) -> NDArray[np.float64]:
@@ -89,6 +91,7 @@ def shaded_image(
     ambient = 0.42 + 0.12 * normals[:, 2]
     headlight = 0.18 * np.abs((normals * toward).sum(axis=1))
     strength = ambient + 0.5 * diffuse + headlight
+    strength[np.array([mesh.unlit for mesh in meshes])[which[seen]]] = 1.0
     image[seen] = colours[which[seen]] * strength[:, None]
     blocks = image.reshape(size[1], oversampling, size[0], oversampling, 3).mean(axis=(1, 3))
     picture: NDArray[np.uint8] = (np.clip(blocks, 0, 1) * 255).astype(np.uint8)
