@@ -131,12 +131,10 @@ def summary(rows: list[dict[str, object]]) -> None:
     def of(name: str) -> np.ndarray:
         return np.array([row[name] for row in rows if name in row], dtype=float)
 
-    def stage(name: str) -> np.ndarray:
-        times = [row["timings"] for row in rows]
-        return np.array([t[name] for t in times if name in t])  # type: ignore[operator,index]
-
     planned = of("depth")
-    share = stage("configuration") / of("wall")[: len(stage("configuration"))]
+    # A scene without an object has no stages.
+    looked = [float(row["timings"].get("configuration", 0.0)) for row in rows]  # type: ignore[attr-defined]
+    share = np.array(looked) / of("wall")
     print(f"  plans            {len(planned)} of {len(rows)}")
     outcomes = [str(row["outcome"]) for row in rows]
     print(

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.grasps import read_grasps
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.training.gs_data import read_grasp_data
 
 pytest.importorskip("pybullet")
 
@@ -50,6 +54,13 @@ def test_collects_skips_and_resumes(cli: Callable[..., Any], meshes: Path, tmp_p
     assert np.isnan(grasps.lift_height[~grasps.executed]).all()
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "too large for the hand" in page
+    # What learns from them must mean the same palm.
+    robot = load_robot()
+    assert read_grasp_data(out, robot).names == ["can"]
+    moved = robot.T_link_palm.copy()
+    moved[2, 3] += 0.03
+    with pytest.raises(InputError, match="the palm is 30 mm off"):
+        read_grasp_data(out, replace(robot, T_link_palm=moved))
     before = (out / "can.h5").read_bytes()
     assert cli(*run, "--quiet", "--no-pictures").code == 0
     assert (out / "can.h5").read_bytes() == before

@@ -61,9 +61,11 @@ def test_trials_resume_and_do_not_depend_on_jobs(
     for path in files:
         same(read_trial(other / "trials" / path.name), read_trial(path))
 
-    changed = cli(*run, "--out", out, "--jobs", 1, "--solver", "slsqp")
-    assert changed.code == 2
-    assert "other options" in changed.err
+    changed = (*run, "--out", out, "--jobs", 1, "--cameras", "high", "--shake", 2)
+    refused = cli(*changed)
+    assert refused.code == 2
+    assert "other options" in refused.err
+    assert cli(*changed, "--force").code == 0
 
 
 def same(one: Any, two: Any) -> None:

@@ -168,3 +168,29 @@ def test_an_obstacle_may_be_in_millimetres_and_as_large_as_a_wall(tmp_path: Path
     (tmp_path / "e.yaml").write_text(entry)
     (wall,) = read_environment(tmp_path / "e.yaml").obstacles
     np.testing.assert_allclose(np.ptp(wall.vertices, axis=0), (3.0, 0.1, 2.0), atol=1e-6)
+
+
+POST = sheet((0.6, -0.3, 0.1), (0.015, 0.015, 0.1))
+
+
+def test_a_neighbour_is_not_taken_for_the_object() -> None:
+    target = sheet((0.6, 0.1, 0.06), (0.03, 0.03, 0.05))
+    beside = sheet((0.6, 0.0, 0.06), (0.02, 0.02, 0.04))  # 5 cm of room between them
+    first, second = np.concatenate([TABLE, target, beside]), np.concatenate([TABLE, beside])
+    seen = look_at_table([cloud(first), cloud(second)], ["a", "b"], ROBOT, HOME)
+    assert len(seen.views) == 1
+    assert "b: the object is not seen" in seen.report[1]
+    # Even where the first camera did not see the neighbour at all.
+    alone = np.concatenate([TABLE, target])
+    seen = look_at_table([cloud(alone), cloud(second)], ["a", "b"], ROBOT, HOME)
+    assert len(seen.views) == 1
+    np.testing.assert_allclose(seen.others.mean(axis=0)[:2], (0.6, 0.0), atol=0.01)
+
+
+def test_a_camera_without_the_object_still_sees_what_is_in_the_way() -> None:
+    first = np.concatenate([TABLE, sheet(LARGE, (0.04, 0.04, 0.05))])
+    seen = look_at_table(
+        [cloud(first), cloud(np.concatenate([TABLE, POST]))], ["a", "b"], ROBOT, HOME
+    )
+    assert len(seen.views) == 1
+    assert len(clutter(seen.others)) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
+from pointsdf_cli.io.hdf5 import Dataset, open_hdf5, read_artifact, sense_of, write_artifact
 
 SCHEMA, VERSION = "grasps", 1
 LAYOUT = {
@@ -188,6 +189,12 @@ def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:
             complete=bool(attributes["complete"]),
         )
     return grasps, meta
+
+
+def was_collected(path: Path | str) -> bool:
+    """Whether the grasps of a file were made by a robot, which it then names by its digest."""
+    with open_hdf5(path) as file:
+        return "robot" in json.loads(str(file.attrs.get("config_json", "{}")))
 
 
 def join_grasps(parts: list[Grasps]) -> Grasps:

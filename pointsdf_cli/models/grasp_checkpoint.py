@@ -12,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -99,6 +100,7 @@ def write_grasp_checkpoint(
         "robot": {
             "name": robot.name,
             "preshape_joints": list(robot.preshape_joints),
+            "T_link_palm": robot.T_link_palm.tolist(),
         },
         **provenance,
     }
@@ -131,6 +133,13 @@ def read_grasp_checkpoint(
         )
     robot = robot or load_robot()
     check_robot(robot, config["robot"]["name"], config["robot"]["preshape_joints"], where)
+    palm = config["robot"].get("T_link_palm")  # older checkpoints do not say
+    if palm is not None and not np.allclose(palm, robot.T_link_palm, atol=PALM_OFF):
+        raise InputError(
+            f"learned with another palm frame of {robot.name!r}: h would be of other grasps",
+            where=where,
+            hint="collect-grasps and train-gs again with this --robot",
+        )
     try:
         network = NETWORKS[config["inputs"]](**config["network"])
         sizes = config["sweep"]
@@ -149,6 +158,10 @@ def read_grasp_checkpoint(
         sweep,
         config,
     )
+
+
+PALM_OFF = 2e-3
+"""Palm frames that differ by less [m, and of unit axes] are the same frame, typed otherwise."""
 
 
 def check_robot(

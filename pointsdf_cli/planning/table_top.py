@@ -8,13 +8,14 @@ unchanged, as nothing but its largest part is left to keep.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import QhullError
+from scipy.spatial import QhullError, cKDTree
 
 from pointsdf_cli.camera.segmentation import (
     Segmentation,
@@ -39,6 +40,10 @@ WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
 
 TARGET_REACH = 0.1
 """--target names the object whose nearest seen point is no farther than this [m]."""
+
+
+SAME_THING = 0.03
+"""What another camera sees of the object is no farther [m] from what the first one saw of it."""
 
 
 class NoObjectError(RgraspError):
@@ -92,6 +97,7 @@ def look_at_table(
         raise InputError("--target without --segment auto", hint="leave one of the two out")
     views, others, report, heights = [], [], [], []
     problem: NoObjectError | None = None
+    first: tuple[Array, Array] | None = None
     own = robot_points(robot, start)
     for cloud, name in zip(clouds, names, strict=True):
         if cloud.T_world_camera is None:
@@ -112,9 +118,15 @@ def look_at_table(
         points, world = points[free], world[free]
         try:
             found = _segment(world, name, target)
+            if first is not None:
+                _require_same(world[found.kept], first, name)
         except NoObjectError as error:
             problem = problem or error
             report.append(f"{name}: the object is not seen")
+            # What else it saw stands there all the same.
+            with suppress(InputError):
+                around = segment_object(world, WORKSPACE)
+                others.append(world[around.kept | around.other])
             continue
         sentence = found.report()
         if not free.all():
@@ -127,6 +139,8 @@ def look_at_table(
         if target is None:
             # The other cameras are asked for what the first one chose.
             target = np.median(world[found.kept], axis=0)
+        if first is None:
+            first = world[found.kept], world[found.other]
     if problem is not None and not views:
         raise problem
     rest = np.concatenate(others) if others else np.zeros((0, 3))
@@ -160,6 +174,26 @@ def clutter(points: Array, taken: Collection[str] = ()) -> tuple[Obstacle, ...]:
             )
         )
     return tuple(obstacles)
+
+
+def _require_same(points: Array, first: tuple[Array, Array], name: str) -> None:
+    """A neighbour that stands before the object is not the object.
+
+    Args:
+        points: [N, 3], what this camera takes for the object, world, m.
+        first: What the first camera saw of the object, [M, 3], and of other things, [K, 3].
+        name: Of the cloud.
+
+    Raises:
+        NoObjectError: It is another thing.
+    """
+    to_object, to_others = (
+        float(cKDTree(seen).query(points)[0].min()) if len(seen) else np.inf for seen in first
+    )
+    if to_object > min(SAME_THING, to_others):
+        raise NoObjectError(
+            f"what is nearest to the object is {to_object:.2f} m away from it", where=name
+        )
 
 
 def _segment(world: Array, name: str, target: Array | None) -> Segmentation:

@@ -174,7 +174,8 @@ def gallery_row(task: EvalTask, scored: ScoredView, note: str) -> GalleryRow:
 def best_median_worst(scored: Sequence[ScoredView], each: int) -> list[tuple[str, ScoredView]]:
     """`each` views by IoU from the top, the middle and the bottom, no object twice."""
     ranked = sorted(scored, key=lambda view: -view.score.iou)
-    middle = sorted(ranked, key=lambda view: abs(ranked.index(view) - len(ranked) // 2))
+    by_middle = sorted(range(len(ranked)), key=lambda i: abs(i - len(ranked) // 2))
+    middle = [ranked[i] for i in by_middle]
     chosen: list[tuple[str, ScoredView]] = []
     names: set[str] = set()
     for note, order in (("best", ranked), ("worst", ranked[::-1]), ("median", middle)):

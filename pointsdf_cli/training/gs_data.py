@@ -10,12 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.grasps import HELD, read_grasps
-from pointsdf_cli.models.grasp_checkpoint import check_robot
+from pointsdf_cli.io.grasps import HELD, read_grasps, was_collected
+from pointsdf_cli.models.grasp_checkpoint import PALM_OFF, check_robot
 from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import Kinematics
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,7 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     files = sorted(p for p in folder.rglob("*.h5") if not p.name.startswith("."))
     if not files:
         raise InputError("holds no grasps (*.h5)", where=folder, hint=hint)
+    kinematics = Kinematics(robot)
     names: list[str] = []
     kept: list[Path] = []
     held_out, rows = [], []
@@ -95,6 +100,8 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         chosen = np.flatnonzero(grasps.executed)
         if not len(chosen):
             continue
+        if was_collected(file):
+            _require_palm(kinematics, grasps.q[chosen[0]], grasps.T_world_palm[chosen[0]], file)
         columns = [meta.joint_names.index(joint) for joint in meta.preshape_joints]
         scene = np.unique(grasps.scene[chosen], return_inverse=True)[1]
         rows.append(
@@ -117,6 +124,23 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         raise InputError("holds no executed grasp", where=folder, hint="collect more of them")
     joined = [np.concatenate(column) for column in zip(*rows, strict=True)]
     return GraspData(names, kept, np.array(held_out), *joined)
+
+
+def _require_palm(kinematics: Kinematics, q: Array, T_world_palm: Array, file: Path) -> None:
+    """The palm stands where it stood: the robot's description has not changed since.
+
+    Raises:
+        InputError: It has.
+    """
+    with torch.no_grad():
+        now = kinematics.palm(torch.from_numpy(q)).numpy()
+    if not np.allclose(now, T_world_palm, atol=PALM_OFF):
+        away = 1000 * float(np.linalg.norm(now[:3, 3] - T_world_palm[:3, 3]))
+        raise InputError(
+            f"was made with another description of this robot: the palm is {away:.0f} mm off",
+            where=file,
+            hint="collect-grasps again with this --robot, or take the one of then",
+        )
 
 
 def split_grasps(data: GraspData, validation: float, seed: int) -> Split:

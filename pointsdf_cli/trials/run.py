@@ -242,8 +242,9 @@ def run_trial_task(task: TrialTask) -> TrialRow | None:
     """
     torch.set_num_threads(1)
     trial, config = task.trial, _options_of(task)
-    complete = is_complete(task.out, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, config=config)
-    if complete and not task.force:
+    if not task.force and is_complete(
+        task.out, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, config=config
+    ):
         filmed = task.film is None or task.film.is_file()
         if filmed or read_trial(task.out)[0].cause == NO_PLAN:  # without a motion, no film
             return None
