@@ -58,8 +58,10 @@ def test_trials_resume_and_do_not_depend_on_jobs(
 
     other = tmp_path / "parallel"
     assert cli(*run, "--out", other, "--jobs", 2, "--quiet").code == 0
+    # To the bit where both are fresh processes. In one that has planned other things before, a lift
+    # was once seen to end 0.05 mm elsewhere (docs/trials.md).
     for path in files:
-        same(read_trial(other / "trials" / path.name), read_trial(path))
+        same(read_trial(other / "trials" / path.name), read_trial(path), within=1e-3)
 
     changed = (*run, "--out", out, "--jobs", 1, "--cameras", "high", "--shake", 2)
     refused = cli(*changed)
@@ -68,13 +70,21 @@ def test_trials_resume_and_do_not_depend_on_jobs(
     assert cli(*changed, "--force").code == 0
 
 
-def same(one: Any, two: Any) -> None:
-    """Equal but for the time that planning took."""
+def same(one: Any, two: Any, within: float = 0.0) -> None:
+    """Equal but for the time that planning took; numbers within so much."""
     for field in vars(one[0]):
         if not field.startswith("planning_"):
-            np.testing.assert_equal(getattr(one[0], field), getattr(two[0], field))
+            first, second = getattr(one[0], field), getattr(two[0], field)
+            if within and isinstance(first, float):
+                np.testing.assert_allclose(first, second, rtol=0, atol=within, equal_nan=True)
+            else:
+                np.testing.assert_equal(first, second)
     for field in vars(one[1]):
-        np.testing.assert_array_equal(getattr(one[1], field), getattr(two[1], field))
+        first, second = getattr(one[1], field), getattr(two[1], field)
+        if within and np.asarray(first).dtype.kind == "f":
+            np.testing.assert_allclose(first, second, rtol=0, atol=within, equal_nan=True)
+        else:
+            np.testing.assert_array_equal(first, second)
 
 
 def test_all_ablations_are_one_word() -> None:
