@@ -86,6 +86,7 @@ def make_objects(
     for index in indices:
         name = f"{index:05d}_{family_of(seed, index, choices).name}"
         tasks.append((name, ObjectTask(seed, index, names, out / f"{name}.ply", force)))
+    _require_one_series(out, [name for name, _ in tasks], force)
     report = run_stage(tasks, make_file, jobs=jobs, on_done=on_result)
     if report.made or report.kept:
         write_manifest(out)
@@ -101,7 +102,6 @@ def make_file(task: ObjectTask) -> dict[str, Any] | None:
     """
     if task.path.exists() and not task.force and _is_same(task):
         return None
-    _require_one_series(task)
     made = make_object(task.seed, task.index, task.families)
     about = {
         "name": made.name,
@@ -138,20 +138,22 @@ def write_manifest(folder: Path) -> Path:
     return path
 
 
-def _require_one_series(task: ObjectTask) -> None:
+def _require_one_series(folder: Path, names: Sequence[str], force: bool) -> None:
     """Objects of two seeds under one number would be two series in one folder, told by nothing.
 
     Raises:
-        OptionsDifferError: The folder holds another object of this number.
+        OptionsDifferError: The folder holds another object of one of these numbers.
     """
-    for other in task.path.parent.glob(f"{task.index:05d}_*.ply"):
-        about = read_object_about(other) if other.name != task.path.name else None
+    wanted = {name.partition("_")[0]: name for name in names}
+    for other in sorted(folder.glob("*.ply")):
+        ours = wanted.get(other.stem.partition("_")[0], other.stem)
+        about = read_object_about(other) if other.stem != ours else None
         if about is None:
             continue
-        if not task.force:
+        if not force:
             raise OptionsDifferError(
-                f"is object {task.index} of another seed or other families "
-                f"(seed {about.get('seed')} there, {task.seed} now)",
+                f"is object {about.get('index')} of another seed or other families "
+                f"(seed {about.get('seed')}), and here that is {ours}",
                 where=other,
                 hint="choose another --out, or add --force to replace it",
             )
