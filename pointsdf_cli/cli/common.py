@@ -65,9 +65,9 @@ def check_table_name(out: Path, beside: tuple[str, ...]) -> None:
     Raises:
         InputError: It has such a suffix.
     """
-    if out.suffix.lower() in beside:
+    if not out.name or out.suffix.lower() in beside:
         raise InputError(
-            f"{out.name} is the name of what goes beside the table",
+            f"{out} is no name of a file, or that of what goes beside the table",
             where="--out",
             allowed="such as table.json",
         )

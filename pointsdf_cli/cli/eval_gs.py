@@ -54,7 +54,6 @@ def eval_gs(
     from pointsdf_cli.viz.success_figure import draw_success_figure
 
     seed = common.check_seed(seed)
-    require_new(out, force)
     common.check_table_name(out, (".png",))
     table_path, picture = (require_new(path, force) for path in (out, out.with_suffix(".png")))
     use_threads(threads or idle_processors())

@@ -58,7 +58,6 @@ def eval_sdf(
     from pointsdf_cli.viz.reconstruction_gallery import draw_gallery
 
     IsosurfaceConfig(resolution)
-    require_new(out, force)
     common.check_table_name(out, (".csv", ".png"))
     if beside not in (None, *PUBLISHED):
         raise InputError(
