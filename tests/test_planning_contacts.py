@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +117,24 @@ def test_a_mesh_obstacle_is_as_far_as_the_same_box(robot, kinematics, geometry) 
     assert outside.any()
     np.testing.assert_allclose(two[outside], one[outside], atol=1e-5)
     assert (two[one < -1e-4] < 0).all()
+
+
+def test_boxes_are_of_one_size_whatever_a_process_asks_first() -> None:
+    """coal grows boxes by 1e-10 for ever where the first direction asked about has a zero in it."""
+    first = """
+import coal, numpy as np
+from pointsdf_cli.planning.bodies import BodyDistances
+from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.robot_geometry import RobotGeometry
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.kinematics import Kinematics
+BodyDistances(RobotGeometry(Kinematics(load_robot())), Environment())
+box, here = coal.Box(1, 1, 1), coal.Transform3s.Identity()
+there = coal.Transform3s(np.eye(3), np.array([-2.0, 0, 0]))
+print(coal.distance(box, here, box, there, coal.DistanceRequest(), coal.DistanceResult()) - 1)
+"""
+    run = subprocess.run([sys.executable, "-c", first], capture_output=True, text=True, check=True)
+    assert abs(float(run.stdout)) < 1e-13
 
 
 def test_a_link_inside_of_a_mesh_is_not_free(robot, kinematics, geometry) -> None:

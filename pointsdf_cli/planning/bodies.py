@@ -43,6 +43,7 @@ class BodyDistances:
     def __init__(
         self, geometry: RobotGeometry, environment: Environment, reach: float = 0.05
     ) -> None:
+        _settle_boxes()
         robot, self.reach = geometry.kinematics.robot, reach
         self._bodies = list(geometry.bodies)
         moving = len(self._bodies)
@@ -143,6 +144,25 @@ class BodyDistances:
             # From here the way out begins where the triangles are nearest, and goes past them.
             out.distance[b, m] = -out.distance[b, m] - self._radii[self._pairs[m, 0]]
             out.normal[b, m] = -out.normal[b, m]
+
+
+def _settle_boxes() -> None:
+    """Make boxes of one size in every process.
+
+    coal 3 grows one side of its boxes by 1e-10, or does not, for the whole life of a process: as
+    the first direction that it ever asks a box about has a zero in it or not. That is enough for a
+    plan to end 1e-13 elsewhere, and for what comes of it in contact to be another. So the first
+    direction is one without zeros.
+    """
+    turned = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3
+    coal.distance(
+        coal.Cylinder(1.0, 1.0),  # its frame is where directions begin with (1, 0, 0)
+        coal.Transform3s.Identity(),
+        coal.Box(1.0, 1.0, 1.0),
+        coal.Transform3s(turned, np.array([3.0, 2.0, 1.0])),
+        coal.DistanceRequest(),
+        coal.DistanceResult(),
+    )
 
 
 def _obstacle_body(obstacle: Obstacle) -> Body:
