@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from planning_worlds import BoxField, SphereField
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.fields import UnionField
+from pointsdf_cli.planning.fields import SeenField, UnionField
 from pointsdf_cli.planning.grid import GridConfig, GridField, surface_box
 
 LOW, HIGH = np.full(3, -0.1), np.full(3, 0.1)
@@ -49,7 +49,9 @@ def test_the_field_is_asked_less_often_than_the_finest_grid_has_nodes() -> None:
 
 
 def test_the_lower_of_two_fields_keeps_the_bound_of_the_first(points) -> None:
-    ball, other = SphereField(0.05), SphereField(0.02, (0.06, 0.03, 0.0))
+    seen = np.random.default_rng(1).normal(size=(500, 3))
+    seen = 0.02 * seen / np.linalg.norm(seen, axis=1, keepdims=True) + [0.06, 0.03, 0.0]
+    ball, other = SphereField(0.05), SeenField(seen)
     grid = GridField(ball, LOW, HIGH, GridConfig(step=0.004))
     kept = grid(points)
     joint = grid.lowered(other)
@@ -63,6 +65,19 @@ def test_the_lower_of_two_fields_keeps_the_bound_of_the_first(points) -> None:
     nearer = other(points) < ball(points)
     np.testing.assert_array_equal(gradients[nearer], other.with_gradient(points[nearer])[1])
     np.testing.assert_array_equal(gradients[~nearer], ball.with_gradient(points[~nearer])[1])
+
+
+def test_a_distance_up_to_a_limit_is_the_lower_of_the_two() -> None:
+    rng = np.random.default_rng(2)
+    seen = SeenField(np.c_[rng.uniform(-0.1, 0.1, (400, 2)), np.zeros(400)])
+    points = rng.uniform(-0.3, 0.3, (3000, 3))
+    limits = rng.uniform(-0.05, 0.4, 3000)
+    limits[:500] = seen(points[:500])  # ties
+    limits[500] = 0.0
+    expected = np.minimum(seen(points), limits)
+    assert (expected < limits).any()
+    assert (expected == limits).any()
+    np.testing.assert_array_equal(seen.at_most(points, limits), expected)
 
 
 def test_gradients_agree_with_differences_of_the_grid_itself(points) -> None:

@@ -127,7 +127,6 @@ def mesh(
     from pointsdf_cli.models.reconstruction import Reconstruction
     from pointsdf_cli.models.registry import load_model, use_threads
     from pointsdf_cli.training.precision import autocast_dtype, idle_processors
-    from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
     seed, device = common.check_seed(seed), common.torch_device(device)
     low_precision = autocast_dtype(precision, torch.device(device))
@@ -149,6 +148,9 @@ def mesh(
     vertices = apply_transform(T_frame_camera, made.vertices) / UNITS[unit]
     save_mesh(out, vertices, made.faces)
     if picture:
+        # Matplotlib and Open3D take longer to load than the mesh takes to make.
+        from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
+
         row = GalleryRow(cloud.stem, points, (made.vertices, made.faces), None, reconstruction.sdf)
         draw_gallery(picture, [row])
     extent = np.ptp(vertices, axis=0)

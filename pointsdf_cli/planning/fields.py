@@ -76,6 +76,24 @@ class SeenField:
     def __call__(self, points: Array) -> Array:
         return np.asarray(self._tree.query(points)[0])
 
+    def at_most(self, points: Array, limits: Array) -> Array:
+        """The lower of the distance and a limit [N] at points [N, 3], m.
+
+        Far quicker than all distances: where thousands of seen points are nearly equally far, the
+        search for the nearest must look at them all, and one that ends at the limit need not.
+        """
+        values = np.array(limits, dtype=np.float64)
+        asked = np.flatnonzero(values > 0)
+        # The tree takes one limit a question: points of nearly the same limit are asked together.
+        group = np.floor(np.log(np.maximum(values[asked], 1e-4)) / np.log(1.1))
+        for one in np.unique(group):
+            rows = asked[group == one]
+            # A hair more: a distance that rounds to the limit is still found.
+            most = values[rows].max() * (1 + 1e-9)
+            found = self._tree.query(points[rows], distance_upper_bound=most)[0]
+            values[rows] = np.minimum(values[rows], found)
+        return values
+
     def with_gradient(self, points: Array) -> tuple[Array, Array]:
         values, nearest = self._tree.query(points)
         way = points - self._points[nearest]
@@ -83,17 +101,17 @@ class SeenField:
 
 
 class UnionField:
-    """The lower of two fields: what occupies space by either."""
+    """The lower of a field and the distance to seen points: what occupies space by either."""
 
-    def __init__(self, first: Field, second: Field) -> None:
-        self._first, self._second = first, second
+    def __init__(self, first: Field, seen: SeenField) -> None:
+        self._first, self._seen = first, seen
 
     def __call__(self, points: Array) -> Array:
-        return np.minimum(self._first(points), self._second(points))
+        return self._seen.at_most(points, self._first(points))
 
     def with_gradient(self, points: Array) -> tuple[Array, Array]:
         values, gradients = self._first.with_gradient(points)
-        others, their = self._second.with_gradient(points)
+        others, their = self._seen.with_gradient(points)
         lower = others < values
         return np.where(lower, others, values), np.where(lower[:, None], their, gradients)
 

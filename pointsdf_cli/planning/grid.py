@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.fields import Field
+from pointsdf_cli.planning.fields import Field, SeenField
 
 Array = NDArray[np.float64]
 
@@ -103,16 +103,16 @@ class GridField:
         value, _, bound = self._look_up(points, bound=True)
         return value, bound
 
-    def lowered(self, other: Field) -> GridField:
-        """A grid of the lower of this field and another of slope 1, which is asked at every node.
+    def lowered(self, seen: SeenField) -> GridField:
+        """A grid of the lower of this field and the distance to seen points, taken at every node.
 
         At a node the lower of two values is off by no more than this field's own is, so the bounds
         stay what they are.
         """
         nodes = np.stack(np.meshgrid(*map(np.arange, self._nodes), indexing="ij"), axis=-1)
-        asked = other(self._low + self.config.step * nodes.reshape(-1, 3))
+        places = self._low + self.config.step * nodes.reshape(-1, 3)
         joint = copy(self)
-        joint._values = np.minimum(self._values, asked.reshape(self._values.shape))
+        joint._values = seen.at_most(places, self._flat).reshape(self._values.shape)
         joint._index()
         return joint
 
