@@ -1,14 +1,18 @@
 """Does the label of a grasp depend on the time step? Stored grasps carried out again, finer.
 
     python pipelines/convergence.py --grasps grasps/ --meshes train/ [--count 300]
+    python pipelines/convergence.py --meshes train/ [--count 300]
 
-Executed attempts are drawn evenly by seed, and each is carried out as it was collected, with half
-the time step, with half, two and five times the solver's iterations, with half the step and half,
-two or five times the iterations, and with the object 0.1 mm aside: a label that this changes hangs
-on less than any camera or mesh is good for. Printed, for each: how many labels and causes differ
-from the stored ones, with the 95% interval of the share, and how far the rise of grasps held both
-times differs; then how many labels differ between any two. As collected, nothing may differ: that
-is the test of the replay.
+With `--grasps`, executed attempts are drawn evenly by seed, and each is carried out as it was
+collected, with half the time step, with half, two and five times the solver's iterations, with half
+the step and half, two or five times the iterations, and with the object 0.1 mm aside: a label that
+this changes hangs on less than any camera or mesh is good for. Printed, for each: how many labels
+and causes differ from the stored ones, with the 95% interval of the share, and how far the rise of
+grasps held both times differs; then how many labels differ between any two. As collected, nothing
+may differ: that is the test of the replay.
+
+Without, whole attempts are made anew, as `collect-grasps` makes them: one scene of each of objects
+drawn by seed, settled, seen, tried, and carried out if it can be, all with the other physics.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, LOST, read_grasps
 from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh
 from pointsdf_cli.robot.description import load_robot
@@ -74,29 +79,21 @@ def label_of(outcome: Outcome) -> int:
     return (HELD if outcome.held else LOST) if outcome.valid else INVALID
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--grasps", type=Path, required=True)
-    parser.add_argument("--meshes", type=Path, required=True)
-    parser.add_argument("--count", type=int, default=300)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    torch.set_num_threads(1)
-    rows = chosen(options.grasps, options.count, options.seed)
+def again(
+    grasps_folder: Path, mesh_folder: Path, attempters: dict[str, Attempter], count: int, seed: int
+) -> dict[str, object]:
+    """Stored grasps carried out with each physics; what changed, for `--json`.
+
+    Raises:
+        InputError: Nothing there was ever executed.
+    """
+    rows = chosen(grasps_folder, count, seed)
     count = sum(len(found) for found in rows.values())
     if not count:
-        print(f"{options.grasps}: no executed grasps", file=sys.stderr)
-        return 2
+        raise InputError("no executed grasps", where=grasps_folder)
     meshes = {
-        artifact_path(mesh, options.meshes, options.grasps).with_suffix(".h5"): mesh
-        for mesh in find_meshes(options.meshes)
-    }
-    robot = load_robot()
-    attempters = {
-        name: Attempter(robot, replace(AttemptConfig(), physics=VARIANTS[name]))
-        for name in options.variants
+        artifact_path(mesh, mesh_folder, grasps_folder).with_suffix(".h5"): mesh
+        for mesh in find_meshes(mesh_folder)
     }
     labels: dict[str, list[int]] = {name: [] for name in attempters}
     changed = dict.fromkeys(attempters, 0)
@@ -122,14 +119,12 @@ def main() -> int:
                 now_held[name] += outcome.held
                 if outcome.held and grasps.label[row] == HELD:
                     rises[name].append(abs(outcome.lift_height - float(grasps.lift_height[row])))
-    for attempter in attempters.values():
-        attempter.close()
     print(
         f"{count} executed grasps of {len(rows)} objects, {was_held} held; step 1/"
         f"{1 / BASE.step:.0f} s, {BASE.iterations} iterations; "
         f"{time.process_time() - started:.0f} CPU seconds"
     )
-    result = {}
+    result: dict[str, object] = {"count": count, "held": was_held}
     for name in attempters:
         low, high = interval(changed[name], count)
         rise = 1000 * float(np.median(rises[name])) if rises[name] else float("nan")
@@ -145,13 +140,84 @@ def main() -> int:
             "interval": [low, high],
             "median rise difference [mm]": rise,
         }
+    print_pairs(labels)
+    return result
+
+
+def anew(
+    mesh_folder: Path, attempters: dict[str, Attempter], count: int, seed: int
+) -> dict[str, object]:
+    """Whole attempts with each physics; their labels, for `--json`."""
+    meshes = find_meshes(mesh_folder)
+    order = np.random.default_rng(seed).permutation(len(meshes))
+    labels: dict[str, list[int]] = {name: [] for name in attempters}
+    tried, executed, objects = 0, 0, 0
+    started = time.process_time()
+    for place in order:
+        try:
+            item = prepare_object(load_mesh(meshes[place]))
+            for attempter in attempters.values():
+                attempter.check(item)
+                attempter.scene(item, 0)
+        except InputError as error:
+            print(f"{meshes[place].stem}: {error.message}", file=sys.stderr)
+            continue
+        objects += 1
+        for index in range(min(AttemptConfig().scene_attempts, count - tried)):
+            for name, attempter in attempters.items():
+                labels[name].append(attempter.attempt(item, index).label)
+            tried += 1
+            executed += int(any(found[-1] in (HELD, LOST, INVALID) for found in labels.values()))
+        if tried == count:
+            break
+    print(
+        f"{tried} attempts with {objects} objects, {executed} executed; step 1/"
+        f"{1 / BASE.step:.0f} s, {BASE.iterations} iterations; "
+        f"{time.process_time() - started:.0f} CPU seconds"
+    )
+    print_pairs(labels)
+    return {"count": tried, "executed": executed, "labels": labels}
+
+
+def print_pairs(labels: dict[str, list[int]]) -> None:
+    """How many labels differ between any two."""
     for first, second in itertools.combinations(labels, 2):
         differ = sum(a != b for a, b in zip(labels[first], labels[second], strict=True))
+        count = len(labels[first])
         low, high = interval(differ, count)
-        share = f"{differ / count:.1%}, {low:.1%} to {high:.1%}"
-        print(f"{first} | {second}: {differ} differ ({share})")
+        print(
+            f"{first} | {second}: {differ} differ ({differ / count:.1%}, {low:.1%} to {high:.1%})"
+        )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--grasps", type=Path, help="without, whole attempts are made anew")
+    parser.add_argument("--meshes", type=Path, required=True)
+    parser.add_argument("--count", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    names = [name for name in options.variants if options.grasps or name != ASIDE]
+    robot = load_robot()
+    attempters = {
+        name: Attempter(robot, replace(AttemptConfig(), physics=VARIANTS[name])) for name in names
+    }
+    try:
+        if options.grasps:
+            found = again(options.grasps, options.meshes, attempters, options.count, options.seed)
+        else:
+            found = anew(options.meshes, attempters, options.count, options.seed)
+    except InputError as error:
+        print(error.message, file=sys.stderr)
+        return 2
+    finally:
+        for attempter in attempters.values():
+            attempter.close()
     if options.json:
-        options.json.write_text(json.dumps({"count": count, "held": was_held, **result}, indent=1))
+        options.json.write_text(json.dumps(found, indent=1))
     return 0
 
 

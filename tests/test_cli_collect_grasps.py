@@ -88,7 +88,7 @@ def test_killed_at_random_moments_nothing_is_lost_and_nothing_double(
 ) -> None:
     for k in range(3):
         trimesh.creation.box((0.05, 0.05, 0.12 + 0.01 * k)).export(meshes / f"box{k}.ply")
-    run = ("collect-grasps", "--meshes", meshes, "--count", 8, "--jobs", 2, "--no-pictures", "-q")
+    run = ("collect-grasps", "--meshes", meshes, "--count", 4, "--jobs", 2, "--no-pictures", "-q")
     assert cli(*run, "--out", tmp_path / "whole").code == 0
     command = [sys.executable, "-m", "pointsdf_cli.cli.main", *map(str, run)]
     command += ["--out", str(tmp_path / "killed")]

@@ -228,3 +228,19 @@ def test_the_refined_field_is_exact_where_it_matters() -> None:
     np.testing.assert_array_equal(refined(points)[near], true[near])
     assert (refined(points)[~near] > 0.005 - 1e-12).all()
     assert refined.queries < len(points)
+
+
+def test_the_cautious_field_never_says_more_than_the_exact_one() -> None:
+    field = CylinderField(RADIUS, 0.24)
+    grid = GridField(field, np.full(3, -0.2), np.full(3, 0.2), GridConfig(step=0.01, band=0.0))
+    refined = RefinedField(grid, field, beyond=0.005)
+    cautious = refined.cautious()
+    points = np.random.default_rng(0).uniform(-0.2, 0.2, (5000, 3))
+    true = field(points)
+    assert (refined(points) - true).max() > 1e-3  # what the path check's proof may not build on
+    assert (cautious(points) - true).max() <= 1e-12
+    values, gradients = cautious.with_gradient(points)
+    np.testing.assert_array_equal(values, cautious(points))
+    np.testing.assert_array_equal(gradients, refined.with_gradient(points)[1])
+    near = true < 0.005
+    np.testing.assert_array_equal(values[near], true[near])

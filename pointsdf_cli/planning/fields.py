@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Protocol
 
 import numpy as np
@@ -188,7 +189,14 @@ class RefinedField:
 
     def __init__(self, quick: BoundedField, exact: Field, beyond: float) -> None:
         self._quick, self._exact, self._beyond = quick, exact, beyond
+        self._cautious = False
         self.queries = 0
+
+    def cautious(self) -> RefinedField:
+        """The same with the quick value less its bound: never more than the exact one."""
+        other = copy(self)
+        other._cautious = True
+        return other
 
     def __call__(self, points: Array) -> Array:
         values, near = self._judge(points)
@@ -197,8 +205,8 @@ class RefinedField:
         return values
 
     def with_gradient(self, points: Array) -> tuple[Array, Array]:
-        _, near = self._judge(points)
-        values, gradients = self._quick.with_gradient(points)
+        values, near = self._judge(points)
+        _, gradients = self._quick.with_gradient(points)
         if near.any():
             values[near], gradients[near] = self._exact.with_gradient(points[near])
         return values, gradients
@@ -207,4 +215,4 @@ class RefinedField:
         values, bound = self._quick.with_bound(points)
         near: NDArray[np.bool_] = values - bound <= self._beyond
         self.queries += int(near.sum())
-        return values, near
+        return (values - bound if self._cautious else values), near

@@ -197,9 +197,10 @@ class Planner:
             found = _ranked(found, rank)
             timings["rank"] = time.perf_counter() - began
         began = time.perf_counter()
+        field = problems.polish.object.field
         checker = PathChecker(
             self.geometry,
-            problems.polish.object.field,
+            field.cautious() if isinstance(field, RefinedField) else field,
             environment,
             self.config.clearances,
         )
