@@ -192,6 +192,10 @@ def test_no_motion_of_another_plan_stays(cli: Callable, tmp_path: Path) -> None:
     assert run.code == 3
     assert not motion.exists()
     assert not picture.exists() or picture.read_bytes()[:4] == b"\x89PNG"
+    picture.write_text("another plan's")
+    run = cli("plan", tmp_path / "bare.ply", "--out", out, "--force", "--no-picture")
+    assert f"{picture} was there before and does not show this plan" in run.err
+    assert picture.read_text() == "another plan's"
 
 
 def test_a_cloud_without_a_pose_is_refused(cli: Callable, tmp_path: Path) -> None:

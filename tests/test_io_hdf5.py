@@ -13,10 +13,12 @@ import pytest
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import atomic_path, remove_leftovers, require_new
+from pointsdf_cli.io.grasps import was_collected
 from pointsdf_cli.io.hdf5 import (
     Dataset,
     OptionsDifferError,
     is_complete,
+    mesh_unit,
     read_artifact,
     write_artifact,
 )
@@ -105,6 +107,17 @@ def test_a_finished_file_is_complete_only_for_the_same_options(artifact: Path) -
     with pytest.raises(OptionsDifferError, match="views: 4 there, 5 now"):
         is_complete(artifact, schema="views", version=1, config={"views": 5})
     assert not is_complete(artifact.with_name("none.h5"), schema="views", version=1, config={})
+
+
+@pytest.mark.parametrize("options", ["[", "7", "[1]"])
+def test_options_that_are_none_are_one_message(artifact: Path, options: str) -> None:
+    with h5py.File(artifact, "a") as file:
+        file.attrs["config_json"] = options
+    for read in (was_collected, lambda path: mesh_unit(h5py.File(path))):
+        with pytest.raises(InputError, match=r"a\.h5.*makes no sense"):
+            read(artifact)
+    with pytest.raises(InputError, match="makes no sense"):
+        is_complete(artifact, schema="views", version=1, config={})
 
 
 def test_an_exception_while_writing_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:

@@ -189,6 +189,9 @@ def plan(
     found = answer.status == OK
     if trajectory is not None and found:
         write_trajectory(trajectory, answer)
+    stale_picture = out.with_suffix(".png")
+    if no_picture and stale_picture.exists():
+        reporter.say(f"{stale_picture} was there before and does not show this plan")
     if picture is not None:
         title, below = _headline(answer), "; ".join(session.report)
         q = answer.q if found else session.start

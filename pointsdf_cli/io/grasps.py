@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -12,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.hdf5 import Dataset, open_hdf5, read_artifact, sense_of, write_artifact
+from pointsdf_cli.io.hdf5 import (
+    Dataset,
+    open_hdf5,
+    options_of,
+    read_artifact,
+    sense_of,
+    write_artifact,
+)
 
 SCHEMA, VERSION = "grasps", 1
 LAYOUT = {
@@ -192,9 +198,13 @@ def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:
 
 
 def was_collected(path: Path | str) -> bool:
-    """Whether the grasps of a file were made by a robot, which it then names by its digest."""
+    """Whether the grasps of a file were made by a robot, which it then names by its digest.
+
+    Raises:
+        InputError: It is no artifact, or a damaged one.
+    """
     with open_hdf5(path) as file:
-        return "robot" in json.loads(str(file.attrs.get("config_json", "{}")))
+        return "robot" in options_of(file)
 
 
 def join_grasps(parts: list[Grasps]) -> Grasps:

@@ -187,10 +187,23 @@ def open_hdf5(path: Path | str) -> h5py.File:
         raise unreadable(path, error) from error
 
 
+def options_of(file: h5py.File) -> dict[str, Any]:
+    """What an open artifact was made with.
+
+    Raises:
+        InputError: It does not say so in JSON.
+    """
+    with sense_of(Path(file.filename)):
+        return dict(json.loads(str(file.attrs.get("config_json", "{}"))))
+
+
 def mesh_unit(file: h5py.File) -> str:
-    """The unit that the mesh of an open artifact was read in, metres where none is named."""
-    options = json.loads(str(file.attrs.get("config_json", "{}")))
-    return str(options.get("unit", "m"))
+    """The unit that the mesh of an open artifact was read in, metres where none is named.
+
+    Raises:
+        InputError: As `options_of`.
+    """
+    return str(options_of(file).get("unit", "m"))
 
 
 def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[str, Any]) -> bool:
@@ -206,8 +219,7 @@ def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[
         return False
     with open_hdf5(path) as file:
         _require_schema(path, file, schema, version)
-        with sense_of(path):
-            theirs = dict(json.loads(str(file.attrs.get("config_json", "{}"))))
+        theirs = options_of(file)
     ours = json.loads(json.dumps(dict(config)))
     if theirs != ours:
         changed = sorted(k for k in ours.keys() | theirs.keys() if ours.get(k) != theirs.get(k))
