@@ -160,7 +160,7 @@ def anew(
                 attempter.check(item)
                 attempter.scene(item, 0)
         except InputError as error:
-            print(f"{meshes[place].stem}: {error.message}", file=sys.stderr)
+            print(error.message, file=sys.stderr)
             continue
         objects += 1
         for index in range(min(AttemptConfig().scene_attempts, count - tried)):

@@ -15,7 +15,7 @@ from planning_worlds import BoxField, SphereField
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.bodies import BodyDistances
-from pointsdf_cli.planning.contacts import ContactJacobian, Contacts, link_poses
+from pointsdf_cli.planning.contacts import WORLD, ContactJacobian, Contacts, link_poses
 from pointsdf_cli.planning.environment import Environment, Obstacle, read_environment
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
@@ -143,6 +143,16 @@ def test_a_link_inside_of_a_mesh_is_not_free(robot, kinematics, geometry) -> Non
     contacts = bodies(link_poses(kinematics, robot.home[None]))
     columns = [m for m, n in enumerate(bodies.names) if n[1] == "room"]
     assert (contacts.distance[:, columns] < 0).all()
+
+
+def test_an_obstacle_may_be_called_like_a_link(robot, kinematics, geometry) -> None:
+    poses = link_poses(kinematics, draw(robot, 20))
+    far_away = mesh_box(robot.tree.links[-1], (4.0, 4.0, 4.0), (0, 0, 9.0))
+    between_links = []
+    for obstacles in ((), (far_away,)):
+        contacts = BodyDistances(geometry, Environment(obstacles))(poses)
+        between_links.append(contacts.distance[:, contacts.other_link != WORLD])
+    np.testing.assert_array_equal(*between_links)
 
 
 def test_a_ball_between_two_samples_is_met_within_the_spacing(robot, kinematics, geometry) -> None:

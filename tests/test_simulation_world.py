@@ -57,7 +57,15 @@ def test_standing_box_stays(world: World, box: SimObject) -> None:
     assert world.object_on_table()
     assert np.abs(world.object_pose() - start).max() < 2e-3
     assert world.object_speed()[0] < 1e-3
-    assert world.hand_contact().links == 0
+    assert world.robot_contact().links == 0
+
+
+def test_what_leans_on_the_arm_is_not_in_the_hand(world: World, box: SimObject) -> None:
+    world.reset(box, transform(np.eye(3), [0.0, 0.0, 0.35]))
+    world.step(2)
+    touching = world.robot_contact()
+    assert touching.links > 0
+    assert touching.hand_links == 0
 
 
 def test_friction_holds_on_a_slope_below_its_angle_and_not_above(

@@ -6,7 +6,7 @@ vertices to zero. A grid as coarse as it is fine (`coarse = resolution`) is the 
 both give the same surface wherever the coarse grid sees any of it.
 
 Limit: a separate part that no corner of the coarse grid is inside of, or within half a cell of, is
-not found. A sheet cannot hide like that; a ball thinner than half a coarse cell can.
+not found. A sheet cannot hide like that; a ball thinner than √3 − 1 = 0.73 coarse cells can.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class IsosurfaceConfig:
 
     Attributes:
         resolution: Cells along each side of the box: `coarse` times a power of two, at most 512.
-        coarse: Cells of the first grid, which is asked everywhere.
+        coarse: Cells of the grid on which every corner's sign is settled, asked or by a bound.
         half_width: The box is [-half_width, half_width]³, in the field's units.
         rules: When MISE asks and where it looks.
         newton: One Newton step along each edge (one more query a vertex).

@@ -103,7 +103,8 @@ class Plan:
         seeds_tried: Starts given to the solver.
         timings: Seconds by stage.
         link_names: [L].
-        link_clearance_object, link_clearance_table: f8 [L] m, at the grasp.
+        link_clearance_object, link_clearance_table: f8 [L] m, at the grasp; to the object by the
+            samples of the link's surface.
         rejected: Every rejected seed with its residuals.
         kind: "side" or "top"; empty where there is no grasp.
         accepted: The grasp and its alternatives.

@@ -62,7 +62,7 @@ SCRATCH = "weights/grasp_scratch"
 """PointSDF-Scratch, the success network of partial-view grasping, where it is bundled."""
 
 LOW_OBJECT = 0.03
-"""An object lower than this [m] is grasped from the top first (as the paper does)."""
+"""An object lower than this [m] is grasped from the top first, as the paper's heuristic does."""
 
 
 class ObjectGrasps(GraspScore, GraspPrior, Protocol):

@@ -7,6 +7,8 @@ constraint that could be active.
 
 from __future__ import annotations
 
+from copy import copy
+
 import coal
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +53,11 @@ class BodyDistances:
             below = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
             self._bodies.append(Body(WORLD, "table", below, np.eye(4), np.zeros(3), 0.0))
         self._bodies += [_obstacle_body(obstacle) for obstacle in environment.obstacles]
+        first = len(self._bodies) - len(environment.obstacles)
+        # By place: an obstacle may be called like a link.
         self._inside = {
-            o.name: SignedDistance(o.vertices, o.faces, threads=1)
-            for o in environment.obstacles
+            first + k: SignedDistance(o.vertices, o.faces, threads=1)
+            for k, o in enumerate(environment.obstacles)
             if o.vertices is not None and o.faces is not None
         }
         checked = {frozenset(pair) for pair in robot.checked_pairs}
@@ -82,6 +86,12 @@ class BodyDistances:
         self.is_table: NDArray[np.bool_] = self._table[self._pairs[:, 1]]
         self._request = coal.DistanceRequest()
         self._request.enable_signed_distance = True
+
+    def reaching(self, reach: float) -> BodyDistances:
+        """The same, exact up to another distance [m]."""
+        other = copy(self)
+        other.reach = reach
+        return other
 
     def __call__(self, poses: Poses, wanted: NDArray[np.bool_] | None = None) -> Contacts:
         """Distances [B, M] of all pairs, with witness points.
@@ -134,13 +144,13 @@ class BodyDistances:
             out.point[b, m] = result.getNearestPoint1()
             out.other_point[b, m] = result.getNearestPoint2()
             out.normal[b, m] = -result.normal  # coal's points from the first to the second
-            if distance > 0 and two.name in self._inside:
-                self._swallowed(out, b, int(m), two, turn[j], at[j])
+            if distance > 0 and j in self._inside:
+                self._swallowed(out, b, int(m), j, turn[j], at[j])
 
-    def _swallowed(self, out: Contacts, b: int, m: int, mesh: Body, turn: Array, at: Array) -> None:
+    def _swallowed(self, out: Contacts, b: int, m: int, mesh: int, turn: Array, at: Array) -> None:
         """A shape that is wholly inside of a closed mesh does not touch its triangles."""
         point = (out.point[b, m] - at) @ turn
-        if self._inside[mesh.name](point[None])[0] < 0:
+        if self._inside[mesh](point[None])[0] < 0:
             # From here the way out begins where the triangles are nearest, and goes past them.
             out.distance[b, m] = -out.distance[b, m] - self._radii[self._pairs[m, 0]]
             out.normal[b, m] = -out.normal[b, m]

@@ -128,6 +128,13 @@ class GraspProblem:
         other._margin = np.where(self.is_object, clearance, self._margin)
         return other
 
+    def measuring(self) -> GraspProblem:
+        """The same with every distance exact, however far: for reports, not for solvers."""
+        other = copy(self)
+        other.object = self.object.reaching(np.inf)
+        other.bodies = self.bodies.reaching(np.inf)
+        return other
+
     def cost(self, x: Array) -> Cost:
         """The objective at x [B, n]."""
         return self.objective(x)

@@ -8,6 +8,8 @@ comes near with counts with several points, and the minimum over a link's patche
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from pointsdf_cli.planning.contacts import WORLD, Array, Contacts, Indices, Poses
@@ -41,6 +43,12 @@ class ObjectDistances:
         self.link: Indices = patches.link
         self.names = tuple((links[i], "object") for i in patches.link)
         self._points, self._centre, self._radius = patches.points, patches.centre, patches.radius
+
+    def reaching(self, reach: float) -> ObjectDistances:
+        """The same, exact up to another distance [m]."""
+        other = copy(self)
+        other._reach = reach
+        return other
 
     def __call__(self, poses: Poses, gradients: bool = True) -> Contacts:
         """Distances [B, M] of all patches, with the samples where they are lowest."""

@@ -133,8 +133,8 @@ class PathChecker:
     def least_room(self, path: Array) -> float:
         """The smallest room met on the path [m]; the search stops at the first negative one.
 
-        Between the configurations that were looked at it cannot be less than this by more than
-        half the resolution, and never so little that anything touches unseen.
+        Between the configurations that were looked at there may be less, but never so little that
+        anything touches unseen.
         """
         path = np.asarray(path, dtype=np.float64)
         if len(path) == 1:

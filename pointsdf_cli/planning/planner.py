@@ -52,6 +52,10 @@ MARGIN = 0.004
 """What plans keep away from the object where they can [m]: what a reconstruction is off by on the
 side that was not seen, and the skin of contact solvers, are a few millimetres."""
 
+ROOM = 0.006
+"""Up to here [m] a candidate's distance to the object is exact, whatever the clearance; rehearsal
+prefers grasps with so much."""
+
 QUICK_LOOKS = 1000
 """Configurations that a brief search for a motion may look at, with the margin and without: most
 motions are found within a few hundred."""
@@ -146,7 +150,7 @@ class Planner:
             )
 
         # Only what is too near decides; a network need not be asked about the rest.
-        exact = problem(target.field, asked, asked.object + 0.005)
+        exact = problem(target.field, asked, max(asked.object + 0.005, config.margin, ROOM))
         searched = problem(quick, inside, 0.05)
         if polish is quick:
             return Problems(searched, exact, searched)
@@ -211,8 +215,8 @@ class Planner:
     def _motion_to(
         self, checker: PathChecker, candidate: Candidate, start: Array, seed: int, thorough: bool
     ) -> Motion:
-        """A motion that keeps as far from the object as the grasp itself and the margin, if there
-        is one; else one that keeps the clearance."""
+        """A motion that keeps as far from the object as the grasp itself and the margin, if one is
+        soon found; else, and in a thorough search, one that keeps the clearance."""
         config, least = self.config.motion, self.config.clearances.object
         quick = replace(config, attempts=1, looks=QUICK_LOOKS)
         kept = min(self.config.margin, least + candidate.object_room) - SOLVER_MARGIN

@@ -44,8 +44,9 @@ def plan_of(
         rotation, position, _ = inverse.palm(q[None, robot.arm])
         T_world_palm = np.eye(4)
         T_world_palm[:3, :3], T_world_palm[:3, 3] = rotation[0], position[0]
-        to_object = link_clearance(problem, best.x, links, problem.is_object)
-        to_table = link_clearance(problem, best.x, links, problem.is_table)
+        exactly = problem.measuring()
+        to_object = link_clearance(exactly, best.x, links, problem.is_object)
+        to_table = link_clearance(exactly, best.x, links, problem.is_table)
         trajectory, times = motion.trajectory.positions, motion.trajectory.times
     return Plan(
         status=OK if best is not None else NO_PLAN,
@@ -104,7 +105,7 @@ def link_clearance(
     problem: GraspProblem, x: Array, links: tuple[str, ...], to: NDArray[np.bool_]
 ) -> Array:
     """Smallest distance [L] of each link among the problem's distances `to` (a mask) [m]; infinite
-    where it is not checked. Far distances are lower bounds."""
+    where it is not checked."""
     _, contacts = problem.contacts(x[None], gradients=False)
     clearance = np.full(len(links), np.inf)
     place = {link: k for k, link in enumerate(links)}

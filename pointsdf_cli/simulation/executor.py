@@ -139,7 +139,7 @@ class Executor:
         world.drive_to(q, self._still, world.robot.effort[self._still])
         self._close()
         self._grip(q)
-        touched = world.hand_contact().links > 0
+        touched = world.robot_contact().hand_links > 0
         gripped = self._object_in_palm()
         self._lift(lift)
         # Nothing settles or shakes in a hand that left the object on the table.
@@ -153,9 +153,9 @@ class Executor:
 
     def _judge(self, touched: bool, rise: float, slip: float) -> Outcome:
         world, config = self._world, self._config
-        contact = world.hand_contact()
+        contact = world.robot_contact()
         risen = rise >= HELD_FRACTION * config.lift_height
-        in_hand = contact.links > 0 and not world.object_on_table()
+        in_hand = contact.hand_links > 0 and not world.object_on_table()
         held, valid, cause = False, True, "dropped"
         if self._fastest > FLUNG_SPEED or not np.isfinite(rise) or rise > 0.5:
             valid, cause = False, "flung"
@@ -165,9 +165,9 @@ class Executor:
             held, cause = True, "held"
         elif not touched:
             cause = "missed"
-        elif contact.links > 0:
+        elif contact.hand_links > 0:
             cause = "slipped"
-        return Outcome(held, valid, cause, rise, slip, contact.links, world.time)
+        return Outcome(held, valid, cause, rise, slip, contact.hand_links, world.time)
 
     def _close(self) -> None:
         """Ramp the closing joints, all at once; each freezes once it stalls or is at its end."""
@@ -228,8 +228,8 @@ class Executor:
                 return
 
     def _left_behind(self) -> bool:
-        """Whether the object is on the table, untouched by the hand."""
-        return self._world.object_on_table() and not self._world.hand_contact().links
+        """Whether the object is on the table, untouched by the robot."""
+        return self._world.object_on_table() and not self._world.robot_contact().links
 
     def _hold(self, duration: float, phase: str) -> None:
         self._advance(round(duration / self._world.physics.step), phase)
@@ -240,7 +240,7 @@ class Executor:
         began = world.time
         self._hold(config.settle_time, "settle")
         while world.time - began < config.longest_settling:
-            if world.object_speed()[0] < STEADY_SPEED or not world.hand_contact().links:
+            if world.object_speed()[0] < STEADY_SPEED or not world.robot_contact().links:
                 return
             self._hold(0.1, "settle")
 

@@ -1,8 +1,9 @@
 """How the arm gets to a preshape: inverse kinematics, a checked path, and room to lift.
 
 The path is home → retreat → preshape, straight in joint space to the retreat and straight in
-space from there; it is checked against table, object and the robot itself, so executing it moves
-nothing. A motion planner can find more than these; what has no straight path is labelled.
+space from there, or by way of a point above the retreat; it is looked at every few hundredths of a
+radian against table, object and the robot itself. A motion planner can find more than these; what
+has no such path is labelled.
 """
 
 from __future__ import annotations

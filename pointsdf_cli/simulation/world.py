@@ -66,16 +66,18 @@ class PhysicsConfig:
 
 
 @dataclass(frozen=True)
-class HandContact:
-    """How the hand and the object touch.
+class RobotContact:
+    """How the robot and the object touch.
 
     Attributes:
-        links: Number of the hand's links that touch the object.
+        links: Number of the robot's links that touch the object.
+        hand_links: Those of them that are the hand's.
         depth: Deepest overlap of any robot link with the object [m], 0 if none.
         force: Sum of normal forces [N].
     """
 
     links: int
+    hand_links: int
     depth: float
     force: float
 
@@ -271,14 +273,16 @@ class World:
         linear, angular = self._bullet.getBaseVelocity(self._object, physicsClientId=self._client)
         return float(np.linalg.norm(linear)), float(np.linalg.norm(angular))
 
-    def hand_contact(self) -> HandContact:
+    def robot_contact(self) -> RobotContact:
         """How the robot touches the object now."""
         points = self._bullet.getContactPoints(
             bodyA=self._body, bodyB=self._object, physicsClientId=self._client
         )
         touching = [point for point in points if point[9] > 0.0 or point[8] < 0.0]
-        return HandContact(
-            links=len({point[3] for point in touching}),
+        links = {point[3] for point in touching}
+        return RobotContact(
+            links=len(links),
+            hand_links=len(links & self._hand_links),
             depth=max((max(0.0, -point[8]) for point in points), default=0.0),
             force=float(sum(point[9] for point in points)),
         )
@@ -332,10 +336,11 @@ class World:
             b.setCollisionFilterPair(
                 self._body, self._body, index[first], index[second], 0, physicsClientId=c
             )
-        for link in robot.hand_links:
+        self._hand_links = {index[link] for link in robot.hand_links}
+        for number in self._hand_links:
             b.changeDynamics(
                 self._body,
-                index[link],
+                number,
                 lateralFriction=self.physics.hand_friction,
                 physicsClientId=c,
             )

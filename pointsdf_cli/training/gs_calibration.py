@@ -36,8 +36,8 @@ def negative_log_likelihood(
 def fit_platt(label: NDArray[np.floating], logit: NDArray[np.floating]) -> Platt:
     """The two numbers that make labels [N] likeliest; the problem is convex.
 
-    Labels are drawn in by half a grasp each, so that perfectly told apart classes do not ask for
-    infinite sureness (Platt's correction).
+    Each kind is drawn in as if one more of it had ended the other way, so that perfectly told apart
+    classes do not ask for infinite sureness (Platt's correction).
     """
     label = np.asarray(label, dtype=np.float64)
     logit = np.asarray(logit, dtype=np.float64)

@@ -14,8 +14,9 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.grasp_prior import KINDS, GraspPrior, ObjectPlace
 
 FLOORS = (0.1, 0.1, 0.1)
-"""Standard deviations added to the fitted ones: of the offset (in units of 0.1 m), of the turn
-[rad], of the preshape (in widths of its ranges). No direction can become narrower than these."""
+"""Standard deviations whose squares are added to the fitted variances: of the offset (in units of
+0.1 m), of the turn [rad], of the preshape (in widths of its ranges). No direction can become
+narrower than these."""
 
 FEWEST = 8
 """Grasps that a component needs."""

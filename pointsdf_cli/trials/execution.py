@@ -108,7 +108,7 @@ def _follow(world: World, trajectory: Array, times: Array, last: _Last) -> tuple
         world.drive_to(q, columns, robot.effort, (q - before) / world.physics.step)
         before = q
         world.step()
-        touched = touched or world.hand_contact().links > 0
+        touched = touched or world.robot_contact().links > 0
         last(world, APPROACH)
     lag = float(np.abs(world.configuration() - trajectory[-1]).max())
     return touched, lag
