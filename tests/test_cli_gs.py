@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -14,6 +17,7 @@ from pointsdf_cli.assets import asset_path
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.registry import default_checkpoint
 from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.training import gs_loop
 
 QUICK = ("--epochs", 3, "--threads", 1, "--jobs", 1, "--quiet")
 GRIPPER = Path(__file__).parent / "robots" / "gripper.yaml"
@@ -24,6 +28,27 @@ def grasps(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data") / "grasps"
     write_balls(folder, load_robot(), objects=7, scenes=1, each=10)
     return folder
+
+
+def test_a_stopped_training_is_not_taken_for_done(  # type: ignore[no-untyped-def]
+    cli, monkeypatch: pytest.MonkeyPatch, grasps: Path, tmp_path: Path
+) -> None:
+    real = gs_loop.train_success
+
+    def interrupted(*arguments: Any, **options: Any) -> gs_loop.Fitted:
+        after_first = options["on_epoch"]
+
+        def stop(fitted: gs_loop.Fitted, state: dict[str, Any]) -> None:
+            after_first(fitted, state)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+        return real(*arguments, **options | {"on_epoch": stop})
+
+    options = ("train-gs", "--grasps", grasps, "--out", tmp_path / "gs", *QUICK)
+    monkeypatch.setattr(gs_loop, "train_success", interrupted)
+    assert cli(*options).code == 143
+    monkeypatch.setattr(gs_loop, "train_success", real)
+    assert cli(*options, "--resume").code == 0
 
 
 def test_training_then_scoring(cli, grasps: Path, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

@@ -196,6 +196,13 @@ def test_no_motion_of_another_plan_stays(cli: Callable, tmp_path: Path) -> None:
     run = cli("plan", tmp_path / "bare.ply", "--out", out, "--force", "--no-picture")
     assert f"{picture} was there before and does not show this plan" in run.err
     assert picture.read_text() == "another plan's"
+    # Where a link leads to, no other plan's motion stays either.
+    stored = tmp_path / "stored.json"
+    stored.write_text("another plan's")
+    motion.symlink_to(stored)
+    cli("plan", tmp_path / "bare.ply", "--out", out, "--trajectory", motion, "--force", "-q")
+    assert motion.is_symlink()
+    assert not stored.exists()
 
 
 def test_a_cloud_without_a_pose_is_refused(cli: Callable, tmp_path: Path) -> None:

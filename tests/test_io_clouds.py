@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from pathlib import Path
 
@@ -98,6 +99,12 @@ def test_open3d_reads_what_we_write(tmp_path: Path) -> None:
     assert np.allclose(cloud.point.positions.numpy(), POINTS)
     assert np.allclose(cloud.point.normals.numpy(), NORMALS, atol=1e-6)
     assert np.array_equal(cloud.point.colors.numpy(), COLOURS)
+
+
+def test_a_pipe_is_no_damaged_file(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "cloud.ply")
+    with pytest.raises(InputError, match="is a pipe"):
+        read_cloud(tmp_path / "cloud.ply")
 
 
 def test_ply_big_endian_doubles_after_another_element(tmp_path: Path) -> None:

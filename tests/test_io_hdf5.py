@@ -158,6 +158,24 @@ with atomic_path({str(tmp_path / "a.h5")!r}) as temporary:
     assert sorted(p.name for p in tmp_path.iterdir()) == [".hidden", "b.h5"]
 
 
+def test_a_name_as_long_as_names_may_be_is_written(tmp_path: Path) -> None:
+    for name in ("n" * 252 + ".h5", "é" * 126 + ".h5"):
+        with atomic_path(tmp_path / name) as temporary:
+            temporary.write_text("new")
+        assert (tmp_path / name).read_text() == "new"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_an_input_is_not_replaced_even_with_force(tmp_path: Path) -> None:
+    source, link = tmp_path / "a.ply", tmp_path / "b.ply"
+    source.write_text("points")
+    link.symlink_to(source)
+    for out in (source, link):
+        with pytest.raises(InputError, match="is an input"):
+            require_new(out, True, [source])
+    assert require_new(tmp_path / "c.ply", False, [source]) == tmp_path / "c.ply"
+
+
 def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("precious")
     with pytest.raises(InputError, match="--force"):

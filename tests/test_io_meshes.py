@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,15 @@ def test_a_closed_mesh_is_kept_as_it_is(tmp_path: Path, box_mesh: trimesh.Trimes
     mesh = load_mesh(tmp_path / "box.ply")
     assert mesh.repair == "none"
     assert enclosed_volume(mesh.vertices, mesh.faces) == pytest.approx(0.08 * 0.06 * 0.04)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are any bytes on Linux only")
+def test_a_name_that_is_not_utf8_is_one_bad_mesh(tmp_path: Path, box_mesh: trimesh.Trimesh) -> None:
+    box_mesh.export(tmp_path / "box.ply")
+    odd = tmp_path / os.fsdecode(b"bad\xff.ply")
+    (tmp_path / "box.ply").rename(odd)
+    with pytest.raises(InputError, match="not UTF-8"):
+        load_mesh(odd)
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".off", ".glb"])

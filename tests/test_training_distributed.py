@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import read_train_state
 from pointsdf_cli.io.labels import Labels, write_labels
 from pointsdf_cli.io.views import Views, write_views
+from pointsdf_cli.training import sdf_loop
 from pointsdf_cli.training.distributed import Workers
 from pointsdf_cli.training.sdf_data import Batch
 
@@ -75,6 +79,35 @@ def test_two_processes_train_what_one_trains(spheres: Path, tmp_path: Path) -> N
     refused = train(spheres, tmp_path / "three", 2, "--batch-size", "3")
     assert refused.returncode != 0
     assert "cannot be shared out" in refused.stderr
+
+
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_stopped_training_is_not_taken_for_done(
+    cli: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    spheres: Path,
+    tmp_path: Path,
+    name: str,
+    code: int,
+) -> None:
+    real = sdf_loop.train_sdf
+
+    def interrupted(*arguments: Any, **options: Any) -> sdf_loop.TrainResult:
+        os.kill(os.getpid(), getattr(signal, name))
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(sdf_loop, "train_sdf", interrupted)
+    options = (
+        "train-sdf", "--views", spheres / "views", "--labels", spheres / "labels",
+        "--out", tmp_path / "ckpt", "--batch-size", 4, "--queries", 16, "--steps", 3,
+        "--held-out", 0.34, "--threads", 1, "--precision", "float32", "--json",
+    )  # fmt: skip
+    stopped = cli(*options)
+    assert stopped.code == code
+    assert json.loads(stopped.out)["finished"] is False
+    assert "--resume carries on at step 0" in stopped.err
+    monkeypatch.setattr(sdf_loop, "train_sdf", real)
+    assert cli(*options, "--resume").code == 0
 
 
 def test_shares_make_up_the_batch() -> None:

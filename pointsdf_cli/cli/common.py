@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
@@ -141,7 +142,12 @@ class Reporter:
     def result(self, values: Mapping[str, Any], lines: list[str] | None = None) -> None:
         """The command's result: `values` as JSON, or `lines` (by default "name: value")."""
         if self.as_json:
-            print(to_json(values))
+            text = to_json(values)
+            try:
+                text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
+            except UnicodeEncodeError:  # then all of it as escapes, which JSON has its own of
+                text = json.dumps(json.loads(text))
+            print(text)
         else:
             for line in lines if lines is not None else [f"{k}: {v}" for k, v in values.items()]:
                 print(line)

@@ -4,46 +4,121 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import NoReturn
 
 from pointsdf_cli.errors import RgraspError
 
+STOPPED = "rgrasp: stopped; what is finished is kept, the same command resumes"
+
 
 def main() -> None:
-    """Run `rgrasp`. Exit codes: 0 done, 1 failed, 2 bad input or usage, 3 no plan exists."""
+    """Run `rgrasp`.
+
+    Exit codes: 0 done, 1 failed, 2 bad input or usage, 3 no plan exists, 130 stopped by Ctrl-C,
+    141 nobody reads the output any more, 143 a training stopped by SIGTERM.
+    """
     from pointsdf_cli.cli.app import app
 
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a sign that the terminal has not is no failure
+            stream.reconfigure(errors="backslashreplace")
     try:
-        app()
+        with _interruptible_imports():
+            app()
     except RgraspError as error:
         print(f"rgrasp: {error.message}", file=sys.stderr)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        print(
-            "rgrasp: stopped; what is finished is kept, the same command resumes", file=sys.stderr
-        )
-        sys.exit(130)
-    except BrokenPipeError:
-        # `rgrasp … | head`: the reader has left, and so do we, without a second complaint at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(141)
-    except OSError as error:
-        if error.errno in (
-            errno.ENOSPC,
-            errno.EDQUOT,
-            errno.EACCES,
-            errno.EROFS,
-            errno.EPERM,
-            errno.ENAMETOOLONG,
-            errno.EFBIG,
-        ):
-            from pointsdf_cli.io.atomic import unwritable
-
-            print(
-                f"rgrasp: {unwritable(error.filename or 'output', error).message}", file=sys.stderr
-            )
-            sys.exit(2)
+    except SystemExit as leave:
+        # Typer has made exit codes of these.
+        if _came_of(leave, KeyboardInterrupt):
+            print(STOPPED, file=sys.stderr)
+            sys.exit(130)
+        if _came_of(leave, BrokenPipeError):
+            _nobody_reads()
+        try:
+            sys.stdout.flush()  # here, and not when Python has ended and nobody can say what failed
+        except BrokenPipeError:
+            _nobody_reads()
+        except OSError as error:
+            _unheard(error)
         raise
+    except OSError as error:
+        if error.errno not in _NO_PLACE:
+            raise
+        if error.filename is None:
+            _unheard(error)
+        from pointsdf_cli.io.atomic import unwritable
+
+        print(f"rgrasp: {unwritable(error.filename, error).message}", file=sys.stderr)
+        sys.exit(2)
+
+
+_NO_PLACE = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EACCES,
+    errno.EROFS,
+    errno.EPERM,
+    errno.ENAMETOOLONG,
+    errno.EFBIG,
+)
+
+
+def _nobody_reads() -> NoReturn:
+    """`rgrasp … | head`: the reader has left, and so do we, without a complaint at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    sys.exit(141)
+
+
+def _unheard(error: OSError) -> NoReturn:
+    """The files are there; what could not be written is what the command says."""
+    print(f"rgrasp: the output cannot be written ({error.strerror})", file=sys.stderr)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    sys.exit(1)
+
+
+def _came_of(error: BaseException, kind: type[BaseException]) -> bool:
+    """Whether an exception was raised while one of that kind was handled."""
+    found: BaseException | None = error
+    while found is not None:
+        if isinstance(found, kind):
+            return True
+        found = found.__cause__ or found.__context__
+    return False
+
+
+@contextmanager
+def _interruptible_imports() -> Iterator[None]:
+    """Ctrl-C ends the program while it loads libraries, too.
+
+    Some of them guard their own imports with `except BaseException`: a KeyboardInterrupt there is
+    lost, or becomes an ImportError, and what was half loaded is taken for missing. Nothing has been
+    begun that could be left half done, so the process leaves at once.
+    """
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        while frame is not None:
+            if frame.f_code.co_filename.startswith("<frozen importlib"):
+                os.write(2, f"{STOPPED}\n".encode())
+                os._exit(130)
+            frame = frame.f_back
+        raise KeyboardInterrupt
+
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not usual or threading.current_thread() is not threading.main_thread():
+        yield  # ignored, as behind `nohup … &`, or somebody else's
+        return
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 if __name__ == "__main__":

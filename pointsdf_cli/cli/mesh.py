@@ -106,7 +106,7 @@ def mesh(
     if not 0 <= smooth <= 1000:
         raise InputError(f"{smooth} passes", where="--smooth", allowed="0 to 1000")
     IsosurfaceConfig(resolution)  # a wrong resolution is known before anything is read
-    out = require_new(mesh_path(out, form), force)
+    out = require_new(mesh_path(out, form), force, [cloud])
     common.check_picture(picture, force)
     pose = parse_pose(camera_pose) if camera_pose else None
     view = read_cloud(cloud, unit, drop_invalid, frame, pose)

@@ -120,7 +120,7 @@ def plan(
 
     reporter = common.Reporter(quiet, as_json)
     common.check_seed(seed)
-    require_new(out, force)
+    require_new(out, force, clouds)
     picture = None if no_picture else picture or out.with_suffix(".png")
     files = {"--out": out, "--picture": picture, "--trajectory": trajectory}
     common.check_picture(picture, force)
@@ -184,7 +184,7 @@ def plan(
     config = _config(planner.options, clouds, seed) | asked
     for stale in (trajectory, picture):  # a motion to another object must not outlive its plan
         if stale is not None:
-            stale.unlink(missing_ok=True)
+            stale.resolve().unlink(missing_ok=True)  # of a link, what it leads to
     write_plan(out, answer, seed=seed, config=config)
     found = answer.status == OK
     if trajectory is not None and found:

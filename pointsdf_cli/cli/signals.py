@@ -3,25 +3,39 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 
+class StopRequest:
+    """Whether someone asked to stop.
+
+    Attributes:
+        exit_code: What a command that was stopped leaves with: 130 after Ctrl-C, 143 after SIGTERM,
+            as if the signal had ended it. A script must not take its work for done.
+    """
+
+    def __init__(self) -> None:
+        self.exit_code = 0
+
+    def __call__(self) -> bool:
+        return self.exit_code != 0
+
+
 @contextmanager
-def stop_requests() -> Iterator[Callable[[], bool]]:
-    """A function that says whether someone asked to stop; a second Ctrl-C stops at once."""
-    asked = False
+def stop_requests() -> Iterator[StopRequest]:
+    """Within, the first signal is only a request; a second Ctrl-C stops at once."""
+    request = StopRequest()
 
     def ask(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        asked = True
+        request.exit_code = 128 + number
         for name, handler in before.items():
             signal.signal(name, handler)
 
     before = {name: signal.signal(name, ask) for name in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: asked
+        yield request
     finally:
         for name, handler in before.items():
             signal.signal(name, handler)

@@ -136,3 +136,4 @@ def train_gs(
     reporter.result({"out": out, "variant": variant.title, **result})
     if not fitted.finished:
         reporter.say("stopped; the same command with --resume carries on")
+        raise typer.Exit(should_stop.exit_code)

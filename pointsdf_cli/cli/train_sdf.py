@@ -164,6 +164,8 @@ def train_sdf(
                 report_every=10.0,
             )
         if not workers.is_first:
+            if not result.finished:
+                raise typer.Exit(should_stop.exit_code)
             return
         if result.history:
             draw_loss_curve(result.history, out / "loss.png")
@@ -180,6 +182,7 @@ def train_sdf(
             reporter.say(
                 f"stopped; the same command with --resume carries on at step {result.step}"
             )
+            raise typer.Exit(should_stop.exit_code)
 
 
 def _limits(entries: list[str]) -> dict[str, int]:

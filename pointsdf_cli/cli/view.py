@@ -54,7 +54,7 @@ def view(
 
     reporter = common.Reporter(quiet, as_json)
     if export:
-        require_new(export, force)
+        require_new(export, force, artifacts)
     options = SceneOptions(load_robot(robot), meshes, most, unit)
     scene = scenes_of(artifacts, options)
     facts = {"title": scene.title, "frames": scene.frames, "parts": len(scene.parts)}

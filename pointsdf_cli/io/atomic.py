@@ -8,7 +8,7 @@ import platform
 import time
 import uuid
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -18,6 +18,8 @@ TEMPORARY_MARK = ".partial-"
 """Part of the name of every file under construction; nothing reads such a file."""
 ABANDONED = 86400.0
 """What another machine has been building for so long [s] was left by a run that was killed."""
+LONGEST_NAME = 255
+"""Bytes that a file's name may have; that of a file under construction is cut to it."""
 _HOST = f"{zlib.crc32(platform.node().encode()):08x}"
 
 
@@ -39,7 +41,11 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     if path.is_symlink():
         path = path.resolve()  # what it points to is replaced, not the link
     builder = f"{_HOST}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
-    temporary = path.with_name(f".{path.stem}{TEMPORARY_MARK}{builder}{path.suffix}")
+    ending = f"{TEMPORARY_MARK}{builder}{path.suffix}"
+    stem = path.stem
+    while len(os.fsencode(stem)) > max(1, LONGEST_NAME - 1 - len(os.fsencode(ending))):
+        stem = stem[:-1]
+    temporary = path.with_name(f".{stem}{ending}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -83,13 +89,18 @@ def _is_abandoned(temporary: Path) -> bool:
     return False
 
 
-def require_new(path: Path | str, force: bool) -> Path:
+def require_new(path: Path | str, force: bool, inputs: Iterable[Path] = ()) -> Path:
     """`path`, unless something is there that `--force` was not given for.
 
     Raises:
-        InputError: The file exists, or a folder stands where a file is to be written.
+        InputError: The file exists, is one of the inputs (whatever `force` says), or a folder
+            stands where a file is to be written.
     """
     path = Path(path)
+    if path.exists() and any(source.exists() and path.samefile(source) for source in inputs):
+        raise InputError(
+            "is an input, which the output would replace", where=path, hint="choose another name"
+        )
     if path.is_dir():
         raise InputError("is a folder, and a file is to be written there", where=path)
     if path.exists() and not path.is_file():

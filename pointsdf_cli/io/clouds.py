@@ -127,6 +127,13 @@ def read_cloud(
         raise InputError("is a folder, and a point cloud is needed", where=path)
     if not path.exists():
         raise InputError("no such file", where=path)
+    if not path.is_file():
+        raise InputError(
+            "is a pipe or a device; clouds are read in more than one go",
+            where=path,
+            allowed="an ordinary file",
+            hint="write it to a file first",
+        )
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise InputError(

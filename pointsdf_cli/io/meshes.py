@@ -126,6 +126,10 @@ def load_mesh(path: Path | str, unit: str = "m") -> LoadedMesh:
     path = Path(path)
     if unit not in UNITS:
         raise InputError(f"unknown unit {unit!r}", where="--unit", allowed=", ".join(UNITS))
+    try:
+        path.name.encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise InputError("has a name that is not UTF-8", where=path, hint="rename it") from error
     vertices, faces = _surface(path)
     vertices = vertices * UNITS[unit]
     _check_size(path, vertices[np.unique(faces)], unit)

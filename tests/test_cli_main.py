@@ -1,0 +1,102 @@
+"""Signals, pipes, full devices and narrow encodings: what the boundary makes of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from pointsdf_cli.cli import app as app_module
+from pointsdf_cli.cli.main import STOPPED
+from pointsdf_cli.cli.signals import stop_requests
+
+MUG = Path(__file__).resolve().parents[1] / "assets" / "clouds" / "mug.ply"
+
+
+def in_shell(line: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    """A line of bash in which `rgrasp` is this one."""
+    program = f"{shlex.quote(sys.executable)} -m pointsdf_cli.cli.main"
+    return subprocess.run(
+        ["bash", "-c", f'rgrasp() {{ {program} "$@"; }}; {line}'],
+        env={**os.environ, **variables}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def test_an_interruption_while_libraries_load_is_not_swallowed(tmp_path: Path) -> None:
+    (tmp_path / "greedy.py").write_text("try:\n    import slow\nexcept BaseException:\n    pass\n")
+    (tmp_path / "slow.py").write_text(
+        "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(5)\n"
+    )
+    code = (
+        "from pointsdf_cli.cli.main import _interruptible_imports as guard\n"
+        "with guard():\n    import greedy\nprint('went on')\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        cwd=MUG.parents[2], capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 130
+    assert run.stderr.strip() == STOPPED
+    assert run.stdout == ""
+
+
+def test_an_interruption_elsewhere_is_one_line(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waiting = typer.Typer()
+
+    @waiting.command()
+    def wait() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(app_module, "app", waiting)
+    run = cli()
+    assert run.code == 130
+    assert run.err.strip() == STOPPED
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_request_to_stop_says_with_what_to_leave(name: str, code: int) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with stop_requests() as asked:
+        assert not asked()
+        os.kill(os.getpid(), getattr(signal, name))
+        assert asked()
+    assert asked.exit_code == code
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_reader_that_leaves_is_told_by_the_code() -> None:
+    run = in_shell(f"rgrasp info {MUG} | true; echo ${{PIPESTATUS[0]}}")
+    assert run.stdout.strip() == "141"
+    assert run.stderr == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_output_is_no_bad_input() -> None:
+    run = in_shell(f"rgrasp info {MUG} > /dev/full")
+    assert run.returncode == 1
+    assert run.stderr.startswith("rgrasp: the output cannot be written (No space")
+    assert "Traceback" not in run.stderr
+
+
+def test_output_that_cannot_show_a_sign_is_no_failure(tmp_path: Path) -> None:
+    odd = tmp_path / "é.ply"
+    odd.write_bytes(MUG.read_bytes())
+    plain = in_shell(f"rgrasp info {odd}", PYTHONIOENCODING="ascii")
+    assert plain.returncode == 0, plain.stderr
+    assert "\\xe9.ply" in plain.stdout
+    told = in_shell(f"rgrasp info --json {odd}", PYTHONIOENCODING="ascii")
+    assert told.returncode == 0, told.stderr
+    assert str(odd) in json.dumps(json.loads(told.stdout), ensure_ascii=False)
