@@ -73,7 +73,9 @@ def memory(meshes: list[Path], attempts: int) -> list[float]:
     """Resident size [MB] after every 100 of `attempts`, 20 an object in turn."""
     attempter = Attempter(load_robot(), AttemptConfig())
     sizes, done = [], 0
-    for path in itertools.cycle(meshes):
+    for number, path in enumerate(itertools.cycle(meshes)):
+        if number >= len(meshes) and not done:
+            raise SystemExit("no mesh can be grasped: nothing to measure")
         try:
             item = prepare_object(replace(load_mesh(path), name=path.stem))
             attempter.check(item)
@@ -87,7 +89,7 @@ def memory(meshes: list[Path], attempts: int) -> list[float]:
         if done >= attempts:
             break
     attempter.close()
-    return sizes
+    return sizes or [resident()]
 
 
 def main() -> None:

@@ -19,15 +19,16 @@ for half in far:1.5:0 near:0.9:1; do
     rgrasp label-sdf --views "$work/views/$name" --meshes "$work/meshes/$name" \
         --out "$work/labels/$name" --points 16000
 done
+# Half as many views of each generated object as there are, all of the real ones: of what the network
+# is to see in the end, the real ones are nearer.
+limits=(--views-per-object 8)
 if [ -n "$real" ]; then
     rgrasp render --meshes "$real" --out "$work/views/real" --views 60 --skip-bad
     rgrasp label-sdf --views "$work/views/real" --meshes "$real" --out "$work/labels/real" \
         --points 24000 --skip-bad
+    limits+=(--views-per-object real=60)
 fi
 resume=()
 [ -f "$work/$model/train_state.pt" ] && resume=(--resume)
-# Half as many views of each generated object as there are, all of the real ones: of what the network
-# is to see in the end, the real ones are nearer.
 rgrasp train-sdf --views "$work/views" --labels "$work/labels" --out "$work/$model" --model "$model" \
-    --views-per-object 8 --views-per-object real=60 \
-    --minutes "${MINUTES:-150}" --threads "${THREADS:-0}" --held-out 0.03 --seed 0 "${resume[@]}"
+    "${limits[@]}" --minutes "${MINUTES:-150}" --threads "${THREADS:-0}" --held-out 0.03 --seed 0 "${resume[@]}"

@@ -128,6 +128,17 @@ def test_floats_are_metres_and_gaps_are_dropped(tmp_path: Path) -> None:
     assert np.allclose(read_depth(tmp_path / "d.png", 0.00025), [[1.0, 0]])
 
 
+@pytest.mark.parametrize(
+    ("head", "greatest"), [(b"P5", 65535), (b"P5", 10000), (b"P5", 1023), (b"P2", 4095)]
+)
+def test_a_pgm_says_what_was_written_in_it(tmp_path: Path, head: bytes, greatest: int) -> None:
+    depths = np.arange(900, 1000).reshape(10, 10)
+    text = b" ".join(b"%d" % value for value in depths.ravel())
+    body = text if head == b"P2" else depths.astype(">u2").tobytes()
+    (tmp_path / "d.pgm").write_bytes(head + b"\n# 9 9 9\n10 10\n%d\n" % greatest + body)
+    np.testing.assert_array_equal(read_depth(tmp_path / "d.pgm"), depths * 0.001)
+
+
 def test_what_is_no_depth_image_is_refused(tmp_path: Path) -> None:
     Image.new("RGB", (4, 4)).save(tmp_path / "rgb.png")
     Image.new("L", (4, 4)).save(tmp_path / "grey.png")

@@ -85,6 +85,14 @@ def test_training_then_scoring(cli, grasps: Path, tmp_path: Path) -> None:  # ty
         "--out", table, "--threads", 1, "--jobs", 1, "--quiet",
     )  # fmt: skip
     assert scored.code == 0, scored.err
+    every = cli(
+        "eval-gs", "--checkpoint", geometry, "--grasps", grasps, "--all", "--json",
+        "--out", tmp_path / "all.json", "--threads", 1, "--jobs", 1, "--quiet",
+    )  # fmt: skip
+    assert every.code == 0, every.err
+    about = json.loads(every.out)
+    assert about["held_out"]["objects"] == 7
+    assert "10 nearest neighbours" not in about["table"]
     found = json.loads(table.read_text())
     assert set(found["table"]) == {
         "Geometry", "VoxelCNN-Scratch", "always success", "prior only", "10 nearest neighbours",

@@ -42,6 +42,16 @@ def test_a_model_comes_back_as_it_was(checkpoint: Path) -> None:
         assert torch.equal(again.state_dict()[name], tensor)
 
 
+def test_what_was_not_measured_is_null(tmp_path: Path) -> None:
+    write_checkpoint(tmp_path / "c", config={"best": {"view_loss": float("nan")}}, weights={})
+    text = (tmp_path / "c" / "config.json").read_text(encoding="utf-8")
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is no JSON")
+
+    assert json.loads(text, parse_constant=refuse)["best"] == {"view_loss": None}
+
+
 def test_weights_and_state_are_replaced_one_without_the_other(checkpoint: Path) -> None:
     weights = read_checkpoint(checkpoint).weights
     config = read_checkpoint(checkpoint).config

@@ -409,6 +409,28 @@ def test_a_point_a_column_is_to_be_transposed(tmp_path: Path) -> None:
         read_cloud(tmp_path / "a.npy")
 
 
+def test_a_remark_of_four_words_is_no_row_of_titles(tmp_path: Path) -> None:
+    rows = "".join(f"{x} {y} {z} 0.5\n" for x, y, z in POINTS)
+    (tmp_path / "a.xyz").write_text("# scan of my mug\n" + rows)
+    assert read_cloud(tmp_path / "a.xyz").points == pytest.approx(POINTS)
+
+
+@pytest.mark.parametrize("kind", ["normals", "colours"])
+def test_what_was_not_seen_says_nothing_of_the_columns(tmp_path: Path, kind: str) -> None:
+    rest = np.tile([0.0, 0.6, 0.8] if kind == "normals" else [10.0, 20.0, 255.0], (200, 1))
+    table = np.hstack([POINTS, rest])
+    table[5] = np.nan
+    np.save(tmp_path / "a.npy", table)
+    kept = getattr(read_cloud(tmp_path / "a.npy", drop_invalid=True), kind)
+    np.testing.assert_array_equal(kept, np.delete(rest, 5, axis=0))
+
+
+def test_a_covered_camera_saw_no_point(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((100, 3)))
+    with pytest.raises(InputError, match="none of 100 points"):
+        read_cloud(tmp_path / "a.npy", drop_invalid=True)
+
+
 def test_titles_without_coordinates_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("id,px,py,pz\n" + "1,0.1,0.2,0.3\n" * 60)
     with pytest.raises(InputError, match="none of which is called x, y or z"):

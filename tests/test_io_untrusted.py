@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import io
 import json
 import tarfile
 import time
@@ -195,6 +196,23 @@ def test_an_archive_writes_nowhere_else(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="leads outside"):
         extract_mesh(archive, tmp_path / "in" / "mesh")
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["a.tgz", "in"]
+
+
+def test_a_damaged_archive_is_one_message(tmp_path: Path) -> None:
+    archive = tmp_path / "a.tgz"
+    with tarfile.open(archive, "w:gz") as tar:
+        info = tarfile.TarInfo("nontextured.ply")
+        contents = np.random.default_rng(0).integers(0, 20, 5000, dtype=np.uint8).tobytes()
+        info.size = len(contents)
+        tar.addfile(info, io.BytesIO(contents))
+    whole, refused = archive.read_bytes(), 0
+    for place in range(12, len(whole), 7):
+        archive.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+        try:
+            extract_mesh(archive, tmp_path / "mesh")
+        except InputError:
+            refused += 1
+    assert refused > 100
 
 
 def test_an_archive_of_zeros_is_not_unpacked(tmp_path: Path) -> None:

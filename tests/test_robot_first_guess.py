@@ -39,6 +39,15 @@ def test_the_gripper_begun_from_its_urdf_passes_its_check(tmp_path: Path) -> Non
     assert "--force" in again.err
 
 
+def test_a_limit_of_many_digits_is_not_rounded_past(tmp_path: Path) -> None:
+    text = (ROBOTS / "gripper.urdf").read_text(encoding="utf-8")
+    (tmp_path / "gripper.urdf").write_text(text.replace('upper="0.045"', 'upper="0.0447"'))
+    done = run_cli("robot", "init", tmp_path / "gripper.urdf", "--out", tmp_path / "mine.yaml")
+    assert done.code == 0, done.err
+    guessed = load_robot(tmp_path / "mine.yaml")
+    assert ((guessed.home >= guessed.lower) & (guessed.home <= guessed.upper)).all()
+
+
 def test_the_allegro_hand_is_found_to_be_one_that_closes_around_things() -> None:
     written = load_robot()
     beside = written.urdf.with_name("guess.yaml")

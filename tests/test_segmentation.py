@@ -116,3 +116,5 @@ def test_rows_that_are_not_finite_are_dropped() -> None:
 def test_impossible_workspace_is_refused() -> None:
     with pytest.raises(InputError):
         SegmentationConfig(low=(1.0, 0.0, 0.0), high=(0.5, 1.0, 1.0))
+    with pytest.raises(InputError):
+        SegmentationConfig(low=(0.2, 0.9, 0.0), high=(1.0, -0.9, 0.5))

@@ -38,7 +38,11 @@ class SegmentationConfig:
 
     def __post_init__(self) -> None:
         corners = np.array([self.low, self.high])
-        if corners.shape != (2, 3) or not np.isfinite(corners).all() or (self.low >= self.high):
+        if (
+            corners.shape != (2, 3)
+            or not np.isfinite(corners).all()
+            or (corners[0] >= corners[1]).any()
+        ):
             raise InputError(
                 f"a workspace from {self.low} to {self.high}",
                 allowed="two corners of finite numbers [m], the lower one first",

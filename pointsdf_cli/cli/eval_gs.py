@@ -27,6 +27,14 @@ def eval_gs(
         Path | None,
         typer.Option(help="Where the network's answers are kept.  [default: GRASPS-cache]"),
     ] = None,
+    every: Annotated[
+        bool,
+        typer.Option(
+            "--all",
+            help="Score all objects' grasps, not the held-out ones' alone: where no network has "
+            "learned from any of them.",
+        ),
+    ] = False,
     threads: common.Threads = 0,
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
@@ -61,6 +69,8 @@ def eval_gs(
     data = read_grasp_data(grasps, machine)
     held_out = data.held_out[data.object_of]
     rows, known = np.flatnonzero(held_out), np.flatnonzero(~held_out)
+    if every:
+        rows = known = np.arange(len(data))
     for part, what in ((rows, "held-out objects"), (known, "objects to train on")):
         if len(np.unique(data.label[part])) < 2:
             raise InputError(
@@ -88,11 +98,13 @@ def eval_gs(
                 )
             )
     assert prior is not None
-    for name, score in (
+    baselines = [
         ("always success", gs_baselines.always(data, known)),
         ("prior only", gs_baselines.prior_score(data, prior, machine)),
-        ("10 nearest neighbours", gs_baselines.nearest_neighbours(data, known)),
-    ):
+    ]
+    if not every:  # else each grasp would be its own neighbour
+        baselines.append(("10 nearest neighbours", gs_baselines.nearest_neighbours(data, known)))
+    for name, score in baselines:
         baseline = evaluation.scored_baseline(name, score, data.label[known], score[known])
         methods.append(baseline.at(rows))
     table = {method.name: evaluation.measure(data, rows, method, seed) for method in methods}
@@ -110,7 +122,7 @@ def eval_gs(
     draw_success_figure(picture, table, evaluation.PUBLISHED)
     about = result["held_out"]
     lines = [
-        f"{about['grasps']} grasps of {about['objects']} held-out objects, "
+        f"{about['grasps']} grasps of {about['objects']} {'' if every else 'held-out '}objects, "
         f"{about['base_rate']:.1%} held",
         *evaluation.table_lines(table),
         "",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import io
-import json
 import os
 import shutil
 import uuid
@@ -26,6 +25,7 @@ from torch import Tensor
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import TEMPORARY_MARK, UnwritableError, require_folder, unwritable
+from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.io.untrusted import read_json
 
 WEIGHTS, CONFIG, TRAIN_STATE = "model.safetensors", "config.json", "train_state.pt"
@@ -80,7 +80,7 @@ def write_checkpoint(
             image = io.BytesIO()
             torch.save(dict(train_state), image)
             (temporary / TRAIN_STATE).write_bytes(image.getbuffer())
-        text = json.dumps({"schema": SCHEMA, "schema_version": VERSION, **config}, indent=1)
+        text = to_json({"schema": SCHEMA, "schema_version": VERSION, **config}, indent=1)
         (temporary / CONFIG).write_text(text + "\n", encoding="utf-8")
         for written in temporary.iterdir():
             written.chmod(0o644)  # the safetensors library hides its files from other users

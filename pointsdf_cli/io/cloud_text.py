@@ -59,7 +59,8 @@ def read_xyz(path: Path) -> RawCloud:
     titles = _words(head[first - 1].lstrip("#/ ")) if first else []
     if len(titles) == table.shape[1] and {"x", "y", "z"} <= set(titles):
         return _from_titles(table, titles, comments)
-    if len(titles) == table.shape[1] > 3 and not {"x", "y", "z"} & set(titles):
+    remark = first and head[first - 1].lstrip().startswith(("#", "/"))  # may be any sentence
+    if not remark and len(titles) == table.shape[1] > 3 and not {"x", "y", "z"} & set(titles):
         raise InputError(
             f"has columns {', '.join(titles)}, none of which is called x, y or z",
             where=path,
@@ -120,14 +121,25 @@ def _from_titles(
     assert points is not None
     colours = columns("r", "g", "b")
     colours = columns("red", "green", "blue") if colours is None else colours
-    if colours is not None and not np.array_equal(colours, np.clip(np.round(colours), 0, 255)):
-        colours = None  # shares of one, or nothing that is a colour
     return RawCloud(
         points,
         columns("nx", "ny", "nz"),
-        None if colours is None else colours.astype(np.uint8),
+        None if colours is None else _as_colours(colours, _seen(points)),
         comments,
     )
+
+
+def _seen(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Rows that are points: others, NaN where a camera saw nothing, say nothing of the columns."""
+    return np.asarray(np.isfinite(points).all(axis=1))
+
+
+def _as_colours(values: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
+    """[N, 3] as colours, or None: shares of one, or nothing that is a colour."""
+    told = values[seen]
+    if not np.array_equal(told, np.clip(np.round(told), 0, 255)):
+        return None
+    return np.where(seen[:, None], values, 0).astype(np.uint8)
 
 
 def _is_numbers(row: str) -> bool:
@@ -143,10 +155,9 @@ def _from_table(table: NDArray[np.float64], comments: dict[str, str], path: Path
         raise InputError(f"rows of {table.shape[1]} numbers", where=path, allowed="at least x y z")
     normals = colours = None
     if table.shape[1] >= 6:
-        rest = table[:, 3:6]
-        length = np.linalg.norm(rest, axis=1)
-        if np.allclose(length, 1, atol=1e-3):
+        rest, seen = table[:, 3:6], _seen(table[:, :3])
+        if np.allclose(np.linalg.norm(rest[seen], axis=1), 1, atol=1e-3):
             normals = rest
-        elif np.array_equal(rest, np.clip(np.round(rest), 0, 255)):
-            colours = rest.astype(np.uint8)
+        else:
+            colours = _as_colours(rest, seen)
     return RawCloud(table[:, :3], normals, colours, comments)

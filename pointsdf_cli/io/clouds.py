@@ -254,6 +254,12 @@ def _finite(raw: RawCloud, path: Path, drop: bool) -> RawCloud:
             allowed="finite coordinates (depth cameras write NaN where they see nothing)",
             hint="add --drop-invalid to leave those points out" if bad < len(finite) else None,
         )
+    if not finite.any():
+        raise InputError(
+            f"none of {len(finite)} points is anywhere but at 0 0 0, where no camera sees anything",
+            where=path,
+            hint="was the camera covered, or too near?",
+        )
     return replace(
         raw,
         points=raw.points[finite],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -81,7 +82,18 @@ def _image(path: Path) -> NDArray:
             values = np.asarray(image)
         except (OSError, ValueError, SyntaxError) as error:
             raise InputError("is damaged or cut short", where=path) from error
-    return values
+        return values if image.format != "PPM" else _as_stored(values, path)
+
+
+def _as_stored(values: NDArray, path: Path) -> NDArray:
+    """The numbers that a PGM file holds: Pillow stretches them so that the header's greatest value
+    becomes 255 or 65535, and a depth is what was written."""
+    head = re.sub(rb"#[^\n]*", b" ", path.read_bytes()[:4096]).split(maxsplit=4)
+    if head[0] not in (b"P2", b"P5"):
+        return values
+    greatest = int(head[3])
+    shown = 255 if values.dtype == np.uint8 else 65535
+    return np.rint(values * (greatest / shown)).astype(values.dtype)
 
 
 def _open(path: Path) -> Image.Image:

@@ -104,7 +104,7 @@ class Plan:
         timings: Seconds by stage.
         link_names: [L].
         link_clearance_object, link_clearance_table: f8 [L] m, at the grasp; to the object by the
-            samples of the link's surface.
+            samples of the link's surface, from 3 cm on to the box around it.
         rejected: Every rejected seed with its residuals.
         kind: "side" or "top"; empty where there is no grasp.
         accepted: The grasp and its alternatives.

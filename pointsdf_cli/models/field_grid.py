@@ -21,7 +21,7 @@ from torch.autograd.function import once_differentiable
 Array = NDArray[np.float64]
 
 NODES = 20_000
-"""Nodes at most, whatever the object's size; the step grows instead."""
+"""About so many cells at most, whatever the object's size; the step grows instead."""
 
 
 class FieldGrid:
@@ -31,7 +31,7 @@ class FieldGrid:
         field: Signed distances [N] m at points [N, 3] m.
         low, high: [3], the box, m.
         step: Wanted side of a cell, m.
-        nodes: At most so many nodes.
+        nodes: About so many cells at most; along each side one more node than cells.
 
     Attributes:
         step: f8 [3], the sides of a cell, m.

@@ -35,7 +35,8 @@ def image_coordinates(points: Tensor, camera: Tensor) -> Tensor:
 
     Returns:
         [B, N, 3]: lateral x and y, scaled to lengths at the cloud's centre plane, and depth along z
-        relative to the camera. Points behind the camera are clamped to a small positive depth.
+        relative to the camera. Where a point is behind the camera, or hardly before it, a small
+        positive depth stands in for its own in the division.
     """
     relative = points - camera.unsqueeze(1)
     reference = camera[:, 2].neg().clamp(min=0.1).view(-1, 1, 1)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import lzma
 import tarfile
+import zlib
 from pathlib import Path, PurePosixPath
 
 from pointsdf_cli.errors import InputError
@@ -38,7 +40,7 @@ def extract_mesh(archive: Path, out: Path, largest: int = LARGEST_MEMBER) -> Pat
             if source is None:
                 raise InputError("the mesh in it is no file", where=archive)
             data = source.read(largest + 1)
-    except (tarfile.TarError, EOFError, OSError) as error:
+    except (tarfile.TarError, zlib.error, lzma.LZMAError, EOFError, OSError) as error:
         raise InputError(
             f"is no readable tar archive ({type(error).__name__}: {error})",
             where=archive,

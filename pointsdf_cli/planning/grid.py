@@ -213,7 +213,7 @@ def surface_box(
         slope: The largest slope of the field.
 
     Raises:
-        InputError: The field is positive all over the wide box.
+        InputError: No node's value is so low that a surface could be in a cell beside it.
     """
     low = np.asarray(low, dtype=np.float64)
     wide = np.asarray(high, dtype=np.float64) - low

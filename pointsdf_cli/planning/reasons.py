@@ -182,7 +182,7 @@ def explain(
         return (
             f"The best of {seeds_tried} grasps is predicted to hold with probability "
             f"{best.success:.2f}, not above {min(config.floor, config.least):g}: turn the object, "
-            "or look at it from another side."
+            "or look at it from another side; --min-success 0 takes the best all the same."
         )
     if reason == "objective":
         return (

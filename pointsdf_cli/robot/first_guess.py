@@ -82,7 +82,7 @@ def first_guess(urdf: Path, beside: Path, palm: str | None = None) -> dict[str, 
     if jaws:
         touching += _touching_closed(robot)
     return data | {
-        "home": _rounded(robot.home, 3),
+        "home": _rounded_within(robot.home, robot.lower, robot.upper, 3),
         "preshape_joints": ranges,
         "closing_joints": speeds,
         "palm": {"link": palm, **placed, "reach": robot.palm_reach},
@@ -137,6 +137,15 @@ def _range(tree: Tree, name: str) -> list[float]:
 
 def _rounded(values: Array, digits: int) -> list[float]:
     return [round(float(v), digits) + 0.0 for v in values]
+
+
+def _rounded_within(values: Array, low: Array, high: Array, digits: int) -> list[float]:
+    """Rounded, but not past limits that themselves have more digits."""
+    unit = 10.0**-digits
+    inside = np.clip(
+        np.round(values, digits), np.ceil(low / unit) * unit, np.floor(high / unit) * unit
+    )
+    return _rounded(inside, digits)
 
 
 def _always_touching(robot: RobotDescription) -> list[list[str]]:

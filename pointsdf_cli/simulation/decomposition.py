@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import QhullError
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import atomic_path
@@ -117,7 +118,9 @@ def decompose(
     for corners, _ in parts:
         try:
             piece = trimesh.convex.convex_hull(corners)
-        except ValueError:  # flat: nothing to collide with
+        except (ValueError, QhullError):
+            continue
+        if not piece.volume > 0:  # flat: nothing to collide with
             continue
         pieces.append((np.asarray(piece.vertices), np.asarray(piece.faces)))
     if not pieces:

@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 from manifold3d import Error, Manifold, Mesh
 from numpy.typing import NDArray
+from scipy.spatial import QhullError
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.simulation.decomposition import Pieces, with_few_corners
@@ -133,7 +134,7 @@ def _solid(vertices: Array, faces: NDArray[np.integer], most_faces: int) -> Mani
 def _hull(points: Any) -> trimesh.Trimesh:
     try:
         hull = trimesh.convex.convex_hull(np.asarray(points, dtype=float))
-    except ValueError as error:  # scipy's QhullError is one
+    except (ValueError, QhullError) as error:
         raise InputError("the points span no volume") from error
     if not hull.volume > SLIVER:
         raise InputError("the points span no volume")

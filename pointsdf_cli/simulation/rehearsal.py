@@ -16,6 +16,7 @@ import numpy as np
 import torch
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import QhullError
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
@@ -244,7 +245,7 @@ def _put_down(corners: Array, foot: float) -> trimesh.Trimesh | None:
     corners[corners[:, 2] < foot, 2] = 0.0
     try:
         hull = trimesh.convex.convex_hull(corners)
-    except ValueError:  # flat; scipy's QhullError is one
+    except (ValueError, QhullError):  # flat
         return None
     return hull if hull.volume > 1e-9 else None
 

@@ -29,7 +29,8 @@ class GraspData:
     Attributes:
         names: O, the files' paths in the folder, without suffix.
         files: O.
-        held_out: bool [O], objects that no training may see.
+        held_out: bool [O], objects that no training of a success network may see. The
+            reconstruction that it reads may have learned their shape.
         object_of: int [N].
         scene_of: int [N], numbered over all objects; grasps of a scene share pose and view.
         preshape: f8 [N, K] rad.

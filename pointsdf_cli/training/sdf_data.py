@@ -139,7 +139,8 @@ def augment(batch: Batch, rng: np.random.Generator) -> Batch:
 def training_views(
     views: NDArray[np.int64], batch_size: int, step: int, seed: int
 ) -> NDArray[np.int64]:
-    """The views of one step: every epoch goes once through all of them, in its own order."""
+    """The views of one step: every epoch goes through them in its own order, none twice; what does
+    not fill a last batch is left out of that epoch."""
     per_epoch = max(1, len(views) // batch_size)
     epoch, place = divmod(step, per_epoch)
     order = _epoch_order(len(views), epoch, seed)

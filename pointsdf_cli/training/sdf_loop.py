@@ -351,5 +351,5 @@ def _check_same_data(state: Mapping[str, Any], learned_from: str, out: Path | st
             "was trained on other data, or with another part of it held out",
             where=out,
             hint="give the same --views, --labels, --held-out and --views-per-object as before, or "
-            f"begin anew from its weights: --start-from {out} and another --out",
+            "begin anew with another --out",
         )

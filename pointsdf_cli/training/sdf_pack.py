@@ -136,11 +136,13 @@ def open_pack(
         label_start = _build(pairs, objects, folder, limits, on_progress)
         with atomic_path(folder / "label_start.npy") as temporary:
             np.save(temporary, label_start)
-    except OSError as error:
+    except BaseException as error:
         for name in (*ARRAYS, *LABEL_ARRAYS):  # unfinished, and in the way where a disk is full
             for suffix in (f"-{os.getpid()}.bin", ".npy"):
                 (folder / f"{name}{suffix}").unlink(missing_ok=True)
-        raise unwritable(folder, error) from error
+        if isinstance(error, OSError):
+            raise unwritable(folder, error) from error
+        raise
     # Written last: a pack without its index is unfinished and is built again.
     write_text_atomic(index_file, json.dumps({"fingerprint": fingerprint, "names": objects}))
     return load_pack(folder, tuple(objects))
