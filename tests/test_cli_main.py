@@ -36,7 +36,9 @@ def test_an_interruption_while_libraries_load_is_not_swallowed(tmp_path: Path) -
     (tmp_path / "slow.py").write_text(
         "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(5)\n"
     )
+    # Where the tests run in the background, the shell has Ctrl-C ignored.
     code = (
+        "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from pointsdf_cli.cli.main import _interruptible_imports as guard\n"
         "with guard():\n    import greedy\nprint('went on')\n"
     )
@@ -58,12 +60,34 @@ def test_an_interruption_elsewhere_is_one_line(
     def wait() -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
-    before = signal.getsignal(signal.SIGINT)
     monkeypatch.setattr(app_module, "app", waiting)
-    run = cli()
-    assert run.code == 130
-    assert run.err.strip() == STOPPED
-    assert signal.getsignal(signal.SIGINT) is before
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        run = cli()
+        assert run.code == 130
+        assert run.err.strip() == STOPPED
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_an_ignored_interruption_stays_ignored(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    going_on = typer.Typer()
+
+    @going_on.command()
+    def go_on() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        print("went on")
+
+    monkeypatch.setattr(app_module, "app", going_on)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        run = cli()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert (run.code, run.out) == (0, "went on\n")
 
 
 @pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
