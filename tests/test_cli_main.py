@@ -51,43 +51,37 @@ def test_an_interruption_while_libraries_load_is_not_swallowed(tmp_path: Path) -
     assert run.stdout == ""
 
 
+@pytest.mark.parametrize(
+    ("handler", "code", "out", "err"),
+    [
+        (signal.default_int_handler, 130, "", f"{STOPPED}\n"),
+        (signal.SIG_IGN, 0, "went on\n", ""),  # as behind `nohup … &`
+    ],
+    ids=["heard", "ignored"],
+)
 def test_an_interruption_elsewhere_is_one_line(
-    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    cli: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    handler: Any,
+    code: int,
+    out: str,
+    err: str,
 ) -> None:
-    waiting = typer.Typer()
+    interrupted = typer.Typer()
 
-    @waiting.command()
-    def wait() -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-
-    monkeypatch.setattr(app_module, "app", waiting)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        run = cli()
-        assert run.code == 130
-        assert run.err.strip() == STOPPED
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def test_an_ignored_interruption_stays_ignored(
-    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    going_on = typer.Typer()
-
-    @going_on.command()
-    def go_on() -> None:
+    @interrupted.command()
+    def interrupt() -> None:
         os.kill(os.getpid(), signal.SIGINT)
         print("went on")
 
-    monkeypatch.setattr(app_module, "app", going_on)
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    monkeypatch.setattr(app_module, "app", interrupted)
+    before = signal.signal(signal.SIGINT, handler)
     try:
         run = cli()
+        assert (run.code, run.out, run.err) == (code, out, err)
+        assert signal.getsignal(signal.SIGINT) is handler
     finally:
         signal.signal(signal.SIGINT, before)
-    assert (run.code, run.out) == (0, "went on\n")
 
 
 @pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143)])

@@ -129,7 +129,8 @@ class GraspProblem:
         return other
 
     def measuring(self) -> GraspProblem:
-        """The same with every distance exact, however far: for reports, not for solvers."""
+        """The same with every sample and pair asked about, however far: for reports, not for
+        solvers."""
         other = copy(self)
         other.object = self.object.reaching(np.inf)
         other.bodies = self.bodies.reaching(np.inf)
