@@ -12,7 +12,7 @@ demo: setup
 
 # One numerical thread a test process: two processes of two threads each would fight for two cores.
 test: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 $(RUN)/python -m pytest -n auto $(PYTEST_ARGS)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 $(RUN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
 
 lint: setup
 	$(RUN)/ruff check pointsdf_cli tests benchmarks

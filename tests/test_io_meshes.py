@@ -77,6 +77,37 @@ def test_an_inside_out_mesh_is_turned(tmp_path: Path, box_mesh: trimesh.Trimesh)
     assert enclosed_volume(mesh.vertices, mesh.faces) > 0
 
 
+@pytest.mark.parametrize(
+    ("shift", "size", "expected"),
+    [
+        pytest.param(0.3, 0.1, 2e-3, id="apart"),
+        pytest.param(0.09, 0.1, 1.9e-3, id="overlapping"),
+        pytest.param(0.3, 0.2, 9e-3, id="the larger one"),
+    ],
+)
+def test_a_part_turned_inside_out_is_no_cavity(
+    tmp_path: Path, shift: float, size: float, expected: float
+) -> None:
+    one = trimesh.creation.box((0.1, 0.1, 0.1))
+    other = trimesh.creation.box((size, size, size)).apply_translation([shift, 0, 0])
+    other.invert()
+    trimesh.util.concatenate([one, other]).export(tmp_path / "two.ply")
+    mesh = load_mesh(tmp_path / "two.ply")
+    assert enclosed_volume(mesh.vertices, mesh.faces) == pytest.approx(expected, rel=1e-5)
+    assert "turned outward" in mesh.repair
+
+
+def test_a_hollow_that_breaks_through_the_top_is_open(tmp_path: Path) -> None:
+    body = trimesh.creation.box((0.1, 0.1, 0.1))
+    hollow = trimesh.creation.box((0.08, 0.08, 0.1)).apply_translation([0, 0, 0.01])
+    hollow.invert()
+    trimesh.util.concatenate([body, hollow]).export(tmp_path / "open.ply")
+    mesh = load_mesh(tmp_path / "open.ply")
+    expected = 1e-3 - 0.08 * 0.08 * 0.09
+    assert enclosed_volume(mesh.vertices, mesh.faces) == pytest.approx(expected, rel=1e-5)
+    assert mesh.repair == "none"
+
+
 def test_a_missing_triangle_is_filled_and_recorded(
     tmp_path: Path, box_mesh: trimesh.Trimesh
 ) -> None:

@@ -13,6 +13,9 @@ from pointsdf_cli.errors import InputError
 
 REMESH_RESOLUTION = 96
 """Cells along the longest side when a surface is rebuilt from its winding numbers."""
+OUTSIDE = 0.5
+"""A piece turned inward with more than this share of its volume outside all others is no cavity in
+them. One that pokes out a little is: a hollow that breaks through its body's top."""
 
 
 @dataclass(frozen=True)
@@ -107,17 +110,38 @@ def _turned(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold
 
 
 def _unite(solid: manifold3d.Manifold) -> tuple[manifold3d.Manifold, str]:
-    """Overlapping pieces made one; pieces that are turned inward stay as cavities."""
+    """Overlapping pieces made one; pieces turned inward inside others stay as cavities.
+
+    One turned inward elsewhere is a body whose faces are the wrong way round: taken for a cavity,
+    a mug would lose its handle.
+    """
     pieces = solid.decompose()
     if len(pieces) < 2:
         return solid, ""
-    bodies = [p for p in pieces if p.volume() > 0]
-    cavities = [p for p in pieces if p.volume() < 0]
+    bodies = [piece for piece in pieces if piece.volume() > 0]
+    inward = [piece for piece in pieces if piece.volume() < 0]
+    turned = [_turned(*_surface(piece)) for piece in inward]
     united = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add)
-    for cavity in cavities:
-        mesh = cavity.to_mesh64()
-        united = united - _turned(np.asarray(mesh.vert_properties), np.asarray(mesh.tri_verts))
-    return united, f"{len(bodies)} pieces united" if len(bodies) > 1 else ""
+    outside = [(piece - united).volume() > OUTSIDE * piece.volume() for piece in turned]
+    wrong = [piece for piece, is_outside in zip(turned, outside, strict=True) if is_outside]
+    if wrong:
+        united = manifold3d.Manifold.batch_boolean([united, *wrong], manifold3d.OpType.Add)
+    for piece, is_outside in zip(turned, outside, strict=True):
+        if not is_outside:
+            united = united - piece
+    count = len(bodies) + len(wrong)
+    notes = [f"{len(wrong)} of {len(pieces)} pieces turned outward"] if wrong else []
+    if count > 1:
+        notes.append(f"{count} pieces united")
+    return united, ", ".join(notes)
+
+
+def _surface(
+    solid: manifold3d.Manifold,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices [V, 3] and faces [F, 3]."""
+    mesh = solid.to_mesh64()
+    return np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64)
 
 
 def _remesh(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold3d.Manifold:
