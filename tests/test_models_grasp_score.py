@@ -259,6 +259,25 @@ def test_another_robot_and_another_kind_of_checkpoint_are_refused(tmp_path: Path
         load_grasp_model(default_checkpoint())
 
 
+@pytest.mark.parametrize(
+    ("was", "now"),
+    [
+        pytest.param("index_joint_1: 0.2\n", "index_joint_1: -0.2\n", id="a finger that opens"),
+        pytest.param("palm, xyz: [0, 0, 0]", "palm, xyz: [0.02, 0, 0]", id="another palm frame"),
+    ],
+)
+def test_another_hand_of_the_same_name_is_refused(tmp_path: Path, was: str, now: str) -> None:
+    folder = load_robot().urdf.parent
+    shutil.copytree(folder, tmp_path / "robot")
+    file = tmp_path / "robot" / "lbr4_allegro.yaml"
+    text = file.read_text(encoding="utf-8")
+    assert was in text
+    load_grasp_model(robot=load_robot(file))
+    file.write_text(text.replace(was, now), encoding="utf-8")
+    with pytest.raises(InputError, match="another hand"):
+        load_grasp_model(robot=load_robot(file))
+
+
 def test_world_points_reach_the_field_in_the_world() -> None:
     asked = []
 

@@ -333,7 +333,7 @@ def test_nonsense_settings_are_refused() -> None:
 def test_a_run_stopped_within_an_epoch_carries_on_from_the_last_whole_one() -> None:
     data, x = rule_data(6, 30)
     split = split_grasps(data, 0.25, 0)
-    config = replace(CONFIG, epochs=6)
+    config = replace(CONFIG, epochs=6, batch_size=32)
     whole = train_success(data, split, rule_learner(x), config)
     states: list[dict] = []
     asked = iter(range(10**6))

@@ -17,7 +17,13 @@ from pointsdf_cli.io.views import Views, write_views
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import build_model, load_model
-from pointsdf_cli.training.sdf_data import augment, read_batch, split_views, training_views
+from pointsdf_cli.training.sdf_data import (
+    augment,
+    held_out_names,
+    read_batch,
+    split_views,
+    training_views,
+)
 from pointsdf_cli.training.sdf_loop import Progress, TrainConfig, TrainResult, train_sdf
 from pointsdf_cli.training.sdf_loss import SdfLoss, label_iou
 from pointsdf_cli.training.sdf_pack import Pack, open_pack, pair_artifacts
@@ -75,6 +81,24 @@ def _small() -> PointSDFRay:
 CONFIG = TrainConfig(
     steps=8, batch_size=4, queries=64, warmup=2, validate_every=4, precision="float32"
 )
+
+
+def test_held_out_views_do_not_depend_on_how_many_are_used(pack: Pack) -> None:
+    starts = np.flatnonzero(np.diff(pack.object_of_view, prepend=-1))
+    split = split_views(pack, 0.34, 0)
+    assert set(split.held_out_views) <= set(starts)
+    known = set(pack.object_of_view[split.train])
+    assert held_out_names(pack, split) == sorted(
+        name for number, name in enumerate(pack.names) if number not in known
+    )
+
+
+def test_batch_norm_wants_two_clouds(pack: Pack, tmp_path: Path) -> None:
+    model = build_model("pointsdf", {}, seed=0)
+    alone = replace(CONFIG, batch_size=1)
+    with pytest.raises(InputError, match="batch norm"):
+        train_sdf(pack, split_views(pack, 0.34, 0), model, alone, tmp_path / "run")
+    _run(pack, tmp_path / "ray", replace(alone, steps=1))
 
 
 def _run(
@@ -323,6 +347,20 @@ def test_the_command_trains_stops_and_resumes(cli, artifacts: Path, tmp_path: Pa
     config = read_checkpoint(tmp_path / "sharper").config
     assert config["training"]["loss"]["near"] == 0.02
     assert config["started_from"]["training"]["loss"]["near"] == 0.05
+    # What the first was judged by judges the second, although another seed would draw others.
+    first = read_checkpoint(tmp_path / "ckpt").config["data"]["held_out"]
+    assert len(first) == 1
+    begun = [*arguments[:5], "--out", tmp_path / "begun", *arguments[7:], "--seed", 5]
+    begun += ["--start-from", tmp_path / "ckpt"]
+    assert cli(*begun, "--steps", 2).code == 0
+    config = read_checkpoint(tmp_path / "begun").config
+    assert config["data"]["held_out"] == first
+    # A resumed run keeps where it began, and began nowhere else.
+    assert cli(*begun[:-2], "--steps", 3, "--resume").code == 0
+    assert read_checkpoint(tmp_path / "begun").config["started_from"] == config["started_from"]
+    elsewhere = cli(*begun[:-1], tmp_path / "sharper", "--steps", 4, "--resume")
+    assert elsewhere.code == 2
+    assert "did not begin with" in elsewhere.err
     for wrong, told in (
         (["--views", tmp_path / "none"], "not a folder"),
         (["--model", "resnet"], "pointsdf-ray"),

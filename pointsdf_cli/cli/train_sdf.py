@@ -67,7 +67,6 @@ def train_sdf(
     from pointsdf_cli.io.checkpoints import (
         forget_train_state,
         has_train_state,
-        read_config,
         require_checkpoint_place,
     )
     from pointsdf_cli.io.provenance import git_commit
@@ -76,7 +75,7 @@ def train_sdf(
     from pointsdf_cli.training.distributed import join_workers
     from pointsdf_cli.training.precision import idle_processors
     from pointsdf_cli.training.presets import preset as settings
-    from pointsdf_cli.training.sdf_data import split_views
+    from pointsdf_cli.training.sdf_data import held_out_names, split_views
     from pointsdf_cli.training.sdf_pack import open_pack, pair_artifacts
     from pointsdf_cli.viz.loss_curve import draw_loss_curve
 
@@ -117,10 +116,12 @@ def train_sdf(
             data = open_pack(pairs, folder, limits, lambda n, _: bar.advance(""), views)
         if workers.is_first:
             workers.wait()
-        split = split_views(data, held_out, seed)
-        if start_from is None:
-            network = build_model(model, arguments, seed=seed)
-        else:
+        started = _started_from(start_from, out if resume else None)
+        before = (started or {}).get("data", {}).get("held_out")
+        split = split_views(data, held_out, seed, before or ())
+        arguments = {**(started or {}).get("model", {}), **arguments}
+        network = build_model(model, arguments, seed=seed)
+        if start_from is not None and not resume:
             trained = load_model(start_from)
             if trained.architecture != model:
                 raise InputError(
@@ -128,7 +129,6 @@ def train_sdf(
                     where=f"--start-from {start_from}",
                     allowed=model,
                 )
-            network = build_model(model, {**trained.config(), **arguments}, seed=seed)
             try:
                 network.begin_with(trained)
             except RuntimeError as error:
@@ -136,6 +136,11 @@ def train_sdf(
                     f"has other sizes than {model} --preset {preset}",
                     where=f"--start-from {start_from}",
                 ) from error
+            if before is None:
+                reporter.say(
+                    f"{start_from} does not say what was held out from it: it may have learned "
+                    "from the objects that are held out here"
+                )
         reporter.say(
             f"{model} with {sum(p.numel() for p in network.parameters()) / 1e6:.1f} M weights; "
             f"{len(data.names)} objects, {len(split.train)} views to train on, "
@@ -152,8 +157,12 @@ def train_sdf(
                 out,
                 provenance={
                     "preset": preset,
-                    "started_from": None if start_from is None else read_config(start_from),
-                    "data": {"objects": len(data.names), "views": len(data.scale)},
+                    "started_from": started,
+                    "data": {
+                        "objects": len(data.names),
+                        "views": len(data.scale),
+                        "held_out": sorted({*held_out_names(data, split), *(before or ())}),
+                    },
                     "git_commit": git_commit(),
                 },
                 resume=resume,
@@ -183,6 +192,28 @@ def train_sdf(
                 f"stopped; the same command with --resume carries on at step {result.step}"
             )
             raise typer.Exit(should_stop.exit_code)
+
+
+def _started_from(start_from: Path | None, resumed: Path | None) -> dict[str, Any] | None:
+    """config.json of the checkpoint that a run begins with, or began with if it is resumed.
+
+    Raises:
+        InputError: The resumed run began with another one.
+    """
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.checkpoints import has_train_state, read_config
+
+    given = None if start_from is None else read_config(start_from)
+    if resumed is None or not has_train_state(resumed):
+        return given
+    begun = read_config(resumed).get("started_from")
+    if given is not None and given != begun:
+        raise InputError(
+            "the run to resume did not begin with that checkpoint as it is now",
+            where=f"--start-from {start_from}",
+            hint="leave --start-from out: --resume needs none",
+        )
+    return begun if begun is None else dict(begun)
 
 
 def _limits(entries: list[str]) -> dict[str, int]:

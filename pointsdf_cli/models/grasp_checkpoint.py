@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from pointsdf_cli.assets import asset_path, assets_folder
@@ -100,7 +101,7 @@ def write_grasp_checkpoint(
         "robot": {
             "name": robot.name,
             "preshape_joints": list(robot.preshape_joints),
-            "T_link_palm": robot.T_link_palm.tolist(),
+            "course": sweep.course().round(5).tolist(),
         },
         **provenance,
     }
@@ -133,13 +134,6 @@ def read_grasp_checkpoint(
         )
     robot = robot or load_robot()
     check_robot(robot, config["robot"]["name"], config["robot"]["preshape_joints"], where)
-    palm = config["robot"].get("T_link_palm")  # older checkpoints do not say
-    if palm is not None and not np.allclose(palm, robot.T_link_palm, atol=PALM_OFF):
-        raise InputError(
-            f"learned with another palm frame of {robot.name!r}: h would be of other grasps",
-            where=where,
-            hint="collect-grasps and train-gs again with this --robot",
-        )
     try:
         network = NETWORKS[config["inputs"]](**config["network"])
         sizes = config["sweep"]
@@ -149,6 +143,15 @@ def read_grasp_checkpoint(
         raise InputError(
             f"does not fit its config.json ({str(error).splitlines()[0]})", where=where
         ) from error
+    course = config["robot"].get("course")  # older checkpoints do not say
+    if course is not None and not _same_course(np.asarray(course), sweep.course()):
+        raise InputError(
+            f"learned with another hand, or another palm frame, of {robot.name!r}: fingers close "
+            "elsewhere, and h would be of other grasps",
+            where=where,
+            allowed="palm frame, links, limits, closing joints and speeds as when it learned",
+            hint="collect-grasps and train-gs again with this --robot",
+        )
     network.requires_grad_(False)
     return GraspParts(
         network.eval(),
@@ -160,8 +163,12 @@ def read_grasp_checkpoint(
     )
 
 
-PALM_OFF = 2e-3
-"""Palm frames that differ by less [m, and of unit axes] are the same frame, typed otherwise."""
+def _same_course(learned: NDArray[np.float64], now: NDArray[np.float64]) -> bool:
+    return learned.shape == now.shape and np.allclose(learned, now, atol=COURSE_OFF)
+
+
+COURSE_OFF = 3e-3
+"""Hands whose pads pass the same places within this [m] are the same hand."""
 
 
 def check_robot(

@@ -95,6 +95,7 @@ class HandSweep:
         # earlier or later.
         start = self._rest.clone()
         middle = torch.tensor(robot.preshape_ranges.mean(axis=1), dtype=torch.float32)
+        self._middle = middle
         start[self._preshape] = middle
         end = torch.where(speed > 0, self._upper, self._lower)
         duration = float(((end - start[self._closing]) / speed).max())
@@ -105,6 +106,15 @@ class HandSweep:
         with torch.no_grad():
             swept = self(middle[None])[1].reshape(-1, 3)
         self.region = _box_grid(swept, self.config.grid)
+
+    def course(self) -> NDArray[np.float64]:
+        """[S, 3], where the pads are on average at each stage, in the palm frame [m].
+
+        From the middle preshape: one hand is told from another by it.
+        """
+        with torch.no_grad():
+            pads = self(self._middle[None])[1][0]
+        return pads.double().mean(dim=1).numpy()
 
     @property
     def sizes(self) -> tuple[int, int]:

@@ -17,6 +17,12 @@ PACKED_CENTRES, PACKED_NEIGHBOURS = 256, 24
 """What packed training data holds for an encoder's first layer: centres, and neighbours of each."""
 
 
+def has_batch_norm(model: nn.Module) -> bool:
+    """Whether training compares the clouds of a batch, of which there must then be two."""
+    kinds = (nn.BatchNorm1d, nn.BatchNorm2d, nn.BatchNorm3d)
+    return any(isinstance(module, kinds) for module in model.modules())
+
+
 class Encoding(NamedTuple):
     """One batch of clouds as the decoder needs them.
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.grasps import HELD, read_grasps, was_collected
-from pointsdf_cli.models.grasp_checkpoint import PALM_OFF, check_robot
+from pointsdf_cli.models.grasp_checkpoint import check_robot
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
 
@@ -125,6 +125,10 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         raise InputError("holds no executed grasp", where=folder, hint="collect more of them")
     joined = [np.concatenate(column) for column in zip(*rows, strict=True)]
     return GraspData(names, kept, np.array(held_out), *joined)
+
+
+PALM_OFF = 2e-3
+"""Palm frames that differ by less [m, and of unit axes] are the same frame, typed otherwise."""
 
 
 def _require_palm(kinematics: Kinematics, q: Array, T_world_palm: Array, file: Path) -> None:

@@ -13,11 +13,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.grasp_evidence import Evidence
 from pointsdf_cli.models.grasp_features import GraspFeatures, ObjectBody
 from pointsdf_cli.models.grasp_success import EmbeddingNet, GeometryNet, grasp_numbers
 from pointsdf_cli.models.normalise import network_frame
-from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.models.shape_model import ShapeModel, has_batch_norm
 from pointsdf_cli.training.gs_data import GraspData
 from pointsdf_cli.training.sdf_pack import pack_views
 
@@ -161,6 +162,13 @@ class CloudInputs(Learner):
 
     def training_logits(self, index: Index, rng: np.random.Generator) -> Tensor:
         scenes, back = np.unique(self._scene[index], return_inverse=True)
+        if len(scenes) < 2 and has_batch_norm(self.encoder):
+            raise InputError(
+                f"{len(index)} grasps of one scene make a batch: {self.encoder.architecture} has "
+                "batch norm, which compares clouds",
+                where="--batch-size",
+                allowed="more grasps than of one scene",
+            )
         angle = torch.from_numpy(rng.uniform(-SHAKE, SHAKE, len(scenes)).astype(np.float32))
         turn = _about_z(angle)
         embedding = self._embed(scenes, turn)[back]

@@ -130,7 +130,7 @@ def train_success(
     if others:
         groups.append({"params": others, "share": config.encoder_rate})
     optimiser = torch.optim.AdamW(groups, weight_decay=config.weight_decay, fused=True)
-    per_epoch = math.ceil(len(split.train) / config.batch_size)
+    per_epoch = _batch_count(len(split.train), config.batch_size)
     torch.manual_seed(config.seed)
     epoch, seconds = 0, 0.0
     history: list[dict[str, float]] = []
@@ -168,7 +168,8 @@ def train_success(
         for number in range(per_epoch):
             if should_stop():
                 return found(False)
-            index = order[number * config.batch_size : (number + 1) * config.batch_size]
+            last = None if number + 1 == per_epoch else (number + 1) * config.batch_size
+            index = order[number * config.batch_size : last]
             rate = config.rate(epoch * per_epoch + number, config.epochs * per_epoch)
             for group in optimiser.param_groups:
                 group["lr"] = rate * group["share"]
@@ -178,7 +179,8 @@ def train_success(
             loss = torch.nn.functional.binary_cross_entropy_with_logits(
                 predicted, target.expand_as(predicted), weight=teaches.expand_as(predicted)
             )
-            # Members share nothing: each must get the gradient of its own loss, not of the mean.
+            # Members share but the gains of two layer norms: each must get the gradient of its own
+            # loss, not of the mean.
             optimiser.zero_grad(set_to_none=True)
             (loss * len(predicted)).backward()
             torch.nn.utils.clip_grad_norm_(head + others, 5.0)
@@ -215,6 +217,14 @@ def train_success(
         }
         on_epoch(found(False), state)
     return found(True)
+
+
+def _batch_count(grasps: int, size: int) -> int:
+    """Batches an epoch; a rest below half a batch joins the one before.
+
+    It may be grasps of one scene alone, and batch norm cannot learn from one cloud.
+    """
+    return max(1, math.floor(grasps / size + 0.5))
 
 
 def scene_order(data: GraspData, index: Index, rng: np.random.Generator) -> Index:

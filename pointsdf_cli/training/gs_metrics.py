@@ -79,10 +79,14 @@ def brier(label: NDArray[np.floating], probability: NDArray[np.floating]) -> flo
 def reliability(
     label: NDArray[np.floating], probability: NDArray[np.floating], bins: int = BINS
 ) -> NDArray[np.float64]:
-    """[bins, 3]: mean probability, share held, count, in bins of equally many predictions."""
-    order = np.argsort(probability, kind="stable")
-    parts = [part for part in np.array_split(order, bins) if len(part)]
-    return np.array([(probability[p].mean(), label[p].mean(), len(p)) for p in parts])
+    """[bins, 3]: mean probability, share held, count, in bins of equally many predictions.
+
+    Equal predictions have one share held, theirs together: which bin takes which says nothing.
+    """
+    _, which = np.unique(probability, return_inverse=True)
+    held = (np.bincount(which, label) / np.bincount(which))[which]
+    parts = [part for part in np.array_split(np.argsort(probability), bins) if len(part)]
+    return np.array([(probability[p].mean(), held[p].mean(), len(p)) for p in parts])
 
 
 def calibration_error(label: NDArray[np.floating], probability: NDArray[np.floating]) -> float:

@@ -7,6 +7,7 @@ exactly the batches that an uninterrupted one would have seen.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +49,8 @@ class Split(NamedTuple):
     Attributes:
         train: Trained on.
         held_out_objects: All views of objects that are never trained on.
-        held_out_views: The last view of some training objects.
+        held_out_views: The first view of some training objects: the same one however many views
+            an object a run uses.
     """
 
     train: NDArray[np.int64]
@@ -56,13 +58,17 @@ class Split(NamedTuple):
     held_out_views: NDArray[np.int64]
 
 
-def split_views(pack: Pack, share: float, seed: int, most: int = 512) -> Split:
+def split_views(
+    pack: Pack, share: float, seed: int, held_before: Collection[str] = (), most: int = 512
+) -> Split:
     """Hold out a share of the objects, and one view of as many training objects.
 
     Args:
         pack: The data.
         share: Of the objects, in (0, 1); at least one is held out.
         seed: Which ones.
+        held_before: Names that were held out from the weights that a run begins with; they are
+            held out again, or it would be judged by what those have learned.
         most: At most so many views validate, spread over all held-out objects.
 
     Raises:
@@ -77,18 +83,26 @@ def split_views(pack: Pack, share: float, seed: int, most: int = 512) -> Split:
         )
     rng = np.random.default_rng([seed, 0])
     order = rng.permutation(total)
-    held_out = min(total - 1, max(1, round(share * total)))
+    before = np.isin([pack.names[k] for k in order], list(held_before))
+    order = np.concatenate([order[before], order[~before]])
+    held_out = min(total - 1, max(1, round(share * total), int(before.sum())))
     is_held_out = np.isin(pack.object_of_view, order[:held_out])
     validating = np.flatnonzero(is_held_out)
     if len(validating) > most:
         validating = validating[np.linspace(0, len(validating) - 1, most).astype(int)]
     known = np.flatnonzero(~is_held_out)
     objects = pack.object_of_view[known]
-    is_last = np.append(objects[1:] != objects[:-1], True)
-    is_only = is_last & np.insert(objects[1:] != objects[:-1], 0, True)
-    last = known[is_last & ~is_only]
-    other_views = np.sort(rng.permutation(last)[: max(1, min(most // 2, round(len(last) * 0.5)))])
+    is_first = np.insert(objects[1:] != objects[:-1], 0, True)
+    is_only = is_first & np.append(objects[1:] != objects[:-1], True)
+    first = known[is_first & ~is_only]
+    other_views = np.sort(rng.permutation(first)[: max(1, min(most // 2, round(len(first) * 0.5)))])
     return Split(np.setdiff1d(known, other_views), validating, other_views)
+
+
+def held_out_names(pack: Pack, split: Split) -> list[str]:
+    """Names of the objects of which no view is trained on."""
+    taught = np.unique(pack.object_of_view[split.train])
+    return sorted(np.delete(np.asarray(pack.names, dtype=object), taught))
 
 
 def read_batch(

@@ -17,7 +17,7 @@ from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.checkpoints import read_train_state, write_checkpoint
 from pointsdf_cli.io.provenance import data_sha256
 from pointsdf_cli.models.processor import keep_large_allocations
-from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.models.shape_model import ShapeModel, has_batch_norm
 from pointsdf_cli.training.distributed import ALONE, Workers
 from pointsdf_cli.training.ema import WeightAverage
 from pointsdf_cli.training.precision import autocast_dtype
@@ -173,10 +173,19 @@ def train_sdf(
         should_stop: Asked before each step; True writes the state and returns.
 
     Raises:
-        InputError: Nothing to resume, or it was another configuration or other data.
+        InputError: Nothing to resume, or it was another configuration or other data; or a step
+            has too few clouds for batch norm.
         RgraspError: The loss is no longer finite.
     """
     keep_large_allocations()
+    share = min(config.batch_size, len(split.train)) // workers.count
+    if share < 2 and has_batch_norm(model):
+        raise InputError(
+            f"{share} cloud a step in each process: {model.architecture} has batch norm, which "
+            "compares clouds",
+            where="--batch-size",
+            allowed="2 or more, and as many training views",
+        )
     target = torch.device(device)
     model.to(target).train()
     optimiser = torch.optim.AdamW(
