@@ -223,6 +223,15 @@ def _joints(robot: RobotDescription) -> list[Finding]:
                 "smaller numbers in closing_joints",
             )
         )
+    if robot.tree.without_mass:
+        found.append(
+            Finding(
+                WARNING,
+                f"{', '.join(robot.tree.without_mass)}: no <inertial> in the URDF; the simulator "
+                "takes their shapes to weigh as much as water",
+                "give those links their <inertial>; a hand's decides how its fingers close",
+            )
+        )
     return found
 
 

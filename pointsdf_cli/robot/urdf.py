@@ -52,11 +52,13 @@ class Tree:
         links: Link names; the first is the root.
         joints: `joints[i]` leads to `links[i + 1]`.
         shapes: Collision shapes by link name, in the link's frame.
+        without_mass: Links that have shapes and no `<inertial>`.
     """
 
     links: tuple[str, ...]
     joints: tuple[Joint, ...]
     shapes: dict[str, tuple[Shape, ...]]
+    without_mass: tuple[str, ...]
 
     def neighbours(self) -> set[frozenset[str]]:
         """Pairs of links that cannot be kept apart by moving: those that one joint connects,
@@ -97,8 +99,10 @@ def read_urdf(path: Path) -> Tree:
         name: tuple(_shapes(link, path))
         for name, link in zip(names, root.findall("link"), strict=True)
     }
+    weighed = {link.get("name") for link in root.findall("link[inertial]")}
     links, ordered = _ordered(names, joints, path)
-    return Tree(links, ordered, shapes)
+    without_mass = tuple(name for name in links if shapes[name] and name not in weighed)
+    return Tree(links, ordered, shapes, without_mass)
 
 
 def _ordered(
@@ -181,7 +185,7 @@ def _shapes(link: ET.Element, path: Path) -> list[Shape]:
             shapes.append(Shape("sphere", tuple(_numbers(node.get("radius"), 1, path)), pose))
         elif node.tag == "mesh":
             scale = _vector(node, "scale", (1.0, 1.0, 1.0), path)
-            shapes.append(mesh_shape(_mesh_file(node.get("filename", ""), path), scale, pose))
+            shapes.append(mesh_shape(mesh_file(node.get("filename", ""), path), scale, pose))
         else:
             raise InputError(
                 f"link {link.get('name')!r} has the shape <{node.tag}>",
@@ -191,7 +195,7 @@ def _shapes(link: ET.Element, path: Path) -> list[Shape]:
     return shapes
 
 
-def _mesh_file(name: str, urdf: Path) -> Path:
+def mesh_file(name: str, urdf: Path) -> Path:
     """The file that a URDF's mesh name means: relative to the URDF, or below its package."""
     bare = name.split("://", 1)[-1]
     candidates = [urdf.parent / bare]

@@ -25,7 +25,8 @@ class ExecutorConfig:
         grip_effort: Fraction of a joint's effort while it holds.
         stall_speed: A joint slower than this fraction of its commanded speed has stalled.
         stall_time: ... for this long [s].
-        longest_closing: The closing ends after this [s] whatever moves.
+        longest_closing: The closing ends after this [s] whatever moves; later for a hand that
+            needs longer to close.
         grip_time: Time to build up the grip [s].
         lift_height: [m], along the world's z.
         lift_time: [s].
@@ -180,13 +181,14 @@ class Executor:
         # 0.02 rad of a finger; of a jaw that slides a few centimetres, as small a part.
         travel = (robot.hard_upper - robot.hard_lower)[self._closing]
         at_end = np.minimum(0.02, 0.02 * travel)
+        longest = max(config.longest_closing, 1.25 * float((travel / np.abs(speeds)).max()))
         moving = np.ones(len(speeds), dtype=bool)
         slow = np.zeros(len(speeds))
         check = max(1, round(0.0125 / world.physics.step))
         world.drive_at(speeds, self._closing, efforts)
         began = world.time
         self._hold(0.05, "close")  # let the joints get going before judging that they stall
-        while moving.any() and world.time - began < config.longest_closing:
+        while moving.any() and world.time - began < longest:
             self._advance(check, "close")
             velocity = world.velocities()[self._closing]
             position = world.configuration()[self._closing]

@@ -19,6 +19,7 @@ from pointsdf_cli.geometry.frames import (
 )
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.simulation.bullet import import_bullet, silence
+from pointsdf_cli.simulation.bullet_urdf import bullet_urdf
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.sim_object import SimObject
 
@@ -103,6 +104,7 @@ class World:
         self._client = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
         self._temporary = tempfile.TemporaryDirectory(prefix="rgrasp-world-")  # gone at exit, too
         self._folder = Path(self._temporary.name)
+        self._urdf = bullet_urdf(robot, self._folder, visible=gui)
         self._object_file: tuple[Pieces, Path] | None = None
         self._steps = 0
 
@@ -317,7 +319,7 @@ class World:
         wxyz = wxyz_from_rotation(robot.T_world_base[:3, :3])
         with silence():
             self._body = b.loadURDF(
-                str(robot.urdf),
+                str(self._urdf),
                 basePosition=robot.T_world_base[:3, 3].tolist(),
                 baseOrientation=wxyz[[1, 2, 3, 0]].tolist(),
                 useFixedBase=True,

@@ -1,0 +1,109 @@
+"""Any URDF has in PyBullet the bodies and masses that it has here."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.robot.check import check_robot
+from pointsdf_cli.robot.description import RobotDescription, load_robot
+from pointsdf_cli.simulation.bullet_urdf import LINK_DENSITY, bullet_urdf
+from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
+from pointsdf_cli.simulation.sim_object import prepare_object
+from pointsdf_cli.simulation.world import World
+
+pytest.importorskip("pybullet")
+ROBOTS = Path(__file__).parent / "robots"
+LEFT, RIGHT = (f'<link name="{side}">' for side in ("left", "right"))
+
+
+def gripper(folder: Path, jaws: str = "", text: tuple[str, str] | None = None) -> RobotDescription:
+    """The gripper, its jaws from a mesh file of this format, or with other words in its YAML."""
+    shutil.copytree(ROBOTS, folder, dirs_exist_ok=True)
+    if jaws:
+        name = f"jaw.{jaws.removesuffix('_ascii')}"
+        # A drawing in millimetres.
+        data = trimesh.creation.box((60.0, 10.0, 20.0)).export(file_type=jaws)
+        (folder / name).write_bytes(data.encode() if isinstance(data, str) else data)
+        urdf = (folder / "gripper.urdf").read_text(encoding="utf-8")
+        mesh = f'<mesh filename="{name}" scale="0.001 0.001 0.001"/>'
+        urdf = re.sub('<box size="0.06 0.01 0.02"/>', mesh, urdf)
+        (folder / "gripper.urdf").write_text(urdf, encoding="utf-8")
+    if text is not None:
+        yaml = (folder / "gripper.yaml").read_text(encoding="utf-8")
+        assert text[0] in yaml
+        (folder / "gripper.yaml").write_text(yaml.replace(*text), encoding="utf-8")
+    return load_robot(folder / "gripper.yaml")
+
+
+@pytest.mark.parametrize("kind", ["stl", "stl_ascii", "obj", "ply", "off", "glb"])
+def test_a_robot_of_meshes_has_a_body(tmp_path: Path, kind: str) -> None:
+    robot = gripper(tmp_path, kind)
+    with World(robot) as world:
+        world.reset()
+        bullet, client = world._bullet, world._client
+        for i in range(bullet.getNumJoints(world._body, physicsClientId=client)):
+            link = bullet.getJointInfo(world._body, i, physicsClientId=client)[12].decode()
+            shapes = bullet.getCollisionShapeData(world._body, i, physicsClientId=client)
+            assert len(shapes) == len(robot.tree.shapes[link]), link
+            low, high = bullet.getAABB(world._body, i, physicsClientId=client)
+            if link in ("left", "right"):
+                # 6 × 1 × 2 cm, turned somehow, and the margin that PyBullet adds.
+                assert 0.06 < np.linalg.norm(np.subtract(high, low)) < 0.12
+        q = robot.home.copy()
+        q[robot.joint_names.index("slide")] = robot.hard_lower[0]
+        q[robot.joint_names.index("lean")] = 1.5
+        boxes = gripper(tmp_path / "boxes")
+        with World(boxes) as plain:
+            plain.reset()
+            assert world.collisions(q) == plain.collisions(q)
+
+
+def test_links_without_a_mass_weigh_what_their_shapes_hold(tmp_path: Path) -> None:
+    robot = gripper(tmp_path)
+    assert set(robot.tree.without_mass) == {"rail", "carriage", "elbow", "wrist", "left", "right"}
+    found = check_robot(robot).findings
+    assert any("no <inertial>" in finding.what and "left" in finding.what for finding in found)
+    with World(robot) as world:
+        world.reset()
+        bullet, client = world._bullet, world._client
+        weighed = {}
+        for i in range(bullet.getNumJoints(world._body, physicsClientId=client)):
+            info = bullet.getDynamicsInfo(world._body, i, physicsClientId=client)
+            link = bullet.getJointInfo(world._body, i, physicsClientId=client)[12].decode()
+            weighed[link] = (info[0], info[3])
+    assert weighed["left"][0] == pytest.approx(LINK_DENSITY * 0.06 * 0.01 * 0.02)
+    assert weighed["left"][1] == pytest.approx((0.03, 0, 0))  # the middle of its box
+    assert weighed["wrist"][0] == pytest.approx(LINK_DENSITY * 0.03 * 0.03 * 0.2)
+    assert weighed["grip"][0] < 0.01  # a frame
+
+
+def test_a_robot_that_pybullet_reads_rightly_is_left_alone(tmp_path: Path) -> None:
+    robot = load_robot()
+    assert bullet_urdf(robot, tmp_path) == robot.urdf
+    assert not any(tmp_path.iterdir())
+    assert not any("inertial" in finding.what for finding in check_robot(robot).findings)
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.002])
+def test_a_slow_hand_closes_all_the_way(tmp_path: Path, speed: float) -> None:
+    cube = trimesh.creation.box((0.1, 0.1, 0.1))
+    box = prepare_object(
+        LoadedMesh("box", cube.vertices, cube.faces.astype(np.int32), "box", "none"), tmp_path
+    )
+    closing = "{left_jaw: 0.05, right_jaw: 0.05}"
+    robot = gripper(tmp_path, text=(closing, f"{{left_jaw: {speed}, right_jaw: {speed}}}"))
+    far = transform(np.eye(3), [0.9, 0.5, 0.05])
+    with World(robot) as world:
+        world.reset(box, far)
+        Executor(world, ExecutorConfig(), lambda q: np.eye(4))._close()
+        ends = robot.hard_upper[robot.closing_columns]
+        reached = world.configuration()[robot.closing_columns]
+    assert reached == pytest.approx(ends, abs=0.002)
