@@ -10,7 +10,8 @@ import trimesh
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.meshes import LoadedMesh
-from pointsdf_cli.simulation.decomposition import convex_pieces
+from pointsdf_cli.objects.generate import make_object
+from pointsdf_cli.simulation.decomposition import VOLUME_OFF, convex_pieces, with_few_faces
 from pointsdf_cli.simulation.feet import with_flat_foot
 from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, prepare_object
 from pointsdf_cli.simulation.stable_poses import (
@@ -50,6 +51,23 @@ def test_ring_keeps_its_hole_and_its_volume(tmp_path: Path) -> None:
         assert ((0 - corners) * normals).sum(axis=1).max() > 0.005
     total = sum(h.volume for h in hulls)
     assert total == pytest.approx(np.pi * (0.05**2 - 0.03**2) * 0.03, rel=0.2)
+
+
+@pytest.mark.parametrize("most", [500, 3000])
+def test_fewer_faces_are_the_same_can(most: int) -> None:
+    # Their lids are fans of long thin triangles, which quadrics fold over.
+    folded = 0
+    for index in range(8):
+        made = make_object(0, index, ["can"])
+        mesh = trimesh.Trimesh(made.vertices, made.faces)
+        few = with_few_faces(mesh, most)
+        assert few.is_watertight
+        assert few.volume == pytest.approx(mesh.volume, rel=VOLUME_OFF)
+        assert few.extents == pytest.approx(mesh.extents, rel=0.05)
+        folded += mesh.simplify_quadric_decimation(face_count=most).volume < 0.8 * mesh.volume
+        if len(mesh.faces) > most:
+            assert len(few.faces) < len(mesh.faces)
+    assert folded, "else this test shows nothing"
 
 
 def test_damaged_cache_is_made_again(tmp_path: Path) -> None:

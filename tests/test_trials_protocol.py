@@ -65,6 +65,11 @@ def test_a_ycb_folder_gives_its_objects_and_stand_ins_for_the_rest(tmp_path: Pat
     assert [item.name for item in choose_objects(folder, "others")] == ["011_banana"]
     assert len(choose_objects(folder, "all")) == 3
     assert [i.name for i in choose_objects(folder, "lego,011_banana")] == ["lego", "011_banana"]
+    (folder / "other").mkdir()
+    (folder / "other" / "011_banana.ply").write_bytes(b"")
+    assert [item.name for item in choose_objects(folder, "lego")] == ["lego"]
+    with pytest.raises(InputError, match="two meshes are called 011_banana"):
+        choose_objects(folder, "lego,011_banana")
 
 
 def test_a_mesh_of_a_papers_name_is_that_mesh(tmp_path: Path) -> None:

@@ -112,8 +112,11 @@ def test_summary_counts_what_was_written(rows: list[TrialRow]) -> None:
     assert oracle.reasons == {"table_collision": 4}
     assert oracle.by_object["lego"].successes == 0
     test = compare(rows, "reconstruction", "partial-view")
-    assert (test.only_first, test.only_second) == (4, 0)
-    assert test.p == pytest.approx(2 / 16)
+    assert (test.paired.only_first, test.paired.only_second) == (4, 0)
+    assert test.paired.p == pytest.approx(2 / 16)
+    # Four trials with two objects are two objects: of four signs two agree with both.
+    assert test.objects == (2, 2)
+    assert test.by_object == pytest.approx(2 / 4)
 
 
 def test_the_page_stands_alone_and_says_what_the_table_says(rows: list[TrialRow]) -> None:

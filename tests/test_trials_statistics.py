@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.trials.statistics import mcnemar, wilson
+from pointsdf_cli.trials.statistics import mcnemar, sign_flips, wilson
 
 
 def test_wilson_interval_of_known_shares() -> None:
@@ -54,3 +54,15 @@ def test_equal_outcomes_say_nothing() -> None:
     assert mcnemar([True, False], [True, False]).p == 1.0
     with pytest.raises(InputError):
         mcnemar([True], [True, False])
+
+
+def test_sign_flips_are_counted_by_hand() -> None:
+    # Of the 2⁵ signs of five leads of one side only all and none reach the sum.
+    assert sign_flips([2, 1, 2, 2, 4]) == pytest.approx(2 / 32)
+    assert sign_flips([2, 1, 2, 2, 4, 0, 0]) == pytest.approx(2 / 32)
+    # ±3 ±1: |sum| is 4, 2, 2, 4, and 2 was found.
+    assert sign_flips([3, -1]) == 1.0
+    assert sign_flips([0, 0]) == 1.0
+    assert sign_flips([]) == 1.0
+    # Forty objects take no longer than forty sums.
+    assert sign_flips([1] * 40) == pytest.approx(2 / 2**40)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import QhullError
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.simulation.decomposition import Pieces, with_few_corners
+from pointsdf_cli.simulation.decomposition import Pieces, with_few_corners, with_few_faces
 
 Array = NDArray[np.float64]
 
@@ -120,9 +120,7 @@ def _best_cut(part: _Part, places: tuple[float, ...]) -> list[_Part] | None:
 
 def _solid(vertices: Array, faces: NDArray[np.integer], most_faces: int) -> Manifold | None:
     """The mesh as a closed solid of few faces; None if it is none."""
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    if len(faces) > most_faces:
-        mesh = mesh.simplify_quadric_decimation(face_count=most_faces)
+    mesh = with_few_faces(trimesh.Trimesh(vertices, faces, process=False), most_faces)
     if not mesh.is_watertight:
         mesh = trimesh.Trimesh(vertices, faces, process=False)
     solid = Manifold(Mesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)))

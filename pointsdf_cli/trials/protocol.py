@@ -179,8 +179,10 @@ def choose_objects(
         return _distinct(every)
     known = {name: TrialObject(name, by_paper.get(name), upright=True) for name in STAND_INS}
     known |= {item.name: item for item in every}  # a file of that very name is what was meant
+    named = objects.split(",")
+    _distinct([item for item in every if item.name in named])
     chosen = []
-    for name in objects.split(","):
+    for name in named:
         if name not in known:
             raise InputError(
                 f"no object {name!r}",

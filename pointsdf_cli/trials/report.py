@@ -145,7 +145,7 @@ def _tests(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
     body: list[Sequence[object]] = []
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
-            test = compare(rows, first, second)
+            test, by_object, (objects, differing) = compare(rows, first, second)
             body.append(
                 (
                     f"{first} against {second}",
@@ -154,9 +154,13 @@ def _tests(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
                     test.only_second,
                     test.neither,
                     p_value(test.p),
+                    f"{p_value(by_object)} ({differing} of {objects} differ)",
                 )
             )
-    header = ("pairs of trials", "both held", "only first", "only second", "neither", "p (McNemar)")
+    header = (
+        *("pairs of trials", "both held", "only first", "only second", "neither"),
+        *("p (McNemar, by trial)", "p (sign flips, by object)"),
+    )
     return "Paired test", header, body
 
 
@@ -201,7 +205,7 @@ def _ablations(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
         whole = next((t for t in summaries if t.method == s.method and not t.ablation), None)
         p = ""
         if whole is not None and s.ablation:
-            p = p_value(compare(rows, s.name, whole.name).p)
+            p = p_value(compare(rows, s.name, whole.name).paired.p)
         body.append(
             (
                 s.name,

@@ -60,7 +60,7 @@ class Paired(NamedTuple):
         both, neither: Pairs in which both succeeded, or none.
         only_first, only_second: Pairs in which one did.
         p: Two-sided exact McNemar test: that so uneven a split of the discordant pairs comes about
-            if the methods are equally good.
+            if the methods are equally good and every trial stands for itself.
     """
 
     both: int
@@ -83,3 +83,23 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
     discordant = only_first + only_second
     p = binomtest(only_first, discordant, 0.5).pvalue if discordant else 1.0
     return Paired(int((a & b).sum()), int((~a & ~b).sum()), only_first, only_second, float(p))
+
+
+def sign_flips(differences: Sequence[int]) -> float:
+    """Two-sided p of a sum of differences, had each come out with either sign (Fisher 1935).
+
+    Of two methods, with one difference an object, it tells whether one is better on other objects
+    of the same kind: six trials with one object are not six objects.
+
+    Args:
+        differences: Whole numbers, one a group; 1 where all are 0.
+    """
+    ways = {0: 1}  # how many signs lead to each sum
+    for size in (abs(int(value)) for value in differences):
+        more: dict[int, int] = {}
+        for total, count in ways.items():
+            for new in (total + size, total - size):
+                more[new] = more.get(new, 0) + count
+        ways = more
+    found = abs(sum(int(value) for value in differences))
+    return sum(n for total, n in ways.items() if abs(total) >= found) / 2 ** len(differences)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from pointsdf_cli.io.trials import TrialRow
-from pointsdf_cli.trials.statistics import Paired, Share, mcnemar, wilson
+from pointsdf_cli.trials.statistics import Paired, Share, mcnemar, sign_flips, wilson
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,23 @@ def summarise(rows: Sequence[TrialRow]) -> list[Summary]:
     ]
 
 
-def compare(rows: Sequence[TrialRow], first: str, second: str) -> Paired:
-    """The paired test of two contenders on the trials that both have."""
+class Comparison(NamedTuple):
+    """Two contenders on the trials that both have.
+
+    Attributes:
+        paired: As if every trial stood for itself.
+        by_object: p of the differences of whole objects (`sign_flips`): what says something about
+            other objects.
+        objects: How many there are, and in how many the contenders differ.
+    """
+
+    paired: Paired
+    by_object: float
+    objects: tuple[int, int]
+
+
+def compare(rows: Sequence[TrialRow], first: str, second: str) -> Comparison:
+    """Whether two contenders differ on the trials that both have."""
 
     def key(row: TrialRow) -> tuple[object, ...]:
         return row.object, row.yaw_index, row.repeat, row.camera, row.seed
@@ -70,7 +86,12 @@ def compare(rows: Sequence[TrialRow], first: str, second: str) -> Paired:
         for name in (first, second)
     }
     shared = [k for k in outcomes[first] if k in outcomes[second]]
-    return mcnemar([outcomes[first][k] for k in shared], [outcomes[second][k] for k in shared])
+    one, other = ([outcomes[name][k] for k in shared] for name in (first, second))
+    lead: Counter[object] = Counter()
+    for k, a, b in zip(shared, one, other, strict=True):
+        lead[k[0]] += int(a) - int(b)
+    differing = sum(value != 0 for value in lead.values())
+    return Comparison(mcnemar(one, other), sign_flips(list(lead.values())), (len(lead), differing))
 
 
 def _summary(name: str, rows: list[TrialRow]) -> Summary:
