@@ -105,6 +105,11 @@ WRONG: dict[str, tuple[Any, str]] = {
     "negative.json": ([[-FX, 0, CX], [0, FY, CY], [0, 0, 1]], "focal"),
     "nan.json": ([[float("nan"), 0, CX], [0, FY, CY], [0, 0, 1]], "skew or is not"),
     "half.json": ({"K": K, "width": 8.5, "height": 6}, "8.5"),
+    "named.json": ({"fx": FX, "fy": FY, "cx": CX, "cy": CY, "k1": 0.5}, "bends the picture"),
+    "kalibr.json": ({"K": K, "distortion_coeffs": [0.3, 0, 0, 0]}, "bends the picture"),
+    "outer.json": ({"distortion": [0.3], "intrinsics": {"K": K}}, "bends the picture"),
+    "around.json": ({"width": 640, "height": 480, "depth": {"K": K}}, "640 × 480"),
+    "endless.json": ({"fx": 10**400, "fy": 1, "cx": 1, "cy": 1}, "not numbers"),
 }
 
 
@@ -137,6 +142,20 @@ def test_a_pgm_says_what_was_written_in_it(tmp_path: Path, head: bytes, greatest
     body = text if head == b"P2" else depths.astype(">u2").tobytes()
     (tmp_path / "d.pgm").write_bytes(head + b"\n# 9 9 9\n10 10\n%d\n" % greatest + body)
     np.testing.assert_array_equal(read_depth(tmp_path / "d.pgm"), depths * 0.001)
+
+
+def test_a_pgm_of_comments_alone_is_refused(tmp_path: Path) -> None:
+    image = b"P5\n" + b"# " + b"x" * 5000 + b"\n2 2\n65535\n" + b"\x03\xe8" * 4
+    (tmp_path / "long.pgm").write_bytes(image)
+    np.testing.assert_array_equal(read_depth(tmp_path / "long.pgm"), np.ones((2, 2)))
+
+
+def test_typed_intrinsics_are_one_message(folder: Path, cli: Callable) -> None:
+    typed = "[[" + "0, " * 200 + "1]]"
+    for wrong in (typed, str(folder)):
+        done = cli("cloud", folder / "depth.png", "--intrinsics", wrong, "--out", folder / "o.ply")
+        assert done.code == 2
+        assert "no such intrinsics" in done.err
 
 
 def test_what_is_no_depth_image_is_refused(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ import typer
 from pointsdf_cli.cli import app as app_module
 from pointsdf_cli.cli.main import STOPPED
 from pointsdf_cli.cli.signals import stop_requests
+from pointsdf_cli.robot.description import load_robot
 
 MUG = Path(__file__).resolve().parents[1] / "assets" / "clouds" / "mug.ply"
 
@@ -86,13 +88,28 @@ def test_an_interruption_elsewhere_is_one_line(
 
 @pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
 def test_a_request_to_stop_says_with_what_to_leave(name: str, code: int) -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    with stop_requests() as asked:
-        assert not asked()
-        os.kill(os.getpid(), getattr(signal, name))
-        assert asked()
-    assert asked.exit_code == code
-    assert signal.getsignal(signal.SIGTERM) is before
+    number = getattr(signal, name)
+    before = signal.signal(number, signal.default_int_handler)  # a shell may have it ignored
+    try:
+        with stop_requests() as asked:
+            assert not asked()
+            os.kill(os.getpid(), number)
+            assert asked()
+        assert asked.exit_code == code
+        assert signal.getsignal(number) is signal.default_int_handler
+    finally:
+        signal.signal(number, before)
+
+
+def test_what_is_ignored_stays_ignored() -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with stop_requests() as asked:
+            os.kill(os.getpid(), signal.SIGINT)
+            assert not asked()
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_a_reader_that_leaves_is_told_by_the_code() -> None:
@@ -118,3 +135,45 @@ def test_output_that_cannot_show_a_sign_is_no_failure(tmp_path: Path) -> None:
     told = in_shell(f"rgrasp info --json {odd}", PYTHONIOENCODING="ascii")
     assert told.returncode == 0, told.stderr
     assert str(odd) in json.dumps(json.loads(told.stdout), ensure_ascii=False)
+
+
+@pytest.mark.parametrize(
+    ("command", "names"),
+    [
+        ("plan a.ply --out plan.h5 --trajectory a.ply --force --no-picture", "a.ply"),
+        ("plan a.ply --camera-pose pose.json --trajectory pose.json --force", "pose.json"),
+        ("report a.ply --out a.ply --force", "a.ply"),
+        ("robot init r.urdf --out r.urdf --force", "r.urdf"),
+    ],
+)
+def test_no_output_replaces_an_input(
+    cli: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    command: str,
+    names: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(MUG, "a.ply")
+    shutil.copy(load_robot().urdf, "r.urdf")
+    Path("pose.json").write_text("[1, 0, 1, 1, 0, 0, 0]")
+    before = Path(names).read_bytes()
+    run = cli(*command.split())
+    assert run.code == 2
+    assert f"{names}: is an input" in run.err
+    assert Path(names).read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("option", "text"),
+    [("--camera-pose", "[NaN, 0, 0.5, 1, 0, 0, 0]"), ("--target", "[NaN, 0, 0]")],
+)
+def test_numbers_in_a_file_are_finite(
+    cli: Callable[..., Any], tmp_path: Path, option: str, text: str
+) -> None:
+    file = tmp_path / "numbers.JSON"
+    file.write_text(text)
+    run = cli("plan", MUG, option, file, "--out", tmp_path / "plan.h5", "--no-picture")
+    assert run.code == 2
+    assert "NaN" in run.err
+    assert not (tmp_path / "plan.h5").exists()

@@ -97,6 +97,17 @@ def test_a_report_is_not_overwritten_unasked(data: Path, tmp_path: Path) -> None
     assert page.read_text() == "mine"
 
 
+def test_nothing_is_written_where_one_picture_is_there(data: Path, tmp_path: Path) -> None:
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    (pictures / "signed_distance.png").write_bytes(b"mine")
+    page = tmp_path / "page.html"
+    result = run_cli("report", data, "--out", page, "--pictures", pictures)
+    assert result.code == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
+    assert [path.name for path in pictures.iterdir()] == ["signed_distance.png"]
+
+
 @pytest.mark.parametrize("folder", ["missing", "empty"])
 def test_a_report_on_nothing_is_an_input_error(folder: str, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()

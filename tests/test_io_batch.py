@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 
 import pytest
+import threadpoolctl
 
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.atomic import UnwritableError, write_text_atomic
@@ -79,3 +80,15 @@ def test_errors_travel_between_processes_whole() -> None:
     again = pickle.loads(pickle.dumps(error))
     assert again.message == "here: what\n  allowed: that\n  try: type this"
     assert again.exit_code == 2
+
+
+def _threads(_: int) -> list[int]:
+    return [pool["num_threads"] for pool in threadpoolctl.threadpool_info()]
+
+
+def test_workers_have_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.setenv(name, "2")
+    report = run_stage([(str(k), k) for k in range(2)], _threads, jobs=2)
+    assert all(count == [1] * len(count) and count for count in report.made.values())
+    assert os.environ["OMP_NUM_THREADS"] == "2"

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.atomic import temporary_beside
 from pointsdf_cli.io.checkpoints import (
     has_train_state,
     read_checkpoint,
@@ -179,3 +180,34 @@ def test_a_file_system_without_links_keeps_what_lies_there(
     write_checkpoint(checkpoint, config=read_checkpoint(checkpoint).config, train_state={"step": 3})
     assert (checkpoint / "loss.png").read_bytes() == b"picture"
     assert read_train_state(checkpoint) == {"step": 3}
+
+
+def test_a_run_killed_between_two_renames_is_put_back(checkpoint: Path) -> None:
+    # What a file system that cannot exchange two names leaves behind.
+    checkpoint.rename(checkpoint.with_name(".ckpt.partial-old"))
+    assert has_train_state(checkpoint)
+    assert read_train_state(checkpoint)["step"] == 7
+    assert load_model(checkpoint)
+
+
+def test_what_killed_runs_were_writing_is_removed(checkpoint: Path) -> None:
+    # No process has a number above the kernel's largest.
+    mine = temporary_beside(checkpoint).name
+    killed = checkpoint.with_name(mine.replace(str(os.getpid()), "99999999"))
+    for folder in (killed, checkpoint.with_name(mine)):
+        folder.mkdir()
+        (folder / "model.safetensors").write_bytes(b"half")
+    require_checkpoint_place(checkpoint)
+    assert not killed.exists()
+    assert checkpoint.with_name(mine).exists()  # this process is alive
+    assert load_model(checkpoint)
+
+
+def test_files_of_a_checkpoint_follow_the_umask(tmp_path: Path) -> None:
+    before = os.umask(0o077)
+    try:
+        write_checkpoint(tmp_path / "mine", config={}, weights={"a": torch.zeros(1)})
+    finally:
+        os.umask(before)
+    for file in (tmp_path / "mine").iterdir():
+        assert file.stat().st_mode & 0o077 == 0, file

@@ -435,3 +435,49 @@ def test_titles_without_coordinates_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("id,px,py,pz\n" + "1,0.1,0.2,0.3\n" * 60)
     with pytest.raises(InputError, match="none of which is called x, y or z"):
         read_cloud(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("a.csv", "id,x,y,z [m]\n" + "1,0.1,0.2,0.3\n" * 60, "none of which is called z"),
+        ("a.csv", (",".join(["1.5"] * 320) + "\n") * 60, "a depth image"),
+    ],
+    ids=["some titles", "an image"],
+)
+def test_tables_of_something_else_are_refused(
+    tmp_path: Path, name: str, text: str, says: str
+) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=says):
+        read_cloud(tmp_path / name)
+
+
+def test_an_image_of_planes_is_no_image_of_points(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((3, 48, 64)))
+    with pytest.raises(InputError, match="array"):
+        read_cloud(tmp_path / "a.npy")
+
+
+def test_a_remark_behind_the_first_point_hides_none(tmp_path: Path) -> None:
+    rows = "".join(f"{0.001 * k} 0.1 1.0 # point {k}\n" for k in range(60))
+    (tmp_path / "a.xyz").write_text(rows)
+    assert len(read_cloud(tmp_path / "a.xyz").points) == 60
+
+
+@pytest.mark.parametrize("count", ["0", "2"])
+def test_a_pcd_of_several_x_a_point_is_damaged(tmp_path: Path, count: str) -> None:
+    header = (
+        "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\n"
+        f"COUNT {count} {count} {count}\nWIDTH 60\nHEIGHT 1\nPOINTS 60\nDATA binary\n"
+    )
+    (tmp_path / "a.pcd").write_bytes(header.encode() + bytes(60 * 24))
+    with pytest.raises(InputError, match="COUNT"):
+        read_cloud(tmp_path / "a.pcd")
+
+
+def test_half_nan_and_half_zero_is_no_cloud(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.repeat([[np.nan] * 3, [0.0] * 3], 50, axis=0))
+    with pytest.raises(InputError) as refused:
+        read_cloud(tmp_path / "a.npy", drop_invalid=True)
+    assert "--drop-invalid" not in refused.value.message

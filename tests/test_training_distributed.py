@@ -102,7 +102,11 @@ def test_a_stopped_training_is_not_taken_for_done(
         "--out", tmp_path / "ckpt", "--batch-size", 4, "--queries", 16, "--steps", 3,
         "--held-out", 0.34, "--threads", 1, "--precision", "float32", "--json",
     )  # fmt: skip
-    stopped = cli(*options)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may ignore it
+    try:
+        stopped = cli(*options)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert stopped.code == code
     assert json.loads(stopped.out)["finished"] is False
     assert "--resume carries on at step 0" in stopped.err

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.untrusted import read_json, read_yaml
 
 FORMS = (
     "a 3×3 matrix K; {K: …, width, height}; ROS camera_info (k or K, d or D, width, height; also "
@@ -21,7 +21,10 @@ FORMS = (
 _FOCAL = {"fx": ("fx",), "fy": ("fy",), "cx": ("cx", "ppx"), "cy": ("cy", "ppy")}
 _MATRIX = ("K", "k", "camera_matrix", "intrinsic_matrix", "intrinsics", "matrix")
 _NESTED = ("depth", "depth_intrinsics", "intrinsics", "intrinsic", "camera")
-_DISTORTION = ("D", "d", "coeffs", "distortion_coefficients", "distortion", "dist_coeffs")
+_DISTORTION = (
+    *("D", "d", "coeffs", "distortion_coefficients", "distortion", "distortion_coeffs"),
+    *("dist_coeffs", "dist_coeff", "k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"),
+)
 SMALLEST_DISTORTION = 1e-6
 
 
@@ -39,8 +42,7 @@ def read_intrinsics(name: str, width: int, height: int) -> Camera:
         camera = CAMERAS[name]
         _check_size(camera.width, camera.height, width, height, name)
         return camera
-    path = Path(name)
-    data = _load(path)
+    data, path = _load(name), Path(name)
     if isinstance(data, Mapping):
         _check_distortion(data, path)
         size = data.get("width"), data.get("height")
@@ -62,25 +64,21 @@ def read_intrinsics(name: str, width: int, height: int) -> Camera:
     return camera
 
 
-def _load(path: Path) -> Any:
-    if not path.is_file():
-        raise InputError("no such intrinsics", where=str(path), allowed=FORMS)
-    try:
-        text = path.read_text(encoding="utf-8")
-        data = json.loads(text) if path.suffix.lower() == ".json" else _first_document(text)
-    except (ValueError, OverflowError, yaml.YAMLError, RecursionError) as error:
-        kind = "JSON" if path.suffix.lower() == ".json" else "YAML"
-        raise InputError(f"is not {kind}", where=path, allowed=FORMS) from error
+def _load(name: str) -> Any:
+    """What a file holds; of nested settings the inner ones, and what the outer say besides."""
+    path = Path(name)
+    if not os.path.isfile(name):  # unlike Path's, it takes a matrix that was typed
+        raise InputError("no such intrinsics", where=name[:200], allowed=FORMS)
+    if path.suffix.lower() == ".json":
+        data = read_json(path)
+    else:
+        # `ros2 topic echo` ends each message by `---`, and YAML begins another document there.
+        data = read_yaml(path, first_document=True)
     if isinstance(data, Mapping) and not _has_intrinsics(data):
         inner = [data[key] for key in _NESTED if isinstance(data.get(key), Mapping)]
         if len(inner) == 1:
-            return inner[0]
+            return {**data, **inner[0]}
     return data
-
-
-def _first_document(text: str) -> Any:
-    """`ros2 topic echo` ends each message by `---`, and YAML begins another document there."""
-    return next(iter(yaml.safe_load_all(text)), None)
 
 
 def _has_intrinsics(data: Mapping[str, Any]) -> bool:
@@ -93,7 +91,7 @@ def _numbers(data: Mapping[str, Any], path: Path) -> tuple[float, float, float, 
         found = [next(data[n] for n in names if n in data) for names in _FOCAL.values()]
         try:
             fx, fy, cx, cy = (float(value) for value in found)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise InputError(
                 "fx, fy and the principal point are not numbers", where=path, allowed=FORMS
             ) from error
@@ -115,7 +113,7 @@ def _entries(value: Any) -> np.ndarray | None:
         value = value.get("data")
     try:
         matrix = np.asarray(value, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
     return matrix if matrix.size == 9 else None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -96,15 +97,15 @@ def load_camera(name: str) -> Camera:
         return CAMERAS[name]
     path = Path(name)
     form = f'{", ".join(CAMERAS)}, or a file {{"width": 640, "height": 480, "K": [[fx, 0, cx], …]}}'
-    if path.suffix.lower() != ".json" or not path.is_file():
-        raise InputError(f"no camera {name!r}", where="--camera", allowed=form)
+    if path.suffix.lower() != ".json" or not os.path.isfile(name):
+        raise InputError(f"no camera {name[:200]!r}", where="--camera", allowed=form)
     try:
         data = read_json(path)
         matrix = np.asarray(data["K"], dtype=np.float64)
         width, height = data["width"], data["height"]
         if matrix.size != 9 or not isinstance(width, int) or not isinstance(height, int):
             raise ValueError("K must have 9 entries, width and height must be whole numbers")
-    except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
             f"is no camera file ({type(error).__name__}: {error})", where=path, allowed=form
         ) from error
@@ -113,4 +114,7 @@ def load_camera(name: str) -> Camera:
         raise InputError(
             "K has skew or is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", where=path, allowed=form
         )
-    return Camera(width, height, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
+    try:
+        return Camera(width, height, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
+    except InputError as error:
+        raise InputError(error.what, where=path, allowed=error.allowed) from error

@@ -74,6 +74,40 @@ def check_table_name(out: Path, beside: tuple[str, ...]) -> None:
         )
 
 
+def check_suffix(path: Path, option: str, suffixes: tuple[str, ...]) -> None:
+    """Refuse a file a name by which it would be read as something else.
+
+    Raises:
+        InputError: It has none of the suffixes.
+    """
+    from pointsdf_cli.errors import InputError
+
+    if path.suffix.lower() not in suffixes:
+        raise InputError(
+            f"{path} does not end in {' or '.join(suffixes)}, and other commands would not read it",
+            where=option,
+            allowed=f"such as {path.with_suffix(suffixes[0]).name}",
+        )
+
+
+def labels_of(checkpoints: list[Path]) -> list[str]:
+    """Short names: each directory's own, or its whole path where two would be the same.
+
+    Raises:
+        InputError: One is given twice.
+    """
+    from pointsdf_cli.errors import InputError
+
+    whole = [path.resolve() for path in checkpoints]
+    if len(set(whole)) < len(whole):
+        raise InputError("a checkpoint is given twice", where="--checkpoint", allowed="each once")
+    names = [path.name for path in whole]
+    return [
+        name if names.count(name) == 1 else str(path)
+        for name, path in zip(names, whole, strict=True)
+    ]
+
+
 def cache_beside(folder: Path) -> Path:
     """Where what is worked out from a folder's grasps is kept: `grasps-cache` beside `grasps`."""
     whole = folder.resolve()
@@ -224,7 +258,7 @@ def finish_stage(
     """
     refused = {name: error.what for name, error in report.refused}
     counts = {"made": len(report.made), "kept": len(report.kept), "refused": len(refused)}
-    if report.made or report.kept:
+    if report.made or report.kept or not refused:
         reporter.result(
             {"out": out, **counts, "seconds": round(report.seconds, 3), **values, "bad": refused},
             [

@@ -49,7 +49,7 @@ def eval_gs(
     import numpy as np
 
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.atomic import require_new, write_text_atomic
+    from pointsdf_cli.io.atomic import require_folder, require_new, write_text_atomic
     from pointsdf_cli.io.provenance import git_commit
     from pointsdf_cli.io.strict_json import to_json
     from pointsdf_cli.models.registry import use_threads
@@ -64,6 +64,8 @@ def eval_gs(
     seed = common.check_seed(seed)
     common.check_table_name(out, (".png",))
     table_path, picture = (require_new(path, force) for path in (out, out.with_suffix(".png")))
+    require_folder(out.parent)
+    labels = common.labels_of(checkpoint)
     use_threads(threads or idle_processors())
     machine = load_robot(robot)
     data = read_grasp_data(grasps, machine)
@@ -84,11 +86,11 @@ def eval_gs(
     prior = None
     with reporter.progress("eval-gs", len(data.names)) as bar:
         sources = Sources(cache, sdf, robot, common.job_count(jobs), bar.advance)
-        for path in checkpoint:
+        for path, label in zip(checkpoint, labels, strict=True):
             learner, prior, config = prepare_trained(path, data, sources)
             name = title_of(config)
             if name in [method.name for method in methods]:
-                name = f"{name} ({path.resolve().name})"
+                name = f"{name} ({label})"
             methods.append(
                 evaluation.scored_network(
                     name,

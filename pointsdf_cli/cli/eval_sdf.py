@@ -48,7 +48,7 @@ def eval_sdf(
     """
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.geometry.isosurface import IsosurfaceConfig
-    from pointsdf_cli.io.atomic import require_new, write_text_atomic
+    from pointsdf_cli.io.atomic import require_folder, require_new, write_text_atomic
     from pointsdf_cli.io.batch import run_stage
     from pointsdf_cli.io.provenance import git_commit
     from pointsdf_cli.io.strict_json import to_json
@@ -66,10 +66,13 @@ def eval_sdf(
     table_path, csv_path, picture = (
         require_new(path, force) for path in (out, out.with_suffix(".csv"), out.with_suffix(".png"))
     )
+    require_folder(out.parent)
+    if gallery < 0:
+        raise InputError(f"{gallery} views", where="--gallery", allowed="0 or more")
     for path in checkpoint:
         load_model(path)  # a bad checkpoint is known before the processes start
     config = evaluation.EvalConfig(
-        checkpoints=tuple(zip(labels_of(checkpoint), checkpoint, strict=True)),
+        checkpoints=tuple(zip(common.labels_of(checkpoint), checkpoint, strict=True)),
         resolution=resolution,
         views=count,
         samples=samples,
@@ -115,6 +118,7 @@ def eval_sdf(
     }
     write_text_atomic(table_path, to_json(result, indent=1) + "\n")
     write_text_atomic(csv_path, objects_csv(scored))
+    picture.unlink(missing_ok=True)  # an older table's would stay where no gallery is asked for
     if gallery and main:
         by_name = {task.name: task for task in tasks}
         first = [row for row in main if row.method == config.checkpoints[0][0]]
@@ -129,21 +133,3 @@ def eval_sdf(
     reporter.result(result, [*lines, "", f"{table_path}, {csv_path.name}; {report.seconds:.0f} s"])
     if not skip_bad:
         report.raise_if_refused()
-
-
-def labels_of(checkpoints: list[Path]) -> list[str]:
-    """Short names: each directory's own, or its whole path where two would be the same.
-
-    Raises:
-        InputError: One is given twice.
-    """
-    from pointsdf_cli.errors import InputError
-
-    whole = [path.resolve() for path in checkpoints]
-    if len(set(whole)) < len(whole):
-        raise InputError("a checkpoint is given twice", where="--checkpoint", allowed="each once")
-    names = [path.name for path in whole]
-    return [
-        name if names.count(name) == 1 else str(path)
-        for name, path in zip(names, whole, strict=True)
-    ]

@@ -48,6 +48,10 @@ def main() -> None:
         except OSError as error:
             _unheard(error)
         raise
+    except MemoryError as error:
+        told = f" ({error})" if str(error) else ""
+        print(f"rgrasp: needs more memory than there is{told}", file=sys.stderr)
+        sys.exit(1)
     except OSError as error:
         if error.errno not in _NO_PLACE:
             raise

@@ -108,11 +108,13 @@ def mesh(
     IsosurfaceConfig(resolution)  # a wrong resolution is known before anything is read
     out = require_new(mesh_path(out, form), force, [cloud])
     common.check_picture(picture, force)
-    pose = parse_pose(camera_pose) if camera_pose else None
+    pose = None if camera_pose is None else parse_pose(camera_pose)
     view = read_cloud(cloud, unit, drop_invalid, frame, pose)
     if segment == "none":
         if target is not None:
             raise InputError("--target without --segment auto", hint="add --segment auto")
+        if robot is not None:
+            raise InputError("--robot without --segment auto", hint="add --segment auto")
         points, T_frame_camera = check_object_cloud(view, cloud).in_camera_frame()
         if np.ptp(points, axis=0).max() > SCENE:
             reporter.say(f"{cloud}: wide for one object; of a whole table, add --segment auto")

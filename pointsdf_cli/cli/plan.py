@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -120,11 +121,15 @@ def plan(
 
     reporter = common.Reporter(quiet, as_json)
     common.check_seed(seed)
-    require_new(out, force, clouds)
+    typed = [text for text in (*(camera_pose or ()), start, target) if text is not None]
+    inputs = [*clouds, *(path for path in (environment, robot) if path is not None)]
+    inputs += [Path(text) for text in typed if os.path.isfile(text)]
+    common.check_suffix(out, "--out", (".h5", ".hdf5"))
+    require_new(out, force, inputs)
     picture = None if no_picture else picture or out.with_suffix(".png")
     files = {"--out": out, "--picture": picture, "--trajectory": trajectory}
     common.check_picture(picture, force)
-    _require_places({option: path for option, path in files.items() if path is not None}, force)
+    _require_places({k: path for k, path in files.items() if path is not None}, force, inputs)
     wanted = None if target is None else place(target, "--target")
     views = _read_clouds(clouds, camera_pose or [], frame, unit, drop_invalid)
 
@@ -201,11 +206,12 @@ def plan(
         raise NoPlanError(f"no plan ({answer.reason}): {answer.sentence.rstrip('.')}", where=out)
 
 
-def _require_places(files: dict[str, Path], force: bool) -> None:
+def _require_places(files: dict[str, Path], force: bool, inputs: list[Path]) -> None:
     """Each file has a place of its own that can be written: known before the planning.
 
     Raises:
-        InputError: Two have one path, one exists already, or a folder cannot be written.
+        InputError: Two have one path, one is an input or exists already, or a folder cannot be
+            written.
     """
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.atomic import require_folder, require_new
@@ -214,7 +220,7 @@ def _require_places(files: dict[str, Path], force: bool) -> None:
     if len(set(places)) < len(places):
         raise InputError("two outputs have one path", where=", ".join(files), allowed="one each")
     for path in files.values():
-        require_folder(require_new(path, force).parent)
+        require_folder(require_new(path, force, inputs).parent)
 
 
 def _read_clouds(

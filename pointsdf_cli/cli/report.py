@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from pointsdf_cli.viz.data_report import DataFolder
 
 
+_PICTURES = ("views.png", "signed_distance.png")
+
+
 def report(
     artifacts: Annotated[
         Path,
@@ -44,7 +47,7 @@ def report(
 
     Example: rgrasp report demo/
     """
-    from pointsdf_cli.io.atomic import require_new, write_text_atomic
+    from pointsdf_cli.io.atomic import require_folder, require_new, write_text_atomic
     from pointsdf_cli.viz.data_report import data_report, sample_items
     from pointsdf_cli.viz.sheets import save_figure, sdf_slices, views_sheet
 
@@ -61,16 +64,19 @@ def report(
             where="--pictures",
             hint="leave it out: the page holds its pictures",
         )
+    drawn = [] if pictures is None else [pictures / name for name in _PICTURES]
+    for path in (page, *drawn):  # known before anything is written
+        require_folder(require_new(path, force, [artifacts]).parent)
     text = made if isinstance(made, str) else data_report(made, title)
-    write_text_atomic(require_new(page, force), text)
+    write_text_atomic(page, text)
     written = [page]
     if pictures and not isinstance(made, str):
         views, labels = sample_items(made)
         if views:
-            written.append(require_new(pictures / "views.png", force))
+            written.append(drawn[0])
             save_figure(views_sheet(views), written[-1])
         if labels:
-            written.append(require_new(pictures / "signed_distance.png", force))
+            written.append(drawn[1])
             save_figure(sdf_slices(labels), written[-1])
     common.Reporter(quiet, as_json).result(
         {"written": [str(path) for path in written]}, [f"{path}" for path in written]

@@ -122,7 +122,7 @@ def init(
 
     reporter = common.Reporter(quiet, as_json)
     read_urdf(urdf)  # what is no URDF is said before a place beside it is asked for
-    out = require_new(out or urdf.with_suffix(".yaml"), force)
+    out = require_new(out or urdf.with_suffix(".yaml"), force, [urdf])
     data = first_guess(urdf, out, palm)
     write_text_atomic(out, as_yaml(data))
     reporter.result(

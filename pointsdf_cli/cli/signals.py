@@ -33,7 +33,13 @@ def stop_requests() -> Iterator[StopRequest]:
         for name, handler in before.items():
             signal.signal(name, handler)
 
-    before = {name: signal.signal(name, ask) for name in (signal.SIGINT, signal.SIGTERM)}
+    # What is ignored stays so: `nohup … &` in a script keeps Ctrl-C for the script's own commands.
+    heard = [
+        name
+        for name in (signal.SIGINT, signal.SIGTERM)
+        if signal.getsignal(name) is not signal.SIG_IGN
+    ]
+    before = {name: signal.signal(name, ask) for name in heard}
     try:
         yield request
     finally:

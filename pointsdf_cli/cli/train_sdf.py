@@ -81,7 +81,7 @@ def train_sdf(
 
     arguments, config = settings(model, preset)
     chosen: dict[str, Any] = {
-        "steps": steps or (10_000_000 if minutes else None),
+        "steps": 10_000_000 if steps is None and minutes else steps,
         "minutes": minutes,
         "batch_size": batch_size,
         "queries": queries,

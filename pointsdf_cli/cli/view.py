@@ -82,7 +82,8 @@ def _frames(count: int) -> str:
 
 def url(host: str, port: int) -> str:
     """Where a browser on this machine finds the page."""
-    return f"http://{'localhost' if host in ('0.0.0.0', '127.0.0.1', '::') else host}:{port}"
+    named = "localhost" if host in ("0.0.0.0", "127.0.0.1", "::") else host
+    return f"http://[{named}]:{port}" if ":" in named else f"http://{named}:{port}"
 
 
 def address(host: str, port: int) -> list[str]:

@@ -38,14 +38,12 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         UnwritableError: The folder cannot be written, or the disk is full.
     """
     path = Path(path)
-    if path.is_symlink():
-        path = path.resolve()  # what it points to is replaced, not the link
-    builder = f"{_HOST}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
-    ending = f"{TEMPORARY_MARK}{builder}{path.suffix}"
-    stem = path.stem
-    while len(os.fsencode(stem)) > max(1, LONGEST_NAME - 1 - len(os.fsencode(ending))):
-        stem = stem[:-1]
-    temporary = path.with_name(f".{stem}{ending}")
+    try:
+        # What a link points to is replaced, not the link.
+        path = path.resolve() if path.is_symlink() else path
+    except RuntimeError as error:
+        raise UnwritableError("is a link that leads to itself", where=path) from error
+    temporary = temporary_beside(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -57,6 +55,27 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     finally:
         with suppress(OSError):  # a file in place of a folder: there is nothing to remove
             temporary.unlink()
+
+
+def temporary_beside(path: Path) -> Path:
+    """A name for what this process builds, and then puts at `path`."""
+    ending = f"{TEMPORARY_MARK}{_HOST}-{os.getpid()}-{uuid.uuid4().hex[:8]}{path.suffix}"
+    stem = path.stem
+    while len(os.fsencode(stem)) > max(1, LONGEST_NAME - 1 - len(os.fsencode(ending))):
+        stem = stem[:-1]
+    return path.with_name(f".{stem}{ending}")
+
+
+def abandoned_beside(path: Path) -> list[Path]:
+    """What killed runs left that were building `path`."""
+    begin, end = f".{path.stem}{TEMPORARY_MARK}", path.suffix
+    found = []
+    for leftover in path.parent.iterdir():
+        if leftover.name.startswith(begin) and leftover.name.endswith(end):
+            with suppress(FileNotFoundError):
+                if _is_abandoned(leftover):
+                    found.append(leftover)
+    return found
 
 
 def write_text_atomic(path: Path | str, text: str) -> None:

@@ -10,9 +10,10 @@ import sys
 import threading
 import time
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
@@ -143,12 +144,15 @@ def _run_parallel(
 ) -> None:
     # Spawned, not forked: h5py handles, embree and torch threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(
-        min(jobs, len(tasks)),
-        mp_context=context,
-        initializer=_start_worker,
-        initargs=(os.getpid(),),
-    ) as pool:
+    with (
+        _one_thread_each(),
+        ProcessPoolExecutor(
+            min(jobs, len(tasks)),
+            mp_context=context,
+            initializer=_start_worker,
+            initargs=(os.getpid(),),
+        ) as pool,
+    ):
         try:
             pending: dict[Future[Any], str] = {}
             queue = iter(tasks)
@@ -177,10 +181,27 @@ def _run_parallel(
             raise
 
 
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes that are started within give the numerical libraries one thread.
+
+    They must find it said already: NumPy is loaded before a worker runs anything of ours.
+    """
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
 def _start_worker(parent: int) -> None:
-    """In a worker: one thread for the numerical libraries, and an end when the parent ends."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
+    """In a worker: an end when the parent ends."""
     # Ctrl-C reaches the whole process group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":

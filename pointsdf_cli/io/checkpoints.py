@@ -11,7 +11,6 @@ import ctypes
 import io
 import os
 import shutil
-import uuid
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -24,7 +23,14 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.atomic import TEMPORARY_MARK, UnwritableError, require_folder, unwritable
+from pointsdf_cli.io.atomic import (
+    TEMPORARY_MARK,
+    UnwritableError,
+    abandoned_beside,
+    require_folder,
+    temporary_beside,
+    unwritable,
+)
 from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.io.untrusted import read_json
 
@@ -70,7 +76,8 @@ def write_checkpoint(
     path = Path(path).resolve()
     if path.exists() and not path.is_dir():
         raise InputError("is a file, and a checkpoint is a directory", where=path)
-    temporary = path.with_name(f".{path.name}{TEMPORARY_MARK}{uuid.uuid4().hex[:8]}")
+    _put_back(path)
+    temporary = temporary_beside(path)
     try:
         temporary.mkdir(parents=True)
         # In memory first: both libraries answer to a full disk with errors of their own.
@@ -83,7 +90,6 @@ def write_checkpoint(
         text = to_json({"schema": SCHEMA, "schema_version": VERSION, **config}, indent=1)
         (temporary / CONFIG).write_text(text + "\n", encoding="utf-8")
         for written in temporary.iterdir():
-            written.chmod(0o644)  # the safetensors library hides its files from other users
             with open(written, "rb") as handle:
                 os.fsync(handle.fileno())
         for kept in path.iterdir() if path.exists() else ():
@@ -145,6 +151,18 @@ def require_checkpoint_place(path: Path | str) -> None:
         require_folder(path.parent)
     except UnwritableError as error:
         raise UnwritableError(error.what, where=path, hint=error.hint) from error
+    _put_back(path)
+    for leftover in abandoned_beside(path):
+        if leftover.is_dir():
+            _remove_ours(leftover, path)
+
+
+def _put_back(path: Path) -> None:
+    """Where a run was killed between the two renames of `_take_place`, undo the first."""
+    path = path.resolve()
+    if not os.path.lexists(path) and (_aside(path) / CONFIG).is_file():
+        with suppress(OSError):
+            os.rename(_aside(path), path)
 
 
 def read_checkpoint(path: Path | str) -> Checkpoint:
@@ -206,6 +224,7 @@ def read_train_state(path: Path | str) -> dict[str, Any]:
     Raises:
         InputError: There is none, or it holds more than plain types and tensors.
     """
+    _put_back(Path(path))
     state_file = Path(path) / TRAIN_STATE
     if not state_file.exists():
         raise InputError(
@@ -231,6 +250,7 @@ def forget_train_state(path: Path | str) -> None:
 
 def has_train_state(path: Path | str) -> bool:
     """Whether `path` holds something to resume."""
+    _put_back(Path(path))
     return (Path(path) / TRAIN_STATE).exists()
 
 

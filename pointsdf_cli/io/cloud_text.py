@@ -57,12 +57,21 @@ def read_xyz(path: Path) -> RawCloud:
         key, _, value = line.lstrip("#/ ").partition(" ")
         comments[key.rstrip(":")] = value.strip()
     titles = _words(head[first - 1].lstrip("#/ ")) if first else []
+    if table.shape[1] > MOST_COLUMNS and not {"x", "y", "z"} <= set(titles):
+        raise InputError(
+            f"has rows of {table.shape[1]} numbers: a depth image rather than points",
+            where=path,
+            allowed="x y z in each row, or a row of titles with x, y and z",
+            hint="store it as NPY; rgrasp cloud DEPTH.npy --intrinsics K.json makes a cloud of it",
+        )
     if len(titles) == table.shape[1] and {"x", "y", "z"} <= set(titles):
         return _from_titles(table, titles, comments)
     remark = first and head[first - 1].lstrip().startswith(("#", "/"))  # may be any sentence
-    if not remark and len(titles) == table.shape[1] > 3 and not {"x", "y", "z"} & set(titles):
+    if not remark and len(titles) == table.shape[1] > 3:
+        *some, last = [title for title in ("x", "y", "z") if title not in titles]
+        named = f"{', '.join(some)} or {last}" if some else last
         raise InputError(
-            f"has columns {', '.join(titles)}, none of which is called x, y or z",
+            f"has columns {', '.join(titles)}, none of which is called {named}",
             where=path,
             allowed="a row of titles with x, y and z, or none at all: then the first three are",
         )
@@ -90,7 +99,9 @@ def read_npy(path: Path) -> RawCloud:
             allowed="numbers [N, 3], [N, 6] or [height, width, 3]",
             hint=f"rgrasp cloud {path} --intrinsics K.json makes a cloud of it",
         )
-    if array.dtype.kind not in "fiu" or array.ndim not in (2, 3) or array.shape[-1] < 3:
+    columns = array.shape[-1] if array.ndim else 0
+    is_points = array.ndim in (2, 3) and 3 <= columns <= MOST_COLUMNS
+    if array.dtype.kind not in "fiu" or not is_points:
         raise InputError(
             f"is an array {list(array.shape)} of {array.dtype}",
             where=path,
@@ -143,7 +154,7 @@ def _as_colours(values: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray
 
 
 def _is_numbers(row: str) -> bool:
-    words = row.replace(",", " ").replace(";", " ").split()
+    words = row.partition("#")[0].replace(",", " ").replace(";", " ").split()
     try:
         return len([float(word) for word in words]) >= 3
     except ValueError:

@@ -247,7 +247,7 @@ def _finite(raw: RawCloud, path: Path, drop: bool) -> RawCloud:
         finite &= raw.points.any(axis=1)
     if finite.all():
         return raw
-    if bad and (not drop or not finite.any()):
+    if bad and not drop:
         raise InputError(
             f"{bad} of {len(finite)} points are NaN or infinite",
             where=path,
@@ -256,7 +256,8 @@ def _finite(raw: RawCloud, path: Path, drop: bool) -> RawCloud:
         )
     if not finite.any():
         raise InputError(
-            f"none of {len(finite)} points is anywhere but at 0 0 0, where no camera sees anything",
+            f"none of {len(finite)} points is finite and away from 0 0 0, where no camera sees "
+            "anything",
             where=path,
             hint="was the camera covered, or too near?",
         )

@@ -14,6 +14,8 @@ from pointsdf_cli.io.untrusted import read_npy_array
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy")
 LARGEST_PIXELS = 64_000_000
+LONGEST_HEAD = 1 << 20
+"""Bytes of a PGM file that its header and comments may take up."""
 
 
 def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float64]:
@@ -88,7 +90,11 @@ def _image(path: Path) -> NDArray:
 def _as_stored(values: NDArray, path: Path) -> NDArray:
     """The numbers that a PGM file holds: Pillow stretches them so that the header's greatest value
     becomes 255 or 65535, and a depth is what was written."""
-    head = re.sub(rb"#[^\n]*", b" ", path.read_bytes()[:4096]).split(maxsplit=4)
+    head = re.sub(rb"#[^\n]*", b" ", path.read_bytes()[:LONGEST_HEAD]).split(maxsplit=4)
+    if len(head) < 4 or not head[3].isdigit():
+        raise InputError(
+            "has no readable PGM header", where=path, allowed="P5, width, height, greatest value"
+        )
     if head[0] not in (b"P2", b"P5"):
         return values
     greatest = int(head[3])

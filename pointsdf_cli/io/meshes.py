@@ -95,7 +95,7 @@ def find_meshes(folder: Path | str, pattern: str = "*") -> list[Path]:
             raise InputError(
                 f"two meshes of one name: {twin.name} and {path.name}",
                 where=path.parent,
-                hint=f"choose one kind with --pattern '*{path.suffix}'",
+                hint=f"move one of them away; or --pattern '*{path.suffix}', where there is one",
             )
     return found
 
@@ -231,10 +231,11 @@ def _check_size(path: Path, vertices: NDArray[np.float64], unit: str) -> None:
     if SMALLEST <= size <= LARGEST:
         return
     fitting = [u for u, m in UNITS.items() if SMALLEST <= size / UNITS[unit] * m <= LARGEST]
+    likeliest = next((unit for unit in ("mm", "cm", *fitting) if unit in fitting), "")
     looks = f"; in {' or '.join(fitting)} it would be a thing to grasp" if fitting else ""
     raise InputError(
         f"is {size:.4g} m across when read in {unit}{looks}",
         where=path,
         allowed=f"{SMALLEST:g} to {LARGEST:g} m",
-        hint=f"add --unit {fitting[-1]}" if fitting else "scale the mesh to metres",
+        hint=f"add --unit {likeliest}" if fitting else "scale the mesh to metres",
     )

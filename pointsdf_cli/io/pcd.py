@@ -142,7 +142,10 @@ def _record(fields: dict[str, list[str]]) -> np.dtype[Any]:
         # Padding fields are all called "_".
         unique = name if name not in names[:k] and name != "_" else f"{name}#{k}"
         scalar = f"<{_KINDS[kind]}{int(size)}"
-        columns.append((unique, scalar) if repeat == "1" else (unique, scalar, (int(repeat),)))
+        times = int(repeat)
+        if times < 1 or (times > 1 and name in ("x", "y", "z")):
+            raise ValueError(f"COUNT {times} of {name}")
+        columns.append((unique, scalar) if times == 1 else (unique, scalar, (times,)))
     return np.dtype(columns)
 
 

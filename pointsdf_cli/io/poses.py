@@ -59,13 +59,9 @@ def numbers_in(text: str, where: str, allowed: str) -> NDArray[np.float64]:
     path = Path(text)
     try:
         if os.path.isfile(text):  # unlike Path's, it takes 16 numbers that are too long for a name
-            if path.suffix == ".npy":
-                return read_npy_array(path).astype(np.float64).ravel()
-            if path.suffix == ".json":
-                return np.asarray(read_json(path), dtype=np.float64).ravel()
-            text = path.read_text(encoding="utf-8")
-        words = text.replace(",", " ").replace(";", " ").split()
-        numbers = np.array([float(word) for word in words])
+            numbers = _of_file(path)
+        else:
+            numbers = _of_text(text)
     except (ValueError, TypeError, OverflowError, OSError) as error:
         raise InputError(
             f"{text[:60]!r} is neither numbers nor a file of them", where=where, allowed=allowed
@@ -73,3 +69,16 @@ def numbers_in(text: str, where: str, allowed: str) -> NDArray[np.float64]:
     if not np.isfinite(numbers).all():
         raise InputError("holds NaN or infinity", where=where, allowed=allowed)
     return numbers
+
+
+def _of_file(path: Path) -> NDArray[np.float64]:
+    if path.suffix.lower() == ".npy":
+        return read_npy_array(path).astype(np.float64).ravel()
+    if path.suffix.lower() == ".json":
+        return np.asarray(read_json(path), dtype=np.float64).ravel()
+    return _of_text(path.read_text(encoding="utf-8-sig"))
+
+
+def _of_text(text: str) -> NDArray[np.float64]:
+    words = text.replace(",", " ").replace(";", " ").split()
+    return np.array([float(word) for word in words])

@@ -27,15 +27,19 @@ MOST_NODES = 100_000
 DEEPEST = 100
 
 
-def read_yaml(path: Path) -> Any:
+def read_yaml(path: Path, first_document: bool = False) -> Any:
     """The plain data of a YAML file.
+
+    Args:
+        path: The file.
+        first_document: Leave out what follows `---`, where more is refused otherwise.
 
     Raises:
         InputError: Not YAML, or more than `MOST_NODES` nodes once its aliases are followed.
     """
     text = _text(path, LARGEST_YAML, "YAML")
     try:
-        data = yaml.safe_load(text)
+        data = next(yaml.safe_load_all(text), None) if first_document else yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a 13th month
         raise InputError(f"is not YAML ({_first_line(error)})", where=path) from error
     _check_nodes(data, path)
@@ -88,8 +92,9 @@ def _bytes(path: Path, most: int) -> bytes:
     try:
         with open(path, "rb") as handle:
             data = handle.read(most + 1)
-    except PermissionError as error:
-        raise InputError("cannot be read (permission denied)", where=path) from error
+    except OSError as error:
+        told = (error.strerror or type(error).__name__).lower()
+        raise InputError(f"cannot be read ({told})", where=path) from error
     if len(data) > most:
         raise InputError(f"is larger than {most >> 20} MB", where=path)
     return data
