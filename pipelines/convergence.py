@@ -30,6 +30,7 @@ import torch
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, LOST, read_grasps
+from pointsdf_cli.io.hdf5 import artifacts_below
 from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
@@ -56,9 +57,8 @@ VARIANTS = {
 def chosen(folder: Path, count: int, seed: int) -> dict[Path, list[int]]:
     """`count` executed attempts of a folder of grasps, rows by file, every attempt as likely."""
     pool = []
-    for path in sorted(folder.rglob("*.h5")):
-        if not path.name.startswith("."):
-            pool += [(path, int(row)) for row in np.flatnonzero(read_grasps(path)[0].executed)]
+    for path in artifacts_below(folder):
+        pool += [(path, int(row)) for row in np.flatnonzero(read_grasps(path)[0].executed)]
     order = np.random.default_rng(seed).permutation(len(pool))[:count]
     rows: dict[Path, list[int]] = {}
     for path, row in sorted(pool[i] for i in order):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ from pointsdf_cli.io.grasps import was_collected
 from pointsdf_cli.io.hdf5 import (
     Dataset,
     OptionsDifferError,
+    artifacts_below,
     is_complete,
     mesh_unit,
     read_artifact,
@@ -194,3 +196,29 @@ def test_only_ordinary_files_are_replaced_and_a_link_stays_a_link(tmp_path: Path
         temporary.write_text("new")
     assert (tmp_path / "plan").is_symlink()
     assert (tmp_path / "far" / "plan").read_text() == "new"
+
+
+def test_one_wrong_byte_anywhere_is_one_message_or_none(artifact: Path) -> None:
+    whole = artifact.read_bytes()
+    refused = 0
+    for at in range(0, len(whole), 7):
+        artifact.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
+        for ask in (
+            lambda: is_complete(artifact, schema="views", version=1, config={"views": 4}),
+            lambda: was_collected(artifact),
+        ):
+            try:
+                ask()
+            except InputError:
+                refused += 1
+    assert refused > 20, "else this test shows nothing"
+
+
+def test_notes_beside_artifacts_are_none(artifact: Path) -> None:
+    folder = artifact.parent
+    (folder / "._a.h5").write_bytes(b"a Mac was here")
+    (folder / ".trash").mkdir()
+    shutil.copy(artifact, folder / ".trash" / "b.h5")
+    (folder / "below").mkdir()
+    shutil.copy(artifact, folder / "below" / "c.h5")
+    assert artifacts_below(folder) == [artifact, folder / "below" / "c.h5"]

@@ -93,8 +93,8 @@ def _content(
         InputError: Nothing that there is a page on.
     """
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.atomic import TEMPORARY_MARK
     from pointsdf_cli.io.checkpoints import CONFIG
+    from pointsdf_cli.io.hdf5 import artifacts_below
     from pointsdf_cli.viz.data_report import scan
     from pointsdf_cli.viz.shape_report import shape_report
 
@@ -110,7 +110,7 @@ def _content(
         from pointsdf_cli.viz.checkpoint_report import checkpoint_report
 
         return checkpoint_report(path, title)
-    files = [p for p in sorted(path.rglob("*.h5")) if TEMPORARY_MARK not in p.name]
+    files = artifacts_below(path)
     kinds = [_schema(file) for file in files]
     if {"views", "labels"} & set(kinds) or "grasps" not in kinds:
         return scan(path, meshes)

@@ -122,26 +122,23 @@ def read_artifact(
             of `names` is missing or not of its layout.
     """
     path = Path(path)
-    try:
-        with open_hdf5(path) as file:
-            _require_schema(path, file, schema, version)
-            wanted = sorted(file) if names is None else list(names)
-            missing = [name for name in wanted if name not in file]
-            if missing:
-                raise InputError(
-                    f"lacks the dataset {', '.join(missing)}",
-                    where=path,
-                    allowed=f"a {schema} file (version {version}); this one holds "
-                    + (", ".join(sorted(file)) or "nothing"),
-                )
-            if isinstance(names, Mapping):
-                check_layout(path, file, names)
-            for name in wanted:
-                check_stored(path, file, name)
-            datasets = {name: np.asarray(file[name][()]) for name in wanted}
-            artifact = Artifact(path, dict(file.attrs), datasets)
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise unreadable(path, error) from error
+    with open_hdf5(path) as file:
+        _require_schema(path, file, schema, version)
+        wanted = sorted(file) if names is None else list(names)
+        missing = [name for name in wanted if name not in file]
+        if missing:
+            raise InputError(
+                f"lacks the dataset {', '.join(missing)}",
+                where=path,
+                allowed=f"a {schema} file (version {version}); this one holds "
+                + (", ".join(sorted(file)) or "nothing"),
+            )
+        if isinstance(names, Mapping):
+            check_layout(path, file, names)
+        for name in wanted:
+            check_stored(path, file, name)
+        datasets = {name: np.asarray(file[name][()]) for name in wanted}
+        artifact = Artifact(path, dict(file.attrs), datasets)
     with sense_of(path):
         _ = artifact.config
     return artifact
@@ -166,11 +163,12 @@ def sense_of(path: Path | str) -> Iterator[None]:
         ) from error
 
 
-def open_hdf5(path: Path | str) -> h5py.File:
+@contextmanager
+def open_hdf5(path: Path | str) -> Iterator[h5py.File]:
     """An HDF5 file open for reading.
 
     Raises:
-        InputError: No such file, a folder, not HDF5, or cut short.
+        InputError: No such file, a folder, not HDF5, cut short, or damaged where it is read.
     """
     path = Path(path)
     if not path.exists():
@@ -180,11 +178,23 @@ def open_hdf5(path: Path | str) -> h5py.File:
     try:
         if not heaps_end(path):
             raise OSError("a damaged heap of strings")
-        return h5py.File(path, "r")
+        with h5py.File(path, "r") as file:
+            yield file
     except PermissionError as error:
         raise InputError("cannot be read (permission denied)", where=path) from error
-    except OSError as error:
+    except (OSError, RuntimeError, KeyError, ValueError) as error:
+        # The library finds damage where it comes by, in attributes as well as in datasets.
         raise unreadable(path, error) from error
+
+
+def artifacts_below(folder: Path) -> list[Path]:
+    """The finished .h5 files of a folder and those below: hidden ones are under construction, or
+    somebody's notes beside an artifact (`._mug.h5`)."""
+    return [
+        path
+        for path in sorted(folder.rglob("*.h5"))
+        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    ]
 
 
 def options_of(file: h5py.File) -> dict[str, Any]:

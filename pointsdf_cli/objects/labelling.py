@@ -7,9 +7,8 @@ from pathlib import Path
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.sdf_sampling import SamplingConfig, sample_sdf
-from pointsdf_cli.io.atomic import TEMPORARY_MARK
 from pointsdf_cli.io.batch import task_seed
-from pointsdf_cli.io.hdf5 import OptionsDifferError, is_complete, open_hdf5
+from pointsdf_cli.io.hdf5 import OptionsDifferError, artifacts_below, is_complete, open_hdf5
 from pointsdf_cli.io.labels import SCHEMA, VERSION, Labels, write_labels
 from pointsdf_cli.io.meshes import find_meshes, load_mesh
 from pointsdf_cli.io.views import read_views_header
@@ -50,7 +49,7 @@ def find_label_tasks(
         raise InputError(
             "no such folder of views", where=views, hint="rgrasp render --meshes DIR --out DIR"
         )
-    files = sorted(p for p in views.rglob("*.h5") if TEMPORARY_MARK not in p.name)
+    files = artifacts_below(views)
     if not files:
         raise InputError("holds no views (*.h5)", where=views, hint="rgrasp render --meshes DIR")
     root = meshes if meshes.is_dir() else meshes.parent

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.grasps import HELD, read_grasps, was_collected
+from pointsdf_cli.io.hdf5 import artifacts_below
 from pointsdf_cli.models.grasp_checkpoint import check_robot
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -87,7 +88,7 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     hint = "rgrasp collect-grasps --meshes DIR --out " + str(folder)
     if not folder.is_dir():
         raise InputError("no such folder of grasps", where=folder, hint=hint)
-    files = sorted(p for p in folder.rglob("*.h5") if not p.name.startswith("."))
+    files = artifacts_below(folder)
     if not files:
         raise InputError("holds no grasps (*.h5)", where=folder, hint=hint)
     kinematics = Kinematics(robot)

@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import atomic_path, require_folder, unwritable, write_text_atomic
+from pointsdf_cli.io.hdf5 import artifacts_below
 from pointsdf_cli.io.labels import read_labels
 from pointsdf_cli.io.views import read_views
 from pointsdf_cli.models.neighbours import farthest_point_order
@@ -77,11 +78,7 @@ def pair_artifacts(views: Path | str, labels: Path | str) -> list[tuple[Path, Pa
     for option, folder in (("--views", Path(views)), ("--labels", Path(labels))):
         if not folder.is_dir():
             raise InputError("is not a folder", where=f"{option} {folder}")
-        paths = {
-            str(path.relative_to(folder)): path
-            for path in folder.rglob("*.h5")
-            if not path.name.startswith(".")
-        }
+        paths = {str(path.relative_to(folder)): path for path in artifacts_below(folder)}
         if not paths:
             raise InputError("holds no .h5 artifacts", where=f"{option} {folder}")
         found[option] = paths
