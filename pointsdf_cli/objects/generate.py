@@ -20,7 +20,7 @@ from pointsdf_cli.objects.finish import (
     uneven,
 )
 
-# Draws that make no valid solid are rare (1 in 300); so many in a row are a bug.
+# Draws that make no valid solid are rare (1 in 124); so many in a row are a bug.
 MOST_ATTEMPTS = 20
 GENERATOR_VERSION = 1
 """Raised whenever any object changes for a given seed and index."""
