@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
@@ -77,6 +78,13 @@ def test_training_then_scoring(cli, grasps: Path, tmp_path: Path) -> None:  # ty
     other = cli(*asked, "--sdf", asset_path("weights/pointsdf"))
     assert other.code == 2
     assert "another reconstruction" in other.err
+    shutil.copytree(load_robot().urdf.parent, tmp_path / "robot")
+    file = tmp_path / "robot" / "lbr4_allegro.yaml"
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("index_joint_1: 0.2", "index_joint_1: -0.2"), encoding="utf-8")
+    other = cli(*asked, "--robot", file)
+    assert other.code == 2
+    assert "another hand" in other.err
     assert cli(*asked).code == 0
 
     table = tmp_path / "table.json"

@@ -66,8 +66,10 @@ def train_gs(
     from pointsdf_cli.io.checkpoints import (
         forget_train_state,
         has_train_state,
+        read_config,
         require_checkpoint_place,
     )
+    from pointsdf_cli.models.grasp_checkpoint import check_hand
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.training.gs_data import read_grasp_data
@@ -102,6 +104,8 @@ def train_gs(
     with reporter.progress("asking the reconstruction", len(data.names)) as bar:
         sources = Sources(cache, sdf, robot, common.job_count(jobs), bar.advance)
         prepared = prepare(data, split, variant, sources, seed)
+    if resume:
+        check_hand(prepared.sweep, read_config(out), out)
     if force and not resume:
         forget_train_state(out)
     checkpointer = Checkpointer(

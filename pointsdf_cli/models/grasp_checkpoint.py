@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from pointsdf_cli.assets import asset_path, assets_folder
@@ -143,15 +142,7 @@ def read_grasp_checkpoint(
         raise InputError(
             f"does not fit its config.json ({str(error).splitlines()[0]})", where=where
         ) from error
-    course = config["robot"].get("course")  # older checkpoints do not say
-    if course is not None and not _same_course(np.asarray(course), sweep.course()):
-        raise InputError(
-            f"learned with another hand, or another palm frame, of {robot.name!r}: fingers close "
-            "elsewhere, and h would be of other grasps",
-            where=where,
-            allowed="palm frame, links, limits, closing joints and speeds as when it learned",
-            hint="collect-grasps and train-gs again with this --robot",
-        )
+    check_hand(sweep, config, where)
     network.requires_grad_(False)
     return GraspParts(
         network.eval(),
@@ -163,8 +154,24 @@ def read_grasp_checkpoint(
     )
 
 
-def _same_course(learned: NDArray[np.float64], now: NDArray[np.float64]) -> bool:
-    return learned.shape == now.shape and np.allclose(learned, now, atol=COURSE_OFF)
+def check_hand(sweep: HandSweep, config: Mapping[str, Any], where: object) -> None:
+    """Refuse a checkpoint that learned with a hand whose fingers pass elsewhere.
+
+    Raises:
+        InputError: They do.
+    """
+    learned = config["robot"].get("course")  # older checkpoints do not say
+    now = sweep.course()
+    if learned is None:
+        return
+    if np.shape(learned) != now.shape or not np.allclose(learned, now, atol=COURSE_OFF):
+        raise InputError(
+            f"learned with another hand, or another palm frame, of {config['robot']['name']!r}: "
+            "fingers close elsewhere, and h would be of other grasps",
+            where=where,
+            allowed="palm frame, links, limits, closing joints and speeds as when it learned",
+            hint="collect-grasps and train-gs again with this --robot",
+        )
 
 
 COURSE_OFF = 3e-3
