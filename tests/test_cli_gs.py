@@ -82,7 +82,7 @@ def test_training_then_scoring(cli, grasps: Path, tmp_path: Path) -> None:  # ty
     file = tmp_path / "robot" / "lbr4_allegro.yaml"
     text = file.read_text(encoding="utf-8")
     file.write_text(text.replace("index_joint_1: 0.2", "index_joint_1: -0.2"), encoding="utf-8")
-    other = cli(*asked, "--robot", file)
+    other = cli(*asked, "--robot", file, "--cache", tmp_path / "other-cache")
     assert other.code == 2
     assert "another hand" in other.err
     assert cli(*asked).code == 0
