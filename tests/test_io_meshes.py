@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -189,3 +190,11 @@ def test_a_wrong_pattern_is_one_message(
     box_mesh.export(tmp_path / "box.ply")
     with pytest.raises(InputError, match="pattern"):
         find_meshes(tmp_path, pattern)
+
+
+def test_a_gltf_in_several_files_is_told_to_come_as_one(tmp_path: Path, box_mesh: Any) -> None:
+    for name, data in trimesh.exchange.gltf.export_gltf(trimesh.Scene(box_mesh)).items():
+        (tmp_path / name).write_bytes(data)
+    with pytest.raises(InputError) as refused:
+        load_mesh(tmp_path / "model.gltf")
+    assert ".glb" in refused.value.message

@@ -220,6 +220,9 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
             f"({type(error).__name__}: {str(error)[:100]})",
             where=path,
             allowed="a triangle mesh: " + ", ".join(MESH_SUFFIXES),
+            hint="other files that it names are not opened: export it as .glb"
+            if kind == ".gltf"
+            else None,
         ) from error
     if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
         raise InputError("has faces that name vertices it does not hold", where=path)
