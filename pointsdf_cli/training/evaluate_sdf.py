@@ -103,7 +103,7 @@ def evaluate_object(task: EvalTask) -> list[ScoredView]:
         }
         surfaces[PARTIAL_HULL] = convex_hull(views.cloud[view])
         for method, surface in surfaces.items():
-            # All methods meet the same points, whichever else are scored beside them.
+            # A method's draws do not depend on which others are scored beside it.
             drawn = task_seed(task.config.seed, f"{task.name} {view}")
             score = _score(surface, to_object, truth, drawn, samples)
             scored.append(ScoredView(method, task.name, view, score))
