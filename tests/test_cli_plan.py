@@ -172,12 +172,17 @@ def test_bad_options_are_refused(
 
 
 def test_every_output_has_a_place_of_its_own(cli: Callable, tmp_path: Path) -> None:
-    out = tmp_path / "plan.png"  # where its own picture would go
-    both = tmp_path / "p.h5"
-    for arguments in (["--out", out], ["--out", both, "--trajectory", both]):
+    out, both = tmp_path / "plan.png", tmp_path / "p.h5"
+    for arguments in (
+        ["--picture", out, "--trajectory", out],
+        ["--out", both, "--trajectory", both],
+    ):
         run = cli("plan", TABLE, *arguments)
         assert run.code == 2
         assert "one path" in run.err
+    run = cli("plan", TABLE, "--out", out)  # other commands would not know it for a plan
+    assert run.code == 2
+    assert "plan.h5" in run.err
     assert not list(tmp_path.iterdir())
 
 
