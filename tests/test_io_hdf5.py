@@ -198,20 +198,16 @@ def test_only_ordinary_files_are_replaced_and_a_link_stays_a_link(tmp_path: Path
     assert (tmp_path / "far" / "plan").read_text() == "new"
 
 
-def test_one_wrong_byte_anywhere_is_one_message_or_none(artifact: Path) -> None:
+def test_one_wrong_byte_among_the_attributes_is_one_message(artifact: Path) -> None:
+    # Elsewhere, too, but some versions of libhdf5 go round in circles: `python -m tests.fuzz`
+    # gives each file a process.
     whole = artifact.read_bytes()
-    refused = 0
-    for at in range(0, len(whole), 7):
+    for at in range(whole.find(b"schema_version") - 40, whole.find(b"config_json") + 60, 7):
         artifact.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
-        for ask in (
-            lambda: is_complete(artifact, schema="views", version=1, config={"views": 4}),
-            lambda: was_collected(artifact),
-        ):
-            try:
-                ask()
-            except InputError:
-                refused += 1
-    assert refused > 20, "else this test shows nothing"
+        with pytest.raises(InputError):
+            is_complete(artifact, schema="views", version=1, config={"views": 4})
+        with pytest.raises(InputError):
+            was_collected(artifact)
 
 
 def test_notes_beside_artifacts_are_none(artifact: Path) -> None:
