@@ -361,6 +361,9 @@ def test_the_command_trains_stops_and_resumes(cli, artifacts: Path, tmp_path: Pa
     elsewhere = cli(*begun[:-1], tmp_path / "sharper", "--steps", 4, "--resume")
     assert elsewhere.code == 2
     assert "did not begin with" in elsewhere.err
+    other = cli(*begun, "--model", "voxelcnn", "--steps", 2, "--force")
+    assert other.code == 2
+    assert "is a pointsdf-ray" in other.err
     for wrong, told in (
         (["--views", tmp_path / "none"], "not a folder"),
         (["--model", "resnet"], "pointsdf-ray"),

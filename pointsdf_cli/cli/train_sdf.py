@@ -117,20 +117,19 @@ def train_sdf(
         if workers.is_first:
             workers.wait()
         started = _started_from(start_from, out if resume else None)
+        if started is not None and started.get("architecture") != model:
+            raise InputError(
+                f"is a {started.get('architecture')}",
+                where=f"--start-from {start_from}",
+                allowed=model,
+            )
         before = (started or {}).get("data", {}).get("held_out")
         split = split_views(data, held_out, seed, before or ())
         arguments = {**(started or {}).get("model", {}), **arguments}
         network = build_model(model, arguments, seed=seed)
         if start_from is not None and not resume:
-            trained = load_model(start_from)
-            if trained.architecture != model:
-                raise InputError(
-                    f"is a {trained.architecture}",
-                    where=f"--start-from {start_from}",
-                    allowed=model,
-                )
             try:
-                network.begin_with(trained)
+                network.begin_with(load_model(start_from))
             except RuntimeError as error:
                 raise InputError(
                     f"has other sizes than {model} --preset {preset}",

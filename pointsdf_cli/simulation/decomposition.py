@@ -143,9 +143,12 @@ def with_few_faces(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:
     """
     if len(mesh.faces) <= most:
         return mesh
-    volume = float(mesh.volume)
+
+    def same_volume(other: trimesh.Trimesh) -> bool:
+        return bool(abs(other.volume - mesh.volume) <= VOLUME_OFF * abs(mesh.volume))
+
     simple = mesh.simplify_quadric_decimation(face_count=most)
-    if len(simple.faces) <= 1.2 * most and abs(simple.volume / volume - 1) <= VOLUME_OFF:
+    if len(simple.faces) <= 1.2 * most and same_volume(simple):
         return simple
     solid = Manifold(Mesh64(np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.uint64)))
     best = mesh
@@ -154,7 +157,7 @@ def with_few_faces(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:
         simple = trimesh.Trimesh(
             np.asarray(few.vert_properties), np.asarray(few.tri_verts, np.int64), process=False
         )
-        if abs(simple.volume / volume - 1) > VOLUME_OFF:
+        if not same_volume(simple):
             break
         best = simple
         if len(best.faces) <= most:
