@@ -85,6 +85,10 @@ class InverseKinematics:
             robot.arm_joints.index(j.name) if j.name in robot.arm_joints else None
             for j in self._chain
         ]
+        moving = [k for k, column in enumerate(self._columns) if column is not None]
+        self._moving = [self._columns[k] for k in moving]
+        self._sliding = np.array([self._chain[k].kind == "prismatic" for k in moving])
+        self._cross = np.stack([_cross_matrix(self._chain[k].axis) for k in moving])
         self._base, self._palm = robot.T_world_base, robot.T_link_palm
         rng = np.random.default_rng(seed)
         self._pool = rng.uniform(
@@ -156,33 +160,36 @@ class InverseKinematics:
         count = len(q)
         rotation = np.broadcast_to(self._base[:3, :3], (count, 3, 3))
         position = np.broadcast_to(self._base[:3, 3], (count, 3))
-        axes, origins, sliding = [], [], []
+        axes, origins = np.empty((2, len(self._moving), count, 3))
+        turns = self._turns(q[:, self._moving])
+        at = 0
         for joint, column in zip(self._chain, self._columns, strict=True):
             position = position + rotation @ joint.T_parent_joint[:3, 3]
             rotation = rotation @ joint.T_parent_joint[:3, :3]
             if column is None:
                 continue
-            axis = rotation @ joint.axis
-            axes.append(axis)
-            sliding.append(joint.kind == "prismatic")
-            if joint.kind == "prismatic":
-                origins.append(position)
-                position = position + axis * q[:, column, None]
+            axes[at], origins[at] = rotation @ joint.axis, position
+            if self._sliding[at]:
+                position = position + axes[at] * q[:, column, None]
             else:
-                origins.append(position)
-                rotation = rotation @ _rotation_about(joint.axis, q[:, column])
+                rotation = rotation @ turns[at]
+            at += 1
         position = position + rotation @ self._palm[:3, 3]
         rotation = rotation @ self._palm[:3, :3]
         jacobian = np.zeros((count, 6, q.shape[1]))
         if with_jacobian:
-            columns = [c for c in self._columns if c is not None]
-            for column, axis, origin, slides in zip(columns, axes, origins, sliding, strict=True):
-                if slides:
-                    jacobian[:, :3, column] = axis
-                else:
-                    jacobian[:, :3, column] = _cross(axis, position - origin)
-                    jacobian[:, 3:, column] = axis
+            slides = self._sliding[:, None, None]
+            along = np.where(slides, axes, _cross(axes, position - origins))
+            jacobian[:, :3, self._moving] = along.transpose(1, 2, 0)
+            jacobian[:, 3:, self._moving] = np.where(slides, 0.0, axes).transpose(1, 2, 0)
         return rotation, position, jacobian
+
+    def _turns(self, q: Array) -> Array:
+        """Rotations [M, B, 3, 3] of the moving joints about their axes by [B, M] (Rodrigues)."""
+        angles = q.T[:, :, None, None]
+        cross = self._cross[:, None]
+        turned: Array = np.eye(3) + np.sin(angles) * cross + (1 - np.cos(angles)) * (cross @ cross)
+        return turned
 
     def _error(
         self, q: Array, goal_rotation: Array, goal_position: Array, active: NDArray[np.int64]
@@ -236,19 +243,16 @@ def _palm_chain(robot: RobotDescription) -> list[Joint]:
     return chain[::-1]
 
 
-def _rotation_about(axis: Array, angle: Array) -> Array:
-    """Rotations [B, 3, 3] about one unit axis."""
+def _cross_matrix(axis: Array) -> Array:
+    """[3, 3], whose product with a vector is the axis × the vector."""
     x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    sine, versine = np.sin(angle)[:, None, None], (1 - np.cos(angle))[:, None, None]
-    turned: Array = np.eye(3) + sine * cross + versine * (cross @ cross)
-    return turned
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross products [B, 3]; np.cross spends ten times as long on finding its axes."""
+    """Cross products [..., 3]; np.cross spends ten times as long on finding its axes."""
     product = np.empty_like(a)
-    product[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
-    product[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
-    product[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    product[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    product[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    product[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     return product
