@@ -38,12 +38,15 @@ from pointsdf_cli.simulation.executor import Outcome
 from pointsdf_cli.simulation.sim_object import prepare_object
 from pointsdf_cli.simulation.world import PhysicsConfig
 
-BASE = PhysicsConfig()
+BASE = AttemptConfig().physics
+WHOLE = "the whole arm"
+"""As a trial has it: the arm simulated, too, whose joints give way a little, at its own step."""
 ASIDE = "0.1 mm aside"
 """The object so much off, physics as collected: what a label owes to luck, whatever the step."""
 VARIANTS = {
     "as collected": BASE,
     ASIDE: BASE,
+    WHOLE: PhysicsConfig(),
     "half the step": replace(BASE, step=BASE.step / 2),
     "half the iterations": replace(BASE, iterations=BASE.iterations // 2),
     "half of both": replace(BASE, step=BASE.step / 2, iterations=BASE.iterations // 2),
@@ -203,7 +206,11 @@ def main() -> int:
     names = [name for name in options.variants if options.grasps or name != ASIDE]
     robot = load_robot()
     attempters = {
-        name: Attempter(robot, replace(AttemptConfig(), physics=VARIANTS[name])) for name in names
+        name: Attempter(
+            robot,
+            replace(AttemptConfig(), physics=VARIANTS[name], hand_alone=name != WHOLE),
+        )
+        for name in names
     }
     try:
         if options.grasps:

@@ -48,12 +48,12 @@ def test_a_robot_of_meshes_has_a_body(tmp_path: Path, kind: str) -> None:
     robot = gripper(tmp_path, kind)
     with World(robot) as world:
         world.reset()
-        bullet, client = world._bullet, world._client
-        for i in range(bullet.getNumJoints(world._body, physicsClientId=client)):
-            link = bullet.getJointInfo(world._body, i, physicsClientId=client)[12].decode()
-            shapes = bullet.getCollisionShapeData(world._body, i, physicsClientId=client)
+        bullet, client, body = world._bullet, world._client, world._robot.bodies[0]
+        for i in range(bullet.getNumJoints(body, physicsClientId=client)):
+            link = bullet.getJointInfo(body, i, physicsClientId=client)[12].decode()
+            shapes = bullet.getCollisionShapeData(body, i, physicsClientId=client)
             assert len(shapes) == len(robot.tree.shapes[link]), link
-            low, high = bullet.getAABB(world._body, i, physicsClientId=client)
+            low, high = bullet.getAABB(body, i, physicsClientId=client)
             if link in ("left", "right"):
                 # 6 × 1 × 2 cm, turned somehow, and the margin that PyBullet adds.
                 assert 0.06 < np.linalg.norm(np.subtract(high, low)) < 0.12
@@ -73,11 +73,11 @@ def test_links_without_a_mass_weigh_what_their_shapes_hold(tmp_path: Path) -> No
     assert any("no <inertial>" in finding.what and "left" in finding.what for finding in found)
     with World(robot) as world:
         world.reset()
-        bullet, client = world._bullet, world._client
+        bullet, client, body = world._bullet, world._client, world._robot.bodies[0]
         weighed = {}
-        for i in range(bullet.getNumJoints(world._body, physicsClientId=client)):
-            info = bullet.getDynamicsInfo(world._body, i, physicsClientId=client)
-            link = bullet.getJointInfo(world._body, i, physicsClientId=client)[12].decode()
+        for i in range(bullet.getNumJoints(body, physicsClientId=client)):
+            info = bullet.getDynamicsInfo(body, i, physicsClientId=client)
+            link = bullet.getJointInfo(body, i, physicsClientId=client)[12].decode()
             weighed[link] = (info[0], info[3])
     assert weighed["left"][0] == pytest.approx(LINK_DENSITY * 0.06 * 0.01 * 0.02)
     assert weighed["left"][1] == pytest.approx((0.03, 0, 0))  # the middle of its box

@@ -3,21 +3,29 @@
 PyBullet reads a URDF by itself. Of meshes in some formats (text STL) it makes links without a body,
 at others (PLY, OFF, GLB) it gives up, and a link without `<inertial>` weighs 1 kg. So a URDF that
 has either is written anew, with the hulls of `robot/shapes.py` and masses of the links' volumes.
+
+The hand alone comes as several files, one for what cannot move in the palm and one for each finger:
+a step of PyBullet costs the square of a body's joints, so five small bodies are several times as
+fast as one of 23 joints.
 """
 
 from __future__ import annotations
 
+import copy
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.untrusted import read_xml
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.shapes import Shape
-from pointsdf_cli.robot.urdf import mesh_file
+from pointsdf_cli.robot.urdf import MOVING, mesh_file
+
+Array = NDArray[np.float64]
 
 LINK_DENSITY = 1000.0
 """Of a link whose mass the URDF does not give [kg/m³]."""
@@ -38,7 +46,104 @@ def bullet_urdf(robot: RobotDescription, folder: Path, visible: bool = False) ->
     meshes = root.findall("link/collision/geometry/mesh")
     if not meshes and all(link.find("inertial") is not None for link in links):
         return robot.urdf
-    for number, link in enumerate(links):
+    return _written(_readable(robot, folder, visible), folder / "robot.urdf")
+
+
+def hand_urdfs(robot: RobotDescription, folder: Path, visible: bool = False) -> list[Path]:
+    """The hand in bodies that can be loaded at the palm link's pose, each with a root `CARRIER`.
+
+    Args:
+        robot: The robot.
+        folder: Where the URDFs and the hulls go.
+        visible: Keep what is only to be looked at.
+
+    Returns:
+        First what is fixed to the palm, then one file for every joint that leads away from it.
+    """
+    root = _readable(robot, folder, visible)
+    links = {str(link.get("name")): link for link in root.findall("link")}
+    joints = {str(joint.find("child").get("link")): joint for joint in root.findall("joint")}  # type: ignore[union-attr]
+    # Where the links are that cannot move in the palm, and what leads away from them.
+    fixed, leading = {robot.palm_link: np.eye(4)}, []
+    for joint in robot.tree.joints:
+        if joint.parent not in fixed:
+            continue
+        T_palm_child = fixed[joint.parent] @ joint.T_parent_joint
+        if joint.kind in MOVING:
+            leading.append((joint.child, T_palm_child))
+        else:
+            fixed[joint.child] = T_palm_child
+    palm = _body([links[name] for name in fixed], [])
+    for name, pose in fixed.items():
+        palm.append(_fixed(name, pose))
+    files = [_written(palm, folder / "palm.urdf")]
+    for number, (first, pose) in enumerate(leading):
+        inside = [first]
+        for joint in robot.tree.joints:
+            if joint.parent in inside:
+                inside.append(joint.child)
+        finger = _body([links[name] for name in inside], [joints[name] for name in inside[1:]])
+        finger.append(_led_from_carrier(joints[first], pose))
+        files.append(_written(finger, folder / f"finger{number}.urdf"))
+    return files
+
+
+CARRIER = "carrier"
+"""The root of each body of a hand: where its palm link is."""
+
+
+def _body(links: list[ET.Element], joints: list[ET.Element]) -> ET.Element:
+    """A robot of these links and joints, and a root without a shape."""
+    root = ET.Element("robot", name="hand")
+    carrier = ET.SubElement(root, "link", name=CARRIER)
+    carrier.append(_inertial(()))
+    root.extend([*links, *joints])
+    return root
+
+
+def _fixed(child: str, pose: Array) -> ET.Element:
+    """A joint that keeps a link at `pose` [4, 4] of the carrier."""
+    node = ET.Element("joint", name=f"{child} carried", type="fixed")
+    ET.SubElement(node, "parent", link=CARRIER)
+    ET.SubElement(node, "child", link=child)
+    node.append(_origin(pose))
+    return node
+
+
+def _led_from_carrier(joint: ET.Element, pose: Array) -> ET.Element:
+    """The joint with the carrier for its parent, which it is at `pose` [4, 4] of."""
+    led = copy.deepcopy(joint)
+    for node in [*led.findall("origin"), *led.findall("parent")]:
+        led.remove(node)
+    ET.SubElement(led, "parent", link=CARRIER)
+    led.append(_origin(pose))
+    return led
+
+
+def _origin(pose: Array) -> ET.Element:
+    """Place and roll, pitch, yaw, R = Rz(yaw) Ry(pitch) Rx(roll), of [4, 4]."""
+    m = pose[:3, :3]
+    level = np.hypot(m[0, 0], m[1, 0])
+    roll, yaw = np.arctan2(m[2, 1], m[2, 2]), np.arctan2(m[1, 0], m[0, 0])
+    if level < 1e-9:  # straight up or down: roll and yaw turn about one axis, roll does it alone
+        roll, yaw = np.arctan2(-m[1, 2], m[1, 1]), 0.0
+    angles = np.array([roll, np.arctan2(-m[2, 0], level), yaw])
+    return ET.Element("origin", xyz=_numbers(pose[:3, 3]), rpy=_numbers(angles))
+
+
+def _numbers(values: Array) -> str:
+    return " ".join(f"{value:.17g}" for value in values)
+
+
+def _written(root: ET.Element, path: Path) -> Path:
+    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    return path
+
+
+def _readable(robot: RobotDescription, folder: Path, visible: bool) -> ET.Element:
+    """The URDF with hulls, masses, and nothing to look at unless it can be found."""
+    root = read_xml(robot.urdf)
+    for number, link in enumerate(root.findall("link")):
         shapes = robot.tree.shapes[str(link.get("name"))]
         for k, (node, shape) in enumerate(zip(link.findall("collision"), shapes, strict=True)):
             if shape.kind == "hull":
@@ -50,9 +155,7 @@ def bullet_urdf(robot: RobotDescription, folder: Path, visible: bool = False) ->
         for visual in link.findall("visual"):
             if not visible or not _at_its_place(visual, robot.urdf):
                 link.remove(visual)
-    path = folder / "robot.urdf"
-    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
-    return path
+    return root
 
 
 def _name_mesh(node: ET.Element, file: Path) -> None:

@@ -215,17 +215,15 @@ class Executor:
         It ends early where the rest can change nothing: the object is on the table and the hand
         out of its reach.
         """
-        world, robot, config = self._world, self._world.robot, self._config
+        world, config = self._world, self._config
         steps = max(1, round(config.lift_time / world.physics.step))
-        q = np.zeros(len(robot.joint_names))
+        s = np.arange(1, steps + 1) / steps
+        s = s * s * (3 - 2 * s)
         knots = np.linspace(0.0, 1.0, len(path))
-        for k in range(steps):
-            s = (k + 1) / steps
-            s = s * s * (3 - 2 * s)
-            q[self._arm] = [np.interp(s, knots, path[:, a]) for a in range(path.shape[1])]
-            world.drive_to(q, self._arm, robot.effort[self._arm])
+        arm = np.stack([np.interp(s, knots, column) for column in path.T], axis=1)
+        for k, _ in enumerate(world.follow(arm)):
             self._advance(1, "lift")
-            out_of_reach = s * config.lift_height >= CLEAR_HEIGHT
+            out_of_reach = s[k] * config.lift_height >= CLEAR_HEIGHT
             if out_of_reach and k % 8 == 0 and self._left_behind():
                 return
 

@@ -40,7 +40,7 @@ def settle(
     An object that topples on the way rests all the same: it is where it ends that counts.
     """
     place = transform(np.eye(3), [0.5, 0.0, config.drop])
-    world.reset(item, place @ pose.T_table_object, with_robot=False)
+    world.reset(item, place @ pose.T_table_object, robot="none")
     check = max(1, round(0.05 / world.physics.step))
     quiet = 0.0
     while world.time < config.longest:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,8 +20,10 @@ from pointsdf_cli.geometry.frames import (
     wxyz_from_rotation,
 )
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.simulation.bullet import import_bullet, silence
-from pointsdf_cli.simulation.bullet_urdf import bullet_urdf
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.simulation.bullet import import_bullet
+from pointsdf_cli.simulation.bullet_robot import BulletRobot, CarriedHand
+from pointsdf_cli.simulation.bullet_urdf import bullet_urdf, hand_urdfs
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.sim_object import SimObject
 
@@ -41,9 +45,9 @@ class PhysicsConfig:
 
     Attributes:
         step: Time step [s].
-        iterations: Of the contact solver, a step. With 40, half the step changes 9% of labels, and
-            objects of many pieces slip that hold with 200; with 200, half the step changes 4%, and
-            moving the object by 0.1 mm 3%.
+        iterations: Of the contact solver, a step. Of the whole arm with 40, half the step changes
+            9% of labels, and objects of many pieces slip that hold with 200; with 200, half the
+            step changes 4%, and moving the object by 0.1 mm 3%.
         hand_friction, object_friction, table_friction: Lateral; two bodies' values multiply.
         rolling_friction, spinning_friction: Of the object, small: soft contacts resist a little.
         gravity: [m/s²].
@@ -104,7 +108,9 @@ class World:
         self._client = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
         self._temporary = tempfile.TemporaryDirectory(prefix="rgrasp-world-")  # gone at exit, too
         self._folder = Path(self._temporary.name)
-        self._urdf = bullet_urdf(robot, self._folder, visible=gui)
+        self._whole = [bullet_urdf(robot, self._folder, visible=gui)]
+        self._hand = hand_urdfs(robot, self._folder, visible=gui)
+        self._kinematics = Kinematics(robot)
         self._object_file: tuple[Pieces, Path] | None = None
         self._steps = 0
 
@@ -126,7 +132,7 @@ class World:
         item: SimObject | None = None,
         T_world_object: Array | None = None,
         q: ArrayLike | None = None,
-        with_robot: bool = True,
+        robot: Literal["whole", "hand", "none"] = "whole",
     ) -> None:
         """Build the scene anew: nothing of an earlier attempt remains, so attempts replay.
 
@@ -134,7 +140,8 @@ class World:
             item: The object, if there is one.
             T_world_object: [4, 4], its mesh frame in the world.
             q: [J], the robot's configuration; home if None.
-            with_robot: Whether the robot is there.
+            robot: What is there of the robot: all of it; its hand, carried as by an arm that does
+                not yield, several times as fast; or nothing.
         """
         b, c = self._bullet, self._client
         b.resetSimulation(physicsClientId=c)
@@ -151,8 +158,8 @@ class World:
         self._steps = 0
         self._add_table()
         self._object = -1
-        if with_robot:
-            self._add_robot(self.robot.home if q is None else np.asarray(q))
+        if robot != "none":
+            self._add_robot(self.robot.home if q is None else np.asarray(q), robot == "hand")
         if item is not None:
             self._add_object(item, np.eye(4) if T_world_object is None else T_world_object)
 
@@ -171,21 +178,15 @@ class World:
 
     def place(self, q: ArrayLike) -> None:
         """Put the robot at a configuration [J] at rest, without physics."""
-        b, c = self._bullet, self._client
-        values = [[float(value)] for value in np.asarray(q)]
-        b.resetJointStatesMultiDof(
-            self._body, self._joints, values, [[0.0]] * len(values), physicsClientId=c
-        )
+        self._robot.place(q)
 
     def configuration(self) -> Array:
         """Where the joints are, [J]."""
-        states = self._bullet.getJointStates(self._body, self._joints, physicsClientId=self._client)
-        return np.array([state[0] for state in states])
+        return self._robot.configuration()
 
     def velocities(self) -> Array:
         """How fast the joints move, [J]."""
-        states = self._bullet.getJointStates(self._body, self._joints, physicsClientId=self._client)
-        return np.array([state[1] for state in states])
+        return self._robot.velocities()
 
     def drive_to(
         self,
@@ -198,59 +199,44 @@ class World:
 
         Args:
             q: [J].
-            columns: [K], which joints.
+            columns: [K], which joints. Without an arm, its joints stay where they are.
             forces: [K].
             speeds: [K], at which the targets move: known, the joints do not lag behind them;
                 0 if None.
         """
-        columns = np.asarray(columns)
-        speeds = np.zeros(len(columns)) if speeds is None else np.asarray(speeds, float)
-        self._bullet.setJointMotorControlArray(
-            self._body,
-            [self._joints[i] for i in columns],
-            self._bullet.POSITION_CONTROL,
-            targetPositions=np.asarray(q, float)[columns].tolist(),
-            targetVelocities=speeds.tolist(),
-            positionGains=[JOINT_RECOVERY * self.physics.step] * len(columns),
-            velocityGains=[1.0] * len(columns),
-            forces=np.asarray(forces, float).tolist(),
-            physicsClientId=self._client,
-        )
+        speeds = np.zeros(len(np.asarray(columns))) if speeds is None else speeds
+        self._robot.drive_to(q, columns, forces, speeds)
 
     def drive_at(self, speeds: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
         """Speed targets for the joints at `columns` of q, with the largest efforts to use."""
-        columns = np.asarray(columns)
-        self._bullet.setJointMotorControlArray(
-            self._body,
-            [self._joints[i] for i in columns],
-            self._bullet.VELOCITY_CONTROL,
-            targetVelocities=np.asarray(speeds, float).tolist(),
-            forces=np.asarray(forces, float).tolist(),
-            physicsClientId=self._client,
-        )
+        self._robot.drive_at(speeds, columns, forces)
+
+    def follow(self, arm: Array) -> Iterator[None]:
+        """Move the arm through configurations [K, A]; yields when the next step may be made."""
+        yield from self._robot.follow(arm)
 
     def collisions(self, q: ArrayLike, clearance: float = 0.0) -> set[str]:
         """What the robot would touch at a configuration: of "table", "object", "self".
 
         Args:
-            q: [J]; the robot is left there.
+            q: [J]; the robot is left there. What is not there of it touches nothing.
             clearance: Distances below this [m] count as touching.
         """
         b, c = self._bullet, self._client
         self.place(q)
         b.performCollisionDetection(physicsClientId=c)
         touched = set()
-        for contact in b.getContactPoints(bodyA=self._body, physicsClientId=c):
-            if contact[8] >= clearance:
-                continue
-            first, second = contact[1], contact[2]
-            other = second if first == self._body else first
-            if other == self._object:
-                touched.add("object")
-            elif other == self._table:
-                touched.add("table")
-            elif first == second == self._body:
-                touched.add("self")
+        for body in self._robot.bodies:
+            for contact in b.getContactPoints(bodyA=body, physicsClientId=c):
+                if contact[8] >= clearance:
+                    continue
+                other = contact[2] if contact[1] == body else contact[1]
+                if other == self._object:
+                    touched.add("object")
+                elif other == self._table:
+                    touched.add("table")
+                elif other in self._robot.bodies:
+                    touched.add("self")
         return touched
 
     # --- the object ---
@@ -277,11 +263,15 @@ class World:
 
     def robot_contact(self) -> RobotContact:
         """How the robot touches the object now."""
-        points = self._bullet.getContactPoints(
-            bodyA=self._body, bodyB=self._object, physicsClientId=self._client
-        )
+        points = [
+            point
+            for body in self._robot.bodies
+            for point in self._bullet.getContactPoints(
+                bodyA=body, bodyB=self._object, physicsClientId=self._client
+            )
+        ]
         touching = [point for point in points if point[9] > 0.0 or point[8] < 0.0]
-        links = {point[3] for point in touching}
+        links = {(point[1], point[3]) for point in touching}
         return RobotContact(
             links=len(links),
             hand_links=len(links & self._hand_links),
@@ -314,41 +304,29 @@ class World:
             self._table, -1, lateralFriction=self.physics.table_friction, physicsClientId=c
         )
 
-    def _add_robot(self, q: Array) -> None:
+    def _add_robot(self, q: Array, hand_alone: bool) -> None:
         b, c, robot = self._bullet, self._client, self.robot
-        wxyz = wxyz_from_rotation(robot.T_world_base[:3, :3])
-        with silence():
-            self._body = b.loadURDF(
-                str(self._urdf),
-                basePosition=robot.T_world_base[:3, 3].tolist(),
-                baseOrientation=wxyz[[1, 2, 3, 0]].tolist(),
-                useFixedBase=True,
-                flags=b.URDF_USE_SELF_COLLISION | b.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT,
-                physicsClientId=c,
+        recovery = JOINT_RECOVERY * self.physics.step
+        self._robot: BulletRobot
+        if hand_alone:
+            self._robot = CarriedHand(
+                b, c, robot, self._hand, recovery, self._kinematics, q, self.physics.step
             )
-        index = {robot.tree.links[0]: -1}
-        by_name = {}
-        for i in range(b.getNumJoints(self._body, physicsClientId=c)):
-            info = b.getJointInfo(self._body, i, physicsClientId=c)
-            by_name[info[1].decode()], index[info[12].decode()] = i, i
-        self._joints = [by_name[name] for name in robot.joint_names]
-        for link in robot.links_on_table:
-            b.setCollisionFilterPair(self._body, self._table, index[link], -1, 0, physicsClientId=c)
-        for first, second in robot.may_touch | robot.tree.neighbours():
-            b.setCollisionFilterPair(
-                self._body, self._body, index[first], index[second], 0, physicsClientId=c
-            )
-        self._hand_links = {index[link] for link in robot.hand_links}
-        for number in self._hand_links:
+        else:
+            self._robot = BulletRobot(b, c, robot, self._whole, robot.T_world_base, recovery)
+        links = self._robot.links
+        for link in robot.links_on_table & set(links):
+            body, number = links[link]
+            b.setCollisionFilterPair(body, self._table, number, -1, 0, physicsClientId=c)
+        # Each in one order: PyBullet renews its pairs on the way, whose order contacts have.
+        self._robot.ignore_contacts(sorted(map(sorted, robot.may_touch | robot.tree.neighbours())))
+        self._hand_links = {links[link] for link in robot.hand_links}
+        for body, number in sorted(self._hand_links):
             b.changeDynamics(
-                self._body,
-                number,
-                lateralFriction=self.physics.hand_friction,
-                physicsClientId=c,
+                body, number, lateralFriction=self.physics.hand_friction, physicsClientId=c
             )
         self.place(q)
-        columns = np.arange(len(robot.joint_names))
-        self.drive_to(q, columns, robot.effort)
+        self.drive_to(q, np.arange(len(robot.joint_names)), robot.effort)
 
     def _add_object(self, item: SimObject, T_world_object: Array) -> None:
         b, c = self._bullet, self._client

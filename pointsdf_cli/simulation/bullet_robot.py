@@ -1,0 +1,230 @@
+"""A robot in PyBullet: its links and joints by name, whatever bodies they are of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from pointsdf_cli.geometry.frames import invert_transform, rotation_vector, wxyz_from_rotation
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.simulation.bullet import silence
+
+Array = NDArray[np.float64]
+
+
+class BulletRobot:
+    """The whole robot as one body, in one scene of a physics client.
+
+    Args:
+        bullet, client: The module and the number of the physics client.
+        robot: The robot.
+        files: The URDFs that it is made of.
+        T_world_root: [4, 4], where their roots are.
+        recovery: Share of an error of position that a joint takes back in a step.
+    """
+
+    def __init__(
+        self,
+        bullet: Any,
+        client: int,
+        robot: RobotDescription,
+        files: Sequence[Path],
+        T_world_root: Array,
+        recovery: float,
+    ) -> None:
+        self._bullet, self._client, self.robot = bullet, client, robot
+        self._recovery = recovery
+        self.bodies: list[int] = []
+        self.links: dict[str, tuple[int, int]] = {}
+        """(body, number) of each link, by name."""
+        by_name: dict[str, tuple[int, int]] = {}
+        for file in files:
+            body = self._load(file, T_world_root)
+            for i in range(bullet.getNumJoints(body, physicsClientId=client)):
+                info = bullet.getJointInfo(body, i, physicsClientId=client)
+                by_name[info[1].decode()] = body, i
+                self.links[info[12].decode()] = body, i
+            root = bullet.getBodyInfo(body, physicsClientId=client)[0].decode()
+            self.links.setdefault(root, (body, -1))
+            self.bodies.append(body)
+        self._joints = [by_name.get(name) for name in robot.joint_names]
+
+    def _load(self, file: Path, T_world_root: Array) -> int:
+        b = self._bullet
+        wxyz = wxyz_from_rotation(T_world_root[:3, :3])
+        with silence():
+            return int(
+                b.loadURDF(
+                    str(file),
+                    basePosition=T_world_root[:3, 3].tolist(),
+                    baseOrientation=wxyz[[1, 2, 3, 0]].tolist(),
+                    useFixedBase=True,
+                    flags=b.URDF_USE_SELF_COLLISION | b.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT,
+                    physicsClientId=self._client,
+                )
+            )
+
+    def ignore_contacts(self, pairs: Iterable[Iterable[str]]) -> None:
+        """Let these pairs of links pass through each other."""
+        for first, second in pairs:
+            if first in self.links and second in self.links:
+                (a, i), (b, j) = self.links[first], self.links[second]
+                self._bullet.setCollisionFilterPair(a, b, i, j, 0, physicsClientId=self._client)
+
+    def place(self, q: ArrayLike) -> None:
+        """Put the robot at a configuration [J] at rest, without physics."""
+        for body, columns, numbers in self._by_body(range(len(self._joints))):
+            values = [[float(value)] for value in np.asarray(q)[columns]]
+            self._bullet.resetJointStatesMultiDof(
+                body, numbers, values, [[0.0]] * len(values), physicsClientId=self._client
+            )
+
+    def configuration(self) -> Array:
+        """Where the joints are, [J]."""
+        return self._state(0)
+
+    def velocities(self) -> Array:
+        """How fast the joints move, [J]."""
+        return self._state(1)
+
+    def drive_to(
+        self, q: ArrayLike, columns: ArrayLike, forces: ArrayLike, speeds: ArrayLike
+    ) -> None:
+        """Position targets; see `World.drive_to`."""
+        q, forces, speeds = (np.asarray(values, float) for values in (q, forces, speeds))
+        columns = np.asarray(columns)
+        for body, places, numbers in self._by_body(columns):
+            self._bullet.setJointMotorControlArray(
+                body,
+                numbers,
+                self._bullet.POSITION_CONTROL,
+                targetPositions=q[columns[places]].tolist(),
+                targetVelocities=speeds[places].tolist(),
+                positionGains=[self._recovery] * len(places),
+                velocityGains=[1.0] * len(places),
+                forces=forces[places].tolist(),
+                physicsClientId=self._client,
+            )
+
+    def drive_at(self, speeds: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
+        """Speed targets; see `World.drive_at`."""
+        forces, speeds = np.asarray(forces, float), np.asarray(speeds, float)
+        for body, places, numbers in self._by_body(columns):
+            self._bullet.setJointMotorControlArray(
+                body,
+                numbers,
+                self._bullet.VELOCITY_CONTROL,
+                targetVelocities=speeds[places].tolist(),
+                forces=forces[places].tolist(),
+                physicsClientId=self._client,
+            )
+
+    def follow(self, arm: Array) -> Iterator[None]:
+        """Move the arm through configurations [K, A]; yields when the next step may be made."""
+        columns = np.arange(arm.shape[1])
+        q = np.zeros(len(self._joints))
+        for target in arm:
+            q[columns] = target
+            self.drive_to(q, columns, self.robot.effort[columns], np.zeros(len(columns)))
+            yield
+
+    def _by_body(self, columns: ArrayLike) -> Iterator[tuple[int, list[int], list[int]]]:
+        """Of joints by their columns in q: each body, places in the list, numbers in the body."""
+        joints = [self._joints[int(column)] for column in np.asarray(columns)]
+        for body in self.bodies:
+            found = [(k, at[1]) for k, at in enumerate(joints) if at is not None and at[0] == body]
+            if found:
+                places, numbers = zip(*found, strict=True)
+                yield body, list(places), list(numbers)
+
+    def _state(self, which: int) -> Array:
+        values = np.zeros(len(self._joints))
+        for body, columns, numbers in self._by_body(range(len(self._joints))):
+            states = self._bullet.getJointStates(body, numbers, physicsClientId=self._client)
+            values[columns] = [state[which] for state in states]
+        return values
+
+
+class CarriedHand(BulletRobot):
+    """The hand alone, carried along the arm's path as by an arm that nothing can push aside.
+
+    The palm moves at the speed that the arm's joints would give it, which what it touches feels;
+    the arm itself is not there. Arguments as of `BulletRobot`, and
+
+    Args:
+        kinematics: Of the robot.
+        q: [J], where the hand is.
+        step: Of the simulation [s].
+    """
+
+    def __init__(
+        self,
+        bullet: Any,
+        client: int,
+        robot: RobotDescription,
+        files: Sequence[Path],
+        recovery: float,
+        kinematics: Kinematics,
+        q: Array,
+        step: float,
+    ) -> None:
+        self._kinematics, self._step = kinematics, step
+        self._T_palm_link = invert_transform(robot.T_link_palm)
+        self._arm = q[robot.arm].copy()
+        super().__init__(bullet, client, robot, files, self._palm_links(q[None])[0], recovery)
+
+    def place(self, q: ArrayLike) -> None:
+        """Put the hand where this configuration [J] has it, at rest."""
+        q = np.asarray(q, dtype=float)
+        self._arm = q[self.robot.arm].copy()
+        pose = self._palm_links(q[None])[0]
+        place, xyzw = pose[:3, 3].tolist(), wxyz_from_rotation(pose[:3, :3])[[1, 2, 3, 0]].tolist()
+        for body in self.bodies:
+            self._bullet.resetBasePositionAndOrientation(
+                body, place, xyzw, physicsClientId=self._client
+            )
+        super().place(q)
+
+    def follow(self, arm: Array) -> Iterator[None]:
+        """Carry the hand as the arm's configurations [K, A] say, one a step."""
+        q = np.zeros((len(arm) + 1, len(self._joints)))
+        q[:, self.robot.arm] = np.vstack([self._arm, arm])
+        poses = self._palm_links(q)
+        turns = poses[1:, :3, :3] @ poses[:-1, :3, :3].transpose(0, 2, 1)
+        turning = rotation_vector(turns) / self._step
+        try:
+            for target, pose, turn in zip(arm, poses[1:], turning, strict=True):
+                self._arm = target
+                # From where it is: of a body that turns, a step misses by a little.
+                here, _ = self._bullet.getBasePositionAndOrientation(
+                    self.bodies[0], physicsClientId=self._client
+                )
+                self._move((pose[:3, 3] - here) / self._step, turn)
+                yield
+        finally:
+            self._move(np.zeros(3), np.zeros(3))
+
+    def _move(self, speed: Array, turning: Array) -> None:
+        # PyBullet takes a fixed base with a speed along, and lets contacts know of it.
+        for body in self.bodies:
+            self._bullet.resetBaseVelocity(
+                body, speed.tolist(), turning.tolist(), physicsClientId=self._client
+            )
+
+    def _palm_links(self, q: Array) -> Array:
+        """Poses [K, 4, 4] of the palm link at configurations [K, J]."""
+        with torch.no_grad():
+            palm = self._kinematics.palm(torch.tensor(q)).numpy()
+        return np.asarray(palm @ self._T_palm_link)
+
+    def _state(self, which: int) -> Array:
+        values = super()._state(which)
+        if which == 0:
+            values[self.robot.arm] = self._arm
+        return values
