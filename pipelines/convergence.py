@@ -4,15 +4,17 @@
     python pipelines/convergence.py --meshes train/ [--count 300]
 
 With `--grasps`, executed attempts are drawn evenly by seed, and each is carried out as it was
-collected, with half the time step, with half, two and five times the solver's iterations, with half
-the step and half, two or five times the iterations, and with the object 0.1 mm aside: a label that
-this changes hangs on less than any camera or mesh is good for. Printed, for each: how many labels
-and causes differ from the stored ones, with the 95% interval of the share, and how far the rise of
-grasps held both times differs; then how many labels differ between any two. As collected, nothing
-may differ: that is the test of the replay.
+collected, by the whole arm as in a trial, with half the time step, with half, two and five times
+the solver's iterations, with half the step and half, two or five times the iterations, and with the
+object 0.1 mm aside: a label that this changes hangs on less than any camera or mesh is good for.
+Printed, for each: how many labels and causes differ from the stored ones, with the 95% interval of
+the share, and how far the rise of grasps held both times differs; then how many labels differ
+between any two. As collected, nothing may differ: that is the test of the replay, of grasps that
+were collected with today's physics (it says so where they were not).
 
 Without, whole attempts are made anew, as `collect-grasps` makes them: one scene of each of objects
 drawn by seed, settled, seen, tried, and carried out if it can be, all with the other physics.
+`--whole-arm` studies the trials' physics in place of the collection's.
 """
 
 from __future__ import annotations
@@ -30,31 +32,43 @@ import torch
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, LOST, read_grasps
-from pointsdf_cli.io.hdf5 import artifacts_below
+from pointsdf_cli.io.hdf5 import artifacts_below, open_hdf5, options_of
 from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
 from pointsdf_cli.simulation.executor import Outcome
 from pointsdf_cli.simulation.sim_object import prepare_object
-from pointsdf_cli.simulation.world import PhysicsConfig
 
-BASE = AttemptConfig().physics
-WHOLE = "the whole arm"
-"""As a trial has it: the arm simulated, too, whose joints give way a little, at its own step."""
+AS_COLLECTED = "as collected"
 ASIDE = "0.1 mm aside"
 """The object so much off, physics as collected: what a label owes to luck, whatever the step."""
-VARIANTS = {
-    "as collected": BASE,
-    ASIDE: BASE,
-    WHOLE: PhysicsConfig(),
-    "half the step": replace(BASE, step=BASE.step / 2),
-    "half the iterations": replace(BASE, iterations=BASE.iterations // 2),
-    "half of both": replace(BASE, step=BASE.step / 2, iterations=BASE.iterations // 2),
-    "twice the iterations": replace(BASE, iterations=BASE.iterations * 2),
-    "five times the iterations": replace(BASE, iterations=BASE.iterations * 5),
-    "both": replace(BASE, step=BASE.step / 2, iterations=BASE.iterations * 2),
-    "five times and half": replace(BASE, step=BASE.step / 2, iterations=BASE.iterations * 5),
+WHOLE = "the whole arm"
+"""As a trial has it: the arm simulated, too, whose joints give way a little, at its own step."""
+FINER = {
+    "half the step": (0.5, 1),
+    "half the iterations": (1, 0.5),
+    "half of both": (0.5, 0.5),
+    "twice the iterations": (1, 2),
+    "five times the iterations": (1, 5),
+    "both": (0.5, 2),
+    "five times and half": (0.5, 5),
 }
+"""Factors of the step and of the solver's iterations a step."""
+VARIANTS = (AS_COLLECTED, ASIDE, WHOLE, *FINER)
+
+
+def variant(name: str, base: AttemptConfig) -> AttemptConfig:
+    """What is changed of how attempts are made."""
+    if name == WHOLE:
+        return base.with_the_whole_arm()
+    step, iterations = FINER.get(name, (1, 1))
+    physics = base.physics
+    return replace(
+        base,
+        physics=replace(
+            physics, step=physics.step * step, iterations=round(physics.iterations * iterations)
+        ),
+    )
 
 
 def chosen(folder: Path, count: int, seed: int) -> dict[Path, list[int]]:
@@ -83,7 +97,12 @@ def label_of(outcome: Outcome) -> int:
 
 
 def again(
-    grasps_folder: Path, mesh_folder: Path, attempters: dict[str, Attempter], count: int, seed: int
+    grasps_folder: Path,
+    mesh_folder: Path,
+    attempters: dict[str, Attempter],
+    base: AttemptConfig,
+    count: int,
+    seed: int,
 ) -> dict[str, object]:
     """Stored grasps carried out with each physics; what changed, for `--json`.
 
@@ -103,10 +122,14 @@ def again(
     causes = dict.fromkeys(attempters, 0)
     now_held = dict.fromkeys(attempters, 0)
     rises: dict[str, list[float]] = {name: [] for name in attempters}
-    was_held = 0
+    was_held, otherwise, physics = 0, 0, base.physics
+    expected = json.loads(json.dumps(base.as_dict()))
     started = time.process_time()
     for path, found in rows.items():
         grasps, _ = read_grasps(path)
+        with open_hdf5(path) as file:
+            options = options_of(file)
+        otherwise += any(options.get(key) != expected[key] for key in ("hand_alone", "physics"))
         aside = grasps.T_world_object.copy()
         aside[:, :2, 3] += 1e-4 / np.sqrt(2)
         moved = replace(grasps, T_world_object=aside)
@@ -124,9 +147,11 @@ def again(
                     rises[name].append(abs(outcome.lift_height - float(grasps.lift_height[row])))
     print(
         f"{count} executed grasps of {len(rows)} objects, {was_held} held; step 1/"
-        f"{1 / BASE.step:.0f} s, {BASE.iterations} iterations; "
+        f"{1 / physics.step:.0f} s, {physics.iterations} iterations; "
         f"{time.process_time() - started:.0f} CPU seconds"
     )
+    if otherwise:
+        print(f"{otherwise} of {len(rows)} objects were collected with other physics than that")
     result: dict[str, object] = {"count": count, "held": was_held}
     for name in attempters:
         low, high = interval(changed[name], count)
@@ -148,13 +173,17 @@ def again(
 
 
 def anew(
-    mesh_folder: Path, attempters: dict[str, Attempter], count: int, seed: int
+    mesh_folder: Path,
+    attempters: dict[str, Attempter],
+    base: AttemptConfig,
+    count: int,
+    seed: int,
 ) -> dict[str, object]:
     """Whole attempts with each physics; their labels, for `--json`."""
     meshes = find_meshes(mesh_folder)
     order = np.random.default_rng(seed).permutation(len(meshes))
     labels: dict[str, list[int]] = {name: [] for name in attempters}
-    tried, executed, objects = 0, 0, 0
+    tried, executed, objects, physics = 0, 0, 0, base.physics
     started = time.process_time()
     for place in order:
         try:
@@ -166,7 +195,7 @@ def anew(
             print(error.message, file=sys.stderr)
             continue
         objects += 1
-        for index in range(min(AttemptConfig().scene_attempts, count - tried)):
+        for index in range(min(base.scene_attempts, count - tried)):
             for name, attempter in attempters.items():
                 labels[name].append(attempter.attempt(item, index).label)
             tried += 1
@@ -175,7 +204,7 @@ def anew(
             break
     print(
         f"{tried} attempts with {objects} objects, {executed} executed; step 1/"
-        f"{1 / BASE.step:.0f} s, {BASE.iterations} iterations; "
+        f"{1 / physics.step:.0f} s, {physics.iterations} iterations; "
         f"{time.process_time() - started:.0f} CPU seconds"
     )
     print_pairs(labels)
@@ -199,24 +228,24 @@ def main() -> int:
     parser.add_argument("--meshes", type=Path, required=True)
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
+    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=VARIANTS)
+    parser.add_argument("--whole-arm", action="store_true", help="of the trials' physics")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     torch.set_num_threads(1)
+    base = AttemptConfig()
+    if options.whole_arm:
+        base = base.with_the_whole_arm()
     names = [name for name in options.variants if options.grasps or name != ASIDE]
     robot = load_robot()
-    attempters = {
-        name: Attempter(
-            robot,
-            replace(AttemptConfig(), physics=VARIANTS[name], hand_alone=name != WHOLE),
-        )
-        for name in names
-    }
+    attempters = {name: Attempter(robot, variant(name, base)) for name in names}
     try:
         if options.grasps:
-            found = again(options.grasps, options.meshes, attempters, options.count, options.seed)
+            found = again(
+                options.grasps, options.meshes, attempters, base, options.count, options.seed
+            )
         else:
-            found = anew(options.meshes, attempters, options.count, options.seed)
+            found = anew(options.meshes, attempters, base, options.count, options.seed)
     except InputError as error:
         print(error.message, file=sys.stderr)
         return 2

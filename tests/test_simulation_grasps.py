@@ -16,7 +16,7 @@ from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
-from pointsdf_cli.simulation.world import PhysicsConfig, World
+from pointsdf_cli.simulation.world import World
 
 pytest.importorskip("pybullet")
 
@@ -119,8 +119,7 @@ def test_centred_side_grasps_of_balls_boxes_and_cylinders_hold(
 def test_the_whole_arm_does_what_the_hand_alone_does(
     attempter: Attempter, grip: Grip, cache: Path
 ) -> None:
-    config = replace(AttemptConfig(), hand_alone=False, physics=PhysicsConfig())
-    whole = Attempter(load_robot(), config)
+    whole = Attempter(load_robot(), AttemptConfig().with_the_whole_arm())
     try:
         for name, along, cause in (
             ("can 6.4 cm", REACH, "held"),

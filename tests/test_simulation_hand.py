@@ -8,9 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import trimesh
 
+from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import RobotDescription, load_robot
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.simulation.sim_object import prepare_object
 from pointsdf_cli.simulation.world import World
 
 pytest.importorskip("pybullet")
@@ -54,12 +59,12 @@ def test_every_link_of_the_hand_is_where_the_whole_arm_has_it(world: World) -> N
             assert hand[name][1] == pytest.approx(mass), name
 
 
-def test_nothing_of_the_arm_is_there(world: World) -> None:
+def test_of_the_arm_only_the_flange_is_there(world: World) -> None:
     world.reset(robot="hand")
-    assert set(world.robot.hand_links) <= set(world._robot.links)
-    others = set(world.robot.tree.links) - set(world.robot.hand_links)
-    assert others
-    assert not others & set(world._robot.links)
+    robot = world.robot
+    flange = {"lbr4_link_7"} if "lbr4_link_7" in robot.tree.links else set()
+    here = set(robot.tree.links) & set(world._robot.links)
+    assert here == set(robot.hand_links) | flange
 
 
 def test_it_is_placed_as_the_whole_arm_is(world: World) -> None:
@@ -120,7 +125,6 @@ def test_it_follows_the_arms_path_and_stands_at_its_end(world: World) -> None:
         if k % 40 == 39:
             found = hand_in_bullet(world)[robot.palm_link][0]
             assert found[:3] == pytest.approx(palms[k, :3, 3], abs=1e-5)
-            assert world.configuration()[robot.arm] == pytest.approx(arm[k])
     end = hand_in_bullet(world)
     world.step(100)
     for name, (pose, _) in hand_in_bullet(world).items():
@@ -143,3 +147,52 @@ def test_a_path_that_is_left_early_leaves_the_hand_at_rest(world: World) -> None
     before = palm_height(world)
     world.step(100)
     assert palm_height(world) == pytest.approx(before, abs=1e-9)
+
+
+def test_what_lies_on_the_palm_rides_with_it(tmp_path: Path) -> None:
+    """Contacts know how fast the palm moves: friction takes a box along, as a tray would."""
+    robot = load_robot()
+    solver = InverseKinematics(robot)
+    # The palm's x upward, its fingers along the world's y.
+    start = transform(np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), [0.55, -0.05, 0.5])
+    solved = solver.solve(start)
+    arm = solved.arm[0][solved.reached[0]][:1]
+    poses = np.tile(start, (1, 240, 1, 1))
+    poses[0, :, 1, 3] += np.linspace(0, 0.1, 241)[1:]
+    path, fine = solver.track(arm, poses)
+    assert fine.all()
+    q = robot.home.copy()
+    q[robot.arm] = arm[0]
+    box = trimesh.creation.box((0.05, 0.05, 0.02))
+    item = prepare_object(
+        LoadedMesh("box", box.vertices, box.faces.astype(np.int32), "box", "none"), tmp_path
+    )
+    with World(robot) as world:
+        world.reset(item, transform(np.eye(3), [0.55, -0.07, 0.53]), q, "hand")
+        world.step(240)
+        before = world.object_pose()[:3, 3]
+        assert world.robot_contact().hand_links > 0
+        for _ in world.follow(path[0]):
+            world.step()
+        after = world.object_pose()[:3, 3]
+        assert after - before == pytest.approx([0.0, 0.1, 0.0], abs=0.01)
+        assert world.robot_contact().hand_links > 0
+
+
+def test_it_says_what_it_touches(tmp_path: Path) -> None:
+    robot = load_robot()
+    solved = InverseKinematics(robot).solve(
+        transform(np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), [0.6, 0.0, 0.01])
+    )
+    assert solved.any.all()
+    q = robot.home.copy()
+    q[robot.arm] = solved.arm[0][solved.reached[0]][0]
+    ball = trimesh.creation.icosphere(2, 0.02)
+    item = prepare_object(
+        LoadedMesh("ball", ball.vertices, ball.faces.astype(np.int32), "ball", "none"), tmp_path
+    )
+    with World(robot) as world:
+        for there in ("whole", "hand"):
+            world.reset(item, transform(np.eye(3), [0.6, 0.0, 0.01]), robot.home, there)
+            assert world.collisions(robot.home) == set()
+            assert {"table", "object"} <= world.collisions(q)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -107,3 +108,72 @@ def test_a_slow_hand_closes_all_the_way(tmp_path: Path, speed: float) -> None:
         ends = robot.hard_upper[robot.closing_columns]
         reached = world.configuration()[robot.closing_columns]
     assert reached == pytest.approx(ends, abs=0.002)
+
+
+def with_pads(folder: Path) -> RobotDescription:
+    """The gripper with a pad fixed to each jaw, which meet when the jaws have moved 5 cm in all."""
+    gripper(folder)
+    text = (folder / "gripper.urdf").read_text(encoding="utf-8")
+    for side, inward in (("left", -1), ("right", 1)):
+        text = text.replace(
+            "</robot>",
+            f"""<link name="{side}_pad"><collision><geometry><box size="0.06 0.02 0.02"/></geometry>
+            </collision></link><joint name="{side}_pad_joint" type="fixed"><parent link="{side}"/>
+            <child link="{side}_pad"/><origin xyz="0.03 {0.015 * inward} 0"/></joint></robot>""",
+        )
+    (folder / "gripper.urdf").write_text(text, encoding="utf-8")
+    return load_robot(folder / "gripper.yaml")
+
+
+@pytest.mark.parametrize("there", ["whole", "hand"])
+def test_what_is_fixed_to_a_finger_meets_resistance(
+    tmp_path: Path, there: Literal["whole", "hand"]
+) -> None:
+    robot = with_pads(tmp_path)
+    with World(robot) as world:
+        world.reset(q=robot.home, robot=there)
+        columns = robot.closing_columns
+        world.drive_at(robot.closing_speeds, columns, robot.effort[columns] * 0.2)
+        world.step(round(2.0 / world.physics.step))
+        assert world.configuration()[columns].sum() == pytest.approx(0.05, abs=2e-3)
+
+
+@pytest.mark.parametrize("kind", ["stl", "glb"])
+def test_a_hand_of_meshes_is_carried_with_its_body(tmp_path: Path, kind: str) -> None:
+    robot, boxes = gripper(tmp_path / "meshes", kind), gripper(tmp_path / "boxes")
+    cube = trimesh.creation.box((0.02, 0.02, 0.02))
+    item = prepare_object(
+        LoadedMesh("cube", cube.vertices, cube.faces.astype(np.int32), "cube", "none"), tmp_path
+    )
+    with World(robot) as world, World(boxes) as plain:
+        world.reset()
+        links = world._robot.links
+        state = world._bullet.getLinkState(
+            *links["left"], computeForwardKinematics=True, physicsClientId=world._client
+        )
+        # In the left jaw's box; at home, so that both worlds have it there.
+        turn = np.array(world._bullet.getMatrixFromQuaternion(state[5])).reshape(3, 3)
+        pose = transform(np.eye(3), np.array(state[4]) + turn @ [0.03, 0.0, 0.0])
+        for one in (world, plain):
+            one.reset(item, pose, robot="hand")
+            assert one.collisions(robot.home) == {"object"}
+            one.reset(item, transform(np.eye(3), [0.9, 0.6, 0.2]), robot="hand")
+            assert one.collisions(robot.home) == set()
+
+
+def test_names_of_links_are_free(tmp_path: Path) -> None:
+    """Bodies of a hand have roots of their own, whose names no link of the robot has."""
+    gripper(tmp_path)
+    text = (tmp_path / "gripper.urdf").read_text(encoding="utf-8")
+    text = text.replace('"left"', '"carrier"').replace('"right"', '"base"')
+    (tmp_path / "gripper.urdf").write_text(text, encoding="utf-8")
+    yaml = (tmp_path / "gripper.yaml").read_text(encoding="utf-8")
+    yaml = yaml.replace("[wrist, left], [wrist, right]", "[wrist, carrier], [wrist, base]")
+    (tmp_path / "gripper.yaml").write_text(yaml, encoding="utf-8")
+    robot = load_robot(tmp_path / "gripper.yaml")
+    assert {"carrier", "base"} <= set(robot.hand_links)
+    with World(robot) as world:
+        world.reset(robot="hand")
+        assert set(robot.hand_links) <= set(world._robot.links)
+        world.step(10)
+        assert world.configuration() == pytest.approx(robot.home, abs=1e-3)

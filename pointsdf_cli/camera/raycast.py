@@ -62,11 +62,12 @@ class MeshCaster:
         columns, rows = np.arange(left, right), np.arange(top, bottom)
         # Directions with z = 1 make the ray parameter the depth itself.
         rotation = T_camera_object[:3, :3]
-        x = ((columns - camera.cx) / camera.fx)[None, :, None] * rotation[0]
-        y = ((rows - camera.cy) / camera.fy)[:, None, None] * rotation[1]
+        x = ((columns - camera.cx) / camera.fx)[:, None] * rotation[0]
+        y = ((rows - camera.cy) / camera.fy)[:, None] * rotation[1]
         rays = np.empty((len(rows), len(columns), 6), dtype=np.float32)
         rays[..., :3] = invert_transform(T_camera_object)[:3, 3]
-        rays[..., 3:] = x + y + rotation[2]
+        for k in range(3):  # one by one: sums of many short rows take three times as long
+            rays[..., 3 + k] = x[:, k] + y[:, None, k] + rotation[2, k]
         hits = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), self._threads)
         depth = hits["t_hit"].numpy()
         v, u = np.nonzero(np.isfinite(depth))

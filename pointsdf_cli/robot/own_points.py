@@ -7,6 +7,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from pointsdf_cli.geometry.box import strictly_inside
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
@@ -34,6 +35,6 @@ def off_robot(points: Array, own: Array) -> NDArray[np.bool_]:
     """
     off = np.ones(len(points), dtype=bool)
     low, high = own.min(axis=0) - ROBOT_MARGIN, own.max(axis=0) + ROBOT_MARGIN
-    near = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
+    near = np.flatnonzero(strictly_inside(points, low, high))
     off[near] = KDTree(own).query(points[near], distance_upper_bound=ROBOT_MARGIN)[0] == np.inf
     return off

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -42,7 +42,7 @@ class AttemptConfig:
         widest: An object whose narrowest side is wider than this [m] does not fit the hand.
         hand_alone: Grasps are carried out by the hand as on an arm that does not yield; if not,
             the arm is simulated, too, at several times the cost.
-        physics: With the hand alone twice the step does what the whole arm needs 1/480 s for.
+        physics: The hand alone does with 1/240 s; for the whole arm see `with_the_whole_arm`.
     """
 
     scene_attempts: int = 4
@@ -57,6 +57,10 @@ class AttemptConfig:
     reach: ReachConfig = field(default_factory=ReachConfig)
     physics: PhysicsConfig = field(default_factory=lambda: PhysicsConfig(step=1 / 240))
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
+
+    def with_the_whole_arm(self) -> AttemptConfig:
+        """The same, carried out as in a trial."""
+        return replace(self, hand_alone=False, physics=PhysicsConfig())
 
     def as_dict(self) -> dict[str, Any]:
         """For `config_json`."""

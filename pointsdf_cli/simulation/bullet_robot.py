@@ -176,14 +176,14 @@ class CarriedHand(BulletRobot):
     ) -> None:
         self._kinematics, self._step = kinematics, step
         self._T_palm_link = invert_transform(robot.T_link_palm)
-        self._arm = q[robot.arm].copy()
-        super().__init__(bullet, client, robot, files, self._palm_links(q[None])[0], recovery)
+        self._q = np.array(q, dtype=float)
+        super().__init__(bullet, client, robot, files, self._palm_links(self._q[None])[0], recovery)
+        self._absent = [k for k, at in enumerate(self._joints) if at is None]
 
     def place(self, q: ArrayLike) -> None:
         """Put the hand where this configuration [J] has it, at rest."""
-        q = np.asarray(q, dtype=float)
-        self._arm = q[self.robot.arm].copy()
-        pose = self._palm_links(q[None])[0]
+        self._q = np.array(q, dtype=float)
+        pose = self._palm_links(self._q[None])[0]
         place, xyzw = pose[:3, 3].tolist(), wxyz_from_rotation(pose[:3, :3])[[1, 2, 3, 0]].tolist()
         for body in self.bodies:
             self._bullet.resetBasePositionAndOrientation(
@@ -193,14 +193,14 @@ class CarriedHand(BulletRobot):
 
     def follow(self, arm: Array) -> Iterator[None]:
         """Carry the hand as the arm's configurations [K, A] say, one a step."""
-        q = np.zeros((len(arm) + 1, len(self._joints)))
-        q[:, self.robot.arm] = np.vstack([self._arm, arm])
+        q = np.tile(self._q, (len(arm) + 1, 1))
+        q[1:, self.robot.arm] = arm
         poses = self._palm_links(q)
         turns = poses[1:, :3, :3] @ poses[:-1, :3, :3].transpose(0, 2, 1)
         turning = rotation_vector(turns) / self._step
         try:
             for target, pose, turn in zip(arm, poses[1:], turning, strict=True):
-                self._arm = target
+                self._q[self.robot.arm] = target
                 # From where it is: of a body that turns, a step misses by a little.
                 here, _ = self._bullet.getBasePositionAndOrientation(
                     self.bodies[0], physicsClientId=self._client
@@ -226,5 +226,5 @@ class CarriedHand(BulletRobot):
     def _state(self, which: int) -> Array:
         values = super()._state(which)
         if which == 0:
-            values[self.robot.arm] = self._arm
+            values[self._absent] = self._q[self._absent]
         return values

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import copy
 import xml.etree.ElementTree as ET
+from collections.abc import Container
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.untrusted import read_xml
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.shapes import Shape
@@ -50,7 +52,7 @@ def bullet_urdf(robot: RobotDescription, folder: Path, visible: bool = False) ->
 
 
 def hand_urdfs(robot: RobotDescription, folder: Path, visible: bool = False) -> list[Path]:
-    """The hand in bodies that can be loaded at the palm link's pose, each with a root `CARRIER`.
+    """The hand in bodies that can be loaded at the palm link's pose, each with a root of its own.
 
     Args:
         robot: The robot.
@@ -58,64 +60,94 @@ def hand_urdfs(robot: RobotDescription, folder: Path, visible: bool = False) -> 
         visible: Keep what is only to be looked at.
 
     Returns:
-        First what is fixed to the palm, then one file for every joint that leads away from it.
+        First what is fixed to the palm, a flange before it, too; then one file for every joint
+        that leads away from there.
     """
     root = _readable(robot, folder, visible)
     links = {str(link.get("name")): link for link in root.findall("link")}
     joints = {str(joint.find("child").get("link")): joint for joint in root.findall("joint")}  # type: ignore[union-attr]
-    # Where the links are that cannot move in the palm, and what leads away from them.
-    fixed, leading = {robot.palm_link: np.eye(4)}, []
-    for joint in robot.tree.joints:
-        if joint.parent not in fixed:
-            continue
-        T_palm_child = fixed[joint.parent] @ joint.T_parent_joint
-        if joint.kind in MOVING:
-            leading.append((joint.child, T_palm_child))
-        else:
-            fixed[joint.child] = T_palm_child
-    palm = _body([links[name] for name in fixed], [])
-    for name, pose in fixed.items():
-        palm.append(_fixed(name, pose))
+    carrier = _free_name("carrier", links)
+    palm = _body([links[name] for name in _fixed_to_palm(robot)], [], carrier)
+    for name, pose in _fixed_to_palm(robot).items():
+        palm.append(_fixed(carrier, name, pose))
     files = [_written(palm, folder / "palm.urdf")]
-    for number, (first, pose) in enumerate(leading):
+    for number, (first, pose) in enumerate(_leading_away(robot)):
         inside = [first]
         for joint in robot.tree.joints:
             if joint.parent in inside:
                 inside.append(joint.child)
-        finger = _body([links[name] for name in inside], [joints[name] for name in inside[1:]])
-        finger.append(_led_from_carrier(joints[first], pose))
+        finger = _body(
+            [links[name] for name in inside], [joints[name] for name in inside[1:]], carrier
+        )
+        # PyBullet takes what is fixed to the first link of a fixed base for a part of the base,
+        # which meets no resistance: a fingertip there would pass through the table.
+        base = _free_name("base", links)
+        finger.append(_link_without_shape(base))
+        finger.append(_fixed(carrier, base, np.eye(4)))
+        finger.append(_led_from(base, joints[first], pose))
         files.append(_written(finger, folder / f"finger{number}.urdf"))
     return files
 
 
-CARRIER = "carrier"
-"""The root of each body of a hand: where its palm link is."""
+def _fixed_to_palm(robot: RobotDescription) -> dict[str, Array]:
+    """Poses [4, 4] in the palm link of the links that cannot move in it."""
+    above = {joint.child: joint for joint in robot.tree.joints}
+    fixed, link = {robot.palm_link: np.eye(4)}, robot.palm_link
+    while link in above and above[link].kind not in MOVING:
+        parent = above[link].parent
+        fixed[parent] = fixed[link] @ invert_transform(above[link].T_parent_joint)
+        link = parent
+    for joint in robot.tree.joints:
+        if joint.parent in fixed and joint.child not in fixed and joint.kind not in MOVING:
+            fixed[joint.child] = fixed[joint.parent] @ joint.T_parent_joint
+    return fixed
 
 
-def _body(links: list[ET.Element], joints: list[ET.Element]) -> ET.Element:
+def _leading_away(robot: RobotDescription) -> list[tuple[str, Array]]:
+    """Each link whose joint moves it in the palm, and where that joint is in the palm link."""
+    fixed = _fixed_to_palm(robot)
+    return [
+        (joint.child, fixed[joint.parent] @ joint.T_parent_joint)
+        for joint in robot.tree.joints
+        if joint.parent in fixed and joint.child not in fixed
+    ]
+
+
+def _free_name(name: str, taken: Container[str]) -> str:
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _body(links: list[ET.Element], joints: list[ET.Element], root_name: str) -> ET.Element:
     """A robot of these links and joints, and a root without a shape."""
     root = ET.Element("robot", name="hand")
-    carrier = ET.SubElement(root, "link", name=CARRIER)
-    carrier.append(_inertial(()))
+    root.append(_link_without_shape(root_name))
     root.extend([*links, *joints])
     return root
 
 
-def _fixed(child: str, pose: Array) -> ET.Element:
-    """A joint that keeps a link at `pose` [4, 4] of the carrier."""
+def _link_without_shape(name: str) -> ET.Element:
+    link = ET.Element("link", name=name)
+    link.append(_inertial(()))
+    return link
+
+
+def _fixed(parent: str, child: str, pose: Array) -> ET.Element:
+    """A joint that keeps a link at `pose` [4, 4] of another."""
     node = ET.Element("joint", name=f"{child} carried", type="fixed")
-    ET.SubElement(node, "parent", link=CARRIER)
+    ET.SubElement(node, "parent", link=parent)
     ET.SubElement(node, "child", link=child)
     node.append(_origin(pose))
     return node
 
 
-def _led_from_carrier(joint: ET.Element, pose: Array) -> ET.Element:
-    """The joint with the carrier for its parent, which it is at `pose` [4, 4] of."""
+def _led_from(parent: str, joint: ET.Element, pose: Array) -> ET.Element:
+    """The joint at `pose` [4, 4] of another parent."""
     led = copy.deepcopy(joint)
     for node in [*led.findall("origin"), *led.findall("parent")]:
         led.remove(node)
-    ET.SubElement(led, "parent", link=CARRIER)
+    ET.SubElement(led, "parent", link=parent)
     led.append(_origin(pose))
     return led
 

@@ -85,6 +85,8 @@ class Outcome:
 
 FLUNG_SPEED = 3.0
 """An object faster than this [m/s] was shot out by the contact solver, not moved by a hand."""
+LOOK = 1 / 60
+"""So often [s] the object is looked at, for that and for being left behind."""
 DEEPEST = 0.008
 """A robot link deeper in the object than this [m] at the end means that contacts failed."""
 HELD_FRACTION = 0.7
@@ -220,11 +222,12 @@ class Executor:
         s = np.arange(1, steps + 1) / steps
         s = s * s * (3 - 2 * s)
         knots = np.linspace(0.0, 1.0, len(path))
+        every = max(1, round(LOOK / world.physics.step))
         arm = np.stack([np.interp(s, knots, column) for column in path.T], axis=1)
         for k, _ in enumerate(world.follow(arm)):
             self._advance(1, "lift")
             out_of_reach = s[k] * config.lift_height >= CLEAR_HEIGHT
-            if out_of_reach and k % 8 == 0 and self._left_behind():
+            if out_of_reach and k % every == 0 and self._left_behind():
                 return
 
     def _left_behind(self) -> bool:
@@ -261,10 +264,11 @@ class Executor:
 
     def _advance(self, steps: int, phase: str) -> None:
         world = self._world
+        every = max(1, round(LOOK / world.physics.step))
         for done in range(1, steps + 1):
             world.step()
             # The same looks whether anybody watches or not: they decide what counts as flung.
-            if (done % 8 == 0 or done == steps) and self._object_height() > OFF_TABLE:
+            if (done % every == 0 or done == steps) and self._object_height() > OFF_TABLE:
                 # Below, it falls as it must.
                 self._fastest = max(self._fastest, world.object_speed()[0])
             if self._watch:

@@ -107,9 +107,9 @@ class Observer:
         cloud = self.depth_cloud(item, T_world_object, T_world_camera, rng)
         world = apply_transform(T_world_camera, cloud)
         # An arm that waits over the table is more points than the object under it.
-        free = off_robot(world, self._own)
-        cloud, world = cloud[free], world[free]
-        return cloud[segment_object(world, self._segmentation).kept]
+        free = np.flatnonzero(off_robot(world, self._own))
+        kept = segment_object(np.take(world, free, axis=0), self._segmentation).kept
+        return np.take(cloud, free[kept], axis=0)
 
 
 def resample(points: Array, count: int, rng: np.random.Generator) -> NDArray[np.float32]:

@@ -6,6 +6,7 @@ import io
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -109,8 +110,7 @@ class World:
         self._temporary = tempfile.TemporaryDirectory(prefix="rgrasp-world-")  # gone at exit, too
         self._folder = Path(self._temporary.name)
         self._whole = [bullet_urdf(robot, self._folder, visible=gui)]
-        self._hand = hand_urdfs(robot, self._folder, visible=gui)
-        self._kinematics = Kinematics(robot)
+        self._gui = gui
         self._object_file: tuple[Pieces, Path] | None = None
         self._steps = 0
 
@@ -292,6 +292,14 @@ class World:
 
     # --- building ---
 
+    @cached_property
+    def _hand(self) -> list[Path]:
+        return hand_urdfs(self.robot, self._folder, visible=self._gui)
+
+    @cached_property
+    def _kinematics(self) -> Kinematics:
+        return Kinematics(self.robot)
+
     def _add_table(self) -> None:
         b, c = self._bullet, self._client
         size = np.array([*np.subtract(TABLE_HIGH, TABLE_LOW), 0.1])
@@ -315,7 +323,7 @@ class World:
         else:
             self._robot = BulletRobot(b, c, robot, self._whole, robot.T_world_base, recovery)
         links = self._robot.links
-        for link in robot.links_on_table & set(links):
+        for link in sorted(robot.links_on_table & set(links)):
             body, number = links[link]
             b.setCollisionFilterPair(body, self._table, number, -1, 0, physicsClientId=c)
         # Each in one order: PyBullet renews its pairs on the way, whose order contacts have.
