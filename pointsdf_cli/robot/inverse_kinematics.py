@@ -86,7 +86,7 @@ class InverseKinematics:
             for j in self._chain
         ]
         moving = [k for k, column in enumerate(self._columns) if column is not None]
-        self._moving = [self._columns[k] for k in moving]
+        self._moving = [column for column in self._columns if column is not None]
         self._sliding = np.array([self._chain[k].kind == "prismatic" for k in moving])
         self._cross = np.stack([_cross_matrix(self._chain[k].axis) for k in moving])
         self._base, self._palm = robot.T_world_base, robot.T_link_palm
