@@ -42,7 +42,8 @@ class AttemptConfig:
         widest: An object whose narrowest side is wider than this [m] does not fit the hand.
         hand_alone: Grasps are carried out by the hand as on an arm that does not yield; if not,
             the arm is simulated, too, at several times the cost.
-        physics: The hand alone does with 1/240 s; for the whole arm see `with_the_whole_arm`.
+        physics: With twice the step of a trial, which changes a little more labels than luck does
+            (docs/grasps.md); for the whole arm see `with_the_whole_arm`.
     """
 
     scene_attempts: int = 4
