@@ -66,12 +66,13 @@ def hand_urdfs(robot: RobotDescription, folder: Path, visible: bool = False) -> 
     root = _readable(robot, folder, visible)
     links = {str(link.get("name")): link for link in root.findall("link")}
     joints = {str(joint.find("child").get("link")): joint for joint in root.findall("joint")}  # type: ignore[union-attr]
-    carrier = _free_name("carrier", links)
-    palm = _body([links[name] for name in _fixed_to_palm(robot)], [], carrier)
-    for name, pose in _fixed_to_palm(robot).items():
+    carrier, base = _free_name("carrier", links), _free_name("base", links)
+    fixed = _fixed_to_palm(robot)
+    palm = _body([links[name] for name in fixed], [], carrier)
+    for name, pose in fixed.items():
         palm.append(_fixed(carrier, name, pose))
     files = [_written(palm, folder / "palm.urdf")]
-    for number, (first, pose) in enumerate(_leading_away(robot)):
+    for number, (first, pose) in enumerate(_leading_away(robot, fixed)):
         inside = [first]
         for joint in robot.tree.joints:
             if joint.parent in inside:
@@ -81,7 +82,6 @@ def hand_urdfs(robot: RobotDescription, folder: Path, visible: bool = False) -> 
         )
         # PyBullet takes what is fixed to the first link of a fixed base for a part of the base,
         # which meets no resistance: a fingertip there would pass through the table.
-        base = _free_name("base", links)
         finger.append(_link_without_shape(base))
         finger.append(_fixed(carrier, base, np.eye(4)))
         finger.append(_led_from(base, joints[first], pose))
@@ -103,9 +103,8 @@ def _fixed_to_palm(robot: RobotDescription) -> dict[str, Array]:
     return fixed
 
 
-def _leading_away(robot: RobotDescription) -> list[tuple[str, Array]]:
+def _leading_away(robot: RobotDescription, fixed: dict[str, Array]) -> list[tuple[str, Array]]:
     """Each link whose joint moves it in the palm, and where that joint is in the palm link."""
-    fixed = _fixed_to_palm(robot)
     return [
         (joint.child, fixed[joint.parent] @ joint.T_parent_joint)
         for joint in robot.tree.joints

@@ -126,6 +126,7 @@ class Executor:
         self._closing = robot.closing_columns
         self._still = np.setdiff1d(self._hand, self._closing)
         self._fastest = 0.0
+        self._look_every = max(1, round(LOOK / world.physics.step))
 
     def run(self, q: ArrayLike, lift: Array) -> Outcome:
         """Close, grip, lift along a path, settle, judge.
@@ -222,12 +223,11 @@ class Executor:
         s = np.arange(1, steps + 1) / steps
         s = s * s * (3 - 2 * s)
         knots = np.linspace(0.0, 1.0, len(path))
-        every = max(1, round(LOOK / world.physics.step))
         arm = np.stack([np.interp(s, knots, column) for column in path.T], axis=1)
         for k, _ in enumerate(world.follow(arm)):
             self._advance(1, "lift")
             out_of_reach = s[k] * config.lift_height >= CLEAR_HEIGHT
-            if out_of_reach and k % every == 0 and self._left_behind():
+            if out_of_reach and k % self._look_every == 0 and self._left_behind():
                 return
 
     def _left_behind(self) -> bool:
@@ -264,11 +264,12 @@ class Executor:
 
     def _advance(self, steps: int, phase: str) -> None:
         world = self._world
-        every = max(1, round(LOOK / world.physics.step))
         for done in range(1, steps + 1):
             world.step()
             # The same looks whether anybody watches or not: they decide what counts as flung.
-            if (done % every == 0 or done == steps) and self._object_height() > OFF_TABLE:
+            if (
+                done % self._look_every == 0 or done == steps
+            ) and self._object_height() > OFF_TABLE:
                 # Below, it falls as it must.
                 self._fastest = max(self._fastest, world.object_speed()[0])
             if self._watch:
