@@ -24,7 +24,7 @@ VOLUME_OFF = 0.15
 """A simplified mesh whose volume is off by more than this share is not that mesh."""
 SHARES = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016)
 """Of a mesh's longest side: details below it are given up, one after the other."""
-VERSION = 2
+VERSION = 3
 """Of the pieces of equal settings; those that an earlier version left in the cache are not used."""
 Pieces = list[tuple[NDArray[np.float64], NDArray[np.int64]]]
 
@@ -45,7 +45,7 @@ class DecompositionConfig:
     concavity: float = 0.06
     most_pieces: int = 16
     most_corners: int = 48
-    most_faces: int = 3000
+    most_faces: int = 2000
 
 
 def cache_folder() -> Path:
@@ -105,17 +105,20 @@ def decompose(
         return [with_few_corners(hull, config.most_corners)]
     import coacd
 
-    solid = with_few_faces(solid, config.most_faces)
+    # Quadrics may leave a mesh that is no longer closed. CoACD would then rebuild it from voxels,
+    # up to a few millimetres too thick, and take several times as long to cut it.
+    closed = without_details(solid, config.most_faces)
+    solid = with_few_faces(solid, config.most_faces) if closed is None else closed
     coacd.set_log_level("error")
     parts = coacd.run_coacd(
         coacd.Mesh(solid.vertices, solid.faces),
         threshold=config.concavity,
         max_convex_hull=config.most_pieces,
-        preprocess_mode="auto",
+        preprocess_mode="auto" if closed is None else "off",
         preprocess_resolution=40,
         resolution=1000,
         mcts_nodes=10,
-        mcts_iterations=40,
+        mcts_iterations=20,
         mcts_max_depth=2,
         decimate=True,
         max_ch_vertex=config.most_corners,
@@ -144,25 +147,35 @@ def with_few_faces(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:
     if len(mesh.faces) <= most:
         return mesh
 
-    def same_volume(other: trimesh.Trimesh) -> bool:
-        return bool(abs(other.volume - mesh.volume) <= VOLUME_OFF * abs(mesh.volume))
-
     simple = mesh.simplify_quadric_decimation(face_count=most)
-    if len(simple.faces) <= 1.2 * most and same_volume(simple):
+    if len(simple.faces) <= 1.2 * most and _same_volume(simple, mesh):
         return simple
+    closed = without_details(mesh, most)
+    return mesh if closed is None else closed
+
+
+def without_details(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh | None:
+    """A closed mesh without its short edges, still closed, the shortest first, until it has at
+    most `most` faces or would lose its volume; None if it is not closed."""
     solid = Manifold(Mesh64(np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.uint64)))
+    if solid.status() != Error.NoError:
+        return None
     best = mesh
-    for share in SHARES if solid.status() == Error.NoError else ():
+    for share in SHARES:
+        if len(best.faces) <= most:
+            break
         few = solid.simplify(share * float(mesh.extents.max())).to_mesh64()
         simple = trimesh.Trimesh(
             np.asarray(few.vert_properties), np.asarray(few.tri_verts, np.int64), process=False
         )
-        if not same_volume(simple):
+        if not _same_volume(simple, mesh):
             break
         best = simple
-        if len(best.faces) <= most:
-            break
     return best
+
+
+def _same_volume(simple: trimesh.Trimesh, mesh: trimesh.Trimesh) -> bool:
+    return bool(abs(simple.volume - mesh.volume) <= VOLUME_OFF * abs(mesh.volume))
 
 
 def with_few_corners(

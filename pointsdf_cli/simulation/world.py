@@ -318,10 +318,20 @@ class World:
         self._robot: BulletRobot
         if hand_alone:
             self._robot = CarriedHand(
-                b, c, robot, self._hand, recovery, self._kinematics, q, self.physics.step
+                b,
+                c,
+                robot,
+                self._hand,
+                recovery,
+                self._kinematics,
+                q,
+                self.physics.step,
+                self._gui,
             )
         else:
-            self._robot = BulletRobot(b, c, robot, self._whole, robot.T_world_base, recovery)
+            self._robot = BulletRobot(
+                b, c, robot, self._whole, robot.T_world_base, recovery, self._gui
+            )
         links = self._robot.links
         for link in sorted(robot.links_on_table & set(links)):
             body, number = links[link]
