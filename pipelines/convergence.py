@@ -133,6 +133,12 @@ def again(
         aside = grasps.T_world_object.copy()
         aside[:, :2, 3] += 1e-4 / np.sqrt(2)
         moved = replace(grasps, T_world_object=aside)
+        if path not in meshes:
+            raise InputError(
+                "is of a mesh that is not there",
+                where=path,
+                allowed=f"those of {mesh_folder}",
+            )
         item = prepare_object(load_mesh(meshes[path]))
         for row in found:
             was_held += int(grasps.label[row] == HELD)

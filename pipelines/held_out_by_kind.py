@@ -2,9 +2,10 @@
 
     python pipelines/held_out_by_kind.py PACK CHECKPOINT... [--held-out 0.03] [--seed 0]
 
-PACK is what `train-sdf` packed, and --held-out and --seed are that run's, so that these are the
-objects that it never trained on. Generated objects are named by number and kind; all others are
-"scan". One column for each checkpoint, worst kind of the last first; about half a minute a column.
+PACK is what `train-sdf` packed. The objects are those that every checkpoint says were held out from
+it; where one does not say, --held-out and --seed are that run's. Generated objects are named by
+number and kind; all others are "scan". One column for each checkpoint, worst kind of the last
+first; about half a minute a column.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from pointsdf_cli.io.checkpoints import read_config
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.training.precision import autocast_dtype
 from pointsdf_cli.training.sdf_data import predict, read_batch, split_views
@@ -37,7 +39,11 @@ def main() -> None:
     torch.set_num_threads(1)
     names = json.loads((options.pack / "index.json").read_text(encoding="utf-8"))["names"]
     pack = load_pack(options.pack, tuple(names))
-    views = split_views(pack, options.held_out, options.seed).held_out_objects
+    said = [read_config(path).get("data", {}).get("held_out") for path in options.checkpoints]
+    held = set.intersection(*[set(one or names) for one in said]) if any(said) else set()
+    if any(said) and not held & set(names):
+        raise SystemExit("no object of PACK was held out from every checkpoint")
+    views = split_views(pack, options.held_out, options.seed, held).held_out_objects
     precision = autocast_dtype("auto", torch.device("cpu"))
     columns = []
     for checkpoint in options.checkpoints:

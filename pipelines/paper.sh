@@ -2,7 +2,8 @@
 # The paper as commands: from meshes to Table I (reconstruction), Figure 3 (grasp success) and the
 # trials of section V-C. Killed and started again, it carries on where it stopped.
 #   SCALE=tiny|small|full pipelines/paper.sh [WORK]       (WORK defaults to paper-SCALE/)
-# tiny: minutes on two cores, to see that every step runs (its numbers mean nothing);
+# tiny: minutes on two cores, to see that every step runs (its numbers mean nothing, and its trials
+# take the bundled networks: three steps of training find no plan);
 # small: a night on two cores; full: the paper's numbers of views and grasps, for many cores or
 # pipelines/Snakefile. JOBS processes (all cores). TEST_MESHES: a folder of other objects to
 # test on, such as one made by `rgrasp objects fetch ycb`; by default objects of another seed.
@@ -63,8 +64,10 @@ for model in $MODELS; do
         --views "$work/views/train" --labels "$work/labels/train" --pack "$work/sdf/pack" $SDF_LENGTH
     evaluated+=(--checkpoint "$work/sdf/$model")
 done
+beside=() # The published rows belong beside YCB, not beside generated objects.
+[ -z "$TEST_MESHES" ] || beside=(--beside ycb)
 step table1 rgrasp eval-sdf "${evaluated[@]}" --views "$work/views/test" --meshes "$test_meshes" \
-    --out "$work/table1.json" --count "$TEST_VIEWS" $EVAL_SIZE --beside ycb --jobs "$jobs" --force --skip-bad
+    --out "$work/table1.json" --count "$TEST_VIEWS" $EVAL_SIZE "${beside[@]}" --jobs "$jobs" --force --skip-bad
 
 # --- Grasps: Figure 3 ------------------------------------------------------------------------
 step collect rgrasp collect-grasps --meshes "$work/meshes/train" --out "$work/grasps" --count "$GRASPS" --seed 0 --jobs "$jobs" $COLLECT
@@ -82,6 +85,8 @@ done
 step figure3 rgrasp eval-gs "${variants[@]}" --grasps "$work/grasps" --out "$work/figure3.json" --force
 
 # --- Trials: section V-C -----------------------------------------------------------------------
-step trials rgrasp trial --meshes "$test_meshes" --out "$work/trials" --seed 0 --jobs "$jobs" $TRIALS
+networks=()
+[ "$TRIAL_WEIGHTS" = bundled ] || networks=(--checkpoint "$work/sdf/${MODELS%% *}" --grasp-checkpoint "$work/gs/geometry-fixed")
+step trials rgrasp trial --meshes "$test_meshes" --out "$work/trials" --seed 0 --jobs "$jobs" "${networks[@]}" $TRIALS
 step report rgrasp report "$work/grasps" --out "$work/report.html" --force
 echo "Table I: $work/table1.json · Figure 3: $work/figure3.json · trials: $work/trials"

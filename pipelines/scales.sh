@@ -14,6 +14,7 @@ tiny)
     COLLECT="--no-pictures"
     GS_LENGTH="--epochs 2 --validation 0.5"
     TRIALS="--yaws 1 --cameras high --rehearse 1 --pictures 0"
+    TRIAL_WEIGHTS="bundled"
     ;;
 small)
     TRAIN_OBJECTS="1000"
@@ -28,6 +29,7 @@ small)
     COLLECT=""
     GS_LENGTH=""
     TRIALS="--yaws 3 --cameras high,low"
+    TRIAL_WEIGHTS="trained"
     ;;
 full)
     TRAIN_OBJECTS="4400"
@@ -42,6 +44,7 @@ full)
     COLLECT=""
     GS_LENGTH=""
     TRIALS="--yaws 3 --cameras high,low"
+    TRIAL_WEIGHTS="trained"
     ;;
 *)
     echo "no scale $1: tiny, small, full" >&2

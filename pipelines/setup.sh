@@ -10,7 +10,9 @@ wanted=$(cat pyproject.toml constraints.txt pipelines/setup.sh | sha256sum | cut
 
 # --- System libraries: Open3D links against them and says only that it cannot be imported. -------
 missing=()
-has_library() { { ldconfig -p 2>/dev/null || /sbin/ldconfig -p; } | grep -q "$1"; }
+# Read once: `ldconfig | grep -q` ends in a broken pipe, and so in "missing", where the list is long.
+libraries=$(ldconfig -p 2>/dev/null || /sbin/ldconfig -p 2>/dev/null || true)
+has_library() { grep -q "$1" <<<"$libraries"; }
 has_library 'libusb-1\.0\.so\.0' || missing+=(libusb-1.0-0)
 has_library 'libGL\.so\.1' || missing+=(libgl1)
 has_library 'libgomp\.so\.1' || missing+=(libgomp1)

@@ -201,6 +201,7 @@ def test_a_plane_is_no_mistake(full: Path, tmp_path: Path) -> None:
         (["--camera-pose", "1,2,3"], "no pose"),
         (["--unit", "furlong"], "m, cm, mm, inch"),
         (["--device", "abacus"], "cpu, cuda"),
+        (["--format", "ply", "--out", "."], "mesh.ply"),
     ],
 )
 def test_a_wrong_option_is_one_message(

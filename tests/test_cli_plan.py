@@ -160,6 +160,7 @@ def test_under_a_shelf_is_said(cli: Callable, tmp_path: Path) -> None:
         (["--frame", "moon"], "camera, world"),
         (["--robot", "none.yaml"], "no such robot file"),
         (["--checkpoint", "nowhere"], "nowhere"),
+        (["--out", "."], "result.h5"),
     ],
 )
 def test_bad_options_are_refused(

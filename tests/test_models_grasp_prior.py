@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
-from grasp_worlds import side_palm, top_palm
+from grasp_worlds import camera_pose, seen_ball, side_palm, top_palm
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
@@ -15,7 +18,9 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.grasp_prior import LENGTH, GraspPrior, ObjectPlace
 from pointsdf_cli.models.rotations import log_volume, rotation_of, rotation_vector
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.training.gs_prior import FLOORS, fit_prior, mean_rotation
+from pointsdf_cli.training.gs_data import GraspData
+from pointsdf_cli.training.gs_prior import FEWEST, FLOORS, fit_prior, mean_rotation
+from pointsdf_cli.training.gs_variants import prior_of
 
 ROBOT = load_robot()
 RANGES = ROBOT.preshape_ranges
@@ -180,6 +185,35 @@ def test_a_kind_that_was_not_seen_has_no_weight() -> None:
     assert palms.shape == (0, 4, 4)
     with pytest.raises(InputError, match="too few"):
         fit_prior(preshape[:4], palm[:4], kind[:4], places[:4], RANGES)
+
+
+def test_a_kind_that_rarely_holds_is_drawn_rarely_but_drawn(tmp_path: Path) -> None:
+    preshape, palm, kind, _ = data(80)
+    centre = np.array([0.6, 0.0, 0.04])
+    pose = camera_pose(centre)
+    cloud = seen_ball(centre, 0.04, pose, np.random.default_rng(0))[:100]
+    held = (kind == 0) | (np.arange(80) < 5)  # top: two or three of forty
+    grasps = GraspData(
+        names=["ball"],
+        files=[tmp_path],
+        held_out=np.array([False]),
+        object_of=np.zeros(80, int),
+        scene_of=np.zeros(80, int),
+        preshape=preshape,
+        T_world_palm=palm,
+        T_world_camera=np.tile(pose, (80, 1, 1)),
+        cloud=np.tile(cloud, (80, 1, 1)).astype(np.float32),
+        kind=kind.astype(np.int8),
+        label=held.astype(np.float32),
+    )
+    prior = prior_of(grasps, ROBOT)
+    top = int((held & (kind == 1)).sum())
+    assert 0 < top < FEWEST
+    assert np.allclose(prior.weights, [40 / (40 + top), top / (40 + top)])
+    # Its shape is that of all forty, not of two.
+    alone = prior_of(replace(grasps, label=np.zeros(80, np.float32)), ROBOT)
+    assert torch.allclose(prior.means[1], alone.means[1])
+    assert np.allclose(alone.weights, 0.5)
 
 
 def test_the_mean_of_turns_to_both_sides_is_between_them() -> None:

@@ -13,7 +13,11 @@ from grasp_worlds import camera_pose, seen_ball, side_palm
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
-from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint, write_grasp_checkpoint
+from pointsdf_cli.models.grasp_checkpoint import (
+    learned_from_another,
+    read_grasp_checkpoint,
+    write_grasp_checkpoint,
+)
 from pointsdf_cli.models.grasp_features import GraspFeatures
 from pointsdf_cli.models.grasp_prior import GraspPrior
 from pointsdf_cli.models.grasp_score import GraspModel, load_grasp_model
@@ -292,3 +296,11 @@ def test_world_points_reach_the_field_in_the_world() -> None:
     assert (points.min(0) <= world.min(0)).all()
     assert (points.max(0) >= world.max(0)).all()
     assert np.abs(points.mean(0) - CENTRE).max() < 0.1
+
+
+def test_a_network_on_geometry_is_known_to_read_another_reconstruction() -> None:
+    bundled = default_checkpoint().parent
+    assert learned_from_another(None, bundled / "pointsdf_ray") is None
+    assert str(learned_from_another(None, bundled / "pointsdf")) == "bundled:pointsdf_ray"
+    # One that brings its encoder along reads no field.
+    assert learned_from_another(bundled / "grasp_scratch", bundled / "pointsdf") is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -211,6 +212,17 @@ def test_objects_are_held_out_whole(pack: Pack) -> None:
     assert set(pack.object_of_view[split.held_out_views].tolist()) <= training
 
 
+def test_only_what_was_held_out_before_is_held_out_again(pack: Pack) -> None:
+    # Of three objects a share of 0.67 is two, but of the second nobody knows what weights
+    # that held out one have learned from.
+    assert len(held_out_names(pack, split_views(pack, 0.67, 0))) == 2
+    (before,) = held_out_names(pack, split_views(pack, 0.34, 0))
+    for seed in range(3):
+        assert held_out_names(pack, split_views(pack, 0.67, seed, [before])) == [before]
+    # Other data: no name says anything.
+    assert len(held_out_names(pack, split_views(pack, 0.67, 0, ["elsewhere"]))) == 2
+
+
 def test_an_epoch_meets_every_view_once() -> None:
     views = np.arange(100, 124)
     epoch = np.concatenate([training_views(views, 4, step, seed=3) for step in range(6)])
@@ -315,6 +327,37 @@ def test_a_loss_that_is_no_number_ends_the_run_and_leaves_no_weights(
         assert all(torch.isfinite(t).all() for t in load_file(stored).values())
 
 
+def test_the_published_recipe_is_a_hundred_epochs(  # type: ignore[no-untyped-def]
+    cli, artifacts: Path, tmp_path: Path
+) -> None:
+    run = cli(
+        "train-sdf", "--model", "voxelcnn", "--preset", "paper", "--views", artifacts / "views",
+        "--labels", artifacts / "labels", "--out", tmp_path / "ckpt", "--queries", 16,
+        "--held-out", 0.34, "--threads", 1, "--json",
+    )  # fmt: skip
+    assert run.code == 0, run.err
+    # Two objects of four views, less one view that is held out: seven views, sixteen a batch.
+    assert json.loads(run.out)["steps"] == 100 * 7 // 16
+
+
+def test_a_checkpoint_without_a_state_is_not_replaced_unasked(  # type: ignore[no-untyped-def]
+    cli, artifacts: Path, tmp_path: Path
+) -> None:
+    arguments = [
+        "train-sdf", "--views", artifacts / "views", "--labels", artifacts / "labels",
+        "--out", tmp_path / "ckpt", "--batch-size", 2, "--queries", 16, "--held-out", 0.34,
+        "--threads", 1, "--steps", 1,
+    ]  # fmt: skip
+    assert cli(*arguments).code == 0
+    (tmp_path / "ckpt" / "train_state.pt").unlink()
+    before = (tmp_path / "ckpt" / "model.safetensors").read_bytes()
+    run = cli(*arguments)
+    assert run.code == 2
+    assert "--force" in run.err
+    assert (tmp_path / "ckpt" / "model.safetensors").read_bytes() == before
+    assert cli(*arguments, "--force").code == 0
+
+
 def test_nonsense_settings_are_refused() -> None:
     for wrong in ({"steps": 0}, {"schedule": "exponential"}, {"minutes": -1.0}, {"average": 1.0}):
         with pytest.raises(InputError):
@@ -355,6 +398,14 @@ def test_the_command_trains_stops_and_resumes(cli, artifacts: Path, tmp_path: Pa
     assert cli(*begun, "--steps", 2).code == 0
     config = read_checkpoint(tmp_path / "begun").config
     assert config["data"]["held_out"] == first
+    # Weights that do not say what was held out from them make no list to be believed later.
+    path = tmp_path / "ckpt" / "config.json"
+    path.write_text(path.read_text().replace('"held_out"', '"kept_aside"'))
+    vague = [*arguments[:5], "--out", tmp_path / "vague", *arguments[7:]]
+    run = cli(*vague, "--start-from", tmp_path / "ckpt", "--steps", 2)
+    assert run.code == 0, run.err
+    assert "may have learned" in run.err
+    assert read_checkpoint(tmp_path / "vague").config["data"]["held_out"] is None
     # A resumed run keeps where it began, and began nowhere else.
     assert cli(*begun[:-2], "--steps", 3, "--resume").code == 0
     assert read_checkpoint(tmp_path / "begun").config["started_from"] == config["started_from"]

@@ -86,7 +86,29 @@ def check_suffix(path: Path, option: str, suffixes: tuple[str, ...]) -> None:
         raise InputError(
             f"{path} does not end in {' or '.join(suffixes)}, and other commands would not read it",
             where=option,
-            allowed=f"such as {path.with_suffix(suffixes[0]).name}",
+            allowed=f"such as {path.stem or 'result'}{suffixes[0]}",
+        )
+
+
+def say_if_from_another(
+    reporter: Reporter, checkpoint: Path | None, grasp_checkpoint: Path | None
+) -> None:
+    """Say so where the success network learned from another reconstruction than it will read.
+
+    Raises:
+        InputError: No such checkpoint.
+    """
+    from pointsdf_cli.models.grasp_checkpoint import learned_from_another
+    from pointsdf_cli.models.registry import default_checkpoint
+
+    if checkpoint is None and grasp_checkpoint is None:
+        return
+    read = checkpoint or default_checkpoint()
+    other = learned_from_another(grasp_checkpoint, read)
+    if other is not None:
+        reporter.say(
+            f"the success network learned from the reconstruction {other} and reads {read}: its "
+            "probabilities need not hold there (train-gs --sdf trains one for it)"
         )
 
 

@@ -221,6 +221,8 @@ def mesh_path(out: Path | None, form: str | None) -> Path:
             where="--format" if suffix != form else "--out",
             allowed=", ".join(FORMATS),
         )
+    if not out.name:
+        raise InputError(f"{out} is a folder", where="--out", allowed=f"such as mesh.{form}")
     if not suffix:
         return out.with_suffix(f".{form}")
     if suffix != form:

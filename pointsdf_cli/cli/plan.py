@@ -135,7 +135,7 @@ def plan(
 
     # Seconds of imports: only for clouds that can be read.
     from pointsdf_cli.models.registry import use_threads
-    from pointsdf_cli.planning.answer import GraspPlanner, PlanOptions
+    from pointsdf_cli.planning.answer import RECONSTRUCTION, GraspPlanner, PlanOptions
     from pointsdf_cli.planning.environment import Environment, read_environment
     from pointsdf_cli.planning.grasp_problem import Clearances
     from pointsdf_cli.planning.synthesis import SynthesisConfig
@@ -164,6 +164,8 @@ def plan(
         planner: GraspPlanner = RehearsedPlanner(options, config=wanted_grasps)
     else:
         planner = GraspPlanner(options)
+    if method == RECONSTRUCTION:
+        common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
     session = plan_on_table(
         planner,
         views,

@@ -62,12 +62,11 @@ def train_gs(
     Example: rgrasp train-gs --grasps grasps/ --out gs/
     """
     from pointsdf_cli.cli.signals import stop_requests
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.checkpoints import (
         forget_train_state,
-        has_train_state,
         read_config,
         require_checkpoint_place,
+        require_no_run,
     )
     from pointsdf_cli.models.grasp_checkpoint import check_hand
     from pointsdf_cli.models.registry import use_threads
@@ -90,10 +89,8 @@ def train_gs(
         seed=common.check_seed(seed), **{k: v for k, v in chosen.items() if v is not None}
     )
     require_checkpoint_place(out)
-    if not resume and has_train_state(out) and not force:
-        raise InputError(
-            "holds a training run already", where=f"--out {out}", hint="add --resume, or --force"
-        )
+    if not resume and not force:
+        require_no_run(out)
     use_threads(threads or idle_processors())
     state = resumable_state(out, variant, sdf) if resume else None
     reporter = common.Reporter(quiet, as_json)
@@ -139,5 +136,8 @@ def train_gs(
     result = checkpointer.finish(fitted)
     reporter.result({"out": out, "variant": variant.title, **result})
     if not fitted.finished:
-        reporter.say("stopped; the same command with --resume carries on")
+        if fitted.history:
+            reporter.say("stopped; the same command with --resume carries on")
+        else:
+            reporter.say("stopped before the first epoch ended: nothing was saved")
         raise typer.Exit(should_stop.exit_code)

@@ -18,7 +18,10 @@ def train_sdf(
         "pointsdf-ray"
     ),
     preset: Annotated[str, typer.Option(help="small, or paper (the published recipe).")] = "small",
-    steps: Annotated[int | None, typer.Option(help="Optimiser steps.")] = None,
+    steps: Annotated[
+        int | None,
+        typer.Option(help="Optimiser steps [default: 20000; with --preset paper 100 epochs]."),
+    ] = None,
     minutes: Annotated[
         float | None, typer.Option(help="Train so long instead; the schedule follows the clock.")
     ] = None,
@@ -66,14 +69,15 @@ def train_sdf(
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.checkpoints import (
         forget_train_state,
-        has_train_state,
         require_checkpoint_place,
+        require_no_run,
     )
     from pointsdf_cli.io.provenance import git_commit
     from pointsdf_cli.models.registry import build_model, load_model, use_threads
     from pointsdf_cli.training import sdf_loop
     from pointsdf_cli.training.distributed import join_workers
     from pointsdf_cli.training.precision import idle_processors
+    from pointsdf_cli.training.presets import paper_steps
     from pointsdf_cli.training.presets import preset as settings
     from pointsdf_cli.training.sdf_data import held_out_names, split_views
     from pointsdf_cli.training.sdf_pack import open_pack, pair_artifacts
@@ -100,10 +104,8 @@ def train_sdf(
         raise InputError(f"{held_out} is no share", where="--held-out", allowed="between 0 and 1")
     common.torch_device(device)
     require_checkpoint_place(out)
-    if not resume and has_train_state(out) and not force:
-        raise InputError(
-            "holds a training run already", where=f"--out {out}", hint="add --resume, or --force"
-        )
+    if not resume and not force:
+        require_no_run(out)
     with join_workers(device) as (workers, device):
         reporter = common.Reporter(quiet or not workers.is_first, as_json)
         use_threads(threads or max(1, idle_processors() // workers.local_count))
@@ -125,6 +127,8 @@ def train_sdf(
             )
         before = (started or {}).get("data", {}).get("held_out")
         split = split_views(data, held_out, seed, before or ())
+        if preset == "paper" and steps is None and minutes is None:
+            config = replace(config, steps=paper_steps(len(split.train), config.batch_size))
         arguments = {**(started or {}).get("model", {}), **arguments}
         network = build_model(model, arguments, seed=seed)
         if start_from is not None and not resume:
@@ -135,10 +139,16 @@ def train_sdf(
                     f"has other sizes than {model} --preset {preset}",
                     where=f"--start-from {start_from}",
                 ) from error
-            if before is None:
+            known = set(before or ()) & set(data.names)
+            if not known:
                 reporter.say(
-                    f"{start_from} does not say what was held out from it: it may have learned "
-                    "from the objects that are held out here"
+                    f"{start_from} does not say that any object of {views} was held out from it: "
+                    "it may have learned from those that are held out here"
+                )
+            elif len(known) < round(held_out * len(data.names)):
+                reporter.say(
+                    f"{len(known)} objects are held out, those that were held out from "
+                    f"{start_from}; --held-out is not used"
                 )
         reporter.say(
             f"{model} with {sum(p.numel() for p in network.parameters()) / 1e6:.1f} M weights; "
@@ -160,7 +170,10 @@ def train_sdf(
                     "data": {
                         "objects": len(data.names),
                         "views": len(data.scale),
-                        "held_out": sorted({*held_out_names(data, split), *(before or ())}),
+                        # None where a run before this one may have learned from them.
+                        "held_out": None
+                        if started is not None and not set(before or ()) & set(data.names)
+                        else sorted({*held_out_names(data, split), *(before or ())}),
                     },
                     "git_commit": git_commit(),
                 },

@@ -118,6 +118,7 @@ def trial(
         ),
         execution=ExecutorConfig(shake=shake),
     )
+    common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
     chosen = choose_objects(meshes, objects, pattern)
     trials = make_trials(
         chosen, contenders, yaws, [c for c in cameras.split(",") if c], repeats, seed

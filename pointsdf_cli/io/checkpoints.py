@@ -248,6 +248,24 @@ def forget_train_state(path: Path | str) -> None:
     (Path(path) / TRAIN_STATE).unlink(missing_ok=True)
 
 
+def require_no_run(path: Path | str) -> None:
+    """Refuse a directory in which a run, or what is left of one, would be overwritten.
+
+    Raises:
+        InputError: It holds weights, or something to resume.
+    """
+    if has_train_state(path):
+        raise InputError(
+            "holds a training run already", where=f"--out {path}", hint="add --resume, or --force"
+        )
+    if any((Path(path) / name).exists() for name in (WEIGHTS, CONFIG)):
+        raise InputError(
+            "holds a checkpoint already, without what --resume needs",
+            where=f"--out {path}",
+            hint="add --force to replace it, or choose another --out",
+        )
+
+
 def has_train_state(path: Path | str) -> bool:
     """Whether `path` holds something to resume."""
     _put_back(Path(path))

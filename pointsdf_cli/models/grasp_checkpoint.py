@@ -245,6 +245,36 @@ def encoder_path(checkpoint: Checkpoint, override: Path | str | None = None) -> 
     return path
 
 
+def learned_from_another(
+    grasp_checkpoint: Path | str | None, sdf_checkpoint: Path | str
+) -> Path | None:
+    """The reconstruction that a success network on geometry has learned from, if it is another.
+
+    Such a network reads whatever field it is given; that its probabilities hold is known for the
+    field of its own reconstruction only.
+
+    Args:
+        grasp_checkpoint: The success network; the bundled one where None.
+        sdf_checkpoint: The reconstruction that it is to read.
+
+    Returns:
+        None where it is the same one, or where the network brings its own encoder along.
+
+    Raises:
+        InputError: No such checkpoint.
+    """
+    checkpoint = read_checkpoint(
+        grasp_checkpoint if grasp_checkpoint is not None else asset_path(BUNDLED)
+    )
+    config = checkpoint.config
+    if config.get("inputs") != "geometry" or config.get("mode") != FIXED:
+        return None
+    learned = config["encoder"]
+    if learned.get("sha256") == weights_hash(sdf_checkpoint):
+        return None
+    return Path(str(learned.get("checkpoint")))
+
+
 def _encoder(checkpoint: Checkpoint, override: Path | str | None) -> ShapeModel:
     if checkpoint.config["mode"] == FIXED:
         return load_model(encoder_path(checkpoint, override))

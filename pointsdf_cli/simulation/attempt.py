@@ -43,8 +43,8 @@ class AttemptConfig:
         widest: An object whose narrowest side is wider than this [m] does not fit the hand.
         hand_alone: Grasps are carried out by the hand as on an arm that does not yield; if not,
             the arm is simulated, too, at several times the cost.
-        inverse: Inverse kinematics; what reaches a pose at all has mostly reached it in half as many
-            steps as a plan allows.
+        inverse: Inverse kinematics, in half as many steps as a plan allows: what is reached at
+            all mostly has been by then.
         physics: With twice the step of a trial, which changes a little more labels than luck does
             (docs/grasps.md); for the whole arm see `with_the_whole_arm`.
     """
@@ -135,7 +135,8 @@ class Attempter:
         self.seed = seed
         self.world = World(robot, self.config.physics, gui)
         self._observer = Observer(robot, self.config.placement)
-        self._reacher = Reacher(self.world, InverseKinematics(robot, self.config.inverse), self.config.reach)
+        solver = InverseKinematics(robot, self.config.inverse)
+        self._reacher = Reacher(self.world, solver, self.config.reach)
         self._kinematics = Kinematics(robot)
         self._hand = hand_of(robot)
         self._settled: dict[tuple[str, int], Array | None] = {}

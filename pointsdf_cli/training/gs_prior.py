@@ -28,6 +28,7 @@ def fit_prior(
     kind: NDArray[np.integer],
     places: Sequence[ObjectPlace],
     ranges: NDArray[np.float64],
+    shares: NDArray[np.integer] | None = None,
 ) -> GraspPrior:
     """One Gaussian for each kind, in the chart about that kind's mean rotation.
 
@@ -40,6 +41,7 @@ def fit_prior(
         kind: [N], indices into `KINDS`.
         places: N, the object of each grasp.
         ranges: [K, 2], of the preshape joints.
+        shares: How often each kind is drawn, in proportion; as often as it is given if None.
 
     Raises:
         InputError: Fewer than `FEWEST` grasps of every kind.
@@ -48,7 +50,9 @@ def fit_prior(
     size = 6 + joints
     floors = np.repeat(FLOORS, (3, 3, joints))
     weights = np.array([(kind == k).sum() for k in range(len(KINDS))], dtype=float)
-    weights[weights < FEWEST] = 0.0
+    few = weights < FEWEST
+    weights = weights if shares is None else np.asarray(shares, dtype=float)
+    weights[few] = 0.0
     if not weights.any():
         raise InputError(
             f"{len(kind)} grasps are too few for a prior",

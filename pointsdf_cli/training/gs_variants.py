@@ -29,7 +29,7 @@ from pointsdf_cli.models.grasp_checkpoint import (
     weights_hash,
 )
 from pointsdf_cli.models.grasp_features import GraspFeatures
-from pointsdf_cli.models.grasp_prior import GraspPrior, ObjectPlace
+from pointsdf_cli.models.grasp_prior import KINDS, GraspPrior, ObjectPlace
 from pointsdf_cli.models.grasp_success import EmbeddingNet, GeometryNet
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
 from pointsdf_cli.models.registry import build_model, default_checkpoint, load_model
@@ -44,7 +44,7 @@ from pointsdf_cli.training.gs_inputs import (
     embedding_columns,
     geometry_features,
 )
-from pointsdf_cli.training.gs_prior import fit_prior
+from pointsdf_cli.training.gs_prior import FEWEST, fit_prior
 from pointsdf_cli.training.precision import autocast_dtype
 
 GEOMETRY, POINTSDF, VOXELCNN = "geometry", "pointsdf", "voxelcnn"
@@ -224,7 +224,8 @@ def places_of(data: GraspData, robot: RobotDescription) -> list[ObjectPlace]:
 
 
 def prior_of(data: GraspData, robot: RobotDescription) -> GraspPrior:
-    """The prior of what held among grasps that are not held out; of all where too few held.
+    """The prior of what held among grasps that are not held out; of all of a kind of which too few
+    held, which stays as rare a kind as it holds.
 
     Fitted to successes it is likelier on held-out successes than fitted to all attempts
     (docs/grasp-success.md), and its samples hold more often.
@@ -235,20 +236,19 @@ def prior_of(data: GraspData, robot: RobotDescription) -> GraspPrior:
     free = ~data.held_out[data.object_of]
     places = places_of(data, robot)
 
-    def fit(chosen: np.ndarray) -> GraspPrior:
-        rows = np.flatnonzero(chosen)
-        return fit_prior(
-            data.preshape[rows],
-            data.T_world_palm[rows],
-            data.kind[rows],
-            [places[row] for row in rows],
-            robot.preshape_ranges,
-        )
-
-    try:
-        return fit(free & (data.label == 1))
-    except InputError:
-        return fit(free)
+    held = free & (data.label == 1)
+    counts = np.array([(held & (data.kind == k)).sum() for k in range(len(KINDS))])
+    chosen = np.where(counts[data.kind] >= FEWEST, held, free)
+    rows = np.flatnonzero(chosen)
+    return fit_prior(
+        data.preshape[rows],
+        data.T_world_palm[rows],
+        data.kind[rows],
+        [places[row] for row in rows],
+        robot.preshape_ranges,
+        # Of the data as it is where nothing holds often enough to be learned from.
+        np.maximum(counts, 1) if (counts >= FEWEST).any() else None,
+    )
 
 
 def reconstruction_of(variant: Variant, sdf: Path | None) -> Path:

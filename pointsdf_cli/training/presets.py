@@ -11,6 +11,7 @@ from pointsdf_cli.training.sdf_loop import TrainConfig
 from pointsdf_cli.training.sdf_loss import SdfLoss
 
 PAPER_EPOCHS = 100
+"""How often preset `paper` sees every view."""
 
 MODELS = ("pointsdf-ray", "pointsdf", "voxelcnn")
 PRESETS = ("small", "paper")
@@ -20,7 +21,8 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
     """Architecture arguments and training settings.
 
     `paper` is the published recipe: squared error, Adam at a constant 1e-5, batches of 16 clouds
-    with 256 queries. `small` trains in an hour or two on one processor core.
+    with 256 queries, and `paper_steps` of them. `small` trains in an hour or two on one processor
+    core.
 
     Raises:
         InputError: No such model or preset.
@@ -49,3 +51,8 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
     if model == "pointsdf":
         return dict(POINTSDF_PRESETS["small"]), TrainConfig()
     return {"revolution": True, "sideways": SIDEWAYS}, TrainConfig()
+
+
+def paper_steps(views: int, batch_size: int) -> int:
+    """Steps in which batches of clouds are `PAPER_EPOCHS` times all views to train on."""
+    return max(1, PAPER_EPOCHS * views // batch_size)

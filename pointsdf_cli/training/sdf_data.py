@@ -67,8 +67,9 @@ def split_views(
         pack: The data.
         share: Of the objects, in (0, 1); at least one is held out.
         seed: Which ones.
-        held_before: Names that were held out from the weights that a run begins with; they are
-            held out again, or it would be judged by what those have learned.
+        held_before: Names that were held out from the weights that a run begins with. Where the
+            data has any of them, these are held out and no others, whatever `share`: of the
+            others nobody knows what those weights have learned from.
         most: At most so many views validate, spread over all held-out objects.
 
     Raises:
@@ -85,7 +86,7 @@ def split_views(
     order = rng.permutation(total)
     before = np.isin([pack.names[k] for k in order], list(held_before))
     order = np.concatenate([order[before], order[~before]])
-    held_out = min(total - 1, max(1, round(share * total), int(before.sum())))
+    held_out = min(total - 1, int(before.sum()) or max(1, round(share * total)))
     is_held_out = np.isin(pack.object_of_view, order[:held_out])
     validating = np.flatnonzero(is_held_out)
     if len(validating) > most:

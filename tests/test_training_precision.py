@@ -1,0 +1,28 @@
+"""How many threads a command takes: what is busy now, not what was."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+from pointsdf_cli.training.precision import idle_processors
+
+
+def test_busy_processors_are_left_alone() -> None:
+    assert 1 <= idle_processors() <= len(os.sched_getaffinity(0))
+    busy = [
+        subprocess.Popen(
+            [sys.executable, "-c", "print(flush=True)\nwhile True: pass"], stdout=subprocess.PIPE
+        )
+        for _ in os.sched_getaffinity(0)
+    ]
+    try:
+        for process in busy:
+            assert process.stdout is not None
+            process.stdout.readline()
+        assert idle_processors() == 1
+    finally:
+        for process in busy:
+            process.kill()
+            process.communicate()
