@@ -175,6 +175,9 @@ def main() -> None:
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
     folder = Path(os.environ.get("RGRASP_MESHES", MESHES)) / "test"
+    if not folder.is_dir():
+        print(f"left out: no meshes in {folder}; RGRASP_MESHES names a folder with a folder test")
+        return
     results = {}
     for method in options.methods.split(","):
         planner = GraspPlanner(PlanOptions(method=method))
@@ -184,11 +187,13 @@ def main() -> None:
         summary(results[method])
         if options.out:
             (options.out / f"rows_{method}.json").write_text(json.dumps(results[method], indent=1))
-    if options.slsqp:
+    if options.slsqp and "reconstruction" in results:
         paper = GraspPlanner(PlanOptions(solver="slsqp"))
         # Scenes that took one round of seeds, so that both solve as much.
         rows = results["reconstruction"]
         chosen = [k for k, row in enumerate(rows) if row["seeds"] == 8][: options.slsqp]
+        if not chosen:
+            raise SystemExit("no scene took one round of seeds: give more --scenes")
         scenes = table_scenes(folder, paper.robot, options.scenes, options.seed)
         print(f"reconstruction by slsqp, {len(chosen)} scenes")
         ours, rows = [rows[k] for k in chosen], run(paper, scenes, chosen=chosen)

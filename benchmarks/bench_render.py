@@ -55,6 +55,7 @@ def bare_views_per_second(meshes: list[Path]) -> float:
             o3d.core.Tensor(mesh.faces.astype(np.uint32)),
         )
         centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+        scene.cast_rays(o3d.core.Tensor(np.ones((1, 6), np.float32)))  # builds the tree
         for rotation in random_rotation(rng, 10):
             rays = np.empty((480, 640, 6), dtype=np.float32)
             rays[..., :3] = centre - rotation.T @ [0, 0, 1.5]

@@ -190,6 +190,25 @@ def test_a_run_killed_between_two_renames_is_put_back(checkpoint: Path) -> None:
     assert load_model(checkpoint)
 
 
+def test_a_rename_that_fails_loses_no_checkpoint(
+    checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rename = os.rename
+
+    def failing(old: Path, new: Path) -> None:
+        # The second of the two renames where names cannot be exchanged; the first is real.
+        if Path(new) == checkpoint.resolve() and "partial-old" not in str(old):
+            raise OSError(5, "Input/output error")
+        rename(old, new)
+
+    monkeypatch.setattr("ctypes.CDLL", lambda *_, **__: object())  # no renameat2
+    monkeypatch.setattr(os, "rename", failing)
+    with pytest.raises(InputError):
+        write_checkpoint(checkpoint, config={}, train_state={"step": 8})
+    assert read_train_state(checkpoint)["step"] == 7
+    assert load_model(checkpoint)
+
+
 def test_what_killed_runs_were_writing_is_removed(checkpoint: Path) -> None:
     # No process has a number above the kernel's largest.
     mine = temporary_beside(checkpoint).name

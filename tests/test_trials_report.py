@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.container import BarContainer
+from trial_rows import ROW
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.trials import (
@@ -22,31 +23,6 @@ from pointsdf_cli.io.trials import (
 )
 from pointsdf_cli.trials.report import html_report, markdown_report, p_value, success_figure
 from pointsdf_cli.trials.summary import compare, summarise
-
-ROW = TrialRow(
-    object="mustard",
-    yaw_index=0,
-    repeat=0,
-    yaw=1.5,
-    camera="high",
-    method="reconstruction",
-    ablation="",
-    status="ok",
-    reason="",
-    kind="side",
-    cause="held",
-    planning_time=4.0,
-    planning_cpu=2.0,
-    success_probability=0.9,
-    rehearsed=1.0,
-    contact=False,
-    moved=0.0,
-    penetration=0.0,
-    lifted=True,
-    held=True,
-    final_height=0.149,
-    seed=0,
-)
 
 
 @pytest.fixture

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 import trimesh
 from plan_files import turning_plan_file
+from trial_rows import ROW
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import invert_transform, rotation_from_wxyz, transform
 from pointsdf_cli.io.clouds import Cloud, write_cloud
 from pointsdf_cli.io.grasps import Grasps, GraspsMeta, write_grasps
 from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.io.trials import Evidence, write_trial
 from pointsdf_cli.io.views import Views, write_views
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.artifact_scene import scene_of, scenes_of
@@ -95,6 +97,32 @@ def test_a_plan_turns_the_robot_about_its_first_axis(tmp_path: Path) -> None:
     assert end[2] == pytest.approx(start[2])
     base = scene.bodies.index("lbr4_link_0")
     assert np.allclose(scene.poses[:, base], np.eye(4))
+
+
+def test_what_a_trial_believed_stands_where_it_was_seen_and_moves_along(tmp_path: Path) -> None:
+    box = trimesh.creation.box((0.06, 0.04, 0.1))
+    turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    stands = transform(turned, [0.6, 0.1, 0.05])
+    lifted = transform(turned, [0.6, 0.1, 0.2])
+    believed = box.vertices @ turned.T + stands[:3, 3]
+    evidence = Evidence(
+        cloud=believed.astype(np.float32),
+        T_world_camera=LOOKING_DOWN,
+        vertices=believed.astype(np.float32),
+        faces=box.faces.astype(np.int32),
+        phases=("planned", "settle"),
+        q=np.tile(ROBOT.home, (2, 1)),
+        T_world_object=np.stack([stands, lifted]),
+        trajectory=np.tile(ROBOT.home, (3, 1)),
+        times=np.arange(3.0),
+    )
+    write_trial(tmp_path / "t.h5", ROW, evidence, {})
+    scene = scene_of(tmp_path / "t.h5", OPTIONS)
+    (part,) = [part for part in scene.parts if part.layer == "object"]
+    for frame, up in ((0, 0.0), (-1, 0.15)):
+        pose = scene.poses[frame, part.body]
+        seen = part.vertices @ pose[:3, :3].T + pose[:3, 3]
+        assert np.allclose(seen, believed + [0, 0, up], atol=1e-6)
 
 
 def write_two_grasps(tmp_path: Path) -> Path:

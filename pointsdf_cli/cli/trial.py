@@ -148,7 +148,10 @@ def trial(
         reporter.say(f"skipped: {name}: {why}")
     done = {name for name, _ in mine}
     require_same_options([task for name, task in tasks.items() if name not in done])
-    rows = read_rows(list(tasks.values()))
+    # A file of an earlier run is no trial of an object that is refused now.
+    refused_now = {name for name, _ in report.refused}
+    tried = [task for name, task in tasks.items() if name not in refused_now]
+    rows = read_rows(tried)
     if not rows:
         raise InputError(
             "no trial could be run: " + "; ".join(f"{k}: {v}" for k, v in refused.items()),
@@ -156,7 +159,7 @@ def trial(
         )
     write_trials(out / "trials.h5", rows, seed=seed, config=config.as_dict())
     title = f"rgrasp trials: {out.resolve().name}"
-    strips = _failures(list(tasks.values()), pictures)
+    strips = _failures(tried, pictures)
     write_text_atomic(out / "report.html", html_report(rows, strips, title, refused))
     write_text_atomic(out / "report.md", markdown_report(rows, title) + "\n")
     summaries = summarise(rows)

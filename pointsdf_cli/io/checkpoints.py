@@ -99,6 +99,7 @@ def write_checkpoint(
     except OSError as error:
         raise unwritable(path, error) from error
     finally:
+        _put_back(path)  # or the old files would be taken for what is left over
         for emptied in (temporary, _aside(path)):
             _remove_ours(emptied, path)
 

@@ -193,7 +193,7 @@ def _table(robot: RobotDescription, kinematics: Kinematics) -> tuple[float, list
         for link, value in zip(links, least, strict=True)
         if value < 0
     ]
-    return float(least.min()), found
+    return float(least.min()) if len(least) else np.inf, found
 
 
 def _joints(robot: RobotDescription) -> list[Finding]:

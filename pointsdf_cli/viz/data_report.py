@@ -53,7 +53,8 @@ def scan(folder: Path, meshes: Path | None = None) -> DataFolder:
 def single(path: Path, schema: str, meshes: Path | None = None) -> DataFolder:
     """One file of views or labels, as `schema` says; its mesh is looked for as `rgrasp` writes
     (meshes/a.ply beside views/a.h5), and below `meshes`."""
-    beside = [path.parent, path.parent.parent / "meshes"]
+    here = path.resolve().parent
+    beside = [here, here.parent / "meshes"]
     found = _meshes_below(*(folder for folder in (*beside, meshes) if folder and folder.is_dir()))
     views, labels = ([path] if schema == kind else [] for kind in ("views", "labels"))
     return DataFolder(views, labels, found)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.grasps import CAUSES, KINDS, read_grasps
 from pointsdf_cli.io.plans import OK, read_plan
 from pointsdf_cli.io.trials import read_trial
@@ -97,6 +97,8 @@ def trial_scene(path: Path, options: SceneOptions) -> Scene:
         raise InputError("is of another robot", where=path, hint="give it by --robot")
     thing = len(robot.bodies)
     points = np.asarray(evidence.cloud, np.float32)
+    # What was believed is stored in the world, as it stood when it was seen; it moves along.
+    believed = apply_transform(invert_transform(evidence.T_world_object[0]), evidence.vertices)
     parts = [
         *robot.parts,
         table_part(),
@@ -105,7 +107,7 @@ def trial_scene(path: Path, options: SceneOptions) -> Scene:
             row.object,
             "object",
             "mesh",
-            np.asarray(evidence.vertices, np.float32),
+            believed.astype(np.float32),
             np.asarray(evidence.faces, np.int32),
             OBJECT_COLOUR,
             thing,
