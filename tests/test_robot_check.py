@@ -95,6 +95,24 @@ def test_what_is_wrong_is_found_with_the_line_that_mends_it(
     assert not found.passed
 
 
+def test_a_joint_that_leads_elsewhere_is_found_with_all_else(
+    gripper: Callable[[str, str], Path],
+) -> None:
+    path = gripper("lean, roll]", "lean, roll, nod]")
+    urdf = path.with_name("gripper.urdf")
+    head = (
+        '<link name="head"/><joint name="nod" type="revolute"><parent link="rail"/>'
+        '<child link="head"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="5" velocity="1"/></joint></robot>'
+    )
+    urdf.write_text(urdf.read_text().replace("</robot>", head))
+    found = check_robot(load_robot(path))
+    assert not found.passed
+    errors = [finding for finding in found.findings if finding.level == ERROR]
+    assert any("does not move the palm" in e.what and "arm_joints" in e.fix for e in errors)
+    assert not any("inverse kinematics" in finding.what for finding in found.findings)
+
+
 def test_a_joint_that_is_left_out_is_told(gripper: Callable[[str, str], Path]) -> None:
     path = gripper("arm_joints: [slide, turn, lean, roll]", "arm_joints: [slide, turn, lean]")
     findings = check_robot(load_robot(path)).findings

@@ -128,3 +128,13 @@ def test_what_was_not_tried_has_no_bar(rows: list[TrialRow]) -> None:
     heights = [[bar.get_height() for bar in group] for group in drawn]
     assert [len(group) for group in heights] == [2, 2]
     assert sum(np.isnan(height) for group in heights for height in group) == 1
+
+
+def test_a_published_mean_of_both_cameras_stands_beside_both_only(rows: list[TrialRow]) -> None:
+    def published(some: list[TrialRow]) -> str:
+        lines = markdown_report(some, "t").splitlines()
+        return next(line for line in lines if line.startswith("| reconstruction, published | "))
+
+    assert published(rows).split("|")[2:-1] == [" 50% ", " 42% ", " 48% "]
+    high = [row for row in rows if row.camera == "high"]
+    assert published(high).split("|")[2:-1] == [" 50% ", " – "]

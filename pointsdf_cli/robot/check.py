@@ -76,7 +76,8 @@ def check_robot(robot: RobotDescription, seed: int = 0) -> RobotCheck:
     samples, farthest = _coverage(robot, rng)
     self_distance, own = _self_collisions(robot, kinematics, rng)
     table_distance, table = _table(robot, kinematics)
-    reached = _reached(robot, kinematics, rng)
+    carried = _carried(robot)  # inverse kinematics refuses any other arm
+    reached = _reached(robot, kinematics, rng) if carried else 0.0
     findings = [*_closes(robot, closing), *own, *table, *_joints(robot)]
     if farthest > SPACING:
         findings.append(
@@ -84,7 +85,7 @@ def check_robot(robot: RobotDescription, seed: int = 0) -> RobotCheck:
                 ERROR, f"a surface point is {farthest * 1e3:.1f} mm from any sample", "report it"
             )
         )
-    if reached < 0.9:
+    if carried and reached < 0.9:
         findings.append(
             Finding(
                 WARNING,
@@ -121,12 +122,11 @@ def _closes(robot: RobotDescription, closing: Closing) -> list[Finding]:
                 "palm: x must point out of the palm, to where the fingers close",
             )
         )
-    parent = {joint.child: joint.parent for joint in robot.tree.joints}
-    if robot.palm_link in parent and not _carried(robot):
+    if not _carried(robot):
         found.append(
             Finding(
                 ERROR,
-                "the last arm joint does not move the palm",
+                "an arm joint does not move the palm",
                 "arm_joints must lead from the base to the palm",
             )
         )

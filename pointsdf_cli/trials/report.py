@@ -95,7 +95,11 @@ def success_figure(summaries: Sequence[Summary]) -> Figure:
         colour = COLOURS[summary.method]
         shares = [(summary.by_camera | {"all": summary.held}).get(c, none) for c in cameras]
         _bars(left, np.arange(len(cameras)) + 2 * i * width, shares, width, colour, summary.name)
-        published = [PUBLISHED[summary.method].get(c, np.nan) for c in cameras]
+        both = set(cameras) == {"high", "low", "all"}
+        published = [
+            PUBLISHED[summary.method].get(c, np.nan) if both or c != "all" else np.nan
+            for c in cameras
+        ]
         at = np.arange(len(cameras)) + (2 * i + 1) * width
         left.bar(at, published, width, color=colour, alpha=0.35, label=f"{summary.name}, published")
         wide = 0.8 / len(summaries)
@@ -130,7 +134,10 @@ def _success(summaries: Sequence[Summary]) -> Table:
         for s in summaries
     ]
     for method in _whole_methods(summaries):
-        published = [f"{PUBLISHED[method][c]:.0%}" for c in (*cameras, "all")]
+        published = [f"{PUBLISHED[method][c]:.0%}" for c in cameras]
+        # The published "all" is of both cameras.
+        both = set(cameras) == {"high", "low"}
+        published.append(f"{PUBLISHED[method]['all']:.0%}" if both else "–")
         body.append((f"{method}, published", *published))
     return "Success (95% Wilson interval)", ("contender", *cameras, "all"), body
 
