@@ -125,8 +125,9 @@ def train_sdf(
                 where=f"--start-from {start_from}",
                 allowed=model,
             )
-        before = (started or {}).get("data", {}).get("held_out")
-        split = split_views(data, held_out, seed, before or ())
+        before = (started or {}).get("data", {}).get("held_out") or ()
+        known = set(before) & set(data.names)
+        split = split_views(data, held_out, seed, known)
         if preset == "paper" and steps is None and minutes is None:
             config = replace(config, steps=paper_steps(len(split.train), config.batch_size))
         arguments = {**(started or {}).get("model", {}), **arguments}
@@ -139,7 +140,6 @@ def train_sdf(
                     f"has other sizes than {model} --preset {preset}",
                     where=f"--start-from {start_from}",
                 ) from error
-            known = set(before or ()) & set(data.names)
             if not known:
                 reporter.say(
                     f"{start_from} does not say that any object of {views} was held out from it: "
@@ -172,8 +172,8 @@ def train_sdf(
                         "views": len(data.scale),
                         # None where a run before this one may have learned from them.
                         "held_out": None
-                        if started is not None and not set(before or ()) & set(data.names)
-                        else sorted({*held_out_names(data, split), *(before or ())}),
+                        if started is not None and not known
+                        else sorted({*held_out_names(data, split), *before}),
                     },
                     "git_commit": git_commit(),
                 },
