@@ -95,11 +95,7 @@ def success_figure(summaries: Sequence[Summary]) -> Figure:
         colour = COLOURS[summary.method]
         shares = [(summary.by_camera | {"all": summary.held}).get(c, none) for c in cameras]
         _bars(left, np.arange(len(cameras)) + 2 * i * width, shares, width, colour, summary.name)
-        both = set(cameras) == {"high", "low", "all"}
-        published = [
-            PUBLISHED[summary.method].get(c, np.nan) if both or c != "all" else np.nan
-            for c in cameras
-        ]
+        published = [_published(summary.method, cameras).get(c, np.nan) for c in cameras]
         at = np.arange(len(cameras)) + (2 * i + 1) * width
         left.bar(at, published, width, color=colour, alpha=0.35, label=f"{summary.name}, published")
         wide = 0.8 / len(summaries)
@@ -134,12 +130,16 @@ def _success(summaries: Sequence[Summary]) -> Table:
         for s in summaries
     ]
     for method in _whole_methods(summaries):
-        published = [f"{PUBLISHED[method][c]:.0%}" for c in cameras]
-        # The published "all" is of both cameras.
-        both = set(cameras) == {"high", "low"}
-        published.append(f"{PUBLISHED[method]['all']:.0%}" if both else "–")
+        rates = _published(method, cameras)
+        published = [f"{rates[c]:.0%}" if c in rates else "–" for c in (*cameras, "all")]
         body.append((f"{method}, published", *published))
     return "Success (95% Wilson interval)", ("contender", *cameras, "all"), body
+
+
+def _published(method: str, cameras: Sequence[str]) -> dict[str, float]:
+    """The paper's rates of a method by camera; "all", the mean of both, where both were run."""
+    both = {"high", "low"} <= set(cameras)
+    return {c: rate for c, rate in PUBLISHED[method].items() if both or c != "all"}
 
 
 def _whole_methods(summaries: Sequence[Summary]) -> list[str]:
