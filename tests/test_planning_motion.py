@@ -76,11 +76,11 @@ def test_the_retreat_is_straight_and_keeps_turn_and_hand() -> None:
     checker = PathChecker(GEOMETRY, FIELD)
     assert checker.room(q[None])[0] >= 0
     config = ApproachConfig(length=0.06, step=0.01)
-    path = retreat(checker, IK, q, config)
+    path = retreat(checker, IK.chain, q, config)
     assert path is not None
     np.testing.assert_array_equal(path[0], q)
     np.testing.assert_array_equal(path[:, 7:], np.tile(q[7:], (len(path), 1)))
-    rotation, position, _ = IK.palm(path[:, :7])
+    rotation, position, _ = IK.chain.palm_and_jacobian(path[:, :7])
     assert len(path) == 7
     gone = position - position[0]
     way = gone[-1] / np.linalg.norm(gone[-1])

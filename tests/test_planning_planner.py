@@ -56,7 +56,7 @@ def test_a_can_gets_a_plan_with_a_motion(planner: Planner, plan: Plan, tmp_path:
     np.testing.assert_array_equal(plan.trajectory[0], planner.robot.home)
     np.testing.assert_array_equal(plan.trajectory[-1], plan.q)
     # The palm is where the arm's forward kinematics puts it.
-    rotation, position, _ = planner.inverse.palm(plan.q[None, :7])
+    rotation, position, _ = planner.inverse.chain.palm_and_jacobian(plan.q[None, :7])
     np.testing.assert_allclose(plan.T_world_palm[:3, 3], position[0], atol=1e-12)
     np.testing.assert_allclose(plan.T_world_palm[:3, :3], rotation[0], atol=1e-12)
     assert plan.link_clearance_object.min() >= 0.001

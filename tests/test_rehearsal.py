@@ -10,8 +10,8 @@ import trimesh
 from numpy.typing import NDArray
 from trial_worlds import CAN_AT, can_grasp, can_in_world
 
+from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.rehearsal import (
     Rehearsal,
@@ -85,10 +85,10 @@ def test_order_prefers_many_tries_and_keeps_equals() -> None:
 
 def test_the_lift_is_straight_and_keeps_the_palm(grasp: NDArray[np.float64]) -> None:
     robot = load_robot()
-    solver = InverseKinematics(robot)
-    path = lift_path(solver, robot, grasp, 0.15)
+    chain = ArmChain(robot)
+    path = lift_path(chain, robot, grasp, 0.15)
     assert path is not None
-    rotation, position, _ = solver.palm(path)
+    rotation, position, _ = chain.palm_and_jacobian(path)
     np.testing.assert_allclose(
         position[:, :2], position[0, :2] + np.zeros((len(path), 2)), atol=3e-3
     )
@@ -101,10 +101,10 @@ def test_the_lift_is_straight_and_keeps_the_palm(grasp: NDArray[np.float64]) -> 
 
 def test_near_the_robot_the_palm_moves_outwards_as_it_rises() -> None:
     robot = load_robot()
-    solver = InverseKinematics(robot)
-    path = lift_path(solver, robot, can_grasp(shift=(-0.08, 0.0, 0.0)), 0.15)
+    chain = ArmChain(robot)
+    path = lift_path(chain, robot, can_grasp(shift=(-0.08, 0.0, 0.0)), 0.15)
     assert path is not None
-    rotation, position, _ = solver.palm(path)
+    rotation, position, _ = chain.palm_and_jacobian(path)
     np.testing.assert_allclose(position[-1, 2] - position[0, 2], 0.15, atol=3e-3)
     assert 0.04 < position[-1, 0] - position[0, 0] < 0.11
     np.testing.assert_allclose(rotation[-1], rotation[0], atol=0.01)
@@ -112,7 +112,7 @@ def test_near_the_robot_the_palm_moves_outwards_as_it_rises() -> None:
 
 def test_there_is_no_lift_out_of_reach(grasp: NDArray[np.float64]) -> None:
     robot = load_robot()
-    assert lift_path(InverseKinematics(robot), robot, grasp, 3.0) is None
+    assert lift_path(ArmChain(robot), robot, grasp, 3.0) is None
 
 
 def test_a_surface_below_the_table_cannot_be_rehearsed_on(rehearsal: Rehearsal) -> None:

@@ -57,11 +57,11 @@ def test_jacobian_agrees_with_finite_differences() -> None:
     robot = load_robot(GRIPPER)
     solver = InverseKinematics(robot)
     q = np.array([[0.3, 0.4, -0.2, 0.9]])
-    rotation, position, jacobian = solver.palm(q)
+    rotation, position, jacobian = solver.chain.palm_and_jacobian(q)
     for column in range(q.shape[1]):
         step = np.zeros_like(q)
         step[0, column] = 1e-6
-        turned, moved, _ = solver.palm(q + step)
+        turned, moved, _ = solver.chain.palm_and_jacobian(q + step)
         assert (moved - position)[0] / 1e-6 == pytest.approx(jacobian[0, :3, column], abs=1e-5)
         spin = (turned - rotation)[0] @ rotation[0].T / 1e-6
         vector = [spin[2, 1], spin[0, 2], spin[1, 0]]

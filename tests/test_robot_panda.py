@@ -187,14 +187,9 @@ def test_the_simulated_jaws_lift_a_box(panda: RobotDescription, tmp_path: Path) 
         ((a, b) for a in arms for b in lifted), key=lambda pair: np.abs(pair[0] - pair[1]).max()
     )
     q = panda.configuration(low, np.array([0.04, 0.04]))
-    kinematics = Kinematics(panda)
-
-    def palm_of(q: np.ndarray) -> np.ndarray:
-        return kinematics.palm(torch.from_numpy(q)).numpy()
-
     with World(panda) as world:
         world.reset(item, stands, q)
         assert world.collisions(q) == set()
-        outcome = Executor(world, ExecutorConfig(), palm_of).run(q, np.linspace(low, high, 20))
+        outcome = Executor(world, ExecutorConfig()).run(q, np.linspace(low, high, 20))
     assert outcome.held, outcome
     assert outcome.lift_height > 0.1

@@ -77,7 +77,7 @@ def grip(attempter: Attempter) -> Grip:
     values = {"thumb_joint_0": 1.35, "thumb_joint_1": 0.5}
     joints = np.array([values.get(name, 0.0) for name in attempter.robot.preshape_joints])
     palm = transform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), PALM)
-    attempter.world.reset()
+    attempter.checks.reset()
     reach = attempter._reacher(palm, joints)
     assert reach.label == 0
     return Grip(reach.q, reach.lift)
@@ -190,7 +190,7 @@ def test_object_that_ends_inside_a_link_is_invalid(
     def press_in(world: World, phase: str) -> None:
         """The can's axis at the palm's face, so that the palm lies 2 cm deep in it."""
         if phase == "settle":
-            palm = attempter.palm(world.configuration())
+            palm = world.palm_pose()
             world._bullet.resetBasePositionAndOrientation(
                 world._object, palm[:3, 3].tolist(), [0, 0, 0, 1], physicsClientId=world._client
             )

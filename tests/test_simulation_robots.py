@@ -104,7 +104,7 @@ def test_a_slow_hand_closes_all_the_way(tmp_path: Path, speed: float) -> None:
     far = transform(np.eye(3), [0.9, 0.5, 0.05])
     with World(robot) as world:
         world.reset(box, far)
-        Executor(world, ExecutorConfig(), lambda q: np.eye(4))._close()
+        Executor(world, ExecutorConfig())._close()
         ends = robot.hard_upper[robot.closing_columns]
         reached = world.configuration()[robot.closing_columns]
     assert reached == pytest.approx(ends, abs=0.002)

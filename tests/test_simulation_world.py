@@ -16,6 +16,8 @@ from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.world import PhysicsConfig, World
 
+from tests.trial_worlds import can_grasp
+
 pytest.importorskip("pybullet")
 GRIPPER = Path(__file__).parent / "robots" / "gripper.yaml"
 
@@ -104,6 +106,62 @@ def test_collisions_are_named(world: World, box: SimObject) -> None:
     for name, value in (("index_joint_1", 1.5), ("index_joint_2", 1.5), ("index_joint_3", 1.0)):
         folded[robot.joint_names.index(name)] = value
     assert "self" in world.collisions(folded)
+
+
+def test_what_is_shown_again_is_as_if_built_anew(box: SimObject, tmp_path: Path) -> None:
+    ball = item_of("ball", trimesh.creation.icosphere(2, 0.04), tmp_path)
+    robot = load_robot()
+    reach = robot.home.copy()
+    reach[1] = -1.9
+    with World(robot) as fresh, World(robot) as kept:
+        fresh.reset()
+        tip = fresh.chain.palm(reach)[:3, 3]
+        seen = []
+        # Each twice, in an order in which the object only moves, changes, and is looked at before.
+        for item in (box, box, ball, box):
+            for place in (tip, [0.6, 0.4, 0.06], tip + [0.0, 0.12, 0.0]):
+                T_world_object = transform(np.eye(3), place)
+                kept.show(item, T_world_object)
+                fresh.reset(item, T_world_object)
+                assert np.array_equal(kept.object_pose(), fresh.object_pose())
+                assert np.array_equal(kept.configuration(), fresh.configuration())
+                for q in (robot.home, reach):
+                    touched = kept.collisions(q)
+                    assert touched == fresh.collisions(q)
+                    seen.append("object" in touched)
+        assert any(seen)
+        assert not all(seen)
+        # What physics has moved is built anew.
+        kept.step(20)
+        kept.show(box, transform(np.eye(3), [0.6, 0.0, 0.06]))
+        assert kept.time == 0.0
+        assert kept.configuration() == pytest.approx(robot.home, abs=1e-12)
+
+
+def test_a_hand_rises_into_what_is_over_it_and_not_into_what_is_below_or_aside(
+    world: World, box: SimObject
+) -> None:
+    q = can_grasp()
+    world.reset(None, None, q, "hand")
+    lows, highs = zip(
+        *(
+            world._bullet.getAABB(body, number, physicsClientId=world._client)
+            for body, number in world._robot.links.values()
+        ),
+        strict=True,
+    )
+    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+    x, y, top = *world.chain.palm(q)[:2, 3], 0.06
+    for place, meets in (
+        ([x, y, high[2] + 0.02 + top], True),  # the hand is under it
+        ([x, y, low[2] - 0.01 - top], False),  # ... above it
+        ([high[0] + 0.04, y, high[2] - 0.05], False),  # ... beside it, by 1 cm
+        ([high[0] + 0.02, y, high[2] - 0.05], True),  # their boxes overlap
+    ):
+        world.reset(box, transform(np.eye(3), place), q, "hand")
+        assert world.rises_into_object(0.005) is meets, place
+    world.reset(box, transform(np.eye(3), [high[0] + 0.04, y, high[2] - 0.05]), q, "hand")
+    assert world.rises_into_object(0.015)  # for a hand that moves aside on its way
 
 
 def test_arm_holds_its_own_weight(world: World) -> None:

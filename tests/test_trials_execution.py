@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 from numpy.typing import NDArray
 from trial_worlds import CAN_AT, can_grasp
@@ -15,8 +14,6 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
-from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.execution import Executed, execute_plan
@@ -43,16 +40,9 @@ def can(tmp_path_factory: pytest.TempPathFactory) -> SimObject:
 
 
 def execute(world: World, can: SimObject, trajectory: Array, seconds: float) -> Executed:
-    robot = world.robot
-    kinematics = Kinematics(robot)
-
-    def palm(q: Array) -> Array:
-        with torch.no_grad():
-            return np.asarray(kinematics.palm(torch.from_numpy(q)).numpy())
-
     pose = transform(np.eye(3), [*CAN_AT, 0.0752])
     times = np.linspace(0.0, seconds, len(trajectory))
-    return execute_plan(world, InverseKinematics(robot), palm, can, pose, trajectory, times)
+    return execute_plan(world, can, pose, trajectory, times)
 
 
 def approach(*shifts: tuple[float, float, float]) -> Array:

@@ -171,7 +171,8 @@ def find_table(points: Array, config: SegmentationConfig) -> Array | None:
         if len(on_plane) < 3:
             return None
         centre = on_plane.mean(axis=0)
-        _, axes = np.linalg.eigh(np.cov((on_plane - centre).T))
+        away = on_plane - centre
+        _, axes = np.linalg.eigh(away.T @ away)
         normal = axes[:, 0] * np.sign(axes[2, 0])
         offset = float(normal @ centre)
     fits = np.abs(near @ normal - offset) < config.plane_band

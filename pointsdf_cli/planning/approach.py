@@ -9,7 +9,7 @@ import numpy as np
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.path_check import PathChecker
-from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.robot.arm_chain import ArmChain
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class ApproachConfig:
 
 def retreat(
     checker: PathChecker,
-    kinematics: InverseKinematics,
+    chain: ArmChain,
     q: Array,
     config: ApproachConfig | None = None,
 ) -> Array | None:
@@ -52,7 +52,7 @@ def retreat(
     """
     config = config or ApproachConfig()
     robot = checker.kinematics.robot
-    rotation, _, _ = kinematics.palm(q[None, robot.arm])
+    rotation, _, _ = chain.palm_and_jacobian(q[None, robot.arm])
     x, z = rotation[0, :, 0], rotation[0, :, 2]
     up = np.array([0.0, 0.0, 1.0])
     best: Array | None = None
@@ -60,7 +60,7 @@ def retreat(
         length = np.linalg.norm(way)
         if length < 0.3:  # the terms cancel: another direction says the same
             continue
-        path = _straight(checker, kinematics, q, way / length, config)
+        path = _straight(checker, chain, q, way / length, config)
         if best is None or len(path) > len(best):
             best = path
         if len(path) > config.length / config.step:
@@ -72,7 +72,7 @@ def retreat(
 
 def _straight(
     checker: PathChecker,
-    kinematics: InverseKinematics,
+    chain: ArmChain,
     q: Array,
     way: Array,
     config: ApproachConfig,
@@ -80,17 +80,17 @@ def _straight(
     """The free beginning of a straight way [T, J], in steps of the same length."""
     robot = checker.kinematics.robot
     arm = q[robot.arm]
-    rotation, position, _ = kinematics.palm(arm[None])
+    rotation, position, _ = chain.palm_and_jacobian(arm[None])
     path = [arm]
     for k in range(1, round(config.length / config.step) + 1):
         goal = position[0] + k * config.step * way
-        solved = _follow(kinematics, path[-1], rotation[0], goal)
+        solved = _follow(chain, path[-1], rotation[0], goal)
         if (
             solved is None
             or ((solved < robot.lower[robot.arm]) | (solved > robot.upper[robot.arm])).any()
         ):
             break
-        _, middle, _ = kinematics.palm((path[-1] + solved)[None] / 2)
+        _, middle, _ = chain.palm_and_jacobian((path[-1] + solved)[None] / 2)
         if np.linalg.norm(middle[0] - (goal - config.step / 2 * way)) > config.deviation:
             break
         path.append(solved)
@@ -102,13 +102,11 @@ def _straight(
     return whole[:free]
 
 
-def _follow(
-    kinematics: InverseKinematics, arm: Array, rotation: Array, position: Array
-) -> Array | None:
+def _follow(chain: ArmChain, arm: Array, rotation: Array, position: Array) -> Array | None:
     """The arm configuration next to `arm` with the palm at a pose near its own, by Newton."""
     q = arm.copy()
     for _ in range(8):
-        turned, at, jacobian = kinematics.palm(q[None])
+        turned, at, jacobian = chain.palm_and_jacobian(q[None])
         relative = rotation @ turned[0].T
         skew = (relative - relative.T) / 2
         turn = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])

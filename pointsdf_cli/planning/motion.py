@@ -88,7 +88,7 @@ def plan_motion(
         raise InputError("the start is outside of the joint limits", where="--start")
     if checker.room(start[None])[0] < 0:
         return _failed("the robot touches something where it starts", 0)
-    back = retreat(checker, kinematics, goal, config.approach)
+    back = retreat(checker, kinematics.chain, goal, config.approach)
     if back is None:
         return _failed("no straight way leads out of the grasp", 0)
     shaped = goal.copy()

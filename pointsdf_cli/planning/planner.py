@@ -210,7 +210,7 @@ class Planner:
         )
         best, motion, found = self._with_motion(checker, found, start, seed)
         timings["motion"] = time.perf_counter() - began
-        return plan_of(problems.exact, self.inverse, found, best, motion, timings)
+        return plan_of(problems.exact, self.inverse.chain, found, best, motion, timings)
 
     def _motion_to(
         self, checker: PathChecker, candidate: Candidate, start: Array, seed: int, thorough: bool
@@ -279,8 +279,8 @@ class Planner:
 
     def _lifts_from(self, candidate: Candidate) -> bool:
         """Whether the arm can raise the hand from a grasp."""
-        height = self.config.lift_height
-        return not height or lift_path(self.inverse, self.robot, candidate.q, height) is not None
+        height, chain = self.config.lift_height, self.inverse.chain
+        return not height or lift_path(chain, self.robot, candidate.q, height) is not None
 
 
 STUCK = "The arm has no room to lift the object from there: move it, or the robot."

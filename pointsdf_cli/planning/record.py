@@ -13,13 +13,13 @@ from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.motion import Motion
 from pointsdf_cli.planning.synthesis import Synthesis
+from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
 
 def plan_of(
     problem: GraspProblem,
-    inverse: InverseKinematics,
+    chain: ArmChain,
     found: Synthesis,
     best: Candidate | None,
     motion: Motion | None,
@@ -29,7 +29,7 @@ def plan_of(
 
     Args:
         problem: With the exact field and the clearances that were asked for.
-        inverse: Of the robot; tells where the palm is.
+        chain: The robot's arm; tells where the palm is.
         found: Everything that was tried.
         best, motion: What was chosen; both None if nothing was.
         timings: Seconds by stage.
@@ -41,9 +41,7 @@ def plan_of(
     trajectory, times = np.zeros((0, joints)), np.zeros(0)
     if best is not None and motion is not None and motion.trajectory is not None:
         q = best.q
-        rotation, position, _ = inverse.palm(q[None, robot.arm])
-        T_world_palm = np.eye(4)
-        T_world_palm[:3, :3], T_world_palm[:3, 3] = rotation[0], position[0]
+        T_world_palm = chain.palm(q)
         exactly = problem.measuring()
         to_object = link_clearance(exactly, best.x, links, problem.is_object)
         to_table = link_clearance(exactly, best.x, links, problem.is_table)

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import rotation_vector
+from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.urdf import Joint
 
 Array = NDArray[np.float64]
 
@@ -73,6 +73,9 @@ class InverseKinematics:
         robot: The robot; its planning limits are kept.
         config: How hard to try.
         seed: Of the pool.
+
+    Attributes:
+        chain: The arm.
     """
 
     def __init__(
@@ -80,21 +83,12 @@ class InverseKinematics:
     ) -> None:
         self.config = config or IkConfig()
         self._lower, self._upper = robot.lower[robot.arm], robot.upper[robot.arm]
-        self._chain = _palm_chain(robot)
-        self._columns = [
-            robot.arm_joints.index(j.name) if j.name in robot.arm_joints else None
-            for j in self._chain
-        ]
-        moving = [k for k, column in enumerate(self._columns) if column is not None]
-        self._moving = [column for column in self._columns if column is not None]
-        self._sliding = np.array([self._chain[k].kind == "prismatic" for k in moving])
-        self._cross = np.stack([_cross_matrix(self._chain[k].axis) for k in moving])
-        self._base, self._palm = robot.T_world_base, robot.T_link_palm
+        self.chain = ArmChain(robot)
         rng = np.random.default_rng(seed)
         self._pool = rng.uniform(
             self._lower, self._upper, (self.config.pool, len(robot.arm_joints))
         )
-        rotation, position, _ = self.palm(self._pool, with_jacobian=False)
+        rotation, position, _ = self.chain.palm_and_jacobian(self._pool)
         # One radian of turn weighs like this many metres of way.
         self._turn_weight = 0.3
         self._tree = cKDTree(self._features(rotation, position))
@@ -152,49 +146,10 @@ class InverseKinematics:
         steps = np.abs(np.diff(path, axis=1, prepend=arm[:, None])).max(axis=(1, 2))
         return path, fine & (steps < 0.5)
 
-    def palm(self, q: Array, with_jacobian: bool = True) -> tuple[Array, Array, Array]:
-        """Palm rotation [B, 3, 3], position [B, 3] and Jacobian [B, 6, A] of arm joints [B, A].
-
-        The Jacobian's first three rows are velocity, the others angular velocity, in the world.
-        """
-        count = len(q)
-        rotation = np.broadcast_to(self._base[:3, :3], (count, 3, 3))
-        position = np.broadcast_to(self._base[:3, 3], (count, 3))
-        axes, origins = np.empty((2, len(self._moving), count, 3))
-        turns = self._turns(q[:, self._moving])
-        at = 0
-        for joint, column in zip(self._chain, self._columns, strict=True):
-            position = position + rotation @ joint.T_parent_joint[:3, 3]
-            rotation = rotation @ joint.T_parent_joint[:3, :3]
-            if column is None:
-                continue
-            axes[at], origins[at] = rotation @ joint.axis, position
-            if self._sliding[at]:
-                position = position + axes[at] * q[:, column, None]
-            else:
-                rotation = rotation @ turns[at]
-            at += 1
-        position = position + rotation @ self._palm[:3, 3]
-        rotation = rotation @ self._palm[:3, :3]
-        jacobian = np.zeros((count, 6, q.shape[1]))
-        if with_jacobian:
-            slides = self._sliding[:, None, None]
-            along = np.where(slides, axes, _cross(axes, position - origins))
-            jacobian[:, :3, self._moving] = along.transpose(1, 2, 0)
-            jacobian[:, 3:, self._moving] = np.where(slides, 0.0, axes).transpose(1, 2, 0)
-        return rotation, position, jacobian
-
-    def _turns(self, q: Array) -> Array:
-        """Rotations [M, B, 3, 3] of the moving joints about their axes by [B, M] (Rodrigues)."""
-        angles = q.T[:, :, None, None]
-        cross = self._cross[:, None]
-        turned: Array = np.eye(3) + np.sin(angles) * cross + (1 - np.cos(angles)) * (cross @ cross)
-        return turned
-
     def _error(
         self, q: Array, goal_rotation: Array, goal_position: Array, active: NDArray[np.int64]
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
-        rotation, position, jacobian = self.palm(q)
+        rotation, position, jacobian = self.chain.palm_and_jacobian(q)
         turn = rotation_vector(goal_rotation[active] @ np.swapaxes(rotation, 1, 2))
         way = goal_position[active] - position
         done = (np.linalg.norm(way, axis=1) < self.config.position_tolerance) & (
@@ -223,36 +178,3 @@ class InverseKinematics:
         """Palm poses as vectors [B, 9] whose distance grows with way and turn."""
         columns = rotation[:, :, [0, 2]].reshape(len(rotation), 6)
         return np.concatenate([position, self._turn_weight * columns], axis=1)
-
-
-def _palm_chain(robot: RobotDescription) -> list[Joint]:
-    """The joints from the root to the palm's link."""
-    by_child = {joint.child: joint for joint in robot.tree.joints}
-    chain = []
-    link = robot.palm_link
-    while link in by_child:
-        chain.append(by_child[link])
-        link = by_child[link].parent
-    unused = set(robot.arm_joints) - {joint.name for joint in chain}
-    if unused:
-        raise InputError(
-            f"the arm joint {min(unused)!r} does not move the palm",
-            where=robot.name,
-            allowed="arm joints between the root and the palm's link",
-        )
-    return chain[::-1]
-
-
-def _cross_matrix(axis: Array) -> Array:
-    """[3, 3], whose product with a vector is the axis × the vector."""
-    x, y, z = axis
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products [..., 3]; np.cross spends ten times as long on finding its axes."""
-    product = np.empty_like(a)
-    product[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    product[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    product[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return product

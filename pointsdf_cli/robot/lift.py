@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.frames import rotation_vector
+from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ MOST_TURN = 0.6
 
 
 def lift_path(
-    solver: InverseKinematics, robot: RobotDescription, q: Array, height: float = 0.15
+    chain: ArmChain, robot: RobotDescription, q: Array, height: float = 0.15
 ) -> Array | None:
     """Arm joints [K + 1, A] from configuration q [J] to one with the palm `height` [m] above.
 
@@ -35,14 +35,14 @@ def lift_path(
         None where the arm has no room even so.
     """
     for outwards, weight in WAYS:
-        path = _follow(solver, robot, q[robot.arm], height, outwards, weight)
+        path = _follow(chain, robot, q[robot.arm], height, outwards, weight)
         if path is not None:
             return path
     return None
 
 
 def _follow(
-    solver: InverseKinematics,
+    chain: ArmChain,
     robot: RobotDescription,
     arm: Array,
     height: float,
@@ -50,7 +50,7 @@ def _follow(
     weight: float,
 ) -> Array | None:
     """Newton steps along the line, within the joint limits."""
-    rotation, position, _ = solver.palm(arm[None])
+    rotation, position, _ = chain.palm_and_jacobian(arm[None])
     low, high = robot.lower[robot.arm], robot.upper[robot.arm]
     # A plan may begin a little beyond the range that plans keep to.
     low, high = np.minimum(low, arm), np.maximum(high, arm)
@@ -63,7 +63,7 @@ def _follow(
         goal = position[0] + way * k / STEPS
         now = path[-1].copy()
         for _ in range(12):
-            turned, at, jacobian = solver.palm(now[None])
+            turned, at, jacobian = chain.palm_and_jacobian(now[None])
             error = np.concatenate([goal - at[0], rotation_vector(rotation[0] @ turned[0].T)])
             J = rows @ jacobian[0]
             free = np.ones(len(now), dtype=bool)
@@ -78,7 +78,7 @@ def _follow(
             now = np.clip(now + np.clip(step, -0.15, 0.15), low, high)
             if np.abs(step).max() < 1e-5:
                 break
-        turned, at, _ = solver.palm(now[None])
+        turned, at, _ = chain.palm_and_jacobian(now[None])
         off = float(np.linalg.norm(at[0] - goal))
         turn = float(np.linalg.norm(rotation_vector(rotation[0] @ turned[0].T)))
         most = 0.005 if weight == 1.0 else MOST_TURN

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
@@ -16,7 +15,6 @@ from pointsdf_cli.geometry.frames import apply_transform, transform
 from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, KINDS, LOST, Grasps
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
-from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig, Outcome
 from pointsdf_cli.simulation.feet import nearest_pose, on_its_foot
 from pointsdf_cli.simulation.heuristic import HeuristicConfig, draw_preshape, hand_of
@@ -45,8 +43,9 @@ class AttemptConfig:
             the arm is simulated, too, at several times the cost.
         inverse: Inverse kinematics, in half as many steps as a plan allows: what is reached at
             all mostly has been by then.
-        physics: With twice the step of a trial, which changes a little more labels than luck does
-            (docs/grasps.md); for the whole arm see `with_the_whole_arm`.
+        physics: With twice the step of a trial, which changes a little more labels than luck does,
+            and fewer iterations, which do not (docs/grasps.md); for the whole arm see
+            `with_the_whole_arm`.
     """
 
     scene_attempts: int = 4
@@ -60,7 +59,9 @@ class AttemptConfig:
     heuristic: HeuristicConfig = field(default_factory=HeuristicConfig)
     inverse: IkConfig = field(default_factory=lambda: IkConfig(iterations=12))
     reach: ReachConfig = field(default_factory=ReachConfig)
-    physics: PhysicsConfig = field(default_factory=lambda: PhysicsConfig(step=1 / 240))
+    physics: PhysicsConfig = field(
+        default_factory=lambda: PhysicsConfig(step=1 / 240, iterations=140)
+    )
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
 
     def with_the_whole_arm(self) -> AttemptConfig:
@@ -134,18 +135,20 @@ class Attempter:
         self.config = config or AttemptConfig()
         self.seed = seed
         self.world = World(robot, self.config.physics, gui)
+        # Never stepped, so that it need not be built anew for each attempt.
+        self.checks = World(robot, self.config.physics)
         self._observer = Observer(robot, self.config.placement)
         solver = InverseKinematics(robot, self.config.inverse)
-        self._reacher = Reacher(self.world, solver, self.config.reach)
-        self._kinematics = Kinematics(robot)
+        self._reacher = Reacher(self.checks, solver, self.config.reach)
         self._hand = hand_of(robot)
         self._settled: dict[tuple[str, int], Array | None] = {}
         self._feet: tuple[SimObject, dict[int, SimObject]] | None = None
         self._last_scene: tuple[tuple[str, str, int], Scene] | None = None
 
     def close(self) -> None:
-        """Leave the physics client."""
+        """Leave the physics clients."""
         self.world.close()
+        self.checks.close()
 
     def check(self, item: SimObject) -> None:
         """Refuse what cannot be simulated or grasped at all.
@@ -189,7 +192,7 @@ class Attempter:
         cloud = resample(scene.cloud, CLOUD_SIZE, rng)
         arms = self._reacher.arms(preshape.T_world_palm)
         if len(arms):
-            self.world.reset(self._standing(item, scene.T_world_object), scene.T_world_object)
+            self.checks.show(self._standing(item, scene.T_world_object), scene.T_world_object)
         reach = self._reacher(preshape.T_world_palm, preshape.joints, arms)
         outcome = None
         if reach.label == 0:
@@ -207,7 +210,7 @@ class Attempter:
         """Carry out a grasp in a world built anew, so that equal inputs give equal outcomes."""
         there: Literal["hand", "whole"] = "hand" if self.config.hand_alone else "whole"
         self.world.reset(self._standing(item, T_world_object), T_world_object, q, there)
-        return Executor(self.world, self.config.execution, self.palm, watch).run(q, lift)
+        return Executor(self.world, self.config.execution, watch).run(q, lift)
 
     def replay(
         self,
@@ -230,11 +233,6 @@ class Attempter:
         q = grasps.q[row]
         lift = self._reacher.lift(q, grasps.T_world_palm[row])
         return self.execute(item, grasps.T_world_object[row], q, lift, watch)
-
-    def palm(self, q: Array) -> Array:
-        """T_world_palm [4, 4] of a configuration [J]."""
-        with torch.no_grad():
-            return np.asarray(self._kinematics.palm(torch.from_numpy(q)).numpy())
 
     def scene(self, item: SimObject, index: int) -> Scene:
         """Scene `index` of an object.

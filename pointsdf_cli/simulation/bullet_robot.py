@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.geometry.frames import invert_transform, rotation_vector, wxyz_from_rotation
+from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.bullet import silence
 
 Array = NDArray[np.float64]
@@ -57,6 +56,8 @@ class BulletRobot:
             self.links.setdefault(root, (body, -1))
             self.bodies.append(body)
         self._joints = [by_name.get(name) for name in robot.joint_names]
+        self._all = range(len(self._joints))
+        self._found: dict[tuple[int, ...], list[tuple[int, list[int], list[int]]]] = {}
 
     def _load(self, file: Path, T_world_root: Array) -> int:
         b = self._bullet
@@ -85,19 +86,19 @@ class BulletRobot:
 
     def place(self, q: ArrayLike) -> None:
         """Put the robot at a configuration [J] at rest, without physics."""
-        for body, columns, numbers in self._by_body(range(len(self._joints))):
+        for body, columns, numbers in self._by_body(self._all):
             values = [[float(value)] for value in np.asarray(q)[columns]]
             self._bullet.resetJointStatesMultiDof(
                 body, numbers, values, [[0.0]] * len(values), physicsClientId=self._client
             )
 
-    def configuration(self) -> Array:
-        """Where the joints are, [J]."""
-        return self._state(0)
-
-    def velocities(self) -> Array:
-        """How fast the joints move, [J]."""
-        return self._state(1)
+    def state(self) -> tuple[Array, Array]:
+        """Where the joints are and how fast they move, [J] each."""
+        values = np.zeros((2, len(self._joints)))
+        for body, columns, numbers in self._by_body(self._all):
+            states = self._bullet.getJointStates(body, numbers, physicsClientId=self._client)
+            values[:, columns] = np.array([state[:2] for state in states]).T
+        return values[0], values[1]
 
     def drive_to(
         self, q: ArrayLike, columns: ArrayLike, forces: ArrayLike, speeds: ArrayLike
@@ -105,7 +106,7 @@ class BulletRobot:
         """Position targets; see `World.drive_to`."""
         q, forces, speeds = (np.asarray(values, float) for values in (q, forces, speeds))
         columns = np.asarray(columns)
-        for body, places, numbers in self._by_body(columns):
+        for body, places, numbers in self._by_body(columns.tolist()):
             self._bullet.setJointMotorControlArray(
                 body,
                 numbers,
@@ -121,7 +122,7 @@ class BulletRobot:
     def drive_at(self, speeds: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
         """Speed targets; see `World.drive_at`."""
         forces, speeds = np.asarray(forces, float), np.asarray(speeds, float)
-        for body, places, numbers in self._by_body(columns):
+        for body, places, numbers in self._by_body(np.asarray(columns).tolist()):
             self._bullet.setJointMotorControlArray(
                 body,
                 numbers,
@@ -140,21 +141,21 @@ class BulletRobot:
             self.drive_to(q, columns, self.robot.effort[columns], np.zeros(len(columns)))
             yield
 
-    def _by_body(self, columns: ArrayLike) -> Iterator[tuple[int, list[int], list[int]]]:
+    def _by_body(self, columns: Sequence[int]) -> list[tuple[int, list[int], list[int]]]:
         """Of joints by their columns in q: each body, places in the list, numbers in the body."""
-        joints = [self._joints[int(column)] for column in np.asarray(columns)]
-        for body in self.bodies:
-            found = [(k, at[1]) for k, at in enumerate(joints) if at is not None and at[0] == body]
-            if found:
-                places, numbers = zip(*found, strict=True)
-                yield body, list(places), list(numbers)
-
-    def _state(self, which: int) -> Array:
-        values = np.zeros(len(self._joints))
-        for body, columns, numbers in self._by_body(range(len(self._joints))):
-            states = self._bullet.getJointStates(body, numbers, physicsClientId=self._client)
-            values[columns] = [state[which] for state in states]
-        return values
+        key = tuple(columns)
+        if key not in self._found:
+            joints = [self._joints[column] for column in key]
+            places = [
+                (body, [(k, at[1]) for k, at in enumerate(joints) if at and at[0] == body])
+                for body in self.bodies
+            ]
+            self._found[key] = [
+                (body, [k for k, _ in found], [number for _, number in found])
+                for body, found in places
+                if found
+            ]
+        return self._found[key]
 
 
 class CarriedHand(BulletRobot):
@@ -164,7 +165,7 @@ class CarriedHand(BulletRobot):
     the arm itself is not there. Arguments as of `BulletRobot`, and
 
     Args:
-        kinematics: Of the robot.
+        chain: The robot's arm.
         q: [J], where the hand is.
         step: Of the simulation [s].
     """
@@ -176,12 +177,12 @@ class CarriedHand(BulletRobot):
         robot: RobotDescription,
         files: Sequence[Path],
         recovery: float,
-        kinematics: Kinematics,
+        chain: ArmChain,
         q: Array,
         step: float,
         visible: bool = True,
     ) -> None:
-        self._kinematics, self._step = kinematics, step
+        self._chain, self._step = chain, step
         self._T_palm_link = invert_transform(robot.T_link_palm)
         self._q = np.array(q, dtype=float)
         T_world_palm_link = self._palm_links(self._q[None])[0]
@@ -227,12 +228,9 @@ class CarriedHand(BulletRobot):
 
     def _palm_links(self, q: Array) -> Array:
         """Poses [K, 4, 4] of the palm link at configurations [K, J]."""
-        with torch.no_grad():
-            palm = self._kinematics.palm(torch.tensor(q)).numpy()
-        return np.asarray(palm @ self._T_palm_link)
+        return self._chain.palm(q) @ self._T_palm_link
 
-    def _state(self, which: int) -> Array:
-        values = super()._state(which)
-        if which == 0:
-            values[self._absent] = self._q[self._absent]
-        return values
+    def state(self) -> tuple[Array, Array]:
+        q, speeds = super().state()
+        q[self._absent] = self._q[self._absent]
+        return q, speeds

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import invert_transform
+from pointsdf_cli.geometry.frames import invert_transform, rotation_vector
+from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.simulation.world import World
 
 Array = NDArray[np.float64]
@@ -97,6 +98,10 @@ OFF_TABLE = -0.05
 """An object whose centre of mass is below this [m] has fallen off the table."""
 CLEAR_HEIGHT = 0.05
 """A hand this far [m] above where it gripped no longer reaches what it left on the table."""
+CLEAR_ASIDE = 0.005
+"""Nor does one that rises straight with no link under it, or less far [m] beside it."""
+PALM_TO_TIP = 0.25
+"""A turn of the palm moves what is farthest from it by so many metres a radian."""
 
 
 class Executor:
@@ -105,7 +110,6 @@ class Executor:
     Args:
         world: Built with the robot and the object by `World.reset`.
         config: Times, speeds, efforts.
-        palm: T_world_palm [4, 4] of a configuration, for the slip.
         watch: Called after every step, to draw or record.
     """
 
@@ -113,12 +117,10 @@ class Executor:
         self,
         world: World,
         config: ExecutorConfig,
-        palm: Callable[[Array], Array],
         watch: Callable[[World, str], None] | None = None,
     ) -> None:
         self._world = world
         self._config = config
-        self._palm = palm
         self._watch = watch
         robot = world.robot
         self._arm = np.arange(len(robot.arm_joints))
@@ -193,8 +195,7 @@ class Executor:
         self._hold(0.05, "close")  # let the joints get going before judging that they stall
         while moving.any() and world.time - began < longest:
             self._advance(check, "close")
-            velocity = world.velocities()[self._closing]
-            position = world.configuration()[self._closing]
+            position, velocity = (values[self._closing] for values in world.joint_state())
             stalled = velocity * np.sign(speeds) < config.stall_speed * np.abs(speeds)
             slow = np.where(stalled, slow + check * world.physics.step, 0.0)
             stop = moving & ((slow >= config.stall_time) | (np.abs(position - ends) < at_end))
@@ -224,15 +225,20 @@ class Executor:
         s = s * s * (3 - 2 * s)
         knots = np.linspace(0.0, 1.0, len(path))
         arm = np.stack([np.interp(s, knots, column) for column in path.T], axis=1)
+        aside = CLEAR_ASIDE + _sideways(world.chain, path)
         for k, _ in enumerate(world.follow(arm)):
+            if k % self._look_every == 0 and self._left_behind():
+                risen = s[k] * config.lift_height >= CLEAR_HEIGHT
+                if risen or (self._at_rest() and not world.rises_into_object(aside)):
+                    return
             self._advance(1, "lift")
-            out_of_reach = s[k] * config.lift_height >= CLEAR_HEIGHT
-            if out_of_reach and k % self._look_every == 0 and self._left_behind():
-                return
 
     def _left_behind(self) -> bool:
         """Whether the object is on the table, untouched by the robot."""
         return self._world.object_on_table() and not self._world.robot_contact().links
+
+    def _at_rest(self) -> bool:
+        return self._world.object_speed()[0] < STEADY_SPEED
 
     def _hold(self, duration: float, phase: str) -> None:
         self._advance(round(duration / self._world.physics.step), phase)
@@ -243,7 +249,7 @@ class Executor:
         began = world.time
         self._hold(config.settle_time, "settle")
         while world.time - began < config.longest_settling:
-            if world.object_speed()[0] < STEADY_SPEED or not world.robot_contact().links:
+            if self._at_rest() or not world.robot_contact().links:
                 return
             self._hold(0.1, "settle")
 
@@ -280,5 +286,13 @@ class Executor:
 
     def _object_in_palm(self) -> Array:
         """The object's centre of mass [3] in the palm's frame."""
-        T_palm_world = invert_transform(self._palm(self._world.configuration()))
+        T_palm_world = invert_transform(self._world.palm_pose())
         return T_palm_world[:3, :3] @ self._world.object_centre() + T_palm_world[:3, 3]
+
+
+def _sideways(chain: ArmChain, path: Array) -> float:
+    """How far [m] the hand moves aside on the way along arm joints [K, A], at most."""
+    rotation, position, _ = chain.palm_and_jacobian(path)
+    aside = np.linalg.norm(position[:, :2] - position[0, :2], axis=1)
+    turn = np.linalg.norm(rotation_vector(rotation @ rotation[0].T), axis=1)
+    return float((aside + PALM_TO_TIP * turn).max())

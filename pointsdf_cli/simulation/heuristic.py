@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
+from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
@@ -118,7 +119,7 @@ class Hand:
 
 def hand_of(robot: RobotDescription) -> Hand:
     """The hand of a robot, its outline from the surface points of its links."""
-    kinematics = Kinematics(robot)
+    kinematics, chain = Kinematics(robot), ArmChain(robot)
     surface = robot_surface(robot)
     links = [
         (link, torch.from_numpy(surface[link])) for link in robot.hand_links if link in surface
@@ -128,7 +129,7 @@ def hand_of(robot: RobotDescription) -> Hand:
         q = torch.from_numpy(robot.configuration(robot.home[robot.arm], joints))
         with torch.no_grad():
             points = torch.cat(kinematics.points(q, links)).numpy()
-            T_palm_world = invert_transform(kinematics.palm(q).numpy())
+            T_palm_world = invert_transform(chain.palm(q))
         return apply_transform(T_palm_world, points)
 
     return Hand(robot.preshape_ranges, outline, robot.palm_reach)

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-import torch
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import QhullError
@@ -22,8 +21,6 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
-from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
@@ -119,8 +116,6 @@ class Rehearsal:
         # What rests in the hand after half a second mostly stays there.
         self._execution = replace(execution or ExecutorConfig(), longest_settling=0.6)
         self._world = World(robot, self.config.physics)
-        self._kinematics = Kinematics(robot)
-        self._solver = InverseKinematics(robot)
         self._tries = 0
 
     def close(self) -> None:
@@ -149,7 +144,7 @@ class Rehearsal:
             if any(one.held == len(disturbances) for one in tried):
                 tried.append(UNTRIED)  # one that never fails is enough
                 continue
-            lift = lift_path(self._solver, self._world.robot, grasp, self._execution.lift_height)
+            lift = self._lift(grasp)
             tried.append(self._try(believed, grasp, lift, disturbances))
         return tried
 
@@ -169,14 +164,14 @@ class Rehearsal:
             world = self._world
             world.physics = replace(self.config.physics, object_friction=disturbance.friction)
             world.reset(item, np.eye(4), q)
-            outcome = Executor(world, self._execution, self._palm).run(q, lift)
+            outcome = Executor(world, self._execution).run(q, lift)
             held += outcome.held
             rises.append(float(np.clip(outcome.lift_height, 0.0, most)) if outcome.valid else 0.0)
         return Rehearsed(len(rises), held, float(np.mean(rises)))
 
-    def _palm(self, q: Array) -> Array:
-        with torch.no_grad():
-            return np.asarray(self._kinematics.palm(torch.from_numpy(q)).numpy())
+    def _lift(self, q: Array) -> Array | None:
+        world = self._world
+        return lift_path(world.chain, world.robot, q, self._execution.lift_height)
 
 
 def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -> list[int]:

@@ -20,8 +20,8 @@ from pointsdf_cli.geometry.frames import (
     transform,
     wxyz_from_rotation,
 )
+from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.bullet import import_bullet
 from pointsdf_cli.simulation.bullet_robot import BulletRobot, CarriedHand
 from pointsdf_cli.simulation.bullet_urdf import bullet_urdf, hand_urdfs
@@ -96,6 +96,9 @@ class World:
         physics: Step, iterations, friction.
         gui: Open PyBullet's window to watch.
 
+    Attributes:
+        chain: The robot's arm.
+
     Raises:
         RgraspError: PyBullet is not installed.
     """
@@ -105,6 +108,7 @@ class World:
     ) -> None:
         self.robot = robot
         self.physics = physics or PhysicsConfig()
+        self.chain = ArmChain(robot)
         self._bullet = import_bullet()
         self._client = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
         self._temporary = tempfile.TemporaryDirectory(prefix="rgrasp-world-")  # gone at exit, too
@@ -112,6 +116,7 @@ class World:
         self._whole = [bullet_urdf(robot, self._folder, visible=gui)]
         self._gui = gui
         self._object_file: tuple[Pieces, Path] | None = None
+        self._shown: Pieces | None = None
         self._steps = 0
 
     def close(self) -> None:
@@ -156,12 +161,34 @@ class World:
         )
         b.setGravity(0, 0, -self.physics.gravity, physicsClientId=c)
         self._steps = 0
+        self._shown = None
         self._add_table()
         self._object = -1
         if robot != "none":
             self._add_robot(self.robot.home if q is None else np.asarray(q), robot == "hand")
         if item is not None:
             self._add_object(item, np.eye(4) if T_world_object is None else T_world_object)
+
+    def show(self, item: SimObject, T_world_object: Array) -> None:
+        """The whole robot at home and an object, to look for collisions at rest.
+
+        As after `reset`, but what is there already is only moved: nothing that has been looked at
+        in between makes a difference.
+
+        Args:
+            item: The object.
+            T_world_object: [4, 4], its mesh frame in the world.
+        """
+        if self._steps or self._shown is not item.pieces:
+            self.reset(item, T_world_object)
+            self._shown = item.pieces
+            return
+        position, xyzw = _pose_of(T_world_object @ item.T_mesh_body)
+        self._bullet.resetBasePositionAndOrientation(
+            self._object, position, xyzw, physicsClientId=self._client
+        )
+        # What was near each other is no longer: contacts that PyBullet keeps are forgotten.
+        self.collisions(self.robot.home)
 
     def step(self, count: int = 1) -> None:
         """Advance by `count` steps."""
@@ -182,11 +209,15 @@ class World:
 
     def configuration(self) -> Array:
         """Where the joints are, [J]."""
-        return self._robot.configuration()
+        return self._robot.state()[0]
 
-    def velocities(self) -> Array:
-        """How fast the joints move, [J]."""
-        return self._robot.velocities()
+    def joint_state(self) -> tuple[Array, Array]:
+        """Where the joints are and how fast they move, [J] each."""
+        return self._robot.state()
+
+    def palm_pose(self) -> Array:
+        """T_world_palm [4, 4], where the arm's joints have it."""
+        return self.chain.palm(self.configuration())
 
     def drive_to(
         self,
@@ -279,6 +310,26 @@ class World:
             force=float(sum(point[9] for point in points)),
         )
 
+    def rises_into_object(self, aside: float) -> bool:
+        """Whether a link could meet the object on its way straight up.
+
+        By upright boxes around them, so it may say so of one that passes.
+
+        Args:
+            aside: Nearer than this [m] counts as meeting.
+        """
+        b, c = self._bullet, self._client
+        low, high = b.getAABB(self._object, -1, physicsClientId=c)
+        for body, number in self._robot.links.values():
+            at, end = b.getAABB(body, number, physicsClientId=c)
+            if (
+                at[2] < high[2] + aside
+                and all(at[k] < high[k] + aside and end[k] > low[k] - aside for k in (0, 1))
+                and at != end  # of a link without a shape
+            ):
+                return True
+        return False
+
     def object_on_table(self) -> bool:
         """Whether the object touches the table."""
         points = self._bullet.getContactPoints(
@@ -295,10 +346,6 @@ class World:
     @cached_property
     def _hand(self) -> list[Path]:
         return hand_urdfs(self.robot, self._folder, visible=self._gui)
-
-    @cached_property
-    def _kinematics(self) -> Kinematics:
-        return Kinematics(self.robot)
 
     def _add_table(self) -> None:
         b, c = self._bullet, self._client
@@ -323,7 +370,7 @@ class World:
                 robot,
                 self._hand,
                 recovery,
-                self._kinematics,
+                self.chain,
                 q,
                 self.physics.step,
                 self._gui,
@@ -355,14 +402,13 @@ class World:
             raise RgraspError(
                 "PyBullet cannot read the object's convex pieces", where=item.mesh.name
             )
-        pose = T_world_object @ item.T_mesh_body
-        wxyz = wxyz_from_rotation(pose[:3, :3])
+        position, xyzw = _pose_of(T_world_object @ item.T_mesh_body)
         self._T_body_mesh = invert_transform(item.T_mesh_body)
         self._object = b.createMultiBody(
             item.mass,
             shape,
-            basePosition=pose[:3, 3].tolist(),
-            baseOrientation=wxyz[[1, 2, 3, 0]].tolist(),
+            basePosition=position,
+            baseOrientation=xyzw,
             physicsClientId=c,
         )
         b.changeDynamics(
@@ -391,3 +437,8 @@ class World:
             path.write_text(text.getvalue(), encoding="ascii")
             self._object_file = (item.pieces, path)
         return self._object_file[1]
+
+
+def _pose_of(T: Array) -> tuple[list[float], list[float]]:
+    """Place [3] and quaternion [4] (scalar last, as PyBullet has them) of a pose [4, 4]."""
+    return T[:3, 3].tolist(), wxyz_from_rotation(T[:3, :3])[[1, 2, 3, 0]].tolist()

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.executor import (
     HELD_FRACTION,
@@ -52,8 +51,6 @@ class Executed:
 
 def execute_plan(
     world: World,
-    solver: InverseKinematics,
-    palm: Callable[[Array], Array],
     item: SimObject,
     T_world_object: Array,
     trajectory: Array,
@@ -67,8 +64,6 @@ def execute_plan(
 
     Args:
         world: Is built anew.
-        solver: Of the world's robot; finds the lift.
-        palm: T_world_palm [4, 4] of a configuration [J].
         item, T_world_object: The true object and where it stands [4, 4].
         trajectory: [T, J], from where the robot waits to the grasp.
         times: [T] s, when each is reached.
@@ -83,14 +78,14 @@ def execute_plan(
         raise InputError(f"a trajectory of {len(trajectory)} points", allowed="one or more")
     q = trajectory[-1]
     last = _Last(watch)
-    lift = lift_path(solver, world.robot, q, config.lift_height)
+    lift = lift_path(world.chain, world.robot, q, config.lift_height)
     world.reset(item, T_world_object, trajectory[0])
     stood = world.object_centre()
     contact, lag = _follow(world, trajectory, times, last)
     moved = float(np.linalg.norm(world.object_centre() - stood))
     if lift is None:
         return Executed(None, contact, moved, False, lag, last.moments)
-    outcome = Executor(world, config, palm, last).run(q, lift)
+    outcome = Executor(world, config, last).run(q, lift)
     lifted = last.highest - stood[2] >= HELD_FRACTION * config.lift_height
     return Executed(outcome, contact, moved, lifted, lag, last.moments)
 

@@ -31,7 +31,6 @@ from pointsdf_cli.planning.fields import MeshField
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.description import load_robot, robot_digest
-from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.observe import Observer
@@ -108,7 +107,6 @@ class TrialRunner:
         self._world = World(self.robot, config.physics)
         self._kinematics = Kinematics(self.robot)
         self._geometry = RobotGeometry(self._kinematics)
-        self._solver = InverseKinematics(self.robot)
         self._observer = Observer(self.robot)
         self._grasps = grasps
         self._minds: dict[Contender, Mind] = {}
@@ -147,8 +145,6 @@ class TrialRunner:
         if plan is not None and plan.status == OK:
             executed = execute_plan(
                 self._world,
-                self._solver,
-                self.palm,
                 item,
                 T_world_object,
                 plan.trajectory,
@@ -165,11 +161,6 @@ class TrialRunner:
             world_cloud, T_world_camera, T_world_object, believed, plan, executed, self.robot.home
         )
         return row, evidence
-
-    def palm(self, q: Array) -> Array:
-        """T_world_palm [4, 4] of a configuration [J]."""
-        with torch.no_grad():
-            return np.asarray(self._kinematics.palm(torch.from_numpy(q)).numpy())
 
     def penetration(self, q: Array, surface: Surface) -> float:
         """How deep the robot at q [J] is in a closed surface in the world [m]; 0 if it is not."""

@@ -1,0 +1,138 @@
+"""Where the arm puts the palm, and how its joints move it: the chain from the base, in numpy.
+
+`kinematics.py` finds all links of the robot, with gradients; where only the palm is wanted, for a
+few configurations, this takes a tenth of the time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.urdf import Joint
+
+Array = NDArray[np.float64]
+
+
+class ArmChain:
+    """The joints of the arm between the robot's base and its palm.
+
+    Args:
+        robot: The robot; joints on the way that are not the arm's stay at zero.
+
+    Raises:
+        InputError: A joint of the arm does not move the palm.
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        self._robot = robot
+        self._base = robot.T_world_base
+        self._joints, self._palm = _moving_joints(robot)
+        self._columns = [joint.column for joint in self._joints]
+        self._sliding = np.array([joint.slides for joint in self._joints])
+        self._axes = np.stack([joint.axis for joint in self._joints])
+        # A joint's rotation is a constant, a part with the sine and one with the cosine of its
+        # angle (Rodrigues).
+        fixed = np.stack([joint.T_before[:3, :3] for joint in self._joints])
+        cross = np.stack([_cross_matrix(joint.axis) for joint in self._joints])
+        cross[self._sliding] = 0.0
+        turning = (fixed @ (np.eye(3) + cross @ cross), fixed @ cross, -fixed @ cross @ cross)
+        self._constant, self._with_sine, self._with_cosine = (m[:, None] for m in turning)
+
+    def palm(self, q: ArrayLike) -> Array:
+        """T_world_palm [..., 4, 4] of configurations [..., J] of the whole robot."""
+        q = np.asarray(q, dtype=np.float64)
+        arms = q[..., self._robot.arm].reshape(-1, len(self._robot.arm_joints))
+        rotation, position, _, _ = self._along(arms)
+        poses = np.zeros((len(arms), 4, 4))
+        poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = rotation, position, 1.0
+        return poses.reshape(*q.shape[:-1], 4, 4)
+
+    def palm_and_jacobian(self, arm: Array) -> tuple[Array, Array, Array]:
+        """Palm rotation [B, 3, 3], position [B, 3] and Jacobian [B, 6, A] of arm joints [B, A].
+
+        The Jacobian's first three rows are velocity, the others angular velocity, in the world.
+        """
+        rotation, position, rotations, origins = self._along(arm)
+        axes = np.matmul(rotations, self._axes[:, None, :, None])[..., 0]
+        slides = self._sliding[:, None, None]
+        along = np.where(slides, axes, _cross(axes, position - origins))
+        jacobian = np.zeros((len(arm), 6, arm.shape[1]))
+        jacobian[:, :3, self._columns] = along.transpose(1, 2, 0)
+        jacobian[:, 3:, self._columns] = np.where(slides, 0.0, axes).transpose(1, 2, 0)
+        return rotation, position, jacobian
+
+    def _along(self, arm: Array) -> tuple[Array, Array, Array, Array]:
+        """The palm's rotation [B, 3, 3] and position [B, 3]; and of the M joints on the way the
+        rotations [M, B, 3, 3] behind each and the places [M, B, 3] of each."""
+        count = len(arm)
+        rotation = np.broadcast_to(self._base[:3, :3], (count, 3, 3))
+        position = np.broadcast_to(self._base[:3, 3], (count, 3))
+        rotations = np.empty((len(self._joints), count, 3, 3))
+        origins = np.empty((len(self._joints), count, 3))
+        angles = arm.T[self._columns, :, None, None]
+        turns = (
+            self._constant + np.sin(angles) * self._with_sine + np.cos(angles) * self._with_cosine
+        )
+        for k, joint in enumerate(self._joints):
+            position = position + rotation @ joint.T_before[:3, 3]
+            origins[k] = position
+            rotation = np.matmul(rotation, turns[k], out=rotations[k])
+            if joint.slides:
+                position = position + rotation @ joint.axis * arm[:, joint.column, None]
+        position = position + rotation @ self._palm[:3, 3]
+        return rotation @ self._palm[:3, :3], position, rotations, origins
+
+
+@dataclass(frozen=True)
+class _MovingJoint:
+    """A joint of the arm: its column in q, how it lies behind the one before, its axis."""
+
+    column: int
+    T_before: Array
+    axis: Array
+    slides: bool
+
+
+def _moving_joints(robot: RobotDescription) -> tuple[list[_MovingJoint], Array]:
+    """The arm's joints from the base on, and the palm [4, 4] behind the last of them."""
+    by_child = {joint.child: joint for joint in robot.tree.joints}
+    chain: list[Joint] = []
+    link = robot.palm_link
+    while link in by_child:
+        chain.append(by_child[link])
+        link = by_child[link].parent
+    unused = set(robot.arm_joints) - {joint.name for joint in chain}
+    if unused:
+        raise InputError(
+            f"the arm joint {min(unused)!r} does not move the palm",
+            where=robot.name,
+            allowed="arm joints between the root and the palm's link",
+        )
+    joints, T = [], np.eye(4)
+    for joint in reversed(chain):
+        T = T @ joint.T_parent_joint
+        if joint.name in robot.arm_joints:
+            column = robot.arm_joints.index(joint.name)
+            joints.append(_MovingJoint(column, T, joint.axis, joint.kind == "prismatic"))
+            T = np.eye(4)
+    return joints, T @ robot.T_link_palm
+
+
+def _cross_matrix(axis: Array) -> Array:
+    """[3, 3], whose product with a vector is the axis × the vector."""
+    x, y, z = axis
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products [..., 3]; np.cross spends ten times as long on finding its axes."""
+    product = np.empty_like(a)
+    product[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    product[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    product[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return product
