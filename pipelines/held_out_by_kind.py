@@ -11,7 +11,6 @@ first; about half a minute a column.
 from __future__ import annotations
 
 import argparse
-import json
 import re
 from collections import defaultdict
 from pathlib import Path
@@ -24,7 +23,7 @@ from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.training.precision import autocast_dtype
 from pointsdf_cli.training.sdf_data import predict, read_batch, split_views
 from pointsdf_cli.training.sdf_loss import label_iou
-from pointsdf_cli.training.sdf_pack import load_pack
+from pointsdf_cli.training.sdf_pack import read_pack
 
 QUERIES, BATCH = 1024, 32
 
@@ -37,8 +36,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    names = json.loads((options.pack / "index.json").read_text(encoding="utf-8"))["names"]
-    pack = load_pack(options.pack, tuple(names))
+    pack = read_pack(options.pack)
+    names = pack.names
     said = [read_config(path).get("data", {}).get("held_out") for path in options.checkpoints]
     held = set.intersection(*[set(one or names) for one in said]) if any(said) else set()
     if any(said) and not held & set(names):

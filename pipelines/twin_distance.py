@@ -12,7 +12,6 @@ truly on the surface (right), and within 0.05 but not on it (wrong). 0.5 s an ob
 from __future__ import annotations
 
 import argparse
-import json
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -27,7 +26,7 @@ from pointsdf_cli.models.revolution import (
     surface_normals,
     twins,
 )
-from pointsdf_cli.training.sdf_pack import load_pack
+from pointsdf_cli.training.sdf_pack import read_pack
 
 INSIDE = 0.002
 POINTS = 400
@@ -43,8 +42,8 @@ def main() -> None:
     parser.add_argument("--sideways", type=float, default=SIDEWAYS)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    names = json.loads((options.pack / "index.json").read_text(encoding="utf-8"))["names"]
-    pack = load_pack(options.pack, tuple(names))
+    pack = read_pack(options.pack)
+    names = pack.names
     rows = []
     for number, name in enumerate(names):
         if not fnmatch(name, options.pattern):

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +17,7 @@ import torch
 from safetensors.torch import load_file
 
 from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.io.atomic import temporary_beside
 from pointsdf_cli.io.checkpoints import read_checkpoint, read_train_state
 from pointsdf_cli.io.labels import Labels, write_labels
 from pointsdf_cli.io.views import Views, write_views
@@ -27,7 +33,7 @@ from pointsdf_cli.training.sdf_data import (
 )
 from pointsdf_cli.training.sdf_loop import Progress, TrainConfig, TrainResult, train_sdf
 from pointsdf_cli.training.sdf_loss import SdfLoss, label_iou
-from pointsdf_cli.training.sdf_pack import Pack, open_pack, pair_artifacts
+from pointsdf_cli.training.sdf_pack import Pack, open_pack, pair_artifacts, read_pack
 
 VIEWS, LABELS = 4, 3000
 
@@ -183,9 +189,64 @@ def test_a_pack_is_built_once_and_again_for_other_files(artifacts: Path, tmp_pat
     open_pack(pairs, tmp_path, None, lambda n, _: built.append(n))
     open_pack(pairs, tmp_path, None, lambda n, _: built.append(n))
     assert built == [1, 2, 3]
+    (tmp_path / "index.json").write_text("[1, 2]")  # somebody's own
     two = open_pack(pairs[:2], tmp_path, {"": 3})
     assert two.clouds.shape[0] == 6
-    assert not list(tmp_path.glob("*.bin"))
+    assert not list(tmp_path.rglob("*.bin"))
+    # The first pack made room; what is not a pack stays.
+    assert len([path for path in tmp_path.iterdir() if path.is_dir()]) == 1
+    assert (tmp_path / "index.json").read_text() == "[1, 2]"
+    assert read_pack(tmp_path).names == two.names
+    with pytest.raises(InputError, match="no pack"):
+        read_pack(tmp_path / "elsewhere")
+
+
+def test_a_damaged_pack_is_built_again(artifacts: Path, tmp_path: Path) -> None:
+    pairs = pair_artifacts(artifacts / "views", artifacts / "labels")
+    first = np.array(open_pack(pairs, tmp_path).clouds)
+    (clouds,) = tmp_path.glob("*/clouds.npy")
+    for damage in (lambda: clouds.unlink(), lambda: clouds.write_bytes(b"\x93NUMPY")):
+        damage()
+        assert np.array_equal(open_pack(pairs, tmp_path).clouds, first)
+
+
+def test_two_that_pack_at_once_do_not_meet(artifacts: Path, tmp_path: Path) -> None:
+    """One is stopped, or has other files, while another finishes in the same folder."""
+    pairs = pair_artifacts(artifacts / "views", artifacts / "labels")
+
+    class StoppedError(Exception):
+        pass
+
+    def meanwhile(stop: bool) -> Callable[[int, int], None]:
+        def on_progress(done: int, _: int) -> None:
+            if done == 1:
+                open_pack(pairs, tmp_path)
+                if stop:
+                    raise StoppedError
+
+        return on_progress
+
+    with pytest.raises(StoppedError):
+        open_pack(pairs, tmp_path, None, meanwhile(stop=True))
+    built: list[int] = []
+    whole = open_pack(pairs, tmp_path, None, lambda n, _: built.append(n))
+    assert not built  # what the other one finished is whole
+    assert whole.clouds.shape[0] == 3 * VIEWS
+    two = open_pack(pairs[:2], tmp_path, None, meanwhile(stop=False))
+    assert two.clouds.shape[0] == 2 * VIEWS
+    assert len(two.names) == 2
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_what_a_killed_packing_left_is_removed(artifacts: Path, tmp_path: Path) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    ours = temporary_beside(tmp_path / "pack").name
+    left = tmp_path / ours.replace(f"-{os.getpid()}-", f"-{gone.pid}-")
+    left.mkdir()
+    (left / "clouds.bin").write_bytes(b"half")
+    open_pack(pair_artifacts(artifacts / "views", artifacts / "labels"), tmp_path)
+    assert not left.exists()
 
 
 def test_augmentation_keeps_distances_true_and_the_camera_with_its_cloud(pack: Pack) -> None:
@@ -247,6 +308,47 @@ def test_a_stopped_and_resumed_run_equals_an_uninterrupted_one(pack: Pack, tmp_p
     strip = [{k: v for k, v in entry.items() if k != "seconds"} for entry in whole.history]
     again = [{k: v for k, v in entry.items() if k != "seconds"} for entry in resumed.history]
     assert [e["object_loss"] for e in strip] == [e["object_loss"] for e in again]
+    for one, other in zip(strip, again, strict=True):
+        assert one == pytest.approx(other, rel=1e-5)  # sums of losses, added in other groups
+
+
+def test_dropout_resumes_where_it_stopped(pack: Pack, tmp_path: Path) -> None:
+    split, config = split_views(pack, 0.34, 0), replace(CONFIG, steps=4, batch_size=2)
+
+    def run(out: Path, drawn: int, **more: Any) -> None:
+        model = build_model("pointsdf", seed=0)
+        torch.manual_seed(drawn)  # another process, whatever it drew before
+        train_sdf(pack, split, model, config, out, **more)
+
+    run(tmp_path / "whole", 0)
+    asked = iter(range(100))
+    run(tmp_path / "parts", 1, should_stop=lambda: next(asked) >= 2)
+    run(tmp_path / "parts", 2, resume=True)
+    first, second = (read_train_state(tmp_path / name)["model"] for name in ("whole", "parts"))
+    assert all(torch.equal(first[name], second[name]) for name in first)
+
+
+def test_a_run_that_diverged_keeps_the_last_good_state(pack: Pack, tmp_path: Path) -> None:
+    _run(pack, tmp_path, stop_at=2)
+    good = read_train_state(tmp_path)["model"]
+
+    class Lost(SdfLoss):
+        def __call__(self, predicted: torch.Tensor, sdf: torch.Tensor) -> torch.Tensor:
+            return super().__call__(predicted, sdf) * float("nan")
+
+    with pytest.raises(RgraspError, match="the loss is nan"):
+        _run(pack, tmp_path, replace(CONFIG, loss=Lost()), stop_at=1, resume=True)
+    kept = read_train_state(tmp_path)["model"]
+    assert all(torch.equal(kept[name], good[name]) for name in good)
+
+
+@pytest.mark.parametrize("name", ["minutes", "learning_rate"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 0.0, -1.0])
+def test_what_is_no_size_of_a_run_is_refused(name: str, value: float) -> None:
+    with pytest.raises(InputError, match="not positive"):
+        TrainConfig(**{name: value})  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="not positive"):
+        SdfLoss(near=value)
 
 
 def test_other_settings_are_not_resumed(pack: Pack, tmp_path: Path) -> None:

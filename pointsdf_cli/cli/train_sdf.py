@@ -186,7 +186,7 @@ def train_sdf(
             )
         if not workers.is_first:
             if not result.finished:
-                raise typer.Exit(should_stop.exit_code)
+                raise typer.Exit(should_stop.exit_code or ELSEWHERE)
             return
         if result.history:
             draw_loss_curve(result.history, out / "loss.png")
@@ -203,7 +203,11 @@ def train_sdf(
             reporter.say(
                 f"stopped; the same command with --resume carries on at step {result.step}"
             )
-            raise typer.Exit(should_stop.exit_code)
+            raise typer.Exit(should_stop.exit_code or ELSEWHERE)
+
+
+ELSEWHERE = 143
+"""What a run leaves with that stopped because another machine's processes were told to."""
 
 
 def _started_from(start_from: Path | None, resumed: Path | None) -> dict[str, Any] | None:

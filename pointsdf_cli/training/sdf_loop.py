@@ -68,14 +68,13 @@ class TrainConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        positive = ("steps", "batch_size", "queries", "learning_rate", "validate_every")
+        positive = ("steps", "batch_size", "queries", "learning_rate", "validate_every", "minutes")
         for name in positive:
-            if getattr(self, name) <= 0:
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
                 raise InputError(
-                    f"{getattr(self, name)} is not positive", where="--" + name.replace("_", "-")
+                    f"{value} is not positive and finite", where="--" + name.replace("_", "-")
                 )
-        if self.minutes is not None and self.minutes <= 0:
-            raise InputError(f"{self.minutes} is not positive", where="--minutes")
         if self.schedule not in ("cosine", "constant"):
             raise InputError(
                 f"no schedule {self.schedule!r}", where="--schedule", allowed="cosine, constant"
@@ -206,7 +205,8 @@ def train_sdf(
         pack.sdf[::LABEL_STRIDE],
         *split,
     )
-    torch.manual_seed(config.seed + workers.rank)
+    losses = torch.zeros((), device=target)
+    since_report, since_validation, total = 0, 0, 0.0
     if resume:
         state = read_train_state(out)
         _check_same_run(state, model, config, out)
@@ -214,9 +214,8 @@ def train_sdf(
         model.load_state_dict(state["model"])
         optimiser.load_state_dict(state["optimiser"])
         average.load(state["average"])
-        if workers.is_first:
-            torch.set_rng_state(state["rng"])
         step, seconds, history = state["step"], state["seconds"], list(state["history"])
+        since_validation, total = state["since_validation"], state["total"]
 
     def save(weights: dict[str, torch.Tensor] | None) -> None:
         if not workers.is_first:
@@ -240,7 +239,8 @@ def train_sdf(
                 "model": model.state_dict(),
                 "optimiser": optimiser.state_dict(),
                 "average": average.state(),
-                "rng": torch.get_rng_state(),
+                "since_validation": since_validation,
+                "total": total,
                 "step": step,
                 "seconds": seconds,
                 "history": history,
@@ -252,20 +252,21 @@ def train_sdf(
             return step / config.steps
         return min(1.0, max(step / config.steps, seconds / (60.0 * config.minutes)))
 
-    losses = torch.zeros((), device=target)
-    since_report, since_validation, total = 0, 0, 0.0
     clock = reported = time.monotonic()
     while fraction_done() < 1.0:
         if workers.most(should_stop()):
+            total = _finite(workers.mean(total + float(losses)), step)  # or the good state stays
             save(None if history else average.weights())
             return TrainResult(False, step, seconds, history, _best(history))
 
-        # The batch, the queries and their turn are a function of (seed, step) alone.
+        # The batch, the queries and their turn are a function of (seed, step) alone, as is what
+        # dropout leaves out of this worker's share.
         rng = np.random.default_rng([config.seed, 2, step])
         views = training_views(split.train, config.batch_size, step, config.seed)
         batch = read_batch(pack, views, config.queries, rng)
         batch = augment(batch, rng) if config.augmentation else batch
         batch = workers.share(batch).to(target)
+        torch.manual_seed(int(rng.integers(2**62)) + workers.rank)
 
         for group in optimiser.param_groups:
             group["lr"] = config.rate(step, fraction_done())
@@ -300,13 +301,13 @@ def train_sdf(
             total = _finite(workers.mean(total + float(losses)), step)
             result = validate(pack, split, average.model, config.loss, low_precision, target)
             history.append(_entry(step, seconds, total / since_validation, result))
+            losses.zero_()
+            since_report, since_validation, total = 0, 0, 0.0
             is_best = _best(history) is history[-1]
             save(average.weights() if is_best else None)
             on_progress(
                 Progress(step, fraction_done(), history[-1]["train_loss"], 0.0, 0.0, history[-1])
             )
-            losses.zero_()
-            since_report, since_validation, total = 0, 0, 0.0
             clock = reported = time.monotonic()
     return TrainResult(True, step, seconds, history, _best(history))
 

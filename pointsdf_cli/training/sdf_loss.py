@@ -48,8 +48,9 @@ class SdfLoss:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise InputError(f"no loss {self.kind!r}", where="loss", allowed=", ".join(KINDS))
-        if self.near <= 0 or self.temperature <= 0 or self.sign_weight < 0:
-            raise InputError("a scale of the loss is not positive", where="loss")
+        scales = self.near > 0 and self.temperature > 0 and self.sign_weight >= 0
+        if not scales or not max(self.near, self.temperature, self.sign_weight) < torch.inf:
+            raise InputError("a scale of the loss is not positive and finite", where="loss")
         if not 0 < self.quantile < 1:
             raise InputError(f"a quantile of {self.quantile}", where="loss", allowed="0 to 1")
 

@@ -23,7 +23,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.atomic import atomic_path, require_folder, unwritable, write_text_atomic
+from pointsdf_cli.io.atomic import (
+    abandoned_beside,
+    require_folder,
+    temporary_beside,
+    unwritable,
+    write_text_atomic,
+)
 from pointsdf_cli.io.hdf5 import artifacts_below
 from pointsdf_cli.io.labels import read_labels
 from pointsdf_cli.io.views import read_views
@@ -33,6 +39,7 @@ from pointsdf_cli.models.shape_model import PACKED_CENTRES as CENTRES
 from pointsdf_cli.models.shape_model import PACKED_NEIGHBOURS as NEIGHBOURS
 
 FORMAT = 2
+PREFIX, INDEX = "pack-", "index.json"
 
 
 @dataclass(frozen=True)
@@ -101,9 +108,12 @@ def open_pack(
 ) -> Pack:
     """The pack of these artifacts, built in `folder` unless it is there already.
 
+    A pack is a folder in `folder` that is named after what it was made of, and takes its place when
+    it is whole: runs that share `folder` do not meet, and what else lies there stays.
+
     Args:
         pairs: View and label files of each object.
-        folder: Where the arrays lie; a finished pack of other files is replaced.
+        folder: Where packs lie; finished ones of other files are replaced.
         views_per_object: Keep only the first so many views of each; by folder, "" for the rest.
         on_progress: Called with (objects done, objects).
         root: Objects are named by where their views lie below it; by default below the deepest
@@ -116,33 +126,37 @@ def open_pack(
     """
     folder = require_folder(folder)
     limits = dict(views_per_object or {})
-    fingerprint = _fingerprint(pairs, limits)
-    index_file = folder / "index.json"
-    if index_file.exists():
-        index = json.loads(index_file.read_text(encoding="utf-8"))
-        if index.get("fingerprint") == fingerprint:
-            return load_pack(folder, tuple(index["names"]))
-        index_file.unlink()
+    home = folder / f"{PREFIX}{_fingerprint(pairs, limits)[:16]}"
+    finished = _finished(home)
+    if finished is not None:
+        return finished
+    for leftover in abandoned_beside(folder / "pack"):
+        shutil.rmtree(leftover, ignore_errors=True)
+    building = temporary_beside(folder / "pack")
     try:
+        building.mkdir()
         shared = os.path.commonpath([view_file.parent for view_file, _ in pairs])
         below = Path(shared) if root is None or not root.is_dir() else root
         objects = [
             view_file.relative_to(below).with_suffix("").as_posix() for view_file, _ in pairs
         ]
         _check_limits(objects, limits)
-        label_start = _build(pairs, objects, folder, limits, on_progress)
-        with atomic_path(folder / "label_start.npy") as temporary:
-            np.save(temporary, label_start)
-    except BaseException as error:
-        for name in (*ARRAYS, *LABEL_ARRAYS):  # unfinished, and in the way where a disk is full
-            for suffix in (f"-{os.getpid()}.bin", ".npy"):
-                (folder / f"{name}{suffix}").unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise unwritable(folder, error) from error
-        raise
-    # Written last: a pack without its index is unfinished and is built again.
-    write_text_atomic(index_file, json.dumps({"fingerprint": fingerprint, "names": objects}))
-    return load_pack(folder, tuple(objects))
+        np.save(building / "label_start.npy", _build(pairs, objects, building, limits, on_progress))
+        write_text_atomic(building / INDEX, json.dumps({"names": objects}))
+        pack = _finished(home)  # another run may have packed the same meanwhile
+        if pack is None:
+            shutil.rmtree(home, ignore_errors=True)
+            os.rename(building, home)
+            pack = load_pack(home, tuple(objects))
+        for other in folder.glob(f"{PREFIX}*/{INDEX}"):
+            # Who trains with it has its files open, and keeps them.
+            if other.parent != home:
+                shutil.rmtree(other.parent, ignore_errors=True)
+        return pack
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    finally:
+        shutil.rmtree(building, ignore_errors=True)  # a full disk has no room for what is no pack
 
 
 def pack_views(
@@ -181,7 +195,7 @@ def _build(
     limits: Mapping[str, int],
     on_progress: Callable[[int, int], None] | None,
 ) -> NDArray[np.int64]:
-    """Write the arrays; where each object's labels start."""
+    """Write the arrays into a folder; where each object's labels start."""
     writers: dict[str, _Appender] = {}
     starts = [0]
     for done, (name, (view_file, label_file)) in enumerate(zip(names, pairs, strict=True)):
@@ -198,8 +212,7 @@ def _build(
         arrays["points"], arrays["sdf"] = labels.points, labels.sdf
         for key, array in arrays.items():
             if key not in writers:
-                # Its own, should another process be packing here.
-                writers[key] = _Appender(folder / f"{key}-{os.getpid()}.bin", array)
+                writers[key] = _Appender(folder / f"{key}.bin", array)
             writers[key].append(array, view_file)
         starts.append(starts[-1] + len(labels.sdf))
         if on_progress is not None:
@@ -255,15 +268,34 @@ class _Appender:
             "shape": (self.rows, *self.row),
         }
         # Plain writes: on a disk that fills, one into a mapped file kills the process.
-        # Beside its place first: another training may still have the old array mapped.
-        with (
-            atomic_path(target) as temporary,
-            open(self.path, "rb") as rows,
-            open(temporary, "wb") as handle,
-        ):
+        with open(self.path, "rb") as rows, open(target, "wb") as handle:
             write_array_header_1_0(handle, header)
             shutil.copyfileobj(rows, handle)
+            handle.flush()
+            os.fsync(handle.fileno())
         self.path.unlink()
+
+
+def _finished(home: Path) -> Pack | None:
+    """The pack in a folder, if one was finished there and is whole."""
+    try:
+        index = json.loads((home / INDEX).read_text(encoding="utf-8"))
+        return load_pack(home, tuple(index["names"]))
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
+
+
+def read_pack(folder: Path) -> Pack:
+    """The finished pack in a training's `--pack` folder.
+
+    Raises:
+        InputError: There is none.
+    """
+    packs = (_finished(index.parent) for index in sorted(folder.glob(f"{PREFIX}*/{INDEX}")))
+    pack = next((pack for pack in packs if pack is not None), None)
+    if pack is None:
+        raise InputError("holds no pack", where=folder, allowed="what `train-sdf --pack` made")
+    return pack
 
 
 def load_pack(folder: Path, names: tuple[str, ...]) -> Pack:
