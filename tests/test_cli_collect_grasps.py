@@ -83,6 +83,52 @@ def test_where_nothing_can_be_grasped_that_is_said(
     assert "crate: is too large" in run.err
 
 
+def test_one_grasp_of_many_meshes_is_one_of_those_that_give_it(
+    cli: Callable[..., Any], meshes: Path, tmp_path: Path
+) -> None:
+    (meshes / "crate.ply").rename(meshes / "a_crate.ply")  # the first to be asked
+    run = ("collect-grasps", "--meshes", meshes, "--out", tmp_path / "g", "--jobs", 1)
+    done = cli(*run, "--count", 1, "--no-pictures", "--json")
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["executed"] == 1
+    # Another run's grasps of objects that a smaller count does not reach are not counted with it.
+    trimesh.creation.cylinder(0.03, 0.12).export(meshes / "a_can.ply")
+    other = cli(*run, "--count", 1, "--no-pictures", "--seed", 5, "--force")
+    assert other.code == 2
+    assert "can.h5" in other.err
+    assert "too small" in other.err
+
+
+def test_a_shard_of_nothing_but_refused_meshes_is_done(
+    cli: Callable[..., Any], meshes: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "g"
+    run = ("collect-grasps", "--meshes", meshes, "--out", out, "--count", 2, "--jobs", 1)
+    done = cli(*run, "--shard", "1/2", "--json")
+    assert done.code == 0, done.err
+    result = json.loads(done.out)
+    assert result["executed"] == 0
+    assert list(result["refused"]) == ["crate"]
+
+
+def test_a_robot_that_the_simulator_cannot_load_is_said_first(
+    cli: Callable[..., Any], meshes: Path, tmp_path: Path
+) -> None:
+    robots = Path(__file__).parent / "robots"
+    urdf = (robots / "gripper.urdf").read_text(encoding="utf-8")
+    (tmp_path / "gripper.yaml").write_text((robots / "gripper.yaml").read_text(encoding="utf-8"))
+    (tmp_path / "gripper.urdf").write_text(urdf.replace("<axis", "<dynamics/><axis", 1))
+    for command in ("collect-grasps", "trial"):
+        done = cli(
+            command, "--meshes", meshes, "--out", tmp_path / command, "--robot",
+            tmp_path / "gripper.yaml",
+        )  # fmt: skip
+        assert done.code == 2, done.err
+        assert "PyBullet cannot load this URDF" in done.err
+        assert "gripper.urdf" in done.err
+        assert not list((tmp_path / "cache").rglob("*.npz"))  # no mesh was cut before
+
+
 def test_killed_at_random_moments_nothing_is_lost_and_nothing_double(
     cli: Callable[..., Any], meshes: Path, tmp_path: Path
 ) -> None:

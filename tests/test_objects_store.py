@@ -153,6 +153,7 @@ def test_make_reports_and_draws_a_sheet(tmp_path: Path, cli: Callable) -> None: 
     [
         (["--count", "-1"], "-1 objects"),
         (["--count", "0"], "0 objects"),
+        (["--count", "10000000000"], "1 to 10000000"),
         (["--count", "3", "--families", "bowll"], "--families bowl"),
         (["--count", "3", "--families", ""], "no family"),
         (["--count", "3", "--seed", "-4"], "--seed"),

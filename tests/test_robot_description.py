@@ -88,6 +88,13 @@ def edit(key: str, value: Any) -> Callable[[dict[str, Any]], None]:
         (edit("arm_joints", "slide"), "arm_joints"),
         (edit("arm_joints", ["slide", "slide"]), "twice"),
         (edit("hand_joints", ["slide"]), "slide"),
+        (
+            lambda data: data.update(
+                arm_joints=["slide", "turn", "lean"],
+                hand_joints=["roll", "left_jaw", "right_jaw"],
+            ),
+            "'roll', which moves the palm",
+        ),
         (edit("preshape_joints", {"left_jaw": [0.02, 0.0]}), "lower first"),
         (edit("preshape_joints", {"left_jaw": [0.0, 9.0]}), "limits"),
         (edit("preshape_joints", {"left_jaw": [0.0, float("nan")]}), "finite"),

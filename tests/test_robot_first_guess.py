@@ -40,6 +40,18 @@ def test_the_gripper_begun_from_its_urdf_passes_its_check(tmp_path: Path) -> Non
     assert "--force" in again.err
 
 
+def test_names_of_joints_are_names_whatever_they_look_like(tmp_path: Path) -> None:
+    text = (ROBOTS / "gripper.urdf").read_text(encoding="utf-8")
+    for old, new in (("left_jaw", "1"), ("right_jaw", "on")):
+        text = text.replace(f'"{old}"', f'"{new}"')
+    (tmp_path / "gripper.urdf").write_text(text)
+    done = run_cli("robot", "init", tmp_path / "gripper.urdf", "--out", tmp_path / "mine.yaml")
+    assert done.code == 0, done.err
+    guessed = load_robot(tmp_path / "mine.yaml")
+    assert set(guessed.hand_joints) == {"1", "on"}
+    assert set(guessed.closing_joints) == {"1", "on"}
+
+
 def test_a_limit_of_many_digits_is_not_rounded_past(tmp_path: Path) -> None:
     text = (ROBOTS / "gripper.urdf").read_text(encoding="utf-8")
     (tmp_path / "gripper.urdf").write_text(text.replace('upper="0.045"', 'upper="0.0447"'))

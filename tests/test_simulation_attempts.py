@@ -16,7 +16,7 @@ from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.grasps import HELD, LOST, Grasps, GraspsMeta, read_grasps, write_grasps
 from pointsdf_cli.io.meshes import LoadedMesh, save_mesh
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter, as_grasps
+from pointsdf_cli.simulation.attempt import Attempt, AttemptConfig, Attempter, as_grasps
 from pointsdf_cli.simulation.collect import (
     CollectTask,
     collect_object,
@@ -25,6 +25,7 @@ from pointsdf_cli.simulation.collect import (
     split_of,
 )
 from pointsdf_cli.simulation.heuristic import SIDE, draw_preshape, hand_of
+from pointsdf_cli.simulation.reach import interpolate
 from pointsdf_cli.simulation.record import Recorder
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 
@@ -201,6 +202,45 @@ def test_collection_resumes_to_what_an_uninterrupted_one_makes(
         collect_object(replace(whole, seed=3))
 
 
+def test_an_object_that_is_not_seen_again_keeps_what_it_gave(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RGRASP_CACHE", str(tmp_path / "cache"))
+    can = trimesh.creation.cylinder(0.03, 0.15)
+    save_mesh(tmp_path / "can.ply", can.vertices, can.faces)
+    honest = Attempter.attempt
+
+    def from_the_sixth_on_unseen(self: Attempter, item: SimObject, index: int) -> Attempt:
+        if index >= 5:
+            raise InputError("is not seen by the camera")
+        return honest(self, item, index)
+
+    monkeypatch.setattr(Attempter, "attempt", from_the_sixth_on_unseen)
+    task = CollectTask(
+        "can", tmp_path / "can.ply", tmp_path / "once.h5", 40, "train", AttemptConfig(), 2
+    )
+    summary = collect_object(task)
+    assert summary is not None
+    assert sum(summary.causes.values()) == 5
+    assert collect_object(task) is None  # nothing more to have, and nothing is lost
+    parts = replace(task, out=tmp_path / "parts.h5", quota=1)
+    collect_object(parts)
+    collect_object(replace(parts, quota=40))
+    assert_equal(read_grasps(task.out)[0], read_grasps(parts.out)[0])
+    monkeypatch.setattr(Attempter, "attempt", lambda *_: (_ for _ in ()).throw(InputError("no")))
+    with pytest.raises(InputError, match="no"):  # never seen at all: it is refused
+        collect_object(replace(task, out=tmp_path / "none.h5"))
+
+
+def test_sliding_joints_are_looked_at_as_finely_as_turning_ones() -> None:
+    path = np.array([[0.0, 0.0], [0.2, 0.005], [0.2, 0.1]])
+    dense = interpolate(path, np.array([0.05, 0.01]))
+    steps = np.abs(np.diff(dense, axis=0))
+    assert steps[:, 0].max() <= 0.05 + 1e-12
+    assert steps[:, 1].max() <= 0.01 + 1e-12
+    assert len(dense) == 1 + 4 + 10
+
+
 def assert_equal(first: Grasps, second: Grasps) -> None:
     for name in vars(first):
         assert np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True), name
@@ -226,3 +266,8 @@ def test_quotas_make_the_papers_counts_and_make_up_for_the_weak() -> None:
     assert next_quotas(quotas, more | {weak: 5}, splits, wanted) == more
     assert next_quotas(more, more | {weak: 5}, splits, wanted) is None
     assert next_quotas(quotas, {}, splits, wanted) is None
+    # What the first quotas did not ask at all is asked where the others give too little.
+    few, none = {"a": 1, "b": 0}, {"train": 1, "test": 0}
+    both = {"a": "train", "b": "train"}
+    assert next_quotas(few, {}, both, none) == {"a": 1, "b": 1}
+    assert next_quotas({"a": 1, "b": 1}, {"b": 1}, both, none) is None

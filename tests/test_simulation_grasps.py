@@ -15,6 +15,7 @@ from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
 from pointsdf_cli.simulation.executor import ExecutorConfig
+from pointsdf_cli.simulation.record import Recorder
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.world import World
 
@@ -40,6 +41,8 @@ SHAPES = {
     "ball 10 cm": (trimesh.creation.icosphere(3, 0.05), 0.05),
 }
 """A mesh, and how far its near face is from its middle [m]."""
+UNDER = 0.2
+"""Height [m] of what the hand is put under; its thumb is lower."""
 GAPS, TURNS = (0.02, 0.04), (0.0, 0.1)
 """From the palm to the near face [m]; of the object about the vertical [rad]."""
 
@@ -148,12 +151,34 @@ def test_hand_that_closes_beside_the_object_never_counts(
 ) -> None:
     item = item_of(name, SHAPES[name][0], cache)
     place = beside_the_palm(item, ahead, along)
-    outcome = attempter.execute(item, place, grip.q, grip.lift)
+    recorder = Recorder()
+    outcome = attempter.execute(item, place, grip.q, grip.lift, recorder)
     assert outcome.valid
     assert not outcome.held
     assert outcome.cause == "missed"
     assert abs(outcome.lift_height) < 0.005
     assert outcome.links == 0
+    # A hand that cannot meet the object on its way up is not lifted.
+    assert {moment.phase for moment in recorder.moments} == {"close", "grip"}
+
+
+def test_a_hand_under_the_object_is_lifted_into_it(
+    attempter: Attempter, grip: Grip, cache: Path
+) -> None:
+    """A board on two posts over the hand, which touches nothing until it rises."""
+    board = trimesh.creation.box([0.4, 0.1, 0.02])
+    board.apply_translation([0, 0, 0.01 + UNDER])
+    posts = [trimesh.creation.box([0.02, 0.1, UNDER]) for _ in range(2)]
+    for post, side in zip(posts, (-1, 1), strict=True):
+        post.apply_translation([side * 0.19, 0, UNDER / 2])
+    item = item_of("bridge", trimesh.boolean.union([board, *posts], engine="manifold"), cache)
+    recorder = Recorder()
+    place = beside_the_palm(item, 0.05)
+    outcome = attempter.execute(item, place, grip.q, grip.lift, recorder)
+    assert outcome.valid
+    heights = [moment.T_world_object[2, 3] for moment in recorder.moments]
+    assert abs(recorder.last_of("grip").T_world_object[2, 3] - heights[0]) < 1e-3
+    assert max(heights) > heights[0] + 0.02
 
 
 def test_object_that_is_shot_out_is_invalid(attempter: Attempter, grip: Grip, cache: Path) -> None:

@@ -152,6 +152,13 @@ def test_box_has_six_poses_and_its_margins_are_those_of_geometry() -> None:
         assert (placed + pose.T_table_object[:3, 3])[:, 2].min() == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_centre_of_mass_outside_is_refused() -> None:
+    """A surface that crosses itself can have it there, and would be looked at for ever."""
+    box = trimesh.creation.box([0.04, 0.06, 0.10])
+    with pytest.raises(InputError, match="outside of itself"):
+        stable_poses(np.asarray(box.vertices), np.array([0.0, 0.0, 0.2]))
+
+
 def test_cans_are_drawn_standing_and_needles_lying() -> None:
     rng = np.random.default_rng(0)
     poses = stable_poses(np.asarray(can().vertices), np.zeros(3))

@@ -15,7 +15,6 @@ from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.world import PhysicsConfig, World
-
 from tests.trial_worlds import can_grasp
 
 pytest.importorskip("pybullet")
@@ -125,7 +124,7 @@ def test_what_is_shown_again_is_as_if_built_anew(box: SimObject, tmp_path: Path)
                 fresh.reset(item, T_world_object)
                 assert np.array_equal(kept.object_pose(), fresh.object_pose())
                 assert np.array_equal(kept.configuration(), fresh.configuration())
-                for q in (robot.home, reach):
+                for q in (reach, robot.home):
                     touched = kept.collisions(q)
                     assert touched == fresh.collisions(q)
                     seen.append("object" in touched)

@@ -60,13 +60,19 @@ def collect_grasps(
     from pointsdf_cli.io.meshes import artifact_path, find_meshes
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.simulation.attempt import AttemptConfig
-    from pointsdf_cli.simulation.collect import CollectTask, first_quotas, split_of
+    from pointsdf_cli.simulation.collect import (
+        CollectTask,
+        first_quotas,
+        require_same_options,
+        split_of,
+    )
+    from pointsdf_cli.simulation.world import try_robot
     from pointsdf_cli.viz.grasp_report import grasp_report, share
 
     config = AttemptConfig()
     config = replace(config, execution=replace(config.execution, shake=shake))
     seed, jobs = common.check_seed(seed), common.job_count(jobs)
-    load_robot(robot)  # a wrong robot file is said once, not by every worker
+    try_robot(load_robot(robot))  # a wrong robot is said once and first, not by every worker
     found = find_meshes(meshes, pattern)
     out = require_folder(out)
     paths = {}
@@ -87,9 +93,15 @@ def collect_grasps(
         if name in mine
     }
     started = time.monotonic()
+    # Of objects that this count does not reach another run's grasps would be counted, too.
+    require_same_options(task for task in tasks.values() if not task.quota)
     refused = _collect(tasks, quotas, splits, jobs, reporter, whole=shard is None)
-    items = [(name, *read_grasps(task.out)) for name, task in tasks.items() if task.out.is_file()]
-    if refused and not items:
+    items = [
+        (name, *read_grasps(task.out))
+        for name, task in tasks.items()
+        if task.out.is_file() and name not in refused
+    ]
+    if refused and not items and shard is None:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in sorted(refused.items())[:5])
         raise InputError(f"no mesh could be used: {reasons}", where=meshes)
     strips = _films(items, tasks, out, record, pictures)
@@ -159,7 +171,7 @@ def _collect(
         executed = {
             name: int(read_grasps(task.out)[0].executed.sum())
             for name, task in tasks.items()
-            if task.out.is_file()
+            if task.out.is_file() and name not in refused
         }
         more = next_quotas(quotas, executed, splits, wanted)
         if more is None:

@@ -43,13 +43,13 @@ def make(
     from collections import Counter
 
     from pointsdf_cli.io.batch import shard_of
-    from pointsdf_cli.objects.store import MANIFEST, make_objects
+    from pointsdf_cli.objects.store import MANIFEST, check_count, make_objects
 
     seed, jobs = common.check_seed(seed), common.job_count(jobs)
     chosen = None if families is None else [name.strip() for name in families.split(",")]
     sheet = common.check_picture(sheet, force)
     reporter = common.Reporter(quiet, as_json)
-    total = len(shard_of(range(max(count, 0)), shard))
+    total = len(shard_of(range(check_count(count)), shard))
     with reporter.progress("objects", total) as progress:
         report = make_objects(
             out, count, seed, chosen, jobs, shard, force, on_result=progress.advance

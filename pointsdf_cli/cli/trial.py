@@ -92,6 +92,7 @@ def trial(
     from pointsdf_cli.io.trials import write_trials
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.simulation.executor import ExecutorConfig
+    from pointsdf_cli.simulation.world import try_robot
     from pointsdf_cli.trials.contenders import ContenderOptions, check_contender
     from pointsdf_cli.trials.protocol import choose_objects, make_trials
     from pointsdf_cli.trials.report import html_report, markdown_report, percent
@@ -104,7 +105,7 @@ def trial(
     )
     from pointsdf_cli.trials.summary import summarise
 
-    load_robot(robot)  # a wrong robot file is said once, not by every worker
+    try_robot(load_robot(robot))  # a wrong robot is said once and first, not by every worker
     contenders = _contenders(method, ablation or [])
     config = TrialConfig(
         contenders=ContenderOptions(
@@ -152,6 +153,9 @@ def trial(
     refused_now = {name for name, _ in report.refused}
     tried = [task for name, task in tasks.items() if name not in refused_now]
     rows = read_rows(tried)
+    if not rows and not refused:  # a shard of nothing
+        reporter.result({"out": out, "trials": 0}, [f"{out}: no trials in shard {shard}"])
+        return
     if not rows:
         raise InputError(
             "no trial could be run: " + "; ".join(f"{k}: {v}" for k, v in refused.items()),

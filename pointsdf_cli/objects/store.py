@@ -41,6 +41,17 @@ class ObjectTask:
     force: bool
 
 
+def check_count(count: int) -> int:
+    """`count`, if so many objects can be made.
+
+    Raises:
+        InputError: They cannot.
+    """
+    if not 1 <= count <= MOST_OBJECTS:
+        raise InputError(f"{count} objects", where="--count", allowed=f"1 to {MOST_OBJECTS}")
+    return count
+
+
 def make_objects(
     out: Path,
     count: int,
@@ -73,8 +84,7 @@ def make_objects(
         InputError: A count, shard or family that does not exist; a folder that cannot be written;
             an object there that another seed or another version of the generator made.
     """
-    if not 1 <= count <= MOST_OBJECTS:
-        raise InputError(f"{count} objects", where="--count", allowed=f"1 to {MOST_OBJECTS}")
+    check_count(count)
     choices = choose_families(families)
     names = None if families is None else tuple(family.name for family in choices)
     indices = shard_of(range(count), shard)

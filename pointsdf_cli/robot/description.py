@@ -237,6 +237,14 @@ class _Reader:
         palm_link, T_link_palm = _carrier(
             tree, hand, str(palm["link"]), self.pose("palm", palm, ("link", "reach"))
         )
+        above = _way_up(tree, palm_link)
+        for joint in tree.joints:
+            if joint.name in hand and joint.child in above:
+                raise self.wrong(
+                    "hand_joints",
+                    f"holds {joint.name!r}, which moves the palm's link {palm_link!r}",
+                    "joints beyond the palm; a wrist is one of `arm_joints`",
+                )
         home = np.clip(np.zeros(len(joints)), lower, upper)
         if "home" in self.data:
             given = self.data["home"]
@@ -362,6 +370,15 @@ def _beyond(tree: Tree, joints: tuple[str, ...]) -> set[str]:
     return found
 
 
+def _way_up(tree: Tree, link: str) -> list[str]:
+    """A link and all that carry it, up to the root."""
+    above = {joint.child: joint.parent for joint in tree.joints}
+    links = [link]
+    while links[-1] in above:
+        links.append(above[links[-1]])
+    return links
+
+
 def _carrier(tree: Tree, hand: tuple[str, ...], link: str, pose: Array) -> tuple[str, Array]:
     """The palm frame in the link from which all fingers branch off.
 
@@ -369,15 +386,8 @@ def _carrier(tree: Tree, hand: tuple[str, ...], link: str, pose: Array) -> tuple
     given there is the same frame, but the fingers are not beyond that link.
     """
     above = {joint.child: joint for joint in tree.joints}
-
-    def ways(at: str) -> list[str]:
-        links = [at]
-        while links[-1] in above:
-            links.append(above[links[-1]].parent)
-        return links
-
     first = {joint.parent for joint in tree.joints if joint.name in hand}
-    shared = set.intersection(*(set(ways(parent)) for parent in first | {link}))
+    shared = set.intersection(*(set(_way_up(tree, parent)) for parent in first | {link}))
     carrier, T_carrier_palm = link, pose
     while carrier not in shared:
         joint = above[carrier]

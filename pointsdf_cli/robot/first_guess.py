@@ -215,7 +215,7 @@ def as_yaml(data: dict[str, Any]) -> str:
         return text.removesuffix("\n").removesuffix("\n...")
 
     def mapping(key: str) -> str:
-        return "\n".join(f"  {name}: {flow(value)}" for name, value in data[key].items())
+        return "\n".join(f"  {flow(name)}: {flow(value)}" for name, value in data[key].items())
 
     return f"""\
 # A first guess by `rgrasp robot init`. Units: m, rad, rad/s (sliding joints: m/s).

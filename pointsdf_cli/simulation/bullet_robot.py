@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import invert_transform, rotation_vector, wxyz_from_rotation
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
@@ -65,17 +66,25 @@ class BulletRobot:
         flags = b.URDF_USE_SELF_COLLISION | b.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
         if not self._visible:
             flags |= b.URDF_IGNORE_VISUAL_SHAPES
-        with silence():
-            return int(
-                b.loadURDF(
-                    str(file),
-                    basePosition=T_world_root[:3, 3].tolist(),
-                    baseOrientation=wxyz[[1, 2, 3, 0]].tolist(),
-                    useFixedBase=True,
-                    flags=flags,
-                    physicsClientId=self._client,
+        try:
+            with silence():
+                return int(
+                    b.loadURDF(
+                        str(file),
+                        basePosition=T_world_root[:3, 3].tolist(),
+                        baseOrientation=wxyz[[1, 2, 3, 0]].tolist(),
+                        useFixedBase=True,
+                        flags=flags,
+                        physicsClientId=self._client,
+                    )
                 )
-            )
+        except b.error as error:
+            raise InputError(
+                "PyBullet cannot load this URDF",
+                where=self.robot.urdf,
+                allowed="a named <robot>; damping and friction in each <dynamics>, <mass> and "
+                "<inertia> in each <inertial>, a <limit> for each moving joint",
+            ) from error
 
     def ignore_contacts(self, pairs: Iterable[Iterable[str]]) -> None:
         """Let these pairs of links pass through each other."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from pointsdf_cli.io.grasps import (
     read_grasps,
     write_grasps,
 )
-from pointsdf_cli.io.hdf5 import is_complete
+from pointsdf_cli.io.hdf5 import OptionsDifferError, is_complete
 from pointsdf_cli.io.meshes import load_mesh
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.robot.description import load_robot, robot_digest
@@ -70,7 +70,7 @@ class CollectTask:
 
 @dataclass(frozen=True)
 class CollectSummary:
-    """What an object's file holds.
+    """What became of attempts with one object.
 
     Attributes:
         executed: Grasps that were held or lost.
@@ -88,15 +88,17 @@ class CollectSummary:
 def collect_object(task: CollectTask) -> CollectSummary | None:
     """Attempts with one object until its quota is met or its patience ends; None if it is done.
 
-    A file that is there is continued, not made again: attempt i is the same whoever makes it.
+    A file that is there is continued, not made again: attempt i is the same whoever makes it. An
+    object of which no further view is found has given what it can.
+
+    Returns:
+        Counts of the attempts that were made now.
 
     Raises:
         InputError: The mesh cannot be used, does not fit the hand, never rests, is never seen.
     """
     torch.set_num_threads(1)
-    config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
-    config |= {"split": task.split}  # which other meshes there are decides it
-    config |= {"mesh": file_sha256(task.mesh), "robot": robot_digest(task.robot)}
+    config = _options_of(task)
     done: Grasps | None = None
     if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):
         done, _ = read_grasps(task.out)
@@ -110,13 +112,19 @@ def collect_object(task: CollectTask) -> CollectSummary | None:
     index = 0 if done is None else len(done)
     executed = 0 if done is None else int(done.executed.sum())
     while executed < task.quota and index < task.most_attempts(executed):
-        attempt = attempter.attempt(item, index)
+        try:
+            attempt = attempter.attempt(item, index)
+        except InputError:
+            if not index:
+                raise
+            break
         attempts.append(attempt)
         executed += attempt.label >= 0
         index += 1
-    grasps = as_grasps(attempts, task.config.scene_attempts)
-    if done is not None:
-        grasps = join_grasps([done, grasps])
+    if not attempts:
+        return None
+    made = as_grasps(attempts, task.config.scene_attempts)
+    grasps = made if done is None else join_grasps([done, made])
     robot = attempter.robot
     meta = GraspsMeta(
         task.mesh.name,
@@ -127,7 +135,33 @@ def collect_object(task: CollectTask) -> CollectSummary | None:
         robot.preshape_joints,
     )
     write_grasps(task.out, grasps, meta, seed=task.seed, config=config)
-    return summarise(grasps)
+    return summarise(made)
+
+
+def require_same_options(tasks: Iterable[CollectTask]) -> None:
+    """What lies there of objects that are not asked now was made as it would be: it is counted.
+
+    Raises:
+        OptionsDifferError: A file was made with other options.
+    """
+    for task in tasks:
+        if not task.out.is_file():
+            continue
+        try:
+            is_complete(task.out, schema=SCHEMA, version=VERSION, config=_options_of(task))
+        except OptionsDifferError as error:
+            raise OptionsDifferError(
+                error.what,
+                where=error.where,
+                hint="choose another --out, or remove it: --count is too small to make it anew",
+            ) from error
+
+
+def _options_of(task: CollectTask) -> dict[str, Any]:
+    """All that decides what is made of one object."""
+    config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
+    config |= {"split": task.split}  # which other meshes there are decides it
+    return config | {"mesh": file_sha256(task.mesh), "robot": robot_digest(task.robot)}
 
 
 def summarise(grasps: Grasps) -> CollectSummary:
@@ -180,7 +214,7 @@ def next_quotas(
         names = sorted(n for n, s in splits.items() if s == split)
         have = {n: min(executed.get(n, 0), quotas[n]) for n in names}
         missing = target - sum(have.values())
-        able = [n for n in names if quotas[n] and have[n] >= quotas[n]]
+        able = [n for n in names if have[n] >= quotas[n]]
         if missing > 0 and able:
             more |= {n: extra for n, extra in _spread(able, missing).items() if extra}
     if not more:

@@ -31,6 +31,7 @@ class ReachConfig:
         retreat: The last stretch [m], straight, backwards out of the palm's direction.
         over: Height [m] above the retreat of a point to pass if the direct path is blocked.
         resolution: Largest joint motion [rad] between two checked configurations.
+        sliding: The same of joints that slide [m].
         lift_height: [m], for which the arm must have room.
         waypoints: Of the straight stretches.
     """
@@ -39,15 +40,17 @@ class ReachConfig:
     retreat: float = 0.12
     over: float = 0.2
     resolution: float = 0.05
+    sliding: float = 0.01
     lift_height: float = 0.15
     waypoints: int = 8
 
     def __post_init__(self) -> None:
-        if self.candidates < 1 or self.waypoints < 2 or not 0 < self.resolution < 1:
+        steps = (self.resolution, self.sliding)
+        if self.candidates < 1 or self.waypoints < 2 or not all(0 < one < 1 for one in steps):
             raise InputError(
                 f"{self.candidates} candidates, {self.waypoints} waypoints, a resolution of "
-                f"{self.resolution} rad",
-                allowed="1 or more, 2 or more, 0 to 1 rad",
+                f"{self.resolution} rad and {self.sliding} m",
+                allowed="1 or more, 2 or more, 0 to 1",
             )
 
 
@@ -59,7 +62,7 @@ class Reach:
         label: 0 if there is one; else `NO_MOTION` or `NO_CONFIGURATION`.
         cause: Empty, or "no_ik", "start_in_table", "start_in_object", "start_in_self",
             "no_lift", "no_path".
-        q: [J], the preshape; the last one tried if there is no way, NaN for the arm if none was
+        q: [J], the preshape; one that was tried if there is no way, NaN for the arm if none was
             found at all.
         approach: [T, J], from home to the preshape; empty if there is none.
         lift: [K, A], arm joints along the lift; empty if there is none.
@@ -88,6 +91,13 @@ class Reacher:
         self._solver = solver
         self._robot = world.robot
         self.config = config or ReachConfig()
+        slides = {joint.name for joint in self._robot.tree.joints if joint.kind == "prismatic"}
+        self._resolution = np.array(
+            [
+                self.config.sliding if name in slides else self.config.resolution
+                for name in self._robot.joint_names
+            ]
+        )
 
     def arms(self, T_world_palm: Array) -> Array:
         """Arm configurations [B, A] for the palm pose [4, 4], the nearest to home first.
@@ -196,7 +206,7 @@ class Reacher:
 
         Checked at both ends and then at ever finer steps: what blocks is mostly wide.
         """
-        dense = interpolate(path, self.config.resolution)
+        dense = interpolate(path, self._resolution)
         return not any(self._world.collisions(dense[i]) for i in _coarse_first(len(dense)))
 
     def _none(self, label: int, cause: str, q: Array) -> Reach:
@@ -205,14 +215,14 @@ class Reacher:
         return Reach(label, cause, q, np.empty((0, joints)), np.empty((0, arm)))
 
 
-def interpolate(path: Array, resolution: float) -> Array:
+def interpolate(path: Array, resolution: Array) -> Array:
     """Configurations [T, J] along straight lines between those of `path` [K, J].
 
-    No joint moves by more than `resolution` [rad] between two of them.
+    No joint moves by more than its `resolution` [J] between two of them.
     """
     pieces = [path[:1]]
     for first, second in itertools.pairwise(path):
-        count = max(1, int(np.ceil(np.abs(second - first).max() / resolution)))
+        count = max(1, int(np.ceil((np.abs(second - first) / resolution).max())))
         share = np.linspace(0, 1, count + 1)[1:, None]
         pieces.append(first + share * (second - first))
     return np.concatenate(pieces)

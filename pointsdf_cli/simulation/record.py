@@ -16,7 +16,7 @@ class Moment:
 
     Attributes:
         phase: "close", "grip", "lift", "settle" or "shake".
-        time: Since the hand began to close [s].
+        time: Since the world was built [s]: in a trial the approach counts, too.
         q: [J].
         T_world_object: [4, 4].
     """

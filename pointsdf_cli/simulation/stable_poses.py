@@ -69,6 +69,13 @@ def stable_poses(
         if len(hull.vertices) > 400:
             # Scans have thousands of hull faces; a few hundred describe how they rest.
             hull = hull.simplify_quadric_decimation(face_count=600).convex_hull
+        inward = (np.asarray(hull.triangles_center) - centre_of_mass) * hull.face_normals
+        if not (inward.sum(axis=1) > 0).all():
+            # trimesh would look for one inside for ever.
+            raise InputError(
+                "has its centre of mass outside of itself",
+                allowed="a surface that does not cross itself",
+            )
         transforms, probabilities = trimesh.poses.compute_stable_poses(
             hull, center_mass=centre_of_mass, sigma=0.0, n_samples=1, threshold=0.0
         )

@@ -182,11 +182,11 @@ class World:
         if self._steps or self._shown is not item.pieces:
             self.reset(item, T_world_object)
             self._shown = item.pieces
-            return
-        position, xyzw = _pose_of(T_world_object @ item.T_mesh_body)
-        self._bullet.resetBasePositionAndOrientation(
-            self._object, position, xyzw, physicsClientId=self._client
-        )
+        else:
+            position, xyzw = _pose_of(T_world_object @ item.T_mesh_body)
+            self._bullet.resetBasePositionAndOrientation(
+                self._object, position, xyzw, physicsClientId=self._client
+            )
         # What was near each other is no longer: contacts that PyBullet keeps are forgotten.
         self.collisions(self.robot.home)
 
@@ -320,12 +320,12 @@ class World:
         """
         b, c = self._bullet, self._client
         low, high = b.getAABB(self._object, -1, physicsClientId=c)
-        for body, number in self._robot.links.values():
+        for link, (body, number) in self._robot.links.items():
+            if not self.robot.tree.shapes.get(link):
+                continue
             at, end = b.getAABB(body, number, physicsClientId=c)
-            if (
-                at[2] < high[2] + aside
-                and all(at[k] < high[k] + aside and end[k] > low[k] - aside for k in (0, 1))
-                and at != end  # of a link without a shape
+            if at[2] < high[2] + aside and all(
+                at[k] < high[k] + aside and end[k] > low[k] - aside for k in (0, 1)
             ):
                 return True
         return False
@@ -442,3 +442,15 @@ class World:
 def _pose_of(T: Array) -> tuple[list[float], list[float]]:
     """Place [3] and quaternion [4] (scalar last, as PyBullet has them) of a pose [4, 4]."""
     return T[:3, 3].tolist(), wxyz_from_rotation(T[:3, :3])[[1, 2, 3, 0]].tolist()
+
+
+def try_robot(robot: RobotDescription) -> None:
+    """Build the robot once as trials have it, and once its hand alone as collection does.
+
+    Raises:
+        InputError: PyBullet cannot load it, or a joint of the arm does not move the palm.
+        RgraspError: PyBullet is not installed.
+    """
+    with World(robot) as world:
+        world.reset()
+        world.reset(robot="hand")
