@@ -1,5 +1,5 @@
 # Two commands: `make demo` and `make test`. Both set up what is missing.
-.PHONY: demo test lint bench smoke setup clean
+.PHONY: demo test pages lint bench smoke setup clean
 
 SHELL := /bin/bash
 RUN := .venv/bin
@@ -11,8 +11,14 @@ demo: setup
 	@PATH="$(CURDIR)/$(RUN):$$PATH" bash pipelines/demo.sh demo
 
 # One numerical thread a test process: two processes of two threads each would fight for two cores.
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 $(RUN)/python -m pytest -n auto --dist worksteal
+
 test: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 $(RUN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
+	$(PYTEST) -m "not pages" $(PYTEST_ARGS)
+
+# Every command of README and docs, in small: half as long again as the tests.
+pages: setup
+	$(PYTEST) -m pages $(PYTEST_ARGS)
 
 lint: setup
 	$(RUN)/ruff check pointsdf_cli tests benchmarks

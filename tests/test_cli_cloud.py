@@ -97,6 +97,11 @@ def test_every_form_of_intrinsics_is_the_same_camera(tmp_path: Path, name: str) 
 WRONG: dict[str, tuple[Any, str]] = {
     "bent.json": ({"K": K, "D": [0.1, -0.2, 0, 0, 0], **SIZE}, "bends the picture"),
     "size.json": ({"K": K, "width": 640, "height": 480}, "640 × 480"),
+    "calibration.json": (
+        {"camera_matrix": K, "image_width": 640, "image_height": 480},
+        "640 × 480",
+    ),
+    "wide.json": ({"K": K, "width": 640}, f"640 × {HEIGHT}"),
     "skew.json": ([[FX, 3, CX], [0, FY, CY], [0, 0, 1]], "skew"),
     "outside.json": ([[FX, 0, 320], [0, FY, 240], [0, 0, 1]], "outside the image"),
     "empty.json": ({}, "no intrinsics"),

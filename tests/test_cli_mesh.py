@@ -223,6 +223,17 @@ def test_nothing_is_overwritten_unasked(full: Path, tmp_path: Path) -> None:
     assert mesh(saved(tmp_path), full, "--out", out, "--force")[0] == 0
 
 
+def test_a_name_with_dollars_is_drawn_as_it_is(full: Path, tmp_path: Path) -> None:
+    named = tmp_path / "mug_$5_to_$9.ply"
+    named.write_bytes((TABLE.parent / "mug.ply").read_bytes())
+    picture = tmp_path / "look.png"
+    code, _, err = mesh(
+        named, full, "--out", tmp_path / "m.ply", "--resolution", 32, "--picture", picture
+    )
+    assert code == 0, err
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
 TABLE = Path(__file__).resolve().parents[1] / "assets" / "clouds" / "table.ply"
 
 
@@ -251,6 +262,8 @@ def test_a_whole_table_is_pointed_out_and_the_object_cut_out_of_it(
         (("--segment", "auto", "--target", "3,0"), "--target"),
         (("--segment", "yes"), "auto, none"),
         (("--target", "0.6,0,0"), "--segment auto"),
+        (("--workspace", "0,-1,0,1,1,1"), "--segment auto"),
+        (("--segment", "auto", "--workspace", "3,3,0,4,4,1"), "between (3.0, 3.0, 0.0)"),
     ],
 )
 def test_what_cannot_be_cut_out_is_one_message(

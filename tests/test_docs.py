@@ -116,6 +116,7 @@ RUN = [page for page in PAGES if any(block.run for block in blocks(page))]
 FOLDERS = ("assets", "benchmarks", "pipelines", "tests")
 
 
+@pytest.mark.pages
 @pytest.mark.parametrize("page", RUN, ids=lambda page: page.name)
 def test_the_blocks_of_a_page_run_in_order(page: Path, tmp_path: Path) -> None:
     for folder in FOLDERS:

@@ -12,6 +12,7 @@ import pytest
 import trimesh
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.repair import close_mesh
 from pointsdf_cli.geometry.sdf_sampling import enclosed_volume
 from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh, save_mesh
 
@@ -139,6 +140,14 @@ def test_millimetres_are_named_and_may_be_declared(
     with pytest.raises(InputError, match="--unit mm"):
         load_mesh(tmp_path / "box.ply")
     assert load_mesh(tmp_path / "box.ply", unit="mm").size == pytest.approx(0.08)
+
+
+def test_a_vertex_that_no_face_uses_is_no_part_of_the_size(tmp_path: Path) -> None:
+    box = trimesh.creation.box((0.01, 0.01, 0.01))
+    box.apply_translation((3.0, 0.0, 0.0))
+    vertices = np.vstack([box.vertices, [[0.0, 0.0, 0.0]]])
+    closed = close_mesh(vertices, np.asarray(box.faces))
+    np.testing.assert_allclose(np.ptp(closed.vertices, axis=0), 0.01, atol=1e-6)
 
 
 def test_a_sheet_encloses_nothing_and_is_refused(tmp_path: Path) -> None:

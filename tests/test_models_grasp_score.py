@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -228,6 +230,26 @@ def test_a_trained_encoder_is_stored_without_its_decoder(tmp_path: Path) -> None
     names = json.dumps(sorted(read_weights(path)))
     assert "encoder.to_embedding" in names
     assert "decoder" not in names
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda config: config.pop("robot"),
+        lambda config: config["robot"].pop("preshape_joints"),
+        lambda config: config.pop("mode"),
+        lambda config: config.update(encoder="there"),
+    ],
+)
+def test_a_damaged_description_is_one_message(
+    tmp_path: Path, change: Callable[[dict[str, Any]], object]
+) -> None:
+    path = stored(tmp_path / "gs", frozen=default_checkpoint())
+    config = json.loads((path / "config.json").read_text())
+    change(config)
+    (path / "config.json").write_text(json.dumps(config))
+    with pytest.raises(InputError, match="no usable"):
+        read_grasp_checkpoint(path)
 
 
 def read_weights(path: Path) -> list[str]:

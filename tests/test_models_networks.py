@@ -138,6 +138,12 @@ def test_unknown_architectures_and_arguments_are_refused() -> None:
         build_model("voxelcnn", {"depth": 3})
 
 
+@pytest.mark.parametrize("arguments", [{"centres": []}, {"neighbours": [2000, 16, 16, 16]}])
+def test_arguments_that_no_cloud_fits_are_refused(arguments: dict[str, list[int]]) -> None:
+    with pytest.raises(InputError, match="cannot be built"):
+        build_model("pointsdf-ray", arguments)
+
+
 def test_the_paper_preset_has_the_published_sizes() -> None:
     network = build_model("pointsdf")
     config = network.config()

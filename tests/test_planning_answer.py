@@ -102,6 +102,24 @@ def test_a_can_gets_a_plan_that_the_true_can_allows(planner: GraspPlanner) -> No
     np.testing.assert_array_equal(again.plan.trajectory, answer.plan.trajectory)
 
 
+def test_the_motion_uses_the_share_of_the_speed_limits_that_is_asked_for() -> None:
+    plans = []
+    for speed in (0.5, 0.1):
+        options = PlanOptions(method="partial-view", synthesis=SMALL, speed=speed)
+        asked = GraspPlanner(options, CanModel())
+        plan = asked.plan(*vars(VIEW).values(), seed=1).plan
+        assert plan.status == OK
+        fastest = np.abs(np.diff(plan.trajectory, axis=0)) / np.diff(plan.times)[:, None]
+        share = (fastest / asked.robot.velocity).max()
+        assert 0.8 * speed < share < 1.001 * speed
+        plans.append(plan)
+    usual, slow = plans
+    np.testing.assert_array_equal(slow.q, usual.q)
+    assert slow.times[-1] > 2 * usual.times[-1]
+    with pytest.raises(InputError, match="at most 1"):
+        PlanOptions(speed=0.0)
+
+
 def test_reconstruction_fills_the_can_and_the_partial_view_does_not(
     planner: GraspPlanner, partial: GraspPlanner
 ) -> None:

@@ -14,7 +14,7 @@ from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.planning.environment import Environment, Obstacle, read_environment
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
 from pointsdf_cli.planning.table_session import table_doubt
-from pointsdf_cli.planning.table_top import NoObjectError, clutter, look_at_table
+from pointsdf_cli.planning.table_top import NoObjectError, clutter, look_at_table, workspace_of
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.own_points import robot_points
 from pointsdf_cli.robot.start import start_configuration
@@ -74,6 +74,21 @@ def test_the_robot_is_no_object() -> None:
     np.testing.assert_allclose(seen.views[0].in_world.mean(axis=0)[:2], SMALL[:2], atol=0.01)
     assert "on the robot" in seen.report[0]
     assert not len(seen.others)
+
+
+def test_only_the_workspace_is_looked_at() -> None:
+    scene = cloud(np.concatenate([TABLE, THINGS]))
+    x, y = SMALL[:2]
+    around = workspace_of(((x - 0.1, y - 0.1, -0.05), (x + 0.1, y + 0.1, 0.3)))
+    seen = look_at_table([scene], ["a"], ROBOT, HOME, workspace=around)
+    np.testing.assert_allclose(seen.views[0].in_world.mean(axis=0)[:2], SMALL[:2], atol=0.01)
+    assert not len(seen.others)  # what stands outside is no obstacle
+    with pytest.raises(InputError, match="--workspace"):
+        look_at_table([scene], ["a"], ROBOT, HOME, segment="none", workspace=around)
+    beyond = workspace_of(((5.0, 5.0, 0.0), (6.0, 6.0, 1.0)))
+    with pytest.raises(NoObjectError, match="no object") as caught:
+        look_at_table([scene], ["a"], ROBOT, HOME, workspace=beyond)
+    assert "--workspace" in str(caught.value)
 
 
 def test_a_bare_table_holds_no_object() -> None:

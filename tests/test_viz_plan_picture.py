@@ -57,7 +57,10 @@ def test_the_seen_points_are_seen_from_the_camera_only(meshes: RobotMeshes) -> N
 
 
 def test_a_page_is_written_whole(meshes: RobotMeshes, tmp_path: Path) -> None:
-    plan_picture(tmp_path / "plan.png", meshes, ROBOT.home, ball(), "a title", "words below")
+    # Dollars are no formula.
+    plan_picture(
+        tmp_path / "plan.png", meshes, ROBOT.home, ball(), "a_$5_title_$9", "cup_$5_$.ply: words"
+    )
     image = Image.open(tmp_path / "plan.png")
     assert image.size[0] > 2 * image.size[1]
     assert [p.name for p in tmp_path.iterdir()] == ["plan.png"]

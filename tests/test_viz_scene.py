@@ -85,6 +85,26 @@ def test_views_are_seen_from_their_cameras(tmp_path: Path) -> None:
         assert np.allclose(scene.poses[k, 0], invert_transform(poses[k]))
 
 
+def test_the_mesh_of_a_file_is_found_by_its_name_alone(tmp_path: Path) -> None:
+    """It is a name and no pattern, whatever signs are in it."""
+    ball = trimesh.creation.icosphere(2, 0.05)
+    cloud = np.tile(np.asarray(ball.vertices, np.float32) + [0, 0, 1.5], (1, 7, 1))[:, :1000]
+    pose = transform(np.eye(3), [0, 0, 1.5])[None]
+    for k, (name, there) in enumerate((("ball[1].ply", True), ("/ball.ply", False), ("**", False))):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        digest = "0"
+        if there:
+            ball.export(folder / name)
+            digest = file_sha256(folder / name)
+        views = Views(
+            cloud.astype(np.float32), pose, np.diag([500.0, 500, 1]), (640, 480), 0.0, name, digest
+        )
+        write_views(folder / "v.h5", views, seed=0)
+        shown = [one.layer for one in scene_of(folder / "v.h5", OPTIONS).parts]
+        assert ("mesh" in shown) is there
+
+
 def test_a_plan_turns_the_robot_about_its_first_axis(tmp_path: Path) -> None:
     scene = scene_of(turning_plan_file(tmp_path, ROBOT), OPTIONS)
     assert scene.frames == 11

@@ -25,6 +25,7 @@ _DISTORTION = (
     *("D", "d", "coeffs", "distortion_coefficients", "distortion", "distortion_coeffs"),
     *("dist_coeffs", "dist_coeff", "k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"),
 )
+_WIDTH, _HEIGHT = ("width", "image_width"), ("height", "image_height")
 SMALLEST_DISTORTION = 1e-6
 
 
@@ -45,9 +46,12 @@ def read_intrinsics(name: str, width: int, height: int) -> Camera:
     data, path = _load(name), Path(name)
     if isinstance(data, Mapping):
         _check_distortion(data, path)
-        size = data.get("width"), data.get("height")
-        if None not in size:
-            _check_size(_whole(size[0], path), _whole(size[1], path), width, height, path)
+        # One number, or ROS calibration's names, say as well that it is of another image.
+        mine, mine_high = (
+            next((_whole(data[name], path) for name in names if data.get(name) is not None), own)
+            for names, own in ((_WIDTH, width), (_HEIGHT, height))
+        )
+        _check_size(mine, mine_high, width, height, path)
         fx, fy, cx, cy = _numbers(data, path)
     else:
         fx, fy, cx, cy = _of_matrix(data, False, path)

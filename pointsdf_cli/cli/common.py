@@ -30,6 +30,15 @@ Device = Annotated[str, typer.Option(help="cpu, cuda or cuda:N.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")]
 Json = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
 Force = Annotated[bool, typer.Option("--force", help="Make anew what is there already.")]
+Workspace = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X0,Y0,Z0,X1,Y1,Z1",
+        help="With --segment auto: what is looked at, a box of the world [m] "
+        "[default: 0.2,-0.9,-0.05,1.6,0.9,0.6].",
+        show_default=False,
+    ),
+]
 Shard = Annotated[
     str | None, typer.Option(metavar="i/n", help="Only every n-th file, from the i-th (0-based).")
 ]

@@ -58,6 +58,7 @@ def mesh(
             metavar="X,Y,Z", help="With --segment auto: the object here, not the largest [m]."
         ),
     ] = None,
+    workspace: common.Workspace = None,
     robot: Annotated[
         Path | None,
         typer.Option(
@@ -115,11 +116,15 @@ def mesh(
             raise InputError("--target without --segment auto", hint="add --segment auto")
         if robot is not None:
             raise InputError("--robot without --segment auto", hint="add --segment auto")
+        if workspace is not None:
+            raise InputError("--workspace without --segment auto", hint="add --segment auto")
         points, T_frame_camera = check_object_cloud(view, cloud).in_camera_frame()
         if np.ptp(points, axis=0).max() > SCENE:
             reporter.say(f"{cloud}: wide for one object; of a whole table, add --segment auto")
     else:
-        points, T_frame_camera, said = _object_of(view, str(cloud), segment, target, robot)
+        points, T_frame_camera, said = _object_of(
+            view, str(cloud), segment, target, robot, workspace
+        )
         reporter.say(said)
 
     # Seconds of imports: only for a cloud that can be used.
@@ -181,7 +186,12 @@ def mesh(
 
 
 def _object_of(
-    view: Cloud, name: str, segment: str, target: str | None, robot: Path | None
+    view: Cloud,
+    name: str,
+    segment: str,
+    target: str | None,
+    robot: Path | None,
+    workspace: str | None,
 ) -> tuple[NDArray[float64], NDArray[float64], str]:
     """The object's points [N, 3] in the camera's frame, T_frame_camera [4, 4], and what was kept.
 
@@ -189,14 +199,15 @@ def _object_of(
         InputError: There is no object, or no pose, or an option says nonsense.
     """
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.poses import place
-    from pointsdf_cli.planning.table_top import NoObjectError, look_at_table
+    from pointsdf_cli.io.poses import box, place
+    from pointsdf_cli.planning.table_top import NoObjectError, look_at_table, workspace_of
     from pointsdf_cli.robot.description import load_robot
 
     described = load_robot(robot)
     wanted = None if target is None else place(target, "--target")
+    around = workspace_of(None if workspace is None else box(workspace, "--workspace"))
     try:
-        found = look_at_table([view], [name], described, described.home, segment, wanted)
+        found = look_at_table([view], [name], described, described.home, segment, wanted, around)
     except NoObjectError as error:
         raise InputError(
             error.what, where=error.where, allowed=error.allowed, hint=error.hint

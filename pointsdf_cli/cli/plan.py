@@ -51,6 +51,7 @@ def plan(
     environment: Annotated[
         Path | None, typer.Option(help="YAML of the table and known obstacles.", show_default=False)
     ] = None,
+    workspace: common.Workspace = None,
     ignore_others: Annotated[
         bool, typer.Option("--ignore-others", help="Other things that are seen are no obstacles.")
     ] = False,
@@ -64,6 +65,9 @@ def plan(
     margin: Annotated[
         float, typer.Option(help="Distance to the object that is kept where it can be [m].")
     ] = 0.004,
+    speed: Annotated[
+        float, typer.Option(help="Share of the joints' speed limits that the motion uses.")
+    ] = 0.5,
     rehearse: Annotated[
         int,
         typer.Option(
@@ -117,7 +121,7 @@ def plan(
     from pointsdf_cli.errors import NoPlanError
     from pointsdf_cli.io.atomic import require_new
     from pointsdf_cli.io.plans import OK, write_plan, write_trajectory
-    from pointsdf_cli.io.poses import place
+    from pointsdf_cli.io.poses import box, place
 
     reporter = common.Reporter(quiet, as_json)
     common.check_seed(seed)
@@ -131,6 +135,7 @@ def plan(
     common.check_picture(picture, force)
     _require_places({k: path for k, path in files.items() if path is not None}, force, inputs)
     wanted = None if target is None else place(target, "--target")
+    looked_at = None if workspace is None else box(workspace, "--workspace")
     views = _read_clouds(clouds, camera_pose or [], frame, unit, drop_invalid)
 
     # Seconds of imports: only for clouds that can be read.
@@ -140,6 +145,7 @@ def plan(
     from pointsdf_cli.planning.grasp_problem import Clearances
     from pointsdf_cli.planning.synthesis import SynthesisConfig
     from pointsdf_cli.planning.table_session import plan_on_table
+    from pointsdf_cli.planning.table_top import workspace_of
     from pointsdf_cli.training.precision import idle_processors
     from pointsdf_cli.trials.rehearsed import RehearsedPlanner, RehearsedPlannerConfig
     from pointsdf_cli.viz.plan_picture import plan_picture
@@ -155,6 +161,7 @@ def plan(
         clearances=Clearances() if clearance is None else Clearances(*[clearance] * 3),
         device=common.torch_device(device),
         margin=margin,
+        speed=speed,
         synthesis=SynthesisConfig(acceptance=_acceptance(min_success)),
     )
     around = Environment() if environment is None else read_environment(environment)
@@ -176,6 +183,7 @@ def plan(
         segment=segment,
         target=wanted,
         others=not ignore_others,
+        workspace=workspace_of(looked_at),
     )
     for line in session.report:
         reporter.say(line)
@@ -185,6 +193,7 @@ def plan(
         "target": target,
         "start": start,
         "segment": segment,
+        "workspace": workspace,
     }
     asked |= {"environment": environment and str(environment), "ignore_others": ignore_others}
     asked |= {"unit": unit, "frame": frame, "camera_pose": camera_pose}

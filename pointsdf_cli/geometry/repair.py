@@ -65,7 +65,7 @@ def close_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Close
     whole, note = _unite(whole)
     if note:
         steps.append(note)
-    extent = np.ptp(vertices, axis=0).max()
+    extent = np.ptp(vertices[np.unique(faces)], axis=0).max()
     if whole.is_empty() or whole.volume() < 1e-7 * extent**3:
         raise InputError(
             "encloses no volume (a flat, empty or inside-out surface)",

@@ -148,8 +148,11 @@ def cut_short(path: Path, promised: int) -> InputError:
 
 
 def _read_header(path: Path) -> _Header:
-    with open(path, "rb") as handle:
-        head = handle.read(_HEADER_LIMIT)
+    try:
+        with open(path, "rb") as handle:
+            head = handle.read(_HEADER_LIMIT)
+    except PermissionError as error:
+        raise InputError("cannot be read (permission denied)", where=path) from error
     if not head.startswith(b"ply"):
         raise InputError("is not a PLY file", where=path, allowed="a file that begins with `ply`")
     end = head.find(b"end_header")

@@ -46,6 +46,22 @@ def place(text: str, where: str) -> NDArray[np.float64]:
     return numbers
 
 
+def box(text: str, where: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The lower and the upper corner of a box of the world, m, as a user types them.
+
+    Raises:
+        InputError: Not six finite numbers, or the corners are the other way round.
+    """
+    allowed = "X0,Y0,Z0,X1,Y1,Z1 in the world, m, the lower corner first"
+    numbers = numbers_in(text, where, allowed)
+    if len(numbers) != 6:
+        raise InputError(f"{len(numbers)} numbers", where=where, allowed=allowed)
+    low, high = numbers[:3], numbers[3:]
+    if (low >= high).any():
+        raise InputError(f"a box of no size, {text}", where=where, allowed=allowed)
+    return tuple(low.tolist()), tuple(high.tolist())
+
+
 def numbers_in(text: str, where: str, allowed: str) -> NDArray[np.float64]:
     """Numbers [N] typed with commas or spaces between, or those of a text, JSON or NPY file.
 

@@ -131,6 +131,7 @@ def read_grasp_checkpoint(
             where=where,
             hint="rgrasp train-gs --grasps DIR --out CKPT",
         )
+    _check_config(config, where)
     robot = robot or load_robot()
     check_robot(robot, config["robot"]["name"], config["robot"]["preshape_joints"], where)
     try:
@@ -152,6 +153,21 @@ def read_grasp_checkpoint(
         sweep,
         config,
     )
+
+
+def _check_config(config: Mapping[str, Any], where: object) -> None:
+    """What is read of config.json is there.
+
+    Raises:
+        InputError: It is not, so the file is damaged or was written by hand.
+    """
+    parts = {"robot": ("name", "preshape_joints"), "mode": (), "encoder": (), "inputs": ()}
+    for key, inner in parts.items():
+        missing = key not in config or (
+            key in ("robot", "encoder") and not isinstance(config[key], Mapping)
+        )
+        if missing or any(name not in config[key] for name in inner):
+            raise InputError(f"its config.json has no usable {key!r}", where=where)
 
 
 def check_hand(sweep: HandSweep, config: Mapping[str, Any], where: object) -> None:
@@ -269,6 +285,7 @@ def learned_from_another(
     config = checkpoint.config
     if config.get("inputs") != "geometry" or config.get("mode") != FIXED:
         return None
+    _check_config(config, checkpoint.path)
     learned = config["encoder"]
     if learned.get("sha256") == weights_hash(sdf_checkpoint):
         return None

@@ -85,6 +85,9 @@ class PointSDFRay(ShapeModel):
         self.width, self.blocks, self.local, self.heads = width, blocks, local, heads
         if search not in SEARCHES:
             raise ValueError(f"no neighbour search {search!r}")
+        for found, k in zip((self.cloud_size, *centres), neighbours, strict=False):
+            if not 1 <= k <= found:
+                raise ValueError(f"{k} neighbours of {found} points")
         self.search, self.revolution, self.sideways = search, revolution, sideways
         self.packed_neighbours = (centres[0], neighbours[0])
 

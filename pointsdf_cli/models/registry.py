@@ -48,7 +48,7 @@ def build_model(
     try:
         torch.manual_seed(seed)
         return ARCHITECTURES[architecture](**dict(arguments or {}))
-    except (TypeError, ValueError, RuntimeError) as error:
+    except (TypeError, ValueError, RuntimeError, LookupError) as error:
         raise InputError(f"cannot be built as {architecture}: {error}", where="model") from error
 
 

@@ -33,6 +33,7 @@ from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.grid import GridConfig
+from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.planner import HALVINGS, MARGIN, Planner, PlannerConfig, Rank
 from pointsdf_cli.planning.reasons import too_large
@@ -53,6 +54,7 @@ from pointsdf_cli.planning.target import (
     reconstructed_object,
     seen_object,
 )
+from pointsdf_cli.planning.timing import TimingConfig
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 
 RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
@@ -95,6 +97,7 @@ class PlanOptions:
         halvings: When the solver gives half of its seeds up; never if empty.
         device: Where the networks are.
         synthesis: How long to look, and what is good enough.
+        speed: Share of the joints' speed limits that the motion uses.
         redraws: Other draws of a cloud's points that are completed too, to be asked about grasps.
     """
 
@@ -109,6 +112,7 @@ class PlanOptions:
     halvings: tuple[int, ...] = HALVINGS
     device: str = "cpu"
     synthesis: SynthesisConfig = field(default_factory=SynthesisConfig)
+    speed: float = 0.5
     redraws: int = 0
 
     def __post_init__(self) -> None:
@@ -120,6 +124,8 @@ class PlanOptions:
             raise InputError(
                 f"no kind of grasp {self.kind!r}", where="--kind", allowed="auto, side, top"
             )
+        if not 0 < self.speed <= 1:
+            raise InputError(f"{self.speed:g}", where="--speed", allowed="above 0, at most 1")
 
 
 @dataclass(frozen=True)
@@ -206,6 +212,7 @@ class GraspPlanner:
                 margin=options.margin,
                 halvings=options.halvings,
                 synthesis=options.synthesis,
+                motion=MotionConfig(timing=TimingConfig(share=options.speed)),
             ),
         )
         self._reconstructs = options.method == RECONSTRUCTION

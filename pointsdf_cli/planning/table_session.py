@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.planning.answer import Answer, GraspPlanner
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
-from pointsdf_cli.planning.table_top import NoObjectError, clutter, look_at_table
+from pointsdf_cli.planning.table_top import WORKSPACE, NoObjectError, clutter, look_at_table
 from pointsdf_cli.planning.target import surface_of
 from pointsdf_cli.robot.start import start_configuration
 from pointsdf_cli.viz.plan_picture import PlanScene
@@ -66,6 +67,7 @@ def plan_on_table(
     segment: str = "auto",
     target: Array | None = None,
     others: bool = True,
+    workspace: SegmentationConfig = WORKSPACE,
 ) -> TableSession:
     """Find the object in the clouds and plan a grasp of it.
 
@@ -79,6 +81,7 @@ def plan_on_table(
         segment: "auto", or "none" where the clouds hold the object alone.
         target: [3], where the object is that is meant.
         others: Whether other things that are seen are obstacles.
+        workspace: What is looked at of the world.
 
     Raises:
         InputError: The clouds or the start cannot be used.
@@ -86,7 +89,7 @@ def plan_on_table(
     environment = environment or Environment()
     q = start_configuration(start, planner.robot)
     try:
-        seen = look_at_table(clouds, names, planner.robot, q, segment, target)
+        seen = look_at_table(clouds, names, planner.robot, q, segment, target, workspace)
     except NoObjectError as error:
         world = np.concatenate([_in_world(cloud) for cloud in clouds])
         camera = np.asarray(clouds[0].T_world_camera)[:3, 3]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
@@ -36,7 +36,17 @@ Array = NDArray[np.float64]
 SEGMENT = ("auto", "none")
 
 WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
-"""Wider than what the arm reaches: what stands beyond is seen, and said to be out of reach."""
+"""What is looked at, unless another is named. Wider than what the bundled arm reaches: what stands
+beyond is seen, and said to be out of reach."""
+
+
+def workspace_of(corners: tuple[tuple[float, ...], tuple[float, ...]] | None) -> SegmentationConfig:
+    """What is looked at: the box between two corners [3] of the world, m; the usual if None."""
+    if corners is None:
+        return WORKSPACE
+    (x0, y0, z0), (x1, y1, z1) = corners
+    return replace(WORKSPACE, low=(x0, y0, z0), high=(x1, y1, z1))
+
 
 TARGET_REACH = 0.1
 """--target names the object whose nearest seen point is no farther than this [m]."""
@@ -76,6 +86,7 @@ def look_at_table(
     start: Array,
     segment: str = "auto",
     target: Array | None = None,
+    workspace: SegmentationConfig = WORKSPACE,
 ) -> TableTop:
     """Find the object in each cloud.
 
@@ -86,6 +97,7 @@ def look_at_table(
         start: [J], where it is: points on it are left out.
         segment: "auto", or "none" where the clouds hold the object alone.
         target: [3], a place in the world: the object there is taken instead of the largest.
+        workspace: What is looked at of the world.
 
     Raises:
         InputError: No pose, or no cloud of an object.
@@ -95,6 +107,8 @@ def look_at_table(
         raise InputError(f"no {segment!r}", where="--segment", allowed=", ".join(SEGMENT))
     if segment == "none" and target is not None:
         raise InputError("--target without --segment auto", hint="leave one of the two out")
+    if segment == "none" and workspace is not WORKSPACE:
+        raise InputError("--workspace without --segment auto", hint="leave one of the two out")
     views, others, report, heights = [], [], [], []
     problem: NoObjectError | None = None
     first: tuple[Array, Array] | None = None
@@ -117,7 +131,7 @@ def look_at_table(
         free = off_robot(world, own)
         points, world = points[free], world[free]
         try:
-            found = _segment(world, name, target)
+            found = _segment(world, name, target, workspace)
             if first is not None:
                 _require_same(world[found.kept], first, name)
         except NoObjectError as error:
@@ -125,7 +139,7 @@ def look_at_table(
             report.append(f"{name}: the object is not seen")
             # What else it saw stands there all the same.
             with suppress(InputError):
-                around = segment_object(world, WORKSPACE)
+                around = segment_object(world, workspace)
                 others.append(world[around.kept | around.other])
             continue
         sentence = found.report()
@@ -196,12 +210,14 @@ def _require_same(points: Array, first: tuple[Array, Array], name: str) -> None:
         )
 
 
-def _segment(world: Array, name: str, target: Array | None) -> Segmentation:
+def _segment(
+    world: Array, name: str, target: Array | None, workspace: SegmentationConfig
+) -> Segmentation:
     try:
-        found = segment_object(world, WORKSPACE, target)
+        found = segment_object(world, workspace, target)
     except InputError as error:
         raise NoObjectError(
-            error.what, where=name, allowed=error.allowed, hint=error.hint
+            error.what, where=name, allowed=error.allowed, hint=f"{error.hint}, or --workspace"
         ) from error
     if target is not None:
         away = float(np.linalg.norm(world[found.kept] - target, axis=1).min())

@@ -154,8 +154,10 @@ def _page(
             axis.imshow(picture)
             axis.axis("off")
             axis.set_title(caption, fontsize=10)
-        row[0].set_title("\n".join(wrap(title, 58)), fontsize=10, loc="left")
+        # Names of files and links are no formulas, even with dollars in them.
+        row[0].set_title("\n".join(wrap(title, 58)), fontsize=10, loc="left", parse_math=False)
     if below:
-        figure.text(0.01, 0.0, "\n".join(wrap(below, 190)), fontsize=9, va="top")
+        text = "\n".join(wrap(below, 190))
+        figure.text(0.01, 0.0, text, fontsize=9, va="top", parse_math=False)
     figure.subplots_adjust(0.0, 0.0, 1.0, 0.92, wspace=0.01)
     return figure

@@ -82,7 +82,9 @@ def _draw_row(row: GalleryRow, axes: Mapping[int, Any]) -> None:
     framing = np.concatenate([row.cloud, *surfaces]) @ ROOM.T
     _draw_cloud(axes[0], row.cloud, framing)
     # The title stands left of the row, where an axis without ticks has its label.
-    axes[0].set_ylabel(row.title, fontsize=7, rotation=0, ha="right", va="center")
+    # A file's name is no formula, even with dollars in it.
+    style = {"fontsize": 7, "rotation": 0, "ha": "right", "va": "center", "parse_math": False}
+    axes[0].set_ylabel(row.title, **style)
     for column, shape, colour, azimuth in (
         (1, row.prediction, RECONSTRUCTION, CAMERA_SIDE),
         (2, row.truth, TRUTH, CAMERA_SIDE),

@@ -73,8 +73,8 @@ def named_mesh(name: str, digest: str, artifact: Path, options: SceneOptions) ->
     with open_hdf5(artifact) as file:
         unit = mesh_unit(file)
     for folder in folders:
-        for path in sorted(folder.rglob(name)) if folder.is_dir() else []:
-            if path.is_file() and file_sha256(path) == digest:
+        for path in sorted(folder.rglob("*")) if folder.is_dir() else []:
+            if path.name == name and path.is_file() and file_sha256(path) == digest:
                 mesh = load_mesh(path, options.unit if unit == "m" else unit)
                 return [mesh_part(name, mesh.vertices, mesh.faces, 0.35)]
     return []

@@ -46,7 +46,7 @@ def views_sheet(items: Sequence[tuple[LoadedMesh, Views]], columns: int = 4) -> 
         top, bottom = max(patch.v.min() - 8, 0), patch.v.max() + 9
         left, right = max(patch.u.min() - 8, 0), patch.u.max() + 9
         row[0].imshow(np.ma.masked_equal(image[top:bottom, left:right], 0), cmap="viridis_r")
-        row[0].set_title(f"{mesh.name[:24]}\ndepth of view 0", fontsize=7)
+        row[0].set_title(f"{mesh.name[:24]}\ndepth of view 0", fontsize=7, parse_math=False)
         row[0].axis("off")
         for k, axis in enumerate(row[1:]):
             cloud = views.cloud[k % len(views.cloud)]
@@ -97,7 +97,8 @@ def sdf_slices(items: Sequence[tuple[LoadedMesh, Labels]], resolution: int = 160
         style = {"cmap": "RdBu", "vmin": -limit, "vmax": limit}
         left.imshow(field, origin="lower", extent=extent, **style)
         left.contour(field, levels=[0.0], extent=extent, colors="k", linewidths=1)
-        left.set_title(f"{mesh.name[:24]}: SDF [cm], zero in black", fontsize=8)
+        title = f"{mesh.name[:24]}: SDF [cm], zero in black"
+        left.set_title(title, fontsize=8, parse_math=False)
         near = np.abs(labels.points[:, across] - centre[across]) < 0.03 * half
         points = (labels.points[near] - centre)[:, plane] * 100
         right.scatter(points[:, 0], points[:, 1], c=labels.sdf[near] * 100, s=2, **style)

@@ -45,9 +45,9 @@ class Viewer:
                 self._server = viser.ViserServer(
                     host=host, port=port, label=scene.title, verbose=False
                 )
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             raise InputError(
-                f"cannot listen there ({error.strerror or error})",
+                f"cannot listen there ({getattr(error, 'strerror', None) or error})",
                 where=f"--host {host} --port {port}",
                 allowed="an address of this machine, such as 127.0.0.1 or 0.0.0.0",
             ) from error
