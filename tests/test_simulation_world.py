@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from trial_worlds import can_grasp
 
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
@@ -15,7 +16,6 @@ from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.world import PhysicsConfig, World
-from tests.trial_worlds import can_grasp
 
 pytest.importorskip("pybullet")
 GRIPPER = Path(__file__).parent / "robots" / "gripper.yaml"

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,12 @@ from safetensors.torch import load_file
 
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.atomic import temporary_beside
-from pointsdf_cli.io.checkpoints import read_checkpoint, read_train_state
+from pointsdf_cli.io.checkpoints import (
+    read_checkpoint,
+    read_config,
+    read_train_state,
+    write_checkpoint,
+)
 from pointsdf_cli.io.labels import Labels, write_labels
 from pointsdf_cli.io.views import Views, write_views
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
@@ -205,7 +211,7 @@ def test_a_damaged_pack_is_built_again(artifacts: Path, tmp_path: Path) -> None:
     pairs = pair_artifacts(artifacts / "views", artifacts / "labels")
     first = np.array(open_pack(pairs, tmp_path).clouds)
     (clouds,) = tmp_path.glob("*/clouds.npy")
-    for damage in (lambda: clouds.unlink(), lambda: clouds.write_bytes(b"\x93NUMPY")):
+    for damage in (clouds.unlink, *(partial(clouds.write_bytes, b) for b in (b"", b"\x93NUMPY"))):
         damage()
         assert np.array_equal(open_pack(pairs, tmp_path).clouds, first)
 
@@ -236,6 +242,16 @@ def test_two_that_pack_at_once_do_not_meet(artifacts: Path, tmp_path: Path) -> N
     assert two.clouds.shape[0] == 2 * VIEWS
     assert len(two.names) == 2
     assert len(list(tmp_path.iterdir())) == 1
+    # Both begin the same, and the other one is the first to finish.
+    again = open_pack(pairs, tmp_path, None, meanwhile(stop=False))
+    assert np.array_equal(again.clouds, whole.clouds)
+    assert len(list(tmp_path.iterdir())) == 1
+    # A folder that is named alike, and is no pack, stays.
+    mine = tmp_path / "pack-cups"
+    mine.mkdir()
+    (mine / "index.json").write_text("{}")
+    open_pack(pairs[:1], tmp_path)
+    assert (mine / "index.json").is_file()
 
 
 def test_what_a_killed_packing_left_is_removed(artifacts: Path, tmp_path: Path) -> None:
@@ -310,6 +326,14 @@ def test_a_stopped_and_resumed_run_equals_an_uninterrupted_one(pack: Pack, tmp_p
     assert [e["object_loss"] for e in strip] == [e["object_loss"] for e in again]
     for one, other in zip(strip, again, strict=True):
         assert one == pytest.approx(other, rel=1e-5)  # sums of losses, added in other groups
+
+
+def test_a_state_of_an_earlier_version_is_resumed(pack: Pack, tmp_path: Path) -> None:
+    _run(pack, tmp_path, stop_at=3)
+    state = read_train_state(tmp_path)
+    older = {k: v for k, v in state.items() if k not in ("since_validation", "total")}
+    write_checkpoint(tmp_path, config=read_config(tmp_path), train_state=older)
+    assert _run(pack, tmp_path, resume=True).finished
 
 
 def test_dropout_resumes_where_it_stopped(pack: Pack, tmp_path: Path) -> None:

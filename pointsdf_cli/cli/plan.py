@@ -125,7 +125,7 @@ def plan(
 
     reporter = common.Reporter(quiet, as_json)
     common.check_seed(seed)
-    typed = [text for text in (*(camera_pose or ()), start, target) if text is not None]
+    typed = [text for text in (*(camera_pose or ()), start, target, workspace) if text is not None]
     inputs = [*clouds, *(path for path in (environment, robot) if path is not None)]
     inputs += [Path(text) for text in typed if os.path.isfile(text)]
     common.check_suffix(out, "--out", (".h5", ".hdf5"))

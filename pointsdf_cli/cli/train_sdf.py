@@ -207,7 +207,7 @@ def train_sdf(
 
 
 ELSEWHERE = 143
-"""What a run leaves with that stopped because another machine's processes were told to."""
+"""What a process leaves with that stopped because another one of its run was told to."""
 
 
 def _started_from(start_from: Path | None, resumed: Path | None) -> dict[str, Any] | None:

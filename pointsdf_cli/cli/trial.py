@@ -153,8 +153,10 @@ def trial(
     refused_now = {name for name, _ in report.refused}
     tried = [task for name, task in tasks.items() if name not in refused_now]
     rows = read_rows(tried)
-    if not rows and not refused:  # a shard of nothing
-        reporter.result({"out": out, "trials": 0}, [f"{out}: no trials in shard {shard}"])
+    if not rows and shard is not None:  # other shards may have some
+        reporter.result(
+            {"out": out, "trials": 0, "refused": refused}, [f"{out}: no trials in shard {shard}"]
+        )
         return
     if not rows:
         raise InputError(

@@ -291,7 +291,10 @@ class Executor:
 
 
 def _sideways(chain: ArmChain, path: Array) -> float:
-    """How far [m] the hand moves aside on the way along arm joints [K, A], at most."""
+    """How far [m] the hand moves aside on the way along arm joints [K, A], at most.
+
+    The arm behind it may move farther; what only the arm could still meet is lost all the same.
+    """
     rotation, position, _ = chain.palm_and_jacobian(path)
     aside = np.linalg.norm(position[:, :2] - position[0, :2], axis=1)
     turn = np.linalg.norm(rotation_vector(rotation @ rotation[0].T), axis=1)

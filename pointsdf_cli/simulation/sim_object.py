@@ -69,7 +69,10 @@ def prepare_object(
     moments, axes = np.linalg.eigh(np.asarray(solid.moment_inertia))
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
-    poses = stable_poses(mesh.vertices, centre)
+    try:
+        poses = stable_poses(mesh.vertices, centre)
+    except InputError as error:
+        raise InputError(error.what, where=mesh.name, allowed=error.allowed) from error
     if cut is None:
         pieces = convex_pieces(mesh, cache=cache)
     else:

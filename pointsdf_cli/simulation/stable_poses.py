@@ -70,7 +70,7 @@ def stable_poses(
             # Scans have thousands of hull faces; a few hundred describe how they rest.
             hull = hull.simplify_quadric_decimation(face_count=600).convex_hull
         inward = (np.asarray(hull.triangles_center) - centre_of_mass) * hull.face_normals
-        if not (inward.sum(axis=1) > 0).all():
+        if not (inward.sum(axis=1) > 0)[hull.area_faces > 0].all():
             # trimesh would look for one inside for ever.
             raise InputError(
                 "has its centre of mass outside of itself",

@@ -215,7 +215,8 @@ def train_sdf(
         optimiser.load_state_dict(state["optimiser"])
         average.load(state["average"])
         step, seconds, history = state["step"], state["seconds"], list(state["history"])
-        since_validation, total = state["since_validation"], state["total"]
+        # A run of an earlier version does not say; the first mean loss is then of what follows.
+        since_validation, total = state.get("since_validation", 0), state.get("total", 0.0)
 
     def save(weights: dict[str, torch.Tensor] | None) -> None:
         if not workers.is_first:

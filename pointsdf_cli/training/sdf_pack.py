@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ from pointsdf_cli.models.shape_model import PACKED_NEIGHBOURS as NEIGHBOURS
 
 FORMAT = 2
 PREFIX, INDEX = "pack-", "index.json"
+NAME = re.compile(r"pack-[0-9a-f]{16}")
 
 
 @dataclass(frozen=True)
@@ -141,22 +143,37 @@ def open_pack(
             view_file.relative_to(below).with_suffix("").as_posix() for view_file, _ in pairs
         ]
         _check_limits(objects, limits)
-        np.save(building / "label_start.npy", _build(pairs, objects, building, limits, on_progress))
+        label_start = _build(pairs, objects, building, limits, on_progress)
+        _write_array(building / "label_start.npy", label_start)
         write_text_atomic(building / INDEX, json.dumps({"names": objects}))
-        pack = _finished(home)  # another run may have packed the same meanwhile
-        if pack is None:
-            shutil.rmtree(home, ignore_errors=True)
-            os.rename(building, home)
-            pack = load_pack(home, tuple(objects))
-        for other in folder.glob(f"{PREFIX}*/{INDEX}"):
-            # Who trains with it has its files open, and keeps them.
-            if other.parent != home:
-                shutil.rmtree(other.parent, ignore_errors=True)
+        # Who has a pack's files open keeps them, whoever moves or removes it.
+        pack = load_pack(building, tuple(objects))
+        _place(building, home)
+        for other in _packs_in(folder):
+            if other != home:
+                shutil.rmtree(other, ignore_errors=True)
         return pack
     except OSError as error:
         raise unwritable(folder, error) from error
     finally:
         shutil.rmtree(building, ignore_errors=True)  # a full disk has no room for what is no pack
+
+
+def _place(building: Path, home: Path) -> None:
+    """Put a pack at its place, unless another run has put the same one there meanwhile."""
+    if _finished(home) is None:
+        shutil.rmtree(home, ignore_errors=True)  # damaged
+        try:
+            os.rename(building, home)
+        except OSError:
+            if _finished(home) is None:
+                raise
+
+
+def _packs_in(folder: Path) -> list[Path]:
+    """The packs in a folder: what is named and filled as one."""
+    named = (path for path in sorted(folder.iterdir()) if NAME.fullmatch(path.name))
+    return [path for path in named if (path / INDEX).is_file() and (path / "clouds.npy").is_file()]
 
 
 def pack_views(
@@ -276,12 +293,19 @@ class _Appender:
         self.path.unlink()
 
 
+def _write_array(path: Path, array: NDArray) -> None:
+    with open(path, "wb") as handle:
+        np.save(handle, array)
+        handle.flush()
+        os.fsync(handle.fileno())
+
+
 def _finished(home: Path) -> Pack | None:
     """The pack in a folder, if one was finished there and is whole."""
     try:
         index = json.loads((home / INDEX).read_text(encoding="utf-8"))
         return load_pack(home, tuple(index["names"]))
-    except (OSError, ValueError, LookupError, TypeError):
+    except (OSError, EOFError, ValueError, LookupError, TypeError):
         return None
 
 
@@ -291,7 +315,7 @@ def read_pack(folder: Path) -> Pack:
     Raises:
         InputError: There is none.
     """
-    packs = (_finished(index.parent) for index in sorted(folder.glob(f"{PREFIX}*/{INDEX}")))
+    packs = map(_finished, _packs_in(folder) if folder.is_dir() else [])
     pack = next((pack for pack in packs if pack is not None), None)
     if pack is None:
         raise InputError("holds no pack", where=folder, allowed="what `train-sdf --pack` made")

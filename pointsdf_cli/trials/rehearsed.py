@@ -42,6 +42,7 @@ from pointsdf_cli.simulation.rehearsal import (
     Rehearsed,
     best_first,
 )
+from pointsdf_cli.simulation.world import try_robot
 
 Array = NDArray[np.float64]
 Surface = tuple[Array, NDArray[np.int32]]
@@ -129,6 +130,7 @@ class RehearsedPlanner(GraspPlanner):
         self.config = config or RehearsedPlannerConfig()
         options = replace(options, synthesis=search, halvings=(), redraws=self.config.redraws)
         super().__init__(options, grasps)
+        try_robot(self.robot)  # a rehearsal that cannot be built would look like one that fails
         self._rehearsal = Rehearsal(self.robot, self.config.rehearsal, self.config.execution)
 
     def plan_seen(
