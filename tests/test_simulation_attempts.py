@@ -180,15 +180,20 @@ def test_too_large_for_the_hand_is_refused(attempter: Attempter, cache: Path) ->
         attempter.check(item_of("crate", trimesh.creation.box([0.3, 0.3, 0.3]), cache))
 
 
-def test_collection_resumes_to_what_an_uninterrupted_one_makes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CollectTask:
+    """To grasp a can three times, with nothing cut before."""
     monkeypatch.setenv("RGRASP_CACHE", str(tmp_path / "cache"))
     can = trimesh.creation.cylinder(0.03, 0.15)
     save_mesh(tmp_path / "can.ply", can.vertices, can.faces)
-    whole = CollectTask(
-        "can", tmp_path / "can.ply", tmp_path / "whole.h5", 3, "train", AttemptConfig(), 2
-    )
+    out = tmp_path / "whole.h5"
+    return CollectTask("can", tmp_path / "can.ply", out, 3, "train", AttemptConfig(), 2)
+
+
+def test_collection_resumes_to_what_an_uninterrupted_one_makes(
+    task: CollectTask, tmp_path: Path
+) -> None:
+    whole = task
     summary = collect_object(whole)
     assert summary is not None
     assert summary.executed == 3
@@ -203,11 +208,8 @@ def test_collection_resumes_to_what_an_uninterrupted_one_makes(
 
 
 def test_an_object_that_is_not_seen_again_keeps_what_it_gave(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    task: CollectTask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("RGRASP_CACHE", str(tmp_path / "cache"))
-    can = trimesh.creation.cylinder(0.03, 0.15)
-    save_mesh(tmp_path / "can.ply", can.vertices, can.faces)
     honest = Attempter.attempt
 
     def from_the_sixth_on_unseen(self: Attempter, item: SimObject, index: int) -> Attempt:
@@ -216,9 +218,7 @@ def test_an_object_that_is_not_seen_again_keeps_what_it_gave(
         return honest(self, item, index)
 
     monkeypatch.setattr(Attempter, "attempt", from_the_sixth_on_unseen)
-    task = CollectTask(
-        "can", tmp_path / "can.ply", tmp_path / "once.h5", 40, "train", AttemptConfig(), 2
-    )
+    task = replace(task, quota=40)
     summary = collect_object(task)
     assert summary is not None
     assert sum(summary.causes.values()) == 5

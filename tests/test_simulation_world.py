@@ -13,9 +13,10 @@ from trial_worlds import can_grasp
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
-from pointsdf_cli.simulation.world import PhysicsConfig, World
+from pointsdf_cli.simulation.world import World
 
 pytest.importorskip("pybullet")
 GRIPPER = Path(__file__).parent / "robots" / "gripper.yaml"

@@ -227,7 +227,7 @@ class _Reader:
         if not isinstance(palm, Mapping) or palm.get("link") not in tree.links:
             raise self.wrong("palm", "has no such `link`", ", ".join(tree.links))
         reach = palm.get("reach")
-        moved = {link for link in tree.links if tree.shapes[link]} & _beyond(tree, hand)
+        moved = {link for link in tree.links if tree.shapes[link]} & tree.beyond(hand)
         if not moved:
             raise self.wrong(
                 "hand_joints",
@@ -237,7 +237,7 @@ class _Reader:
         palm_link, T_link_palm = _carrier(
             tree, hand, str(palm["link"]), self.pose("palm", palm, ("link", "reach"))
         )
-        above = _way_up(tree, palm_link)
+        above = tree.way_up(palm_link)
         for joint in tree.joints:
             if joint.name in hand and joint.child in above:
                 raise self.wrong(
@@ -361,24 +361,6 @@ class _Reader:
         return frozenset(pairs)
 
 
-def _beyond(tree: Tree, joints: tuple[str, ...]) -> set[str]:
-    """The links that these joints move."""
-    found: set[str] = set()
-    for joint in tree.joints:  # parents come first
-        if joint.name in joints or joint.parent in found:
-            found.add(joint.child)
-    return found
-
-
-def _way_up(tree: Tree, link: str) -> list[str]:
-    """A link and all that carry it, up to the root."""
-    above = {joint.child: joint.parent for joint in tree.joints}
-    links = [link]
-    while links[-1] in above:
-        links.append(above[links[-1]])
-    return links
-
-
 def _carrier(tree: Tree, hand: tuple[str, ...], link: str, pose: Array) -> tuple[str, Array]:
     """The palm frame in the link from which all fingers branch off.
 
@@ -387,7 +369,7 @@ def _carrier(tree: Tree, hand: tuple[str, ...], link: str, pose: Array) -> tuple
     """
     above = {joint.child: joint for joint in tree.joints}
     first = {joint.parent for joint in tree.joints if joint.name in hand}
-    shared = set.intersection(*(set(_way_up(tree, parent)) for parent in first | {link}))
+    shared = set.intersection(*(set(tree.way_up(parent)) for parent in first | {link}))
     carrier, T_carrier_palm = link, pose
     while carrier not in shared:
         joint = above[carrier]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,6 +60,22 @@ class Tree:
     joints: tuple[Joint, ...]
     shapes: dict[str, tuple[Shape, ...]]
     without_mass: tuple[str, ...]
+
+    def beyond(self, joints: Collection[str]) -> set[str]:
+        """The links that these joints move."""
+        found: set[str] = set()
+        for joint in self.joints:  # parents come first
+            if joint.name in joints or joint.parent in found:
+                found.add(joint.child)
+        return found
+
+    def way_up(self, link: str) -> list[str]:
+        """A link and all that carry it, up to the root."""
+        above = {joint.child: joint.parent for joint in self.joints}
+        links = [link]
+        while links[-1] in above:
+            links.append(above[links[-1]])
+        return links
 
     def neighbours(self) -> set[frozenset[str]]:
         """Pairs of links that cannot be kept apart by moving: those that one joint connects,

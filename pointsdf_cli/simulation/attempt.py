@@ -19,11 +19,12 @@ from pointsdf_cli.simulation.executor import Executor, ExecutorConfig, Outcome
 from pointsdf_cli.simulation.feet import nearest_pose, on_its_foot
 from pointsdf_cli.simulation.heuristic import HeuristicConfig, draw_preshape, hand_of
 from pointsdf_cli.simulation.observe import CameraPlacement, Observer, resample
+from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.reach import Reach, ReachConfig, Reacher
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.stable_poses import StandingConfig, draw_pose
-from pointsdf_cli.simulation.world import PhysicsConfig, World
+from pointsdf_cli.simulation.world import World
 
 Array = NDArray[np.float64]
 CLOUD_SIZE = 1000

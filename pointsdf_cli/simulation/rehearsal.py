@@ -23,9 +23,10 @@ from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
+from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
 from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, LIGHTEST, SimObject
-from pointsdf_cli.simulation.world import PhysicsConfig, World
+from pointsdf_cli.simulation.world import World
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.errors import RgraspError
 from pointsdf_cli.geometry.frames import (
     invert_transform,
     rotation_from_wxyz,
@@ -26,49 +26,13 @@ from pointsdf_cli.simulation.bullet import import_bullet
 from pointsdf_cli.simulation.bullet_robot import BulletRobot, CarriedHand
 from pointsdf_cli.simulation.bullet_urdf import bullet_urdf, hand_urdfs
 from pointsdf_cli.simulation.decomposition import Pieces
+from pointsdf_cli.simulation.physics import CONTACT_RECOVERY, JOINT_RECOVERY, PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
 
 Array = NDArray[np.float64]
 
 TABLE_LOW, TABLE_HIGH = (-0.35, -0.75), (1.25, 0.75)
 """Corners of the table top in the world [m]."""
-JOINT_RECOVERY, CONTACT_RECOVERY = 96.0, 38.4
-"""Of an error of position in a joint, of an overlap in a contact: what is taken back [1/s].
-
-PyBullet asks for the share a step (these are its defaults, 0.2 and 0.08, at 1/480 s), with which
-half the step would be another, stiffer model, and a study of the step would compare the two.
-"""
-
-
-@dataclass(frozen=True)
-class PhysicsConfig:
-    """Numbers of the contact simulation, chosen by the convergence study in docs/grasps.md.
-
-    Attributes:
-        step: Time step [s].
-        iterations: Of the contact solver, a step. Of the whole arm with 40, half the step changes
-            9% of labels, and objects of many pieces slip that hold with 200; with 200, half the
-            step changes 4%, and moving the object by 0.1 mm 3%.
-        hand_friction, object_friction, table_friction: Lateral; two bodies' values multiply.
-        rolling_friction, spinning_friction: Of the object, small: soft contacts resist a little.
-        gravity: [m/s²].
-    """
-
-    step: float = 1 / 480
-    iterations: int = 200
-    hand_friction: float = 1.0
-    object_friction: float = 0.6
-    table_friction: float = 0.8
-    rolling_friction: float = 1e-4
-    spinning_friction: float = 1e-3
-    gravity: float = 9.81
-
-    def __post_init__(self) -> None:
-        if not 1e-5 <= self.step <= 0.01 or not 1 <= self.iterations <= 10_000:
-            raise InputError(
-                f"a step of {self.step} s with {self.iterations} iterations",
-                allowed="1e-5 to 0.01 s, 1 to 10000",
-            )
 
 
 @dataclass(frozen=True)

@@ -34,9 +34,10 @@ from pointsdf_cli.robot.description import load_robot, robot_digest
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.observe import Observer
+from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.record import Recorder
 from pointsdf_cli.simulation.sim_object import SimObject
-from pointsdf_cli.simulation.world import PhysicsConfig, World
+from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.contenders import ContenderOptions, Mind, rehearsal_of, weights_of
 from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
 from pointsdf_cli.trials.pictures import write_film
