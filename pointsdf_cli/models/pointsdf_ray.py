@@ -20,6 +20,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from pointsdf_cli.models.box_frame import BOX_SIZE, BoxFrame, box_evidence, box_frame
 from pointsdf_cli.models.neighbours import (
     SEARCHES,
     farthest_point_order,
@@ -60,6 +61,8 @@ class PointSDFRay(ShapeModel):
         search: How neighbours are chosen: `exact`, or `subsets`, which is faster and about as good.
         revolution: Whether the decoder reads the evidence at a query's twin too.
         sideways: Of its axis, see `revolution_axis`.
+        box: Whether the decoder also reads where a query lies in the box around the cloud (with
+            `revolution` only).
     """
 
     architecture = "pointsdf-ray"
@@ -78,6 +81,7 @@ class PointSDFRay(ShapeModel):
         search: str = "exact",
         revolution: bool = False,
         sideways: float = 0.0,
+        box: bool = False,
     ) -> None:
         super().__init__()
         self.centres, self.neighbours = tuple(centres), tuple(neighbours)
@@ -88,7 +92,10 @@ class PointSDFRay(ShapeModel):
         for found, k in zip((self.cloud_size, *centres), neighbours, strict=False):
             if not 1 <= k <= found:
                 raise ValueError(f"{k} neighbours of {found} points")
+        if box and not revolution:
+            raise ValueError("the box is read with the axis of revolution only")
         self.search, self.revolution, self.sideways = search, revolution, sideways
+        self.has_box = box
         self.packed_neighbours = (centres[0], neighbours[0])
 
         self.layers = nn.ModuleList(
@@ -116,6 +123,7 @@ class PointSDFRay(ShapeModel):
         inputs = 3 + 6 * OCTAVES + EVIDENCE_SIZE + 3 * local
         # Last among the inputs, so that weights of a decoder without them fit (`begin_with`).
         inputs += (TRUST_SIZE + EVIDENCE_SIZE + local) if revolution else 0
+        inputs += BOX_SIZE if box else 0
         self.enter = nn.Linear(inputs, width)
         self.embed_first = nn.Linear(self.embedding_size, width)
         self.embed_middle = nn.Linear(self.embedding_size, width)
@@ -139,14 +147,15 @@ class PointSDFRay(ShapeModel):
             "search": self.search,
             "revolution": self.revolution,
             "sideways": self.sideways,
+            "box": self.has_box,
         }
 
     def begin_with(self, other: ShapeModel) -> None:
         state = other.state_dict()
-        if isinstance(other, PointSDFRay) and self.revolution and not other.revolution:
-            # What a twin says counts for nothing at first: the same function to begin with.
+        if isinstance(other, PointSDFRay) and other.revolution <= self.revolution:
+            # What is new counts for nothing at first: the same function to begin with.
             narrow = state["enter.weight"]
-            missing = self.enter.in_features - narrow.shape[1]
+            missing = max(0, self.enter.in_features - narrow.shape[1])
             state["enter.weight"] = torch.nn.functional.pad(narrow, (0, missing))
         self.load_state_dict(state)
 
@@ -196,6 +205,9 @@ class PointSDFRay(ShapeModel):
                 axis = revolution_axis(fine_at, normals, camera, self.sideways)
                 evidence |= {f"axis_{name}": value for name, value in axis._asdict().items()}
                 evidence["places"] = places(cloud, axis)
+                if self.has_box:
+                    box = box_frame(normals, cloud, camera, axis)
+                    evidence |= {f"box_{name}": value for name, value in box._asdict().items()}
         return Encoding(self.to_embedding(features.flatten(1)), evidence)
 
     def decode(self, encoding: Encoding, x: Tensor) -> Tensor:
@@ -220,6 +232,10 @@ class PointSDFRay(ShapeModel):
         ]
         if self.revolution:
             inputs += self._twin_evidence(known, x)
+        if self.has_box:
+            box = BoxFrame(*(known[f"box_{name}"] for name in BoxFrame._fields))
+            with torch.autocast(x.device.type, enabled=False):
+                inputs.append(box_evidence(x, box, _axis(known)))
         h = self.enter(torch.cat(inputs, dim=-1))
         h = h + self.embed_first(encoding.embedding).unsqueeze(1)
         for step, block in enumerate(self.trunk):
@@ -232,12 +248,16 @@ class PointSDFRay(ShapeModel):
 
     def _twin_evidence(self, known: dict[str, Tensor], x: Tensor) -> list[Tensor]:
         cloud, camera = known["cloud"], known["camera"]
-        axis = Axis(*(known[f"axis_{name}"] for name in Axis._fields))
+        axis = _axis(known)
         with torch.autocast(x.device.type, enabled=False):
             twin, trust = twins(x, axis, cloud, known["places"], self.search)
             seen = ray_evidence(twin, cloud, camera, known["cloud_image"], self.search)
         near = SEARCHES[self.search](twin, known["fine_at"], 8)
         return [trust, seen, self.local_fine(twin, known["fine"], near).to(x.dtype)]
+
+
+def _axis(known: dict[str, Tensor]) -> Axis:
+    return Axis(*(known[f"axis_{name}"] for name in Axis._fields))
 
 
 class LocalFeatures(nn.Module):
