@@ -1,13 +1,16 @@
 """`mesh`: seconds, queries, memory; against the dense grid and against a literal MISE.
 
     python benchmarks/bench_mesh.py [--cloud FILE] [--checkpoint DIR] [--threads 2]
-        [--precision auto] [--resolutions 128 512] [--literal 64] [--dense 128] [--json FILE]
+        [--precision auto] [--resolutions 128 512] [--exact] [--views FOLDER] [--literal 64]
+        [--dense 128] [--json FILE]
 
 Each resolution is timed in a process of its own, so that its peak memory is its own. The literal
 MISE is the algorithm as it is told: a dictionary of points, each asked by itself. It is run whole,
 at a resolution that ends in a minute or two, and its time a point is then also applied to the
 points that it would need at the other resolutions. CPU seconds stand beside wall seconds, because
-a busy machine slows the wall clock only. About five minutes on two cores; `--literal 0` and
+a busy machine slows the wall clock only. `--exact` asks the network everywhere; `--views` times the
+first view of each object in a folder of `rgrasp render` too, at the first resolution. About
+five minutes on two cores; `--literal 0` and
 `--dense 0` leave the slow parts out.
 """
 
@@ -31,6 +34,7 @@ from scipy.spatial import cKDTree
 from pointsdf_cli.geometry.isosurface import Isosurface, IsosurfaceConfig, extract_isosurface
 from pointsdf_cli.geometry.mise import SearchRules
 from pointsdf_cli.io.clouds import read_cloud
+from pointsdf_cli.io.views import read_views
 from pointsdf_cli.models.meshing import mesh_reconstruction, network_field
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model, use_threads
@@ -79,7 +83,9 @@ def time_mesh(job: tuple[argparse.Namespace, int]) -> dict[str, float]:
         wall, cpu = time.perf_counter(), time.process_time()
         reconstruction = Reconstruction.from_cloud(model, points, np.zeros(3))
         encoded = time.perf_counter()
-        mesh = mesh_reconstruction(reconstruction, resolution, low_precision=low_precision)
+        mesh = mesh_reconstruction(
+            reconstruction, resolution, low_precision=low_precision, exact=options.exact
+        )
         done = time.perf_counter()
         runs.append((done - wall, encoded - wall, time.process_time() - cpu))
     seconds, encoding, cpu = min(runs)
@@ -93,6 +99,29 @@ def time_mesh(job: tuple[argparse.Namespace, int]) -> dict[str, float]:
         "vertices": len(mesh.vertices),
         "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
     }
+
+
+def time_views(options: argparse.Namespace) -> list[tuple[float, int]]:
+    """Seconds and queries of the first view of every object in `--views`, at one resolution."""
+    use_threads(options.threads)
+    model = load_model(options.checkpoint)
+    low_precision = autocast_dtype(options.precision, torch.device("cpu"))
+    resolution = options.resolutions[0]
+    found = []
+    for path in sorted(options.views.rglob("*.h5")):
+        points = read_views(path).cloud[0].astype(np.float64)
+        runs = []
+        for _ in range(2):  # the first one warms what depends on the sizes
+            started = time.perf_counter()
+            mesh = mesh_reconstruction(
+                Reconstruction.from_cloud(model, points, np.zeros(3)),
+                resolution,
+                low_precision=low_precision,
+                exact=options.exact,
+            )
+            runs.append(time.perf_counter() - started)
+        found.append((min(runs), mesh.queries))
+    return found
 
 
 def literal_mise(
@@ -182,6 +211,8 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--precision", default="auto")
     parser.add_argument("--resolutions", type=int, nargs="*", default=[128, 512])
+    parser.add_argument("--exact", action="store_true")
+    parser.add_argument("--views", type=Path)
     parser.add_argument("--literal", type=int, default=64)
     parser.add_argument("--dense", type=int, default=128)
     parser.add_argument("--json", type=Path)
@@ -195,6 +226,15 @@ def main() -> None:
             f"{row['resolution']}³: {row['seconds']:.2f} s ({row['cpu_seconds']:.2f} CPU s), "
             f"{row['queries']} queries = {row['share_of_dense']:.2%} of the dense grid's, "
             f"{row['vertices']} vertices, {row['peak_MB']:.0f} MB"
+        )
+    if options.views:
+        result["views"] = views = time_views(options)
+        seconds, queries = np.transpose(views)
+        print(
+            f"{len(views)} views of {options.views} at {options.resolutions[0]}³: "
+            "{:.2f} s in the median, {:.2f} to {:.2f} s from the tenth to the ninetieth of a "
+            "hundred; ".format(*np.percentile(seconds, [50, 10, 90]))
+            + f"{np.median(queries):.0f} queries in the median"
         )
     if options.literal:
         result["literal"] = literal = time_literal(options)

@@ -22,6 +22,9 @@ def eval_sdf(
     count: Annotated[int, typer.Option(help="Views of each object; 0 takes all.")] = 10,
     resolution: Annotated[int, typer.Option(help="Of the meshes that are scored.")] = 128,
     samples: Annotated[int, typer.Option(help="Points that each metric counts.")] = 100_000,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="As of mesh: ask the networks everywhere.")
+    ] = False,
     precision: Annotated[
         str, typer.Option(help="auto (bfloat16 where the processor has it), bfloat16 or float32.")
     ] = "auto",
@@ -77,6 +80,7 @@ def eval_sdf(
         views=count,
         samples=samples,
         precision=precision,
+        exact=exact,
         seed=common.check_seed(seed),
     )
     tasks = evaluation.make_tasks(views, meshes, config)
@@ -112,6 +116,7 @@ def eval_sdf(
         "resolution": resolution,
         "samples": samples,
         "precision": precision,
+        "exact": exact,
         "seed": seed,
         "git_commit": git_commit(),
         "seconds": round(report.seconds, 1),

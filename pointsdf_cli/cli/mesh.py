@@ -70,6 +70,12 @@ def mesh(
     all_parts: Annotated[
         bool, typer.Option("--all-parts", help="Keep small loose parts too.")
     ] = False,
+    exact: Annotated[
+        bool,
+        typer.Option(
+            "--exact", help="Ask the network everywhere; else smooth places are interpolated."
+        ),
+    ] = False,
     smooth: Annotated[
         int, typer.Option(help="Passes that take ripples off the surface; 0 for none.")
     ] = 25,
@@ -143,7 +149,12 @@ def mesh(
     reconstruction = Reconstruction.from_cloud(model, points, np.zeros(3), seed=seed)
     try:
         made = mesh_reconstruction(
-            reconstruction, resolution, 0.0 if all_parts else 0.05, smooth, low_precision
+            reconstruction,
+            resolution,
+            0.0 if all_parts else 0.05,
+            smooth,
+            low_precision,
+            exact=exact,
         )
     except EmptySurfaceError as error:
         raise EmptySurfaceError(

@@ -19,6 +19,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.geometry.fine_cells import FineGrid, refine_cells
 from pointsdf_cli.geometry.marching_cubes import cross_cells
 from pointsdf_cli.geometry.mise import Field, SampledGrid, SearchRules, find_surface_cells
 
@@ -41,6 +42,8 @@ class IsosurfaceConfig:
         coarse: Cells of the grid on which every corner's sign is settled, asked or by a bound.
         half_width: The box is [-half_width, half_width]³, in the field's units.
         rules: When MISE asks and where it looks.
+        asked: The finest grid on which the field itself is asked; beyond it corners are
+            interpolated (`fine_cells.py`).
         newton: One Newton step along each edge (one more query a vertex).
         smallest_part: Parts that enclose less than this share of the largest part's volume are
             dropped; 1 keeps the largest alone, 0 everything.
@@ -51,6 +54,7 @@ class IsosurfaceConfig:
     coarse: int = 32
     half_width: float = 0.8
     rules: SearchRules = field(default_factory=SearchRules)
+    asked: int = MAX_RESOLUTION
     newton: bool = True
     smallest_part: float = 0.05
     batch: int = 1 << 16
@@ -100,29 +104,39 @@ def extract_isosurface(sdf: Field, config: IsosurfaceConfig | None = None) -> Is
         RgraspError: The field is not finite.
     """
     config = config or IsosurfaceConfig()
-    grid = SampledGrid(sdf, config.resolution, config.half_width, config.batch)
+    asked = min(config.resolution, config.asked)
+    grid = SampledGrid(sdf, asked, config.half_width, config.batch)
     corners = find_surface_cells(grid, config.coarse, config.rules)
     if len(corners) == 0:
         raise EmptySurfaceError(
             "no surface: the field is nowhere negative in the box",
             allowed="a field that is negative inside the object",
         )
-    crossed = cross_cells(corners, grid.values)
-    vertices = _vertices(grid, crossed.low, crossed.high, config)
+    if asked == config.resolution:
+        crossed = cross_cells(corners, grid.values)
+        vertices = _vertices(grid, crossed.low, crossed.high, grid if config.newton else None)
+    else:
+        fine, corners = refine_cells(grid, corners, config.resolution // asked)
+        crossed = cross_cells(corners, fine.values)
+        vertices = _vertices(fine, crossed.low, crossed.high)
     vertices, faces, dropped = _keep_large_parts(vertices, crossed.faces, config.smallest_part)
     return Isosurface(vertices, faces, grid.queries, dropped)
 
 
 def _vertices(
-    grid: SampledGrid, low: NDArray[np.integer], high: NDArray[np.integer], config: IsosurfaceConfig
+    grid: SampledGrid | FineGrid,
+    low: NDArray[np.integer],
+    high: NDArray[np.integer],
+    asked: SampledGrid | None = None,
 ) -> NDArray[np.float64]:
-    """Where the edges between the corners `low` and `high` [V] cross zero: [V, 3]."""
+    """Where the edges between the corners `low` and `high` [V] cross zero: [V, 3]; with one Newton
+    step where there is a field to ask."""
     start, end = grid.positions(low), grid.positions(high)
     value_low, value_high = (grid.values[row].astype(np.float64) for row in (low, high))
     share = value_low / (value_low - value_high)
-    if config.newton:
+    if asked is not None:
         share = np.clip(share, _END_GAP, 1 - _END_GAP)
-        here = grid.ask(start + share[:, None] * (end - start)).astype(np.float64)
+        here = asked.ask(start + share[:, None] * (end - start)).astype(np.float64)
         share = _newton_step(share, value_low, here, value_high)
     share = np.clip(share, _END_GAP, 1 - _END_GAP)
     return start + share[:, None] * (end - start)

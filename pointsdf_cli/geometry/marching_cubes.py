@@ -108,6 +108,7 @@ def _faces() -> list[list[int]]:
     return faces
 
 
+@lru_cache
 def _edge_between(a: int, b: int) -> int:
     return EDGES.index((min(a, b), max(a, b)))
 
@@ -136,6 +137,7 @@ def _contours(case: int) -> list[list[int]]:
     return loops
 
 
+@lru_cache(maxsize=256)
 def _share_face(edge_a: int, edge_b: int) -> bool:
     corners = {*EDGES[edge_a], *EDGES[edge_b]}
     return any(corners <= set(face) for face in _faces())

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import RgraspError
+from pointsdf_cli.geometry.cubic_cells import STENCIL, bends, cubic_cells
 from pointsdf_cli.geometry.marching_cubes import CORNERS, straddling
 
 Field = Callable[[NDArray[np.float32]], NDArray[np.floating]]
@@ -38,6 +39,7 @@ _FACES = [(np.flatnonzero(CORNERS[:, k] == s), k, 2 * s - 1) for k in range(3) f
 # The points of a halved cell that are not corners of the whole, in half steps, and for each the
 # corners of the edge, face or cell that it is the middle of.
 _MIDDLES = [np.array(m) for m in product((0, 1, 2), repeat=3) if 1 in m]
+_THIRDS = np.array(list(product((0, 1, 2), repeat=3)))
 _ENDS = [np.flatnonzero((np.abs(2 * CORNERS - m) <= 1).all(axis=1)) for m in _MIDDLES]
 
 
@@ -50,10 +52,15 @@ class SearchRules:
             infinity for the paper's rule (every corner of a subdivided cell is asked).
         reach: Cells of the coarse grid with a corner nearer to the surface than this many cells
             are subdivided although their corners agree; 0 is the paper's rule.
+        smooth: Cells around which the field bends by less than so many of their sides (`bends`)
+            are not asked again when they are halved: it is interpolated. 0 never does that.
+        smooth_from: Cells along the box from which on that holds.
     """
 
     slope: float = 1.25
     reach: float = 0.5
+    smooth: float = 0.0
+    smooth_from: int = 64
 
 
 class SampledGrid:
@@ -69,11 +76,11 @@ class SampledGrid:
     """
 
     def __init__(self, field: Field, resolution: int, half_width: float, batch: int) -> None:
-        self._field, self._half_width, self._batch = field, half_width, batch
+        self._field, self.half_width, self._batch = field, half_width, batch
         self.side = resolution + 1
         self.step = 2 * half_width / resolution
         # 1 + the row of each corner, 0 where it was never looked at. Flat numbers fit 32 bits.
-        self._slot = _sparse_zeros(self.side**3)
+        self._slot = sparse_zeros(self.side**3)
         self._weights = np.array([self.side**2, self.side, 1], dtype=np.int32)
         self._flat = np.zeros(0, dtype=np.int32)
         self.values = np.zeros(0, dtype=np.float32)
@@ -96,13 +103,42 @@ class SampledGrid:
         self.queries += len(points)
         if values.shape != (len(points),) or not np.isfinite(values).all():
             raise RgraspError("the field gave values that are not finite numbers, one a point")
-        wall = np.abs(points).max(axis=1, initial=0) - (self._half_width - self.step / 2)
-        return np.maximum(values, wall).astype(np.float32)
+        return np.maximum(values, self._wall(points)).astype(np.float32)
 
     def positions(self, rows: NDArray[np.integer]) -> NDArray[np.float64]:
         """Where the corners of `rows` [N] are: [N, 3], in the field's units."""
-        index = np.stack(np.unravel_index(self._flat[rows], (self.side,) * 3), axis=1)
-        return index * self.step - self._half_width
+        return self.places(rows).astype(np.float64) * self.step - self.half_width
+
+    def places(self, rows: NDArray[np.integer]) -> NDArray[np.int32]:
+        """The same in steps from the box's lowest corner: [N, 3]."""
+        index = np.unravel_index(self._flat[rows], (self.side,) * 3)
+        return np.stack(index, axis=1).astype(np.int32)
+
+    def rows_at(self, places: NDArray[np.integer]) -> NDArray[np.int32]:
+        """The rows [N] of the corners at `places` [N, 3]; those that hold no value are asked."""
+        flat = self._flat_of(places)
+        unknown = self._once(flat[self._slot[flat] == 0])
+        self._add([unknown], [np.zeros(len(unknown), np.float32)])
+        rows = self._slot[flat] - np.int32(1)
+        self.settle(rows)
+        return rows
+
+    def values_around(self, cells: Cells, stride: int) -> NDArray[np.float32]:
+        """The field [C, 64] at the corners around cells of size `stride` (`cubic_cells.STENCIL`),
+        the outermost ones repeated beyond the box; those that hold bounds are asked."""
+        places = np.clip(cells[:, None] + stride * STENCIL, 0, self.side - 1)
+        rows = self.rows_at(places.reshape(-1, 3))
+        return self.values[rows].reshape(len(cells), len(STENCIL))
+
+    def fill(self, cells: Cells, stride: int, blocks: NDArray[np.float32]) -> None:
+        """Take `blocks` [C, 3, 3, 3] for the field on the halves of cells of size 2 · `stride`,
+        wherever nothing is known yet."""
+        flat = (self._flat_of(cells)[:, None] + self._flat_of(stride * _THIRDS)).reshape(-1)
+        new = np.flatnonzero(self._slot[flat] == 0)
+        new = new[self._are_first(flat[new])]
+        rows = self._add([flat[new]], [blocks.reshape(-1)[new]])
+        self.values[rows] = np.maximum(self.values[rows], self._wall(self.positions(rows)))
+        self.exact[rows] = True
 
     def corner_rows(self, cells: Cells, stride: int) -> NDArray[np.int32]:
         """The rows [C, 8] of the corners of cells of size `stride`; new ones are asked."""
@@ -113,8 +149,7 @@ class SampledGrid:
             rows[:, k] = self._slot[base + offset] - 1
             unknown = np.flatnonzero(rows[:, k] < 0)
             if len(unknown):
-                # One number per flat index first: cells of one call may share the new corner.
-                flat = np.unique(base[unknown] + offset)
+                flat = self._once(base[unknown] + offset)
                 fresh.append(self._add([flat], [np.zeros(len(flat), np.float32)]))
                 rows[unknown, k] = self._slot[base[unknown] + offset] - 1
         if fresh:
@@ -161,10 +196,25 @@ class SampledGrid:
         self.exact[rows] = True
         return rows[(self.values[rows] < 0) != believed]
 
+    def _wall(self, points: NDArray[np.floating]) -> NDArray[np.floating]:
+        wall: NDArray[np.floating] = np.abs(points).max(axis=1, initial=0)
+        return wall - (self.half_width - self.step / 2)
+
     def _flat_of(self, cells: NDArray[np.integer]) -> NDArray[np.int32]:
         x, y, z = cells.astype(np.int32, copy=False).T
         flat: NDArray[np.int32] = (x * np.int32(self.side) + y) * np.int32(self.side) + z
         return flat
+
+    def _once(self, flat: NDArray[np.int32]) -> NDArray[np.int32]:
+        """New corners without repeats: neighbouring cells share them."""
+        return flat[self._are_first(flat)]
+
+    def _are_first(self, flat: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Which entry stands for each of the new corners `flat` [N]; a sort takes ten times as
+        long as writing each entry's number where its corner's will be, and reading them back."""
+        entries = np.arange(1, len(flat) + 1, dtype=np.int32)
+        self._slot[flat] = entries
+        return self._slot[flat] == entries
 
     def _add(
         self, places: list[NDArray[np.int32]], values: list[NDArray[np.float32]]
@@ -179,7 +229,7 @@ class SampledGrid:
         return rows
 
 
-def _sparse_zeros(count: int) -> NDArray[np.int32]:
+def sparse_zeros(count: int) -> NDArray[np.int32]:
     """int32 zeros [count] that take memory only where they are written, page by small page.
 
     A surface writes to few pages. NumPy's own zeros ask for huge pages, and would take them all.
@@ -210,7 +260,7 @@ def find_surface_cells(grid: SampledGrid, coarse: int, rules: SearchRules) -> ND
     cells, rows = cells[near], rows[near]
     while stride > 1:
         stride //= 2
-        cells, rows = _subdivide(grid, cells, stride, rules.slope)
+        cells, rows = _subdivide(grid, cells, stride, rules)
     return rows
 
 
@@ -236,7 +286,7 @@ def _coarse_cells(grid: SampledGrid, stride: int, slope: float) -> Cells:
 
 
 def _subdivide(
-    grid: SampledGrid, parents: Cells, stride: int, slope: float
+    grid: SampledGrid, parents: Cells, stride: int, rules: SearchRules
 ) -> tuple[Cells, NDArray[np.int32]]:
     """The cells of size `stride` that the surface crosses in `parents` or, from there, beyond.
 
@@ -247,7 +297,11 @@ def _subdivide(
     cells, rows = np.zeros((0, 3), np.int32), np.zeros((0, 8), np.int32)
     while len(parents):
         halved[tuple((parents // (2 * stride)).T)] = True
-        children = grid.halve(parents, stride, slope)
+        if len(halved) >= rules.smooth_from and rules.smooth > 0:
+            around = grid.values_around(parents, 2 * stride)
+            smooth = bends(around) < rules.smooth * 2 * stride * grid.step
+            grid.fill(parents[smooth], stride, cubic_cells(around[smooth], 2))
+        children = grid.halve(parents, stride, rules.slope)
         first = len(cells)
         cells = np.concatenate([cells, children])
         rows = np.concatenate([rows, grid.corner_rows(children, stride)])
@@ -285,10 +339,12 @@ def _settle_crossed_edges(
     for bit in (4, 2, 1):
         ends |= inside != inside[:, np.arange(8) ^ bit]
     wrong = grid.settle(rows[fresh][ends])
+    settled = np.zeros(len(rows), dtype=bool)
+    settled[fresh] = True
     while len(wrong):
         refuted = np.zeros(len(grid.values), dtype=bool)
         refuted[wrong] = True
-        around = np.flatnonzero(refuted[rows].any(axis=1))
-        fresh = np.union1d(fresh, around)
+        around = refuted[rows].any(axis=1)
+        settled[around] = True
         wrong = grid.settle(rows[around].ravel())
-    return fresh
+    return np.flatnonzero(settled)

@@ -210,6 +210,11 @@ class PointSDFRay(ShapeModel):
                     evidence |= {f"box_{name}": value for name, value in box._asdict().items()}
         return Encoding(self.to_embedding(features.flatten(1)), evidence)
 
+    def lowered(self, encoding: Encoding, dtype: torch.dtype) -> Encoding:
+        known = encoding.evidence
+        tables = [name for name in ("fine", "coarse", "image", "keys", "values") if name in known]
+        return encoding._replace(evidence=known | {name: known[name].to(dtype) for name in tables})
+
     def decode(self, encoding: Encoding, x: Tensor) -> Tensor:
         known = encoding.evidence
         camera = known["camera"]

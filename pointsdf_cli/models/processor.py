@@ -30,6 +30,18 @@ def keep_large_allocations() -> None:
     mallopt(mmap_max, 0)
 
 
+FEWEST = 256
+"""Rows that are worth a thread of their own."""
+
+
+def even_parts(rows: Tensor, most: int) -> list[Tensor]:
+    """Rows [N, ...] in parts of about equal size, at most `most` rows each: as many for each of
+    PyTorch's threads, so that none waits for another's last part."""
+    threads = max(1, min(torch.get_num_threads(), len(rows) // FEWEST))
+    count = -(-len(rows) // most)
+    return list(rows.tensor_split(-(-count // threads) * threads))
+
+
 def side_by_side(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) -> list[Tensor]:
     """`[function(part) for part in parts]`, the parts shared out over PyTorch's threads.
 

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.normalise import network_frame, resample
-from pointsdf_cli.models.processor import side_by_side
+from pointsdf_cli.models.processor import even_parts, side_by_side
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 
 CHUNK = 4096
@@ -119,7 +119,8 @@ class Reconstruction:
         Returns:
             f4 [...].
         """
-        parts = self._to_network(x).split(chunk)
+        places = self._to_network(x)
+        parts = even_parts(places, chunk) if len(places) else []
         values = side_by_side(lambda part: self.model.decode(self.encoding, part[None])[0], parts)
         return self._distances(values, np.shape(x)[:-1])
 

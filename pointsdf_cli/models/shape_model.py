@@ -11,6 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor, nn
 
 PACKED_CENTRES, PACKED_NEIGHBOURS = 256, 24
@@ -76,6 +77,11 @@ class ShapeModel(nn.Module, ABC):
             camera: [B, 3], the camera's centre in the network's frame.
             neighbours: See `packed_neighbours`; searched for where None.
         """
+
+    def lowered(self, encoding: Encoding, dtype: torch.dtype) -> Encoding:
+        """The encoding with those tables in `dtype` that the decoder's products take in it anyway
+        where autocast computes in it; geometry stays as it is."""
+        return encoding
 
     @abstractmethod
     def decode(self, encoding: Encoding, x: Tensor) -> Tensor:

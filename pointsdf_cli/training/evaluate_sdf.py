@@ -50,6 +50,7 @@ class EvalConfig:
         views: Views of each object, the first so many; 0 takes all.
         samples: Points that each metric counts.
         precision: Of the networks: auto, bfloat16 or float32.
+        exact: Ask the networks everywhere, see `mesh_reconstruction`.
         seed: Of the resampled clouds and of the metrics' points.
 
     Raises:
@@ -61,6 +62,7 @@ class EvalConfig:
     views: int = 10
     samples: int = SAMPLES
     precision: str = "auto"
+    exact: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -148,6 +150,7 @@ def reconstruct(
             reconstruction,
             task.config.resolution,
             low_precision=autocast_dtype(task.config.precision, torch.device("cpu")),
+            exact=task.config.exact,
         )
     except EmptySurfaceError:
         return reconstruction, None
