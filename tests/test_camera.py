@@ -95,6 +95,24 @@ def test_views_lie_on_the_surface_when_there_is_no_noise() -> None:
         assert np.abs(field(apply_transform(invert_transform(pose), cloud))).max() < 1e-6
 
 
+def test_views_from_above_see_into_a_cup_and_turn_it_evenly() -> None:
+    """Cameras above the horizon only, as many at every height, and never a mirrored object."""
+    cup = trimesh.creation.annulus(0.03, 0.035, 0.08)
+    config = ViewConfig(views=200, noise=DepthNoise(0.0), above=True)
+    views, _ = render_views(loaded(cup), config, np.random.default_rng(0))
+    cameras = np.array([invert_transform(pose)[:3, 3] for pose in views.T_camera_object])
+    height = cameras[:, 2] / 1.5  # of directions spread evenly over the half sphere: 0 to 1, evenly
+    assert height.min() > 0
+    assert np.percentile(height, [25, 50, 75]) == pytest.approx([0.25, 0.5, 0.75], abs=0.08)
+    assert np.abs(cameras[:, :2].mean(axis=0)).max() < 0.15
+    assert np.linalg.det(views.T_camera_object[:, :3, :3]) == pytest.approx(1)
+    anywhere, _ = render_views(
+        loaded(cup), ViewConfig(views=50, noise=DepthNoise(0.0)), np.random.default_rng(0)
+    )
+    below = [invert_transform(pose)[2, 3] < 0 for pose in anywhere.T_camera_object]
+    assert 10 < sum(below) < 40
+
+
 def test_views_see_the_near_side_only_at_the_distance_asked_for() -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
     views, _ = render_views(

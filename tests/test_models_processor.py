@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from pointsdf_cli.models.processor import side_by_side
+from pointsdf_cli.models.processor import FEWEST, even_parts, side_by_side
 
 PARTS = torch.arange(40.0).reshape(-1, 1).split(6)
 
@@ -66,3 +66,22 @@ def test_one_part_or_one_thread_stays_here() -> None:
     side_by_side(where, PARTS[:1])
     torch.set_num_threads(1)
     side_by_side(where, PARTS)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2 * FEWEST - 1, 2 * FEWEST, 4097, 8192, 20_001])
+def test_threads_get_as_many_rows_each(count: int) -> None:
+    rows = torch.arange(float(count)).reshape(-1, 1)
+    parts = even_parts(rows, 4096)
+    assert torch.equal(torch.cat(parts), rows)
+    sizes = [len(part) for part in parts]
+    assert max(sizes) <= 4096
+    if count < 2 * FEWEST:
+        assert len(parts) == 1  # not worth a second thread
+    else:
+        assert len(parts) % 2 == 0
+        assert max(sizes) - min(sizes) <= 1
+
+
+def test_one_thread_takes_whole_parts() -> None:
+    torch.set_num_threads(1)
+    assert [len(part) for part in even_parts(torch.zeros(5000, 3), 4096)] == [4096, 904]

@@ -39,6 +39,8 @@ class ViewConfig:
         noise: Of the depth.
         keep_depth: Whether the depth images are stored too.
         unit: Unit of the mesh file's numbers.
+        above: Only from above the horizon, z up as the mesh stands: what an open vessel holds is
+            then seen, as it is on a table.
 
     Raises:
         InputError: A value is out of its range.
@@ -50,6 +52,7 @@ class ViewConfig:
     noise: DepthNoise = field(default_factory=DepthNoise)
     keep_depth: bool = False
     unit: str = "m"
+    above: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= self.views <= 100_000:
@@ -58,8 +61,11 @@ class ViewConfig:
             raise InputError(f"{self.distance} m", where="--distance", allowed="0.1 to 20 m")
 
     def as_dict(self) -> dict[str, Any]:
-        """For `config_json`."""
-        return asdict(self)
+        """For `config_json`; what files of earlier versions could not say is left out."""
+        known = asdict(self)
+        if not self.above:
+            del known["above"]
+        return known
 
 
 @dataclass(frozen=True)
@@ -125,6 +131,8 @@ def render_views(
     for k in range(config.views):
         for _ in range(REDRAWS):
             rotation = random_rotation(rng)
+            if config.above and rotation[2, 2] > 0:  # the camera looks along z, so from below
+                rotation = rotation * [1.0, -1.0, -1.0]
             pose = transform(rotation, np.array([0, 0, config.distance]) - rotation @ centre)
             patch = caster.cast(pose)
             if len(patch.u) >= FEWEST_PIXELS and patch.covered <= LARGEST_COVER:

@@ -23,6 +23,9 @@ def render(
     noise: Annotated[
         float, typer.Option(help="Deviation of the depth at 1.5 m [m]; grows with its square.")
     ] = 0.001,
+    above: Annotated[
+        bool, typer.Option("--above", help="Only from above the horizon, z up as meshes stand.")
+    ] = False,
     keep_depth: Annotated[
         bool, typer.Option("--keep-depth", help="Store the depth images too (large).")
     ] = False,
@@ -47,7 +50,9 @@ def render(
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.io.meshes import artifact_path, find_meshes
 
-    config = ViewConfig(views, distance, load_camera(camera), DepthNoise(noise), keep_depth, unit)
+    config = ViewConfig(
+        views, distance, load_camera(camera), DepthNoise(noise), keep_depth, unit, above
+    )
     seed, jobs = common.check_seed(seed), common.job_count(jobs)
     found = shard_of(find_meshes(meshes, pattern), shard)
     out = require_folder(out)

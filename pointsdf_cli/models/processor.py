@@ -35,11 +35,12 @@ FEWEST = 256
 
 
 def even_parts(rows: Tensor, most: int) -> list[Tensor]:
-    """Rows [N, ...] in parts of about equal size, at most `most` rows each: as many for each of
-    PyTorch's threads, so that none waits for another's last part."""
-    threads = max(1, min(torch.get_num_threads(), len(rows) // FEWEST))
-    count = -(-len(rows) // most)
-    return list(rows.tensor_split(-(-count // threads) * threads))
+    """Rows [N, ...] in parts of at most `most`: as many for each of PyTorch's threads and all about
+    as long, so that none waits for another's last part."""
+    threads = min(torch.get_num_threads(), len(rows) // FEWEST)
+    if threads < 2:
+        return list(rows.split(most))
+    return list(rows.tensor_split(-(-len(rows) // (most * threads)) * threads))
 
 
 def side_by_side(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) -> list[Tensor]:

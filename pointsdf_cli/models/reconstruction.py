@@ -120,7 +120,7 @@ class Reconstruction:
             f4 [...].
         """
         places = self._to_network(x)
-        parts = even_parts(places, chunk) if len(places) else []
+        parts = even_parts(places, chunk)
         values = side_by_side(lambda part: self.model.decode(self.encoding, part[None])[0], parts)
         return self._distances(values, np.shape(x)[:-1])
 
