@@ -11,11 +11,12 @@ model=${MODEL:-pointsdf-ray}
 objects=${OBJECTS:-4400}
 
 mkdir -p "$work"
-# Two halves of the generated objects at two distances, so that scale and perspective vary.
+# Two halves of the generated objects at two distances, so that scale and perspective vary. They stand,
+# and are seen from above the horizon, so that what is seen from below is believed closed.
 for half in far:1.5:0 near:0.9:1; do
     IFS=: read -r name distance seed <<<"$half"
     rgrasp objects make --out "$work/meshes/$name" --count $((objects / 2)) --seed "$seed"
-    rgrasp render --meshes "$work/meshes/$name" --out "$work/views/$name" --views 16 --distance "$distance"
+    rgrasp render --meshes "$work/meshes/$name" --out "$work/views/$name" --views 16 --distance "$distance" --above
     rgrasp label-sdf --views "$work/views/$name" --meshes "$work/meshes/$name" \
         --out "$work/labels/$name" --points 16000
 done

@@ -16,7 +16,7 @@ from pointsdf_cli.geometry.frames import random_rotation
 from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.models.meshing import mesh_reconstruction, network_field
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.registry import build_model, load_model
+from pointsdf_cli.models.registry import build_model, load_model, mesh_checkpoint
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 
 RADIUS = 0.4
@@ -87,7 +87,7 @@ def test_voxels_are_meshed_in_their_own_box() -> None:
 def mug() -> Reconstruction:
     """The bundled network's, of the bundled cloud."""
     points, _ = read_cloud(asset_path("clouds/mug.ply")).in_camera_frame()
-    return Reconstruction.from_cloud(load_model(), points, np.zeros(3))
+    return Reconstruction.from_cloud(load_model(mesh_checkpoint()), points, np.zeros(3))
 
 
 @pytest.mark.parametrize("resolution", [128, 256])

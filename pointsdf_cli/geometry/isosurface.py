@@ -44,7 +44,7 @@ class IsosurfaceConfig:
         rules: When MISE asks and where it looks.
         asked: The finest grid on which the field itself is asked; beyond it corners are
             interpolated (`fine_cells.py`).
-        newton: One Newton step along each edge (one more query a vertex).
+        newton: One Newton step along each edge (one more query a vertex), unless interpolated.
         smallest_part: Parts that enclose less than this share of the largest part's volume are
             dropped; 1 keeps the largest alone, 0 everything.
         batch: Points asked at once.
