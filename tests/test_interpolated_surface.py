@@ -38,13 +38,19 @@ def cut_off(x: np.ndarray) -> np.ndarray:
     return np.linalg.norm(x - np.float32([0.6, 0.1, -0.5]), axis=1) - 0.5
 
 
+def diamond(x: np.ndarray) -> np.ndarray:
+    """Through corners of every grid, so that rounding decides the signs there."""
+    return (np.abs(x).sum(axis=1) - 0.4) / np.sqrt(3)
+
+
 def noisy(x: np.ndarray) -> np.ndarray:
     """A ball whose field jumps a little from cell to cell of a grid of its own, as networks' do."""
     steps = np.floor(x * 37).astype(np.int64) @ np.array([7919, 104729, 1299709])
     return ball(x) + 0.004 * ((steps % 101) / 50 - 1)
 
 
-FIELDS = {"ball": ball, "ring": ring, "block": block, "plate": plate, "cut": cut_off, "n": noisy}
+FIELDS = {"ball": ball, "ring": ring, "block": block, "plate": plate, "cut": cut_off}
+FIELDS |= {"diamond": diamond, "noisy": noisy}
 
 
 def surface(field: Field, resolution: int, asked: int = 512, smooth: float = 0.0):

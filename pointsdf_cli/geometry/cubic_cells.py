@@ -31,7 +31,10 @@ def cubic_cells(around: NDArray[np.float32], factor: int) -> NDArray[np.float32]
     ).astype(np.float32) / np.float32(2)
     block: NDArray[np.float32] = around.reshape(-1, 4, 4, 4)
     for _ in range(3):  # along the last axis, which then becomes the first of the three
-        block = np.moveaxis(np.matmul(block, weights), -1, 1)
+        # Not a product of matrices: its rounding depends on the row's place, and neighbours that
+        # round the corners of their common face to other signs would leave a hole.
+        a, b, c, d = (block[..., k, None] * weights[k] for k in range(4))
+        block = np.moveaxis(a + b + c + d, -1, 1)
     return block
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.cubic_cells import cubic_cells
 from pointsdf_cli.geometry.marching_cubes import CORNERS
-from pointsdf_cli.geometry.mise import Cells, SampledGrid, sparse_zeros
+from pointsdf_cli.geometry.mise import Cells, SampledGrid, first_entries, sparse_zeros
 
 _CHUNK = 1 << 14
 """Cells interpolated at once."""
@@ -77,12 +77,8 @@ def refine_cells(
         found = np.concatenate(beyond)
         cells = np.unique(found[~taken[tuple(found.T)]], axis=0)
     flat, value = np.concatenate(flats), np.concatenate(values)
-    # Each corner is listed by up to eight cells: one of its entries, whichever was written last,
-    # stands for all.
     slot = sparse_zeros(side**3)
-    entries = np.arange(len(flat), dtype=np.int32)
-    slot[flat] = entries
-    kept = np.flatnonzero(slot[flat] == entries)
+    kept = np.flatnonzero(first_entries(slot, flat))  # up to eight cells list a corner
     slot[flat[kept]] = np.arange(len(kept), dtype=np.int32)
     places = np.stack(np.unravel_index(flat[kept], (side,) * 3), axis=1).astype(np.int32)
     fine = FineGrid(value[kept], places, grid.step / factor, grid.half_width)

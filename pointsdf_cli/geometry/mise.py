@@ -135,7 +135,7 @@ class SampledGrid:
         wherever nothing is known yet."""
         flat = (self._flat_of(cells)[:, None] + self._flat_of(stride * _THIRDS)).reshape(-1)
         new = np.flatnonzero(self._slot[flat] == 0)
-        new = new[self._are_first(flat[new])]
+        new = new[first_entries(self._slot, flat[new])]
         rows = self._add([flat[new]], [blocks.reshape(-1)[new]])
         self.values[rows] = np.maximum(self.values[rows], self._wall(self.positions(rows)))
         self.exact[rows] = True
@@ -207,14 +207,7 @@ class SampledGrid:
 
     def _once(self, flat: NDArray[np.int32]) -> NDArray[np.int32]:
         """New corners without repeats: neighbouring cells share them."""
-        return flat[self._are_first(flat)]
-
-    def _are_first(self, flat: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Which entry stands for each of the new corners `flat` [N]; a sort takes ten times as
-        long as writing each entry's number where its corner's will be, and reading them back."""
-        entries = np.arange(1, len(flat) + 1, dtype=np.int32)
-        self._slot[flat] = entries
-        return self._slot[flat] == entries
+        return flat[first_entries(self._slot, flat)]
 
     def _add(
         self, places: list[NDArray[np.int32]], values: list[NDArray[np.float32]]
@@ -238,6 +231,17 @@ def sparse_zeros(count: int) -> NDArray[np.int32]:
     if hasattr(mmap, "MADV_NOHUGEPAGE"):
         memory.madvise(mmap.MADV_NOHUGEPAGE)
     return np.frombuffer(memory, dtype=np.int32)
+
+
+def first_entries(slot: NDArray[np.int32], flat: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Which entry of `flat` [N] stands for each of the places that it names, some more than once.
+
+    A sort takes ten times as long as writing each entry's number at its place in `slot`, and
+    reading them back; there they stay.
+    """
+    entries = np.arange(1, len(flat) + 1, dtype=np.int32)
+    slot[flat] = entries
+    return slot[flat] == entries
 
 
 def find_surface_cells(grid: SampledGrid, coarse: int, rules: SearchRules) -> NDArray[np.int32]:
