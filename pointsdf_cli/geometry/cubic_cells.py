@@ -29,13 +29,14 @@ def cubic_cells(around: NDArray[np.float32], factor: int) -> NDArray[np.float32]
     weights = np.stack(
         [-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, t**3 - t**2]
     ).astype(np.float32) / np.float32(2)
-    block: NDArray[np.float32] = around.reshape(-1, 4, 4, 4)
-    for _ in range(3):  # along the last axis, which then becomes the first of the three
-        # Not a product of matrices: its rounding depends on the row's place, and neighbours that
-        # round the corners of their common face to other signs would leave a hole.
-        a, b, c, d = (block[..., k, None] * weights[k] for k in range(4))
-        block = np.moveaxis(a + b + c + d, -1, 1)
-    return block
+    # Cells last, so that each sum runs along memory. Not a product of matrices: its rounding
+    # depends on the row's place, and neighbours that round the corners of their common face to
+    # other signs would leave a hole.
+    block = np.ascontiguousarray(around.reshape(-1, 64).T).reshape(4, 4, 4, -1)
+    for _ in range(3):  # along the first axis, which then becomes the last of the three
+        rows = [sum(weights[k, j] * block[k] for k in range(4)) for j in range(factor + 1)]
+        block = np.stack(rows, axis=2)
+    return np.ascontiguousarray(np.moveaxis(block, -1, 0))
 
 
 def bends(around: NDArray[np.float32]) -> NDArray[np.float32]:
