@@ -91,7 +91,8 @@ def test_where_the_field_bends_it_is_asked() -> None:
     made, mesh = surface(plate, 128, smooth=0.8)
     exact, whole = surface(plate, 128)
     assert mesh.volume == pytest.approx(whole.volume, rel=1e-3)
-    assert made.queries > 0.9 * exact.queries
+    # What is known already shows most of it to bend: little is asked only to see that.
+    assert 0.9 * exact.queries < made.queries < 1.05 * exact.queries
     made, exact = surface(ball, 128, smooth=0.8)[0], surface(ball, 128)[0]
     assert made.queries < 0.65 * exact.queries
     assert np.abs(ball(made.vertices.astype("f4"))).max() < 5e-5
@@ -117,6 +118,16 @@ def test_parabolas_are_interpolated_exactly_and_do_not_bend() -> None:
     inside = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
     assert cubic_cells(around, 5)[0] == pytest.approx(parabola(inside), abs=1e-4)
     assert bends(around) == pytest.approx(0, abs=1e-4)
+
+
+def test_bends_are_seen_on_the_lines_that_are_known() -> None:
+    around = (STENCIL[:, 0] ** 3).astype("f4")[None]
+    assert bends(around)[0] == 6
+    for missing in (0, 1, 63):  # each on one line along each axis
+        some = around.copy()
+        some[:, missing] = np.nan
+        assert bends(some)[0] == 6
+    assert bends(np.full_like(around, np.nan))[0] == 0
 
 
 def test_a_kink_bends_by_its_change_of_slope() -> None:

@@ -40,7 +40,8 @@ def cubic_cells(around: NDArray[np.float32], factor: int) -> NDArray[np.float32]
 
 
 def bends(around: NDArray[np.float32]) -> NDArray[np.float32]:
-    """How far fields are from parabolas: the largest third difference along any line [C].
+    """How far fields are from parabolas: the largest third difference along any line [C], of those
+    lines whose four values are no NaN; zero where there is none.
 
     Of a field whose slope jumps by one between two corners it is one to two cells; an SDF with a
     radius of curvature of ten cells has a hundredth of that.
@@ -49,5 +50,6 @@ def bends(around: NDArray[np.float32]) -> NDArray[np.float32]:
     largest = np.zeros(len(block), dtype=np.float32)
     for axis in (1, 2, 3):
         a, b, c, d = np.moveaxis(block, axis, 0)
-        largest = np.maximum(largest, np.abs(d - a + 3 * (b - c)).max(axis=(1, 2)))
+        third = np.abs(d - a + 3 * (b - c)).reshape(len(block), 16)
+        largest = np.fmax(largest, np.fmax.reduce(third, axis=1))
     return largest

@@ -126,9 +126,17 @@ class SampledGrid:
     def values_around(self, cells: Cells, stride: int) -> NDArray[np.float32]:
         """The field [C, 64] at the corners around cells of size `stride` (`cubic_cells.STENCIL`),
         the outermost ones repeated beyond the box; those that hold bounds are asked."""
-        places = np.clip(cells[:, None] + stride * STENCIL, 0, self.side - 1)
-        rows = self.rows_at(places.reshape(-1, 3))
+        rows = self.rows_at(self._places_around(cells, stride))
         return self.values[rows].reshape(len(cells), len(STENCIL))
+
+    def known_around(self, cells: Cells, stride: int) -> NDArray[np.float32]:
+        """The same, NaN where a corner holds no value of the field; nothing is asked."""
+        rows = self._slot[self._flat_of(self._places_around(cells, stride))] - 1
+        values = np.full(rows.shape, np.nan, dtype=np.float32)
+        known = np.flatnonzero(rows >= 0)
+        known = known[self.exact[rows[known]]]
+        values[known] = self.values[rows[known]]
+        return values.reshape(len(cells), len(STENCIL))
 
     def fill(self, cells: Cells, stride: int, blocks: NDArray[np.float32]) -> None:
         """Take `blocks` [C, 3, 3, 3] for the field on the halves of cells of size 2 · `stride`,
@@ -195,6 +203,10 @@ class SampledGrid:
         self.values[rows] = self.ask(self.positions(rows))
         self.exact[rows] = True
         return rows[(self.values[rows] < 0) != believed]
+
+    def _places_around(self, cells: Cells, stride: int) -> NDArray[np.integer]:
+        places = np.clip(cells[:, None] + stride * STENCIL, 0, self.side - 1)
+        return places.reshape(-1, 3)
 
     def _wall(self, points: NDArray[np.floating]) -> NDArray[np.floating]:
         wall: NDArray[np.floating] = np.abs(points).max(axis=1, initial=0)
@@ -302,9 +314,7 @@ def _subdivide(
     while len(parents):
         halved[tuple((parents // (2 * stride)).T)] = True
         if len(halved) >= rules.smooth_from and rules.smooth > 0:
-            around = grid.values_around(parents, 2 * stride)
-            smooth = bends(around) < rules.smooth * 2 * stride * grid.step
-            grid.fill(parents[smooth], stride, cubic_cells(around[smooth], 2))
+            _interpolate_smooth(grid, parents, stride, rules.smooth)
         children = grid.halve(parents, stride, rules.slope)
         first = len(cells)
         cells = np.concatenate([cells, children])
@@ -315,6 +325,16 @@ def _subdivide(
         parents = beyond * np.int32(2 * stride)
     crossed = straddling(grid.values[rows])
     return cells[crossed], rows[crossed]
+
+
+def _interpolate_smooth(grid: SampledGrid, cells: Cells, stride: int, smooth: float) -> None:
+    """Fill the halves of those cells of size 2 · `stride` that are smooth (`SearchRules`)."""
+    limit = smooth * 2 * stride * grid.step
+    # What is known already shows of most cells of thin walls that they bend.
+    cells = cells[bends(grid.known_around(cells, 2 * stride)) < limit]
+    around = grid.values_around(cells, 2 * stride)
+    flat = bends(around) < limit
+    grid.fill(cells[flat], stride, cubic_cells(around[flat], 2))
 
 
 def _led_to(cells: Cells, inside: NDArray[np.bool_], stride: int) -> Cells:

@@ -13,7 +13,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-TREE_FROM = 512
+TREE_FROM = 32
 """So many queries of one cloud are worth building a tree for."""
 
 
