@@ -229,6 +229,8 @@ def main() -> None:
         )
     if options.views:
         result["views"] = views = time_views(options)
+        if not views:
+            raise SystemExit(f"{options.views} holds no views: no .h5 that rgrasp render wrote")
         seconds, queries = np.transpose(views)
         print(
             f"{len(views)} views of {options.views} at {options.resolutions[0]}³: "

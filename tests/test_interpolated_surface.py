@@ -49,6 +49,20 @@ def noisy(x: np.ndarray) -> np.ndarray:
     return ball(x) + 0.004 * ((steps % 101) / 50 - 1)
 
 
+def spiky(seed: int) -> Field:
+    """A ball with spikes at corners of 64³, where no bound is true."""
+    drawn = np.random.default_rng(seed).uniform(-1, 1, 4099)
+
+    def field(x: np.ndarray) -> np.ndarray:
+        corner = np.rint((x.astype(np.float64) + 0.8) / 0.025)
+        apart = np.linalg.norm(x - (corner * 0.025 - 0.8), axis=1)
+        which = drawn[(corner.astype(np.int64) @ np.array([7919, 104729, 1299709])) % 4099]
+        height = np.where(np.abs(which) < 0.2, np.sign(which) * 0.15, 0)
+        return (ball(x) + height * np.exp(-((apart / 0.004) ** 2))).astype("f4")
+
+    return field
+
+
 FIELDS = {"ball": ball, "ring": ring, "block": block, "plate": plate, "cut": cut_off}
 FIELDS |= {"diamond": diamond, "noisy": noisy}
 
@@ -71,6 +85,14 @@ def test_interpolated_surfaces_are_closed_and_face_outwards(
     assert mesh.is_winding_consistent
     assert mesh.volume > 0
     assert np.abs(mesh.vertices).max() < 0.8
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_bounds_that_are_refuted_while_looking_for_smooth_cells_leave_no_hole(seed: int) -> None:
+    rules = SearchRules(smooth=0.8)
+    config = IsosurfaceConfig(128, rules=rules, newton=False, smallest_part=0)
+    made = extract_isosurface(spiky(seed), config)
+    assert trimesh.Trimesh(made.vertices, made.faces, process=False).is_watertight
 
 
 @pytest.mark.parametrize("field", [ball, ring])

@@ -105,6 +105,34 @@ def test_interpolated_values_make_the_surface_that_all_values_make(
     assert made.queries < (1.1 if resolution == 128 else 0.5) * exact.queries
 
 
+def test_up_to_64_every_value_is_asked_for(mug: Reconstruction) -> None:
+    made, exact = (mesh_reconstruction(mug, 64, exact=e) for e in (False, True))
+    assert np.array_equal(made.vertices, exact.vertices)
+
+
+def test_smooth_things_are_asked_less() -> None:
+    """Half a ball as a camera sees it: most cells of 64³ are interpolated."""
+    seen = np.random.default_rng(0).normal(size=(3000, 3))
+    seen *= 0.05 / np.linalg.norm(seen, axis=1, keepdims=True)
+    seen = seen[seen[:, 2] < 0][:1000] + [0, 0, 1]
+    half = Reconstruction.from_cloud(load_model(mesh_checkpoint()), seen, np.zeros(3))
+    made, exact = (mesh_reconstruction(half, 128, exact=e) for e in (False, True))
+    assert made.queries < 0.8 * exact.queries
+
+
+@pytest.mark.parametrize("count", [700, 4097, 9001])
+def test_values_do_not_depend_on_the_number_of_threads(mug: Reconstruction, count: int) -> None:
+    x = np.random.default_rng(count).uniform(-0.05, 0.05, (count, 3)) + mug.centre
+    before = torch.get_num_threads()
+    values = []
+    for threads in (1, 2, 3):
+        torch.set_num_threads(threads)
+        values.append(mug.sdf(x))
+    torch.set_num_threads(before)
+    assert np.array_equal(values[0], values[1])
+    assert np.array_equal(values[0], values[2])
+
+
 def test_lowered_tables_change_what_autocast_computes_by_rounding_only(mug: Reconstruction) -> None:
     x = torch.rand(1, 500, 3, generator=torch.Generator().manual_seed(0)) - 0.5
     with torch.no_grad():

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from pointsdf_cli.models.processor import FEWEST, even_parts, side_by_side
+from pointsdf_cli.models.processor import ALIGNED, FEWEST, even_parts, side_by_side
 
 PARTS = torch.arange(40.0).reshape(-1, 1).split(6)
 
@@ -79,9 +79,16 @@ def test_threads_get_as_many_rows_each(count: int) -> None:
         assert len(parts) == 1  # not worth a second thread
     else:
         assert len(parts) % 2 == 0
-        assert max(sizes) - min(sizes) <= 1
+        assert max(sizes) - min(sizes) <= len(parts) * ALIGNED
+        assert {size % ALIGNED for size in sizes[:-1]} == {0}
 
 
-def test_one_thread_takes_whole_parts() -> None:
+def test_one_thread_takes_few_parts() -> None:
     torch.set_num_threads(1)
-    assert [len(part) for part in even_parts(torch.zeros(5000, 3), 4096)] == [4096, 904]
+    assert [len(part) for part in even_parts(torch.zeros(4096, 3), 4096)] == [4096]
+    assert [len(part) for part in even_parts(torch.zeros(5000, 3), 4096)] == [2560, 2440]
+
+
+def test_what_is_not_on_the_processor_is_not_cut_for_threads() -> None:
+    rows = torch.zeros(5000, 3, device="meta")
+    assert [len(part) for part in even_parts(rows, 4096)] == [4096, 904]

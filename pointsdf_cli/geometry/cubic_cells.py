@@ -43,8 +43,9 @@ def bends(around: NDArray[np.float32]) -> NDArray[np.float32]:
     """How far fields are from parabolas: the largest third difference along any line [C], of those
     lines whose four values are no NaN; zero where there is none.
 
-    Of a field whose slope jumps by one between two corners it is one to two cells; an SDF with a
-    radius of curvature of ten cells has a hundredth of that.
+    Of a field whose slope jumps by one it is one cell where the jump is at a corner, less between
+    corners and nothing midway; an SDF with a radius of curvature of ten cells has a hundredth of
+    a cell.
     """
     block = around.reshape(-1, 4, 4, 4)
     largest = np.zeros(len(block), dtype=np.float32)

@@ -67,6 +67,12 @@ class IsosurfaceConfig:
                 where="--resolution",
                 allowed=", ".join(map(str, fine)) or f"a coarse grid of 1 to {MAX_RESOLUTION}",
             )
+        if min(self.resolution, self.asked) not in fine:
+            raise InputError(
+                f"no grid of {self.asked} cells is among those that are refined",
+                where="asked",
+                allowed=", ".join(map(str, fine)),
+            )
         if not (self.half_width > 0 and 0 <= self.smallest_part <= 1):
             raise InputError(
                 "the isosurface options make no sense",

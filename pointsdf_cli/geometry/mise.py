@@ -81,7 +81,6 @@ class SampledGrid:
         self.step = 2 * half_width / resolution
         # 1 + the row of each corner, 0 where it was never looked at. Flat numbers fit 32 bits.
         self._slot = sparse_zeros(self.side**3)
-        self._weights = np.array([self.side**2, self.side, 1], dtype=np.int32)
         self._flat = np.zeros(0, dtype=np.int32)
         self.values = np.zeros(0, dtype=np.float32)
         self.exact = np.zeros(0, dtype=bool)
@@ -316,10 +315,10 @@ def _subdivide(
         if len(halved) >= rules.smooth_from and rules.smooth > 0:
             _interpolate_smooth(grid, parents, stride, rules.smooth)
         children = grid.halve(parents, stride, rules.slope)
-        first = len(cells)
         cells = np.concatenate([cells, children])
         rows = np.concatenate([rows, grid.corner_rows(children, stride)])
-        fresh = _settle_crossed_edges(grid, rows, np.arange(first, len(cells)))
+        # All cells, not the new ones alone: what was asked around these may refute others' bounds.
+        fresh = _settle_crossed_edges(grid, rows, np.arange(len(cells)))
         beyond = _led_to(cells[fresh], grid.values[rows[fresh]] < 0, stride) // (2 * stride)
         beyond = np.unique(beyond[~halved[tuple(beyond.T)]], axis=0)
         parents = beyond * np.int32(2 * stride)

@@ -27,7 +27,7 @@ two metrics of Table I by less than their noise, for the better (docs/results.md
 
 ASKED = 128
 """Cells along the box of the finest grid on which a network is asked; finer ones are interpolated.
-Asked on 512³ it takes eight times as long and scores no better (docs/results.md)."""
+Asked on 512³ it takes five times as long and scores no better (docs/results.md)."""
 SMOOTH = 0.8
 """Cells of 64³ are halved by interpolation where the field bends by less than so many of their
 sides: none of 17 test views lost more than 0.0005 of IoU by it, with two thirds of the queries
@@ -62,9 +62,10 @@ def mesh_reconstruction(
 ) -> ReconstructedMesh:
     """The zero level of a reconstruction.
 
-    Without smoothing the vertices are pulled to zero by a Newton step. With it they are not: a
-    network's field has small jumps, where a vertex at zero lies on the ripple, and one that is
-    interpolated between its neighbours lies between ripples (docs/reconstruction.md, "Measured").
+    Without smoothing the vertices are pulled to zero by a Newton step, unless values beyond 128³
+    are interpolated. With it they are not: a network's field has small jumps, where a vertex at
+    zero lies on the ripple, and one that is interpolated between its neighbours lies between
+    ripples (docs/reconstruction.md, "Measured").
 
     Args:
         reconstruction: Of one cloud.
@@ -83,7 +84,7 @@ def mesh_reconstruction(
     """
     model = reconstruction.model
     rules = SearchRules() if model.gives_distances else SearchRules(slope=np.inf)
-    interpolated = model.gives_distances and not exact
+    interpolated = model.gives_distances and not exact and resolution > rules.smooth_from
     config = IsosurfaceConfig(
         resolution,
         half_width=model.box,

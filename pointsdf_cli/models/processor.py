@@ -32,15 +32,21 @@ def keep_large_allocations() -> None:
 
 FEWEST = 256
 """Rows that are worth a thread of their own."""
+ALIGNED = 64
+"""Parts are of so many rows or a multiple: kernels compute the rows that are left over at a part's
+end by other instructions, and a value must not depend on how many threads there are."""
 
 
 def even_parts(rows: Tensor, most: int) -> list[Tensor]:
     """Rows [N, ...] in parts of at most `most`: as many for each of PyTorch's threads and all about
-    as long, so that none waits for another's last part."""
-    threads = min(torch.get_num_threads(), len(rows) // FEWEST)
-    if threads < 2:
+    as long, so that none waits for another's last part. On another device than the CPU, whose
+    parts do not run side by side, of `most`."""
+    if rows.device.type != "cpu":
         return list(rows.split(most))
-    return list(rows.tensor_split(-(-len(rows) // (most * threads)) * threads))
+    threads = max(1, min(torch.get_num_threads(), len(rows) // FEWEST))
+    count = max(1, -(-len(rows) // (most * threads))) * threads
+    length = max(1, -(-len(rows) // (count * ALIGNED))) * ALIGNED
+    return list(rows.split(min(length, most)))
 
 
 def side_by_side(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) -> list[Tensor]:
