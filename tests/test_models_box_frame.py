@@ -72,6 +72,34 @@ def test_a_query_reads_its_distance_from_the_box() -> None:
     assert overall.numpy() == pytest.approx([0.3, -0.02, np.hypot(0.1, 0.1), 0.2], abs=6e-3)
 
 
+def test_every_gap_is_the_distance_that_can_be_computed_by_hand() -> None:
+    """From the near face, the far face, its inner end; then radius and ends about an axis."""
+    points, normals = carton(np.eye(3))
+    up = Axis(*(torch.tensor(v) for v in ([[0.0, 0, 1]], [[0.0, 0, 0]], [0.01], [1.0])))
+    box = box_frame(normals, points, CAMERA, up)
+    place = np.array([0.3, -0.1, 0.05], dtype="f4")
+    evidence = box_evidence(torch.from_numpy(place)[None, None], box, up)[0, 0].numpy()
+
+    directions = box.directions[0].numpy()
+    half, along = np.abs(directions) @ HALF, directions @ place
+    gaps = evidence[:GAPS]
+    assert gaps[:3] == pytest.approx(along - half, abs=1e-3)
+    assert gaps[3:6] == pytest.approx(-half - along, abs=1e-3)
+    # Half a percent of the points lie beyond the inner ends, at most a hundredth of a side.
+    assert (gaps[6:9] >= gaps[3:6]).all()
+    assert gaps[6:9] == pytest.approx(-half - along, abs=8e-3)
+    corner = np.hypot(0.2, 0.35)  # the carton's points that are furthest from the axis
+    about = [np.hypot(0.3, 0.1) - corner, 0.05 - 0.12, -0.12 - 0.05, -0.12 - 0.05]
+    assert gaps[9:13] == pytest.approx(about, abs=8e-3)
+    assert evidence[GAPS : 2 * GAPS] == pytest.approx(np.tanh(gaps / 0.01), abs=1e-4)
+    assert evidence[2 * GAPS : 3 * GAPS] == pytest.approx(np.tanh(gaps / 0.05), abs=1e-4)
+    assert evidence[3 * GAPS :] == pytest.approx(box.trust[0].numpy())
+    # All normals keep to the directions; a third of them to each; the size comes last.
+    assert box.trust[0, :3].numpy() == pytest.approx([1 / 3] * 3, abs=1e-3)
+    assert box.trust[0, 3:6].numpy() == pytest.approx([1 / 3] * 3, abs=1e-3)
+    assert box.trust[0, 10:].numpy() == pytest.approx(2 * half, abs=1e-3)
+
+
 def test_evidence_turns_with_the_camera_and_does_not_mind_a_mirror() -> None:
     """Training turns and mirrors views about the optical axis: the same numbers must come out."""
     points, normals = carton(turn(1), 0.05)

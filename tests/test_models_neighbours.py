@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from pointsdf_cli.models.neighbours import (
+    TREE_FROM,
     farthest_point_order,
     gather,
     inverse_density,
@@ -30,8 +31,22 @@ def test_neighbours_on_a_line_are_the_adjacent_ones() -> None:
 def test_many_queries_of_one_cloud_find_what_few_find(dimensions: int) -> None:
     cloud, queries = _cloud(3, 1, 400)[..., :dimensions], _cloud(4, 1, 2000)[..., :dimensions]
     many = nearest_neighbours(queries, cloud, 5)
-    few = torch.cat([nearest_neighbours(part, cloud, 5) for part in queries.split(100, 1)], 1)
+    few = torch.cat(
+        [nearest_neighbours(part, cloud, 5) for part in queries.split(TREE_FROM - 1, 1)], 1
+    )
     assert torch.equal(many, few)
+
+
+def test_a_cloud_that_was_moved_is_searched_where_it_is_now() -> None:
+    """A tree stays with its points, and points may be changed in place."""
+    cloud, queries = _cloud(3, 1, 400), _cloud(4, 1, 200)
+    before = nearest_neighbours(queries, cloud, 3)
+    assert torch.equal(nearest_neighbours(queries, cloud, 3), before)
+    cloud += 0.2
+    assert torch.equal(nearest_neighbours(queries + 0.2, cloud, 3), before)
+    with torch.inference_mode():  # tensors made there do not count their changes
+        first = nearest_neighbours(queries + 0.2, cloud * 1.0, 3)
+    assert torch.equal(first, before)
 
 
 def test_squared_distances_of_a_3_4_5_triangle() -> None:

@@ -56,11 +56,26 @@ def test_an_error_in_a_part_is_the_callers_and_threads_are_as_before() -> None:
     assert torch.get_num_threads() == 2
 
 
+def test_the_calling_thread_works_too() -> None:
+    here, seen, both = threading.get_ident(), set(), threading.Barrier(2)
+
+    def where(part: Tensor) -> Tensor:
+        if threading.get_ident() not in seen:
+            seen.add(threading.get_ident())
+            both.wait(10)
+        return part
+
+    side_by_side(where, PARTS)
+    assert here in seen
+    assert len(seen) == 2
+
+
 def test_one_part_or_one_thread_stays_here() -> None:
     here = threading.get_ident()
 
     def where(part: Tensor) -> Tensor:
         assert threading.get_ident() == here
+        assert torch.get_num_threads() == 1  # nobody waits for anybody inside an operation
         return part
 
     side_by_side(where, PARTS[:1])

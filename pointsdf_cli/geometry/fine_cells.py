@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.cubic_cells import cubic_cells
 from pointsdf_cli.geometry.marching_cubes import CORNERS
-from pointsdf_cli.geometry.mise import Cells, SampledGrid, first_entries, sparse_zeros
+from pointsdf_cli.geometry.mise import Cells, SampledGrid, one_entry_each, sparse_zeros
 
 _CHUNK = 1 << 14
 """Cells interpolated at once."""
@@ -78,7 +78,7 @@ def refine_cells(
         cells = np.unique(found[~taken[tuple(found.T)]], axis=0)
     flat, value = np.concatenate(flats), np.concatenate(values)
     slot = sparse_zeros(side**3)
-    kept = np.flatnonzero(first_entries(slot, flat))  # up to eight cells list a corner
+    kept = np.flatnonzero(one_entry_each(slot, flat))  # up to eight cells list a corner
     slot[flat[kept]] = np.arange(len(kept), dtype=np.int32)
     places = np.stack(np.unravel_index(flat[kept], (side,) * 3), axis=1).astype(np.int32)
     fine = FineGrid(value[kept], places, grid.step / factor, grid.half_width)

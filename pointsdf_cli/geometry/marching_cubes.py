@@ -38,10 +38,9 @@ class CrossedCells(NamedTuple):
     """[F, 3] triangles over the V vertices, counter-clockwise seen from the positive side."""
 
 
-def straddling(values: np.ndarray) -> np.ndarray:
-    """Which cells the zero level crosses: [C] bool from the values [C, 8] at their corners."""
-    inside = values < 0
-    return np.logical_xor(inside.any(axis=1), inside.all(axis=1))
+def cell_cases(inside: np.ndarray) -> np.ndarray:
+    """[C] u1: which of the corners [C, 8] are inside, corner k as bit k."""
+    return np.packbits(inside.reshape(-1), bitorder="little")
 
 
 def cross_cells(corners: np.ndarray, values: np.ndarray) -> CrossedCells:
@@ -57,7 +56,7 @@ def cross_cells(corners: np.ndarray, values: np.ndarray) -> CrossedCells:
     table, counts = _cases()
     inside = values < 0
     inside_corner = inside[corners]
-    case = inside_corner @ (1 << np.arange(8))
+    case = cell_cases(inside_corner)
 
     # Mark each crossed edge at its lower end; cells that share it write the same thing.
     upper_end = np.full((len(values), 3), -1, dtype=np.int64)

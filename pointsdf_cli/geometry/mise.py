@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import RgraspError
 from pointsdf_cli.geometry.cubic_cells import STENCIL, bends, cubic_cells
-from pointsdf_cli.geometry.marching_cubes import CORNERS, straddling
+from pointsdf_cli.geometry.marching_cubes import CORNERS, cell_cases
 
 Field = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 """A signed distance field: points [N, 3] f4 → values [N], negative inside."""
@@ -35,11 +35,18 @@ Cells = NDArray[np.int32]
 
 _FEWEST = 8
 """Cells along each side of the largest cells that the search may begin with."""
-_FACES = [(np.flatnonzero(CORNERS[:, k] == s), k, 2 * s - 1) for k in range(3) for s in (0, 1)]
 # The points of a halved cell that are not corners of the whole, in half steps, and for each the
 # corners of the edge, face or cell that it is the middle of.
 _MIDDLES = [np.array(m) for m in product((0, 1, 2), repeat=3) if 1 in m]
 _THIRDS = np.array(list(product((0, 1, 2), repeat=3)))
+# By which of a cell's corners are inside (`cell_cases`): which corners end a crossed edge [256, 8],
+# and which faces the surface cuts [6, 256], with the way across each.
+_INSIDE = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1, bitorder="little") > 0
+_CROSSED_ENDS = np.any([_INSIDE[:, np.arange(8) ^ bit] != _INSIDE for bit in (4, 2, 1)], axis=0)
+_FACES = [(axis, side) for axis in range(3) for side in (0, 1)]
+_ON_FACES = [_INSIDE[:, CORNERS[:, axis] == side] for axis, side in _FACES]
+_CUT_FACES = np.stack([face.any(axis=1) & ~face.all(axis=1) for face in _ON_FACES])
+_ACROSS = [(2 * side - 1) * np.eye(3, dtype=np.int32)[axis] for axis, side in _FACES]
 _ENDS = [np.flatnonzero((np.abs(2 * CORNERS - m) <= 1).all(axis=1)) for m in _MIDDLES]
 
 
@@ -142,7 +149,7 @@ class SampledGrid:
         wherever nothing is known yet."""
         flat = (self._flat_of(cells)[:, None] + self._flat_of(stride * _THIRDS)).reshape(-1)
         new = np.flatnonzero(self._slot[flat] == 0)
-        new = new[first_entries(self._slot, flat[new])]
+        new = new[one_entry_each(self._slot, flat[new])]
         rows = self._add([flat[new]], [blocks.reshape(-1)[new]])
         self.values[rows] = np.maximum(self.values[rows], self._wall(self.positions(rows)))
         self.exact[rows] = True
@@ -168,12 +175,18 @@ class SampledGrid:
         rows = self.corner_rows(cells, stride)
         return self.values[rows]
 
+    def cases(self, rows: NDArray[np.integer]) -> NDArray[np.uint8]:
+        """Which corners of the cells with corner rows [C, 8] are inside (`cell_cases`) [C]."""
+        # Bytes before they are picked: a quarter of the memory that is jumped about in.
+        return cell_cases((self.values < 0)[rows])
+
     def halve(self, cells: Cells, stride: int, slope: float) -> Cells:
         """The children, of size `stride`, of cells of twice that size whose corners are known.
 
         Children's corners get bounds where the sign is certain, and are asked elsewhere.
         """
-        values = self.values_at(cells, 2 * stride)
+        # Corners first: rows of eight numbers are slow to take the largest of.
+        values = np.ascontiguousarray(self.values_at(cells, 2 * stride).T)
         base = self._flat_of(cells)
         places, bounds, certainties = [], [], []
         added = len(self._flat)
@@ -183,8 +196,8 @@ class SampledGrid:
             self._slot[flat[new]] = np.arange(added + 1, added + 1 + len(new), dtype=np.int32)
             added += len(new)
             change = slope * stride * self.step * np.sqrt(np.count_nonzero(middle == 1))
-            ends_here = values[new[:, None], ends]
-            above, below = ends_here.max(axis=1) - change, ends_here.min(axis=1) + change
+            ends_here = values[ends[:, None], new]
+            above, below = ends_here.max(axis=0) - change, ends_here.min(axis=0) + change
             places.append(flat[new])
             bounds.append(np.where(above > 0, above, below).astype(np.float32))
             certainties.append((above > 0) != (below < 0))  # both: they contradict each other
@@ -218,7 +231,7 @@ class SampledGrid:
 
     def _once(self, flat: NDArray[np.int32]) -> NDArray[np.int32]:
         """New corners without repeats: neighbouring cells share them."""
-        return flat[first_entries(self._slot, flat)]
+        return flat[one_entry_each(self._slot, flat)]
 
     def _add(
         self, places: list[NDArray[np.int32]], values: list[NDArray[np.float32]]
@@ -244,7 +257,7 @@ def sparse_zeros(count: int) -> NDArray[np.int32]:
     return np.frombuffer(memory, dtype=np.int32)
 
 
-def first_entries(slot: NDArray[np.int32], flat: NDArray[np.int32]) -> NDArray[np.bool_]:
+def one_entry_each(slot: NDArray[np.int32], flat: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Which entry of `flat` [N] stands for each of the places that it names, some more than once.
 
     A sort takes ten times as long as writing each entry's number at its place in `slot`, and
@@ -268,8 +281,8 @@ def find_surface_cells(grid: SampledGrid, coarse: int, rules: SearchRules) -> ND
     stride = (grid.side - 1) // coarse
     cells = _coarse_cells(grid, stride, rules.slope)
     rows = grid.corner_rows(cells, stride)
-    _settle_crossed_edges(grid, rows, np.arange(len(cells)))
-    near = straddling(grid.values[rows])
+    _settle_crossed_edges(grid, rows)
+    near = _straddling(grid.cases(rows))
     if stride > 1:
         near |= np.abs(grid.values[rows]).min(axis=1) < rules.reach * stride * grid.step
     cells, rows = cells[near], rows[near]
@@ -310,19 +323,22 @@ def _subdivide(
     """
     halved = np.zeros(((grid.side - 1) // (2 * stride),) * 3, dtype=bool)
     cells, rows = np.zeros((0, 3), np.int32), np.zeros((0, 8), np.int32)
+    slope = rules.slope
+    if len(halved) >= rules.smooth_from and rules.smooth > 0:
+        _interpolate_smooth(grid, parents, stride, rules.smooth)
     while len(parents):
         halved[tuple((parents // (2 * stride)).T)] = True
-        if len(halved) >= rules.smooth_from and rules.smooth > 0:
-            _interpolate_smooth(grid, parents, stride, rules.smooth)
-        children = grid.halve(parents, stride, rules.slope)
+        children = grid.halve(parents, stride, slope)
         cells = np.concatenate([cells, children])
         rows = np.concatenate([rows, grid.corner_rows(children, stride)])
         # All cells, not the new ones alone: what was asked around these may refute others' bounds.
-        fresh = _settle_crossed_edges(grid, rows, np.arange(len(cells)))
-        beyond = _led_to(cells[fresh], grid.values[rows[fresh]] < 0, stride) // (2 * stride)
+        _settle_crossed_edges(grid, rows)
+        beyond = _led_to(cells, grid.cases(rows), stride) // (2 * stride)
         beyond = np.unique(beyond[~halved[tuple(beyond.T)]], axis=0)
         parents = beyond * np.int32(2 * stride)
-    crossed = straddling(grid.values[rows])
+        # These are few, and the surface hid from their corners: everything is asked, at once.
+        slope = np.inf
+    crossed = _straddling(grid.cases(rows))
     return cells[crossed], rows[crossed]
 
 
@@ -336,38 +352,28 @@ def _interpolate_smooth(grid: SampledGrid, cells: Cells, stride: int, smooth: fl
     grid.fill(cells[flat], stride, cubic_cells(around[flat], 2))
 
 
-def _led_to(cells: Cells, inside: NDArray[np.bool_], stride: int) -> Cells:
+def _straddling(cases: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Which cells the zero level crosses."""
+    return (cases != 0) & (cases != 255)
+
+
+def _led_to(cells: Cells, cases: NDArray[np.uint8], stride: int) -> Cells:
     """The neighbours across every face that the surface cuts, with repeats.
 
     The grid's outermost corners are always outside, so none of them lies beyond the grid.
     """
-    beyond = []
-    for corners, axis, direction in _FACES:
-        on_face = inside[:, corners]
-        neighbour = cells[on_face.any(axis=1) & ~on_face.all(axis=1)]
-        neighbour[:, axis] += direction * stride
-        beyond.append(neighbour)
-    return np.concatenate(beyond)
+    across = [np.flatnonzero(cut[cases]) for cut in _CUT_FACES]
+    return np.concatenate([cells[c] + stride * w for c, w in zip(across, _ACROSS, strict=True)])
 
 
-def _settle_crossed_edges(
-    grid: SampledGrid, rows: NDArray[np.int32], fresh: NDArray[np.integer]
-) -> NDArray[np.integer]:
-    """Ask the ends of all crossed edges of the cells `fresh`; the cells whose signs are settled.
+def _settle_crossed_edges(grid: SampledGrid, rows: NDArray[np.int32]) -> None:
+    """Ask the ends of all crossed edges of the cells with corner rows [C, 8].
 
-    Cells around a refuted bound are asked in full and join the result.
+    Where an answer refutes a bound, every corner of the cells around it is asked.
     """
-    inside = grid.values[rows[fresh]] < 0
-    ends = np.zeros_like(inside)
-    for bit in (4, 2, 1):
-        ends |= inside != inside[:, np.arange(8) ^ bit]
-    wrong = grid.settle(rows[fresh][ends])
-    settled = np.zeros(len(rows), dtype=bool)
-    settled[fresh] = True
+    wrong = grid.settle(rows[_CROSSED_ENDS[grid.cases(rows)]])
     while len(wrong):
         refuted = np.zeros(len(grid.values), dtype=bool)
         refuted[wrong] = True
-        around = refuted[rows].any(axis=1)
-        settled[around] = True
+        around = cell_cases(refuted[rows]) > 0
         wrong = grid.settle(rows[around].ravel())
-    return np.flatnonzero(settled)

@@ -34,8 +34,10 @@ def taubin_smooth(
     adjacency.data[:] = 1.0
     neighbours = np.maximum(np.asarray(adjacency.sum(axis=1)).ravel(), 1.0)
     mean = sparse.diags(1.0 / neighbours) @ adjacency
+    stays = sparse.identity(count, format="csr")
+    passes = [(1 - weight) * stays + weight * mean for weight in (SHRINK, GROW)]
     smoothed = np.asarray(vertices, dtype=np.float64)
     for _ in range(iterations):
-        for weight in (SHRINK, GROW):
-            smoothed = smoothed + weight * (mean @ smoothed - smoothed)
+        for matrix in passes:
+            smoothed = matrix @ smoothed
     return smoothed

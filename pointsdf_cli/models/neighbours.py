@@ -12,9 +12,13 @@ from collections.abc import Callable
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
+from torch.utils.weak import WeakIdKeyDictionary
 
 TREE_FROM = 32
 """So many queries of one cloud are worth building a tree for."""
+
+_TREES = WeakIdKeyDictionary()
+"""Trees by the tensors of their points: a reconstruction is asked many times."""
 
 
 def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
@@ -57,17 +61,27 @@ def nearest_neighbours(queries: Tensor, points: Tensor, count: int) -> Tensor:
         int64 indices [B, Q, count] into the points.
     """
     if len(points) == 1 and queries.shape[1] >= TREE_FROM and points.device.type == "cpu":
-        return _nearest_by_tree(queries[0], points[0], count).unsqueeze(0)
+        return _nearest_by_tree(queries[0], points, count).unsqueeze(0)
     distances = squared_distances(queries, points)
     return distances.topk(count, dim=-1, largest=False, sorted=True).indices
 
 
 def _nearest_by_tree(queries: Tensor, points: Tensor, count: int) -> Tensor:
-    """The same for one cloud [N, D] in a third of the time: a tree asks few points, not all."""
-    tree = cKDTree(points.detach().float().numpy())
+    """The same for queries [Q, D] of one cloud [1, N, D] in a third of the time: a tree asks few
+    points, not all."""
     places = queries.detach().float().numpy()
-    _, index = tree.query(places, count, workers=torch.get_num_threads())
+    _, index = _tree_of(points).query(places, count, workers=torch.get_num_threads())
     return torch.from_numpy(index.reshape(len(queries), count))
+
+
+def _tree_of(points: Tensor) -> cKDTree:
+    """The tree of a cloud [1, N, D], built once for as long as this tensor lives unchanged."""
+    version = -1 if points.is_inference() else points._version  # -1: changes are not counted
+    kept_version, tree = _TREES.get(points, (None, None))
+    if tree is None or version < 0 or version != kept_version:
+        tree = cKDTree(points[0].detach().float().numpy())
+        _TREES[points] = version, tree
+    return tree
 
 
 @torch.no_grad()

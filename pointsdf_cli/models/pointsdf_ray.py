@@ -186,13 +186,16 @@ class PointSDFRay(ShapeModel):
             points = coarse
             levels.append((points, features))
         (fine_at, fine), (coarse_at, coarse_features), (token_at, tokens), _ = levels
+        cloud_image = image_coordinates(cloud, camera)
         evidence = {
             "cloud": cloud,
             "camera": camera,
-            "cloud_image": image_coordinates(cloud, camera),
+            "cloud_image": cloud_image,
+            # Tensors of their own, which their search trees stay with.
+            "cloud_plane": cloud_image[..., :2].clone(),
             "fine_at": fine_at,
             "coarse_at": coarse_at,
-            "coarse_image": image_coordinates(coarse_at, camera),
+            "coarse_plane": image_coordinates(coarse_at, camera)[..., :2].clone(),
             "fine": self.local_fine.table(fine, fine_at),
             "coarse": self.local_coarse.table(coarse_features, coarse_at),
             "image": self.local_image.table(coarse_features, coarse_at),
@@ -219,13 +222,13 @@ class PointSDFRay(ShapeModel):
         known = encoding.evidence
         camera = known["camera"]
         with torch.autocast(x.device.type, enabled=False):
-            seen = ray_evidence(x, known["cloud"], camera, known["cloud_image"], self.search)
+            seen = self._ray_evidence(known, x)
             angles = (x.unsqueeze(-1) * self.frequencies).flatten(-2)
             x_image = image_coordinates(x, camera)
         search = SEARCHES[self.search]
         near_fine = search(x, known["fine_at"], 8)
         near_coarse = search(x, known["coarse_at"], 4)
-        near_image = search(x_image[..., :2], known["coarse_image"][..., :2], 4)
+        near_image = search(x_image[..., :2], known["coarse_plane"], 4)
         inputs = [
             x,
             torch.sin(angles),
@@ -251,12 +254,14 @@ class PointSDFRay(ShapeModel):
             h = block(h)
         return self.leave(torch.nn.functional.gelu(self.leave_norm(h))).squeeze(-1).to(x.dtype)
 
+    def _ray_evidence(self, known: dict[str, Tensor], x: Tensor) -> Tensor:
+        cloud, image, plane = known["cloud"], known["cloud_image"], known["cloud_plane"]
+        return ray_evidence(x, cloud, known["camera"], image, plane, self.search)
+
     def _twin_evidence(self, known: dict[str, Tensor], x: Tensor) -> list[Tensor]:
-        cloud, camera = known["cloud"], known["camera"]
-        axis = _axis(known)
         with torch.autocast(x.device.type, enabled=False):
-            twin, trust = twins(x, axis, cloud, known["places"], self.search)
-            seen = ray_evidence(twin, cloud, camera, known["cloud_image"], self.search)
+            twin, trust = twins(x, _axis(known), known["cloud"], known["places"], self.search)
+            seen = self._ray_evidence(known, twin)
         near = SEARCHES[self.search](twin, known["fine_at"], 8)
         return [trust, seen, self.local_fine(twin, known["fine"], near).to(x.dtype)]
 

@@ -54,27 +54,39 @@ def side_by_side(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) 
 
     PyTorch shares out each operation instead, and its threads wait for each other at the end of
     every one of hundreds: two took as long as one for a reconstruction's queries, and many times as
-    long where another program held one of the processors.
+    long where another program held one of the processors. So a part is always one thread's, also
+    the only one.
 
     Args:
         function: Applied as it would be here: with this thread's autocast and gradient mode.
         parts: Tensors on one device; on another than the CPU nothing is gained, and nothing done.
     """
-    count = min(torch.get_num_threads(), len(parts))
-    if count < 2 or parts[0].device.type != "cpu":
+    if not parts or parts[0].device.type != "cpu":
         return [function(part) for part in parts]
     lowers, dtype = torch.is_autocast_enabled("cpu"), torch.get_autocast_dtype("cpu")
     gradients = torch.is_grad_enabled()
+    waiting = iter(enumerate(parts))  # whoever is free takes the next
+    answers: dict[int, Tensor] = {}
 
-    def apply(part: Tensor) -> Tensor:
+    def work() -> None:
+        for number, part in waiting:
+            answers[number] = function(part)
+
+    def help_out() -> None:
         # Both are settings of a thread, and this is another one.
         with torch.set_grad_enabled(gradients), torch.autocast("cpu", dtype, enabled=lowers):
-            return function(part)
+            work()
 
     threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # what new threads begin with
+    torch.set_num_threads(1)  # of this thread, and what new ones begin with
     try:
-        with ThreadPoolExecutor(count) as pool:
-            return list(pool.map(apply, parts))
+        # This thread works too: its memory is warm, and an idle one would only wait.
+        helpers = min(threads, len(parts)) - 1
+        with ThreadPoolExecutor(max(1, helpers)) as pool:
+            others = [pool.submit(help_out) for _ in range(helpers)]
+            work()
+            for other in others:
+                other.result()
     finally:
         torch.set_num_threads(threads)
+    return [answers[number] for number in range(len(parts))]

@@ -46,7 +46,12 @@ def image_coordinates(points: Tensor, camera: Tensor) -> Tensor:
 
 
 def ray_evidence(
-    x: Tensor, cloud: Tensor, camera: Tensor, cloud_image: Tensor, search: str = "exact"
+    x: Tensor,
+    cloud: Tensor,
+    camera: Tensor,
+    cloud_image: Tensor,
+    cloud_plane: Tensor,
+    search: str = "exact",
 ) -> Tensor:
     """The evidence of each query.
 
@@ -55,6 +60,7 @@ def ray_evidence(
         cloud: [B, P, 3], network frame.
         camera: [B, 3], network frame.
         cloud_image: [B, P, 3], `image_coordinates` of the cloud.
+        cloud_plane: [B, P, 2], the first two of these.
         search: How neighbours are chosen, a key of `SEARCHES`.
 
     Returns:
@@ -66,7 +72,7 @@ def ray_evidence(
     closest = distance.detach().argmin(-1, keepdim=True)
 
     x_image = image_coordinates(x, camera)
-    seen = SEARCHES[search](x_image[..., :2], cloud_image[..., :2], IMAGE_NEIGHBOURS[search])
+    seen = SEARCHES[search](x_image[..., :2], cloud_plane, IMAGE_NEIGHBOURS[search])
     gap = x_image.unsqueeze(2) - gather(cloud_image, seen)
     aside, behind = gap[..., :2], gap[..., 2]
     lateral = _length(aside)
