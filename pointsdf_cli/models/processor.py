@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor
@@ -28,6 +29,21 @@ def keep_large_allocations() -> None:
     trim_threshold, mmap_max = -1, -4
     mallopt(trim_threshold, 2**31 - 1)
     mallopt(mmap_max, 0)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """PyTorch's operations here by one thread, and by one in threads that begin meanwhile.
+
+    Two that share out an operation of some microseconds wait for each other at its end: as long as
+    a time slice of the system, where another program has one of the processors.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 FEWEST = 256
@@ -77,16 +93,11 @@ def side_by_side(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) 
         with torch.set_grad_enabled(gradients), torch.autocast("cpu", dtype, enabled=lowers):
             work()
 
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # of this thread, and what new ones begin with
-    try:
-        # This thread works too: its memory is warm, and an idle one would only wait.
-        helpers = min(threads, len(parts)) - 1
-        with ThreadPoolExecutor(max(1, helpers)) as pool:
-            others = [pool.submit(help_out) for _ in range(helpers)]
-            work()
-            for other in others:
-                other.result()
-    finally:
-        torch.set_num_threads(threads)
+    # This thread works too: its memory is warm, and an idle one would only wait.
+    helpers = min(torch.get_num_threads(), len(parts)) - 1
+    with one_thread(), ThreadPoolExecutor(max(1, helpers)) as pool:
+        others = [pool.submit(help_out) for _ in range(helpers)]
+        work()
+        for other in others:
+            other.result()
     return [answers[number] for number in range(len(parts))]

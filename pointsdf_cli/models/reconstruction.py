@@ -21,7 +21,7 @@ from torch import Tensor
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.normalise import network_frame, resample
-from pointsdf_cli.models.processor import even_parts, side_by_side
+from pointsdf_cli.models.processor import even_parts, one_thread, side_by_side
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 
 CHUNK = 4096
@@ -80,7 +80,7 @@ class Reconstruction:
         cloud = resample(in_camera, model.cloud_size, np.random.default_rng(seed))
         device = next(model.parameters()).device
         model.eval()
-        with torch.no_grad():
+        with torch.no_grad(), one_thread():
             encoding = model.encode(
                 _tensor(frame.to_network(cloud), device)[None],
                 _tensor(frame.to_network(np.zeros(3)), device)[None],
@@ -128,19 +128,21 @@ class Reconstruction:
         self, x: ArrayLike, chunk: int = CHUNK
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Signed distances [...] m and their gradients [..., 3] at x [..., 3] m, in one pass."""
-        values, gradients = [], []
-        for part in self._to_network(x).split(chunk):
+
+        def both(part: Tensor) -> Tensor:
             place = part[None].requires_grad_(True)
             with torch.enable_grad():
                 value = self.model.decode(self.encoding, place)
                 (gradient,) = torch.autograd.grad(value.sum(), place)
-            values.append(value[0].detach())
-            gradients.append(gradient[0])
+            return torch.cat([value[0].detach()[:, None], gradient[0]], dim=1)
+
+        parts = side_by_side(both, even_parts(self._to_network(x), chunk))
         shape = np.shape(x)
-        in_camera = torch.cat(gradients).cpu().numpy() if gradients else np.zeros((0, 3))
+        in_camera = torch.cat([part[:, 1:] for part in parts]).cpu().numpy()
         # Distance and place scale alike, so the gradient only turns.
         turned = in_camera @ self.R_frame_camera.T
-        return self._distances(values, shape[:-1]), turned.astype(np.float32).reshape(shape)
+        values = self._distances([part[:, 0] for part in parts], shape[:-1])
+        return values, turned.astype(np.float32).reshape(shape)
 
     def _to_network(self, x: ArrayLike) -> Tensor:
         places = np.asarray(x, dtype=np.float64).reshape(-1, 3)
@@ -148,8 +150,6 @@ class Reconstruction:
         return _tensor(network, self.encoding.embedding.device)
 
     def _distances(self, values: list[Tensor], shape: tuple[int, ...]) -> NDArray[np.float32]:
-        if not values:
-            return np.zeros(shape, np.float32)
         metres = torch.cat(values).cpu().numpy() / np.float32(self.scale)
         return metres.astype(np.float32).reshape(shape)
 
