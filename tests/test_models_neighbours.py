@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
+from pointsdf_cli.models import neighbours
 from pointsdf_cli.models.neighbours import (
     TREE_FROM,
     farthest_point_order,
@@ -37,16 +41,35 @@ def test_many_queries_of_one_cloud_find_what_few_find(dimensions: int) -> None:
     assert torch.equal(many, few)
 
 
-def test_a_cloud_that_was_moved_is_searched_where_it_is_now() -> None:
+@pytest.mark.parametrize("inference", [False, True])
+def test_a_cloud_that_was_moved_is_searched_where_it_is_now(inference: bool) -> None:
     """A tree stays with its points, and points may be changed in place."""
+    with torch.inference_mode(inference):
+        cloud, queries = _cloud(3, 1, 400) * 1.0, _cloud(4, 1, 200)
+        before = nearest_neighbours(queries, cloud, 3)
+        assert torch.equal(nearest_neighbours(queries, cloud, 3), before)
+        cloud += 0.2
+        assert torch.equal(nearest_neighbours(queries + 0.2, cloud, 3), before)
+
+
+def test_a_tree_is_built_once_and_goes_with_its_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    built: list[int] = []
+
+    def counted(points: np.ndarray) -> cKDTree:
+        built.append(len(points))
+        return cKDTree(points)
+
+    monkeypatch.setattr(neighbours, "cKDTree", counted)
     cloud, queries = _cloud(3, 1, 400), _cloud(4, 1, 200)
-    before = nearest_neighbours(queries, cloud, 3)
-    assert torch.equal(nearest_neighbours(queries, cloud, 3), before)
-    cloud += 0.2
-    assert torch.equal(nearest_neighbours(queries + 0.2, cloud, 3), before)
-    with torch.inference_mode():  # tensors made there do not count their changes
-        first = nearest_neighbours(queries + 0.2, cloud * 1.0, 3)
-    assert torch.equal(first, before)
+    gc.collect()
+    kept = len(neighbours._TREES)
+    for _ in range(3):
+        nearest_neighbours(queries, cloud, 3)
+    assert built == [400]
+    assert len(neighbours._TREES) == kept + 1
+    del cloud
+    gc.collect()
+    assert len(neighbours._TREES) == kept
 
 
 def test_squared_distances_of_a_3_4_5_triangle() -> None:

@@ -157,6 +157,17 @@ def test_the_paper_preset_has_the_published_sizes() -> None:
     ]
 
 
+def test_neighbours_in_the_image_are_looked_for_where_the_image_is() -> None:
+    """The planes that are searched are kept beside the coordinates that are read."""
+    cloud, camera, _ = _inputs(5, 1)
+    known = build_model("pointsdf-ray", seed=1).eval().encode(cloud, camera).evidence
+    assert torch.equal(known["cloud_plane"], image_coordinates(cloud, camera)[..., :2])
+    assert torch.equal(known["cloud_plane"], known["cloud_image"][..., :2])
+    assert torch.equal(
+        known["coarse_plane"], image_coordinates(known["coarse_at"], camera)[..., :2]
+    )
+
+
 def test_evidence_knows_behind_from_in_front_and_inside_from_outside_the_silhouette() -> None:
     # A plane z = 0 of 0.8 × 0.8 seen from 20 in front of it.
     grid = torch.linspace(-0.4, 0.4, 40)

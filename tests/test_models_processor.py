@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -47,13 +48,31 @@ def test_the_callers_autocast_and_gradient_mode_hold(lowered: bool, gradients: b
     assert {a.requires_grad for a in answers} == {gradients}
 
 
-def test_an_error_in_a_part_is_the_callers_and_threads_are_as_before() -> None:
+@pytest.mark.parametrize("who", ["caller", "helper"])
+def test_an_error_in_a_part_is_the_callers_and_ends_the_work(who: str) -> None:
+    here, both = threading.get_ident(), threading.Barrier(2)
+    begun: list[int] = []
+
     def fails(part: Tensor) -> Tensor:
-        raise ValueError("no")
+        begun.append(len(begun))
+        if len(begun) <= 2:
+            both.wait(10)  # each has a part
+        if (threading.get_ident() == here) == (who == "caller"):
+            raise ValueError("no")
+        time.sleep(0.05)
+        return part
 
     with pytest.raises(ValueError, match="no"):
-        side_by_side(fails, PARTS)
+        side_by_side(fails, torch.zeros(400, 1).split(1))
+    assert len(begun) <= 3
     assert torch.get_num_threads() == 2
+
+
+def test_helpers_are_in_inference_mode_too() -> None:
+    with torch.inference_mode():
+        answers = side_by_side(lambda part: part + 1, PARTS)
+    assert all(answer.is_inference() for answer in answers)
+    assert not any(answer.is_inference() for answer in side_by_side(lambda part: part + 1, PARTS))
 
 
 def test_the_calling_thread_works_too() -> None:

@@ -9,8 +9,8 @@ cells that the surface crosses are subdivided. Three rules go beyond the paper's
   until it is needed.
 - Where an answer refutes a bound (a network's slope is not bounded by a theorem), every corner of
   the cells around it is asked.
-- Where the surface leaves the refined cells through a face, the cell beyond is searched too: a
-  sheet is followed to its end once any of it is seen.
+- Where the surface leaves the refined cells through a face, the cell beyond is searched too, with
+  no new bounds: a sheet is followed to its end once any of it is seen.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ _FEWEST = 8
 # The points of a halved cell that are not corners of the whole, in half steps, and for each the
 # corners of the edge, face or cell that it is the middle of.
 _MIDDLES = [np.array(m) for m in product((0, 1, 2), repeat=3) if 1 in m]
+_ENDS = [np.flatnonzero((np.abs(2 * CORNERS - m) <= 1).all(axis=1)) for m in _MIDDLES]
 _THIRDS = np.array(list(product((0, 1, 2), repeat=3)))
 # By which of a cell's corners are inside (`cell_cases`): which corners end a crossed edge [256, 8],
 # and which faces the surface cuts [6, 256], with the way across each.
@@ -47,7 +48,6 @@ _FACES = [(axis, side) for axis in range(3) for side in (0, 1)]
 _ON_FACES = [_INSIDE[:, CORNERS[:, axis] == side] for axis, side in _FACES]
 _CUT_FACES = np.stack([face.any(axis=1) & ~face.all(axis=1) for face in _ON_FACES])
 _ACROSS = [(2 * side - 1) * np.eye(3, dtype=np.int32)[axis] for axis, side in _FACES]
-_ENDS = [np.flatnonzero((np.abs(2 * CORNERS - m) <= 1).all(axis=1)) for m in _MIDDLES]
 
 
 @dataclass(frozen=True)
@@ -336,7 +336,8 @@ def _subdivide(
         beyond = _led_to(cells, grid.cases(rows), stride) // (2 * stride)
         beyond = np.unique(beyond[~halved[tuple(beyond.T)]], axis=0)
         parents = beyond * np.int32(2 * stride)
-        # These are few, and the surface hid from their corners: everything is asked, at once.
+        # These are few, and the surface hid from their corners: what is new there is asked, and in
+        # one question instead of several small ones.
         slope = np.inf
     crossed = _straddling(grid.cases(rows))
     return cells[crossed], rows[crossed]

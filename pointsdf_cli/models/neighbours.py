@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
 TREE_FROM = 32
-"""So many queries of one cloud are worth building a tree for."""
+"""So many queries of one cloud are asked of a tree; fewer are as fast without."""
 
 _TREES = WeakIdKeyDictionary()
 """Trees by the tensors of their points: a reconstruction is asked many times."""
@@ -75,12 +75,14 @@ def _nearest_by_tree(queries: Tensor, points: Tensor, count: int) -> Tensor:
 
 
 def _tree_of(points: Tensor) -> cKDTree:
-    """The tree of a cloud [1, N, D], built once for as long as this tensor lives unchanged."""
-    version = -1 if points.is_inference() else points._version  # -1: changes are not counted
+    """The tree of a cloud [1, N, D], kept for as long as this tensor lives and PyTorch counts no
+    change of it. (It counts none of tensors made in inference mode: theirs are not kept.)"""
+    version = None if points.is_inference() else points._version
     kept_version, tree = _TREES.get(points, (None, None))
-    if tree is None or version < 0 or version != kept_version:
+    if tree is None or version is None or version != kept_version:
         tree = cKDTree(points[0].detach().float().numpy())
-        _TREES[points] = version, tree
+        if version is not None:
+            _TREES[points] = version, tree
     return tree
 
 

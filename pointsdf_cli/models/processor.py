@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -36,7 +37,8 @@ def one_thread() -> Iterator[None]:
     """PyTorch's operations here by one thread, and by one in threads that begin meanwhile.
 
     Two that share out an operation of some microseconds wait for each other at its end: as long as
-    a time slice of the system, where another program has one of the processors.
+    a time slice of the system, where another program has one of the processors. The number is the
+    whole process's: not for several threads of Python at once.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -71,7 +73,8 @@ def side_by_side(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) 
     PyTorch shares out each operation instead, and its threads wait for each other at the end of
     every one of hundreds: two took as long as one for a reconstruction's queries, and many times as
     long where another program held one of the processors. So a part is always one thread's, also
-    the only one.
+    the only one. After an error no further part is begun. Not for several threads of Python at
+    once (`one_thread`).
 
     Args:
         function: Applied as it would be here: with this thread's autocast and gradient mode.
@@ -80,17 +83,25 @@ def side_by_side(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) 
     if not parts or parts[0].device.type != "cpu":
         return [function(part) for part in parts]
     lowers, dtype = torch.is_autocast_enabled("cpu"), torch.get_autocast_dtype("cpu")
-    gradients = torch.is_grad_enabled()
+    gradients, inference = torch.is_grad_enabled(), torch.is_inference_mode_enabled()
     waiting = iter(enumerate(parts))  # whoever is free takes the next
     answers: dict[int, Tensor] = {}
 
     def work() -> None:
-        for number, part in waiting:
-            answers[number] = function(part)
+        try:
+            for number, part in waiting:
+                answers[number] = function(part)
+        except BaseException:
+            deque(waiting, maxlen=0)  # nobody else goes on
+            raise
 
     def help_out() -> None:
-        # Both are settings of a thread, and this is another one.
-        with torch.set_grad_enabled(gradients), torch.autocast("cpu", dtype, enabled=lowers):
+        # All three are settings of a thread, and this is another one.
+        with (
+            torch.inference_mode(inference),
+            torch.set_grad_enabled(gradients),
+            torch.autocast("cpu", dtype, enabled=lowers),
+        ):
             work()
 
     # This thread works too: its memory is warm, and an idle one would only wait.
