@@ -37,7 +37,7 @@ from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.io.views import read_views
 from pointsdf_cli.models.meshing import mesh_reconstruction, network_field
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.registry import load_model, mesh_checkpoint, use_threads
+from pointsdf_cli.models.registry import load_model, use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.training.precision import autocast_dtype
 
@@ -65,7 +65,7 @@ def read(options: argparse.Namespace) -> tuple[ShapeModel, np.ndarray]:
     """The network and the cloud."""
     use_threads(options.threads)
     points = read_cloud(options.cloud).points if options.cloud else mug_view()
-    return load_model(options.checkpoint or mesh_checkpoint()), points
+    return load_model(options.checkpoint), points
 
 
 def reconstruct(options: argparse.Namespace) -> Reconstruction:
@@ -104,7 +104,7 @@ def time_mesh(job: tuple[argparse.Namespace, int]) -> dict[str, float]:
 def time_views(options: argparse.Namespace) -> list[tuple[float, int]]:
     """Seconds and queries of the first view of every object in `--views`, at one resolution."""
     use_threads(options.threads)
-    model = load_model(options.checkpoint or mesh_checkpoint())
+    model = load_model(options.checkpoint)
     low_precision = autocast_dtype(options.precision, torch.device("cpu"))
     resolution = options.resolutions[0]
     found = []

@@ -16,7 +16,7 @@ from pointsdf_cli.geometry.frames import random_rotation
 from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.models.meshing import mesh_reconstruction, network_field
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.registry import build_model, load_model, mesh_checkpoint
+from pointsdf_cli.models.registry import build_model, load_model
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 
 RADIUS = 0.4
@@ -87,7 +87,7 @@ def test_voxels_are_meshed_in_their_own_box() -> None:
 def mug() -> Reconstruction:
     """The bundled network's, of the bundled cloud."""
     points, _ = read_cloud(asset_path("clouds/mug.ply")).in_camera_frame()
-    return Reconstruction.from_cloud(load_model(mesh_checkpoint()), points, np.zeros(3))
+    return Reconstruction.from_cloud(load_model(), points, np.zeros(3))
 
 
 @pytest.mark.parametrize("resolution", [128, 256])
@@ -115,7 +115,7 @@ def test_smooth_things_are_asked_less() -> None:
     seen = np.random.default_rng(0).normal(size=(3000, 3))
     seen *= 0.05 / np.linalg.norm(seen, axis=1, keepdims=True)
     seen = seen[seen[:, 2] < 0][:1000] + [0, 0, 1]
-    half = Reconstruction.from_cloud(load_model(mesh_checkpoint()), seen, np.zeros(3))
+    half = Reconstruction.from_cloud(load_model(), seen, np.zeros(3))
     made, exact = (mesh_reconstruction(half, 128, exact=e) for e in (False, True))
     assert made.queries < 0.8 * exact.queries
 
@@ -124,21 +124,33 @@ def test_smooth_things_are_asked_less() -> None:
 def test_values_do_not_depend_on_the_number_of_threads(mug: Reconstruction, count: int) -> None:
     x = np.random.default_rng(count).uniform(-0.05, 0.05, (count, 3)) + mug.centre
     before = torch.get_num_threads()
-    values = []
+    answers = []
     for threads in (1, 2, 3):
         torch.set_num_threads(threads)
-        values.append(mug.sdf(x))
+        answers.append((mug.sdf(x), *mug.sdf_and_gradient(x)))
     torch.set_num_threads(before)
-    assert np.array_equal(values[0], values[1])
-    assert np.array_equal(values[0], values[2])
+    for values, values_too, gradients in answers:
+        assert np.array_equal(values, answers[0][0])
+        assert np.array_equal(values_too, values)
+        assert np.array_equal(gradients, answers[0][2])
+
+
+def test_no_query_is_answered_by_nothing(mug: Reconstruction) -> None:
+    values, gradients = mug.sdf_and_gradient(np.zeros((2, 0, 3)))
+    assert mug.sdf(np.zeros((2, 0, 3))).shape == values.shape == (2, 0)
+    assert gradients.shape == (2, 0, 3)
 
 
 def test_lowered_tables_change_what_autocast_computes_by_rounding_only(mug: Reconstruction) -> None:
     x = torch.rand(1, 500, 3, generator=torch.Generator().manual_seed(0)) - 0.5
+    lowered = mug.model.lowered(mug.encoding, torch.bfloat16)
+    halved = {k for k, v in lowered.evidence.items() if v.dtype == torch.bfloat16}
+    assert halved == {"fine", "coarse", "image", "keys", "values"}
+    assert lowered.evidence["cloud"].dtype == torch.float32  # places keep their millimetres
     with torch.no_grad():
         full = mug.model.decode(mug.encoding, x)
         with torch.autocast("cpu", torch.bfloat16):
             auto = mug.model.decode(mug.encoding, x)
-            low = mug.model.decode(mug.model.lowered(mug.encoding, torch.bfloat16), x)
+            low = mug.model.decode(lowered, x)
     assert (low - full).abs().mean() < 1.5 * (auto - full).abs().mean()
     assert (low - full).abs().mean() < 2e-3

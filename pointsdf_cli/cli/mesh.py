@@ -73,7 +73,9 @@ def mesh(
     exact: Annotated[
         bool,
         typer.Option(
-            "--exact", help="Ask the network everywhere; else smooth places are interpolated."
+            "--exact",
+            help="Search wider, and ask the network at every corner there; "
+            "else smooth places are interpolated.",
         ),
     ] = False,
     smooth: Annotated[
@@ -138,13 +140,13 @@ def mesh(
 
     from pointsdf_cli.models.meshing import mesh_reconstruction
     from pointsdf_cli.models.reconstruction import Reconstruction
-    from pointsdf_cli.models.registry import load_model, mesh_checkpoint, use_threads
+    from pointsdf_cli.models.registry import load_model, use_threads
     from pointsdf_cli.training.precision import autocast_dtype, idle_processors
 
     seed, device = common.check_seed(seed), common.torch_device(device)
     low_precision = autocast_dtype(precision, torch.device(device))
     use_threads(threads or idle_processors())
-    model = load_model(checkpoint or mesh_checkpoint(), device)
+    model = load_model(checkpoint, device)
     started = time.perf_counter()
     reconstruction = Reconstruction.from_cloud(model, points, np.zeros(3), seed=seed)
     try:

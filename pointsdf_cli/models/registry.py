@@ -24,14 +24,8 @@ DEFAULT_ARCHITECTURE = PointSDFRay.architecture
 
 
 def default_checkpoint() -> Path:
-    """The shipped weights that grasps are planned with: those whose fields the shipped success
-    network has learned to read."""
+    """The shipped reconstruction, whose fields the shipped success network has learned to read."""
     return asset_path("weights/pointsdf_ray")
-
-
-def mesh_checkpoint() -> Path:
-    """The shipped weights that meshes are made with: newer, and better at hidden sides."""
-    return asset_path("weights/pointsdf_ray_box")
 
 
 def build_model(
