@@ -192,7 +192,7 @@ def test_object_that_is_shot_out_is_invalid(attempter: Attempter, grip: Grip, ca
     def shoot(world: World, phase: str) -> None:
         if phase == "lift" and not shot:
             shot.append(True)
-            body, client = world._object, world._client
+            body, client = world._object_body, world._client
             out_of_the_hand = [0.9, 0.0, 0.3]
             world._bullet.resetBasePositionAndOrientation(
                 body, out_of_the_hand, [0, 0, 0, 1], physicsClientId=client
@@ -217,7 +217,10 @@ def test_object_that_ends_inside_a_link_is_invalid(
         if phase == "settle":
             palm = world.palm_pose()
             world._bullet.resetBasePositionAndOrientation(
-                world._object, palm[:3, 3].tolist(), [0, 0, 0, 1], physicsClientId=world._client
+                world._object_body,
+                palm[:3, 3].tolist(),
+                [0, 0, 0, 1],
+                physicsClientId=world._client,
             )
             world._bullet.performCollisionDetection(physicsClientId=world._client)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,16 +12,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pointsdf_cli.errors import RgraspError
-from pointsdf_cli.geometry.frames import (
-    invert_transform,
-    rotation_from_wxyz,
-    transform,
-    wxyz_from_rotation,
-)
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.simulation.bullet import import_bullet
+from pointsdf_cli.simulation.bullet_object import BulletObject, write_pieces
 from pointsdf_cli.simulation.bullet_robot import BulletRobot, CarriedHand
 from pointsdf_cli.simulation.bullet_urdf import bullet_urdf, hand_urdfs
 from pointsdf_cli.simulation.decomposition import Pieces
@@ -127,7 +120,7 @@ class World:
         self._steps = 0
         self._shown = None
         self._add_table()
-        self._object = -1
+        self._object: BulletObject | None = None
         if robot != "none":
             self._add_robot(self.robot.home if q is None else np.asarray(q), robot == "hand")
         if item is not None:
@@ -147,10 +140,7 @@ class World:
             self.reset(item, T_world_object)
             self._shown = item.pieces
         else:
-            position, xyzw = _pose_of(T_world_object @ item.T_mesh_body)
-            self._bullet.resetBasePositionAndOrientation(
-                self._object, position, xyzw, physicsClientId=self._client
-            )
+            self._there.place(T_world_object)
         # What was near each other is no longer: contacts that PyBullet keeps are forgotten.
         self.collisions(self.robot.home)
 
@@ -226,7 +216,7 @@ class World:
                 if contact[8] >= clearance:
                     continue
                 other = contact[2] if contact[1] == body else contact[1]
-                if other == self._object:
+                if other == self._object_body:
                     touched.add("object")
                 elif other == self._table:
                     touched.add("table")
@@ -236,25 +226,27 @@ class World:
 
     # --- the object ---
 
+    @property
+    def _there(self) -> BulletObject:
+        if self._object is None:
+            raise RuntimeError("there is no object in the scene")
+        return self._object
+
+    @property
+    def _object_body(self) -> int:
+        return -1 if self._object is None else self._object.body
+
     def object_pose(self) -> Array:
         """T_world_object [4, 4], the mesh frame in the world."""
-        position, xyzw = self._bullet.getBasePositionAndOrientation(
-            self._object, physicsClientId=self._client
-        )
-        rotation = rotation_from_wxyz(np.array([xyzw[3], *xyzw[:3]]))
-        return transform(rotation, np.array(position)) @ self._T_body_mesh
+        return self._there.pose()
 
     def object_centre(self) -> Array:
         """The object's centre of mass [3] in the world."""
-        position, _ = self._bullet.getBasePositionAndOrientation(
-            self._object, physicsClientId=self._client
-        )
-        return np.array(position)
+        return self._there.centre()
 
     def object_speed(self) -> tuple[float, float]:
         """Speed of the object's centre of mass [m/s], and of its turning [rad/s]."""
-        linear, angular = self._bullet.getBaseVelocity(self._object, physicsClientId=self._client)
-        return float(np.linalg.norm(linear)), float(np.linalg.norm(angular))
+        return self._there.speed()
 
     def robot_contact(self) -> RobotContact:
         """How the robot touches the object now."""
@@ -262,7 +254,7 @@ class World:
             point
             for body in self._robot.bodies
             for point in self._bullet.getContactPoints(
-                bodyA=body, bodyB=self._object, physicsClientId=self._client
+                bodyA=body, bodyB=self._object_body, physicsClientId=self._client
             )
         ]
         touching = [point for point in points if point[9] > 0.0 or point[8] < 0.0]
@@ -283,7 +275,7 @@ class World:
             aside: Nearer than this [m] counts as meeting.
         """
         b, c = self._bullet, self._client
-        low, high = b.getAABB(self._object, -1, physicsClientId=c)
+        low, high = b.getAABB(self._there.body, -1, physicsClientId=c)
         for link, (body, number) in self._robot.links.items():
             if not self.robot.tree.shapes.get(link):
                 continue
@@ -297,7 +289,7 @@ class World:
     def object_on_table(self) -> bool:
         """Whether the object touches the table."""
         points = self._bullet.getContactPoints(
-            bodyA=self._table, bodyB=self._object, physicsClientId=self._client
+            bodyA=self._table, bodyB=self._object_body, physicsClientId=self._client
         )
         return any(point[8] < 1e-3 for point in points)
 
@@ -358,54 +350,19 @@ class World:
         self.drive_to(q, np.arange(len(robot.joint_names)), robot.effort)
 
     def _add_object(self, item: SimObject, T_world_object: Array) -> None:
-        b, c = self._bullet, self._client
-        shape = b.createCollisionShape(
-            b.GEOM_MESH, fileName=str(self._write_pieces(item)), physicsClientId=c
-        )
-        if shape < 0:
-            raise RgraspError(
-                "PyBullet cannot read the object's convex pieces", where=item.mesh.name
-            )
-        position, xyzw = _pose_of(T_world_object @ item.T_mesh_body)
-        self._T_body_mesh = invert_transform(item.T_mesh_body)
-        self._object = b.createMultiBody(
-            item.mass,
-            shape,
-            basePosition=position,
-            baseOrientation=xyzw,
-            physicsClientId=c,
-        )
-        b.changeDynamics(
-            self._object,
-            -1,
-            localInertiaDiagonal=item.inertia.tolist(),
-            lateralFriction=self.physics.object_friction,
-            rollingFriction=self.physics.rolling_friction,
-            spinningFriction=self.physics.spinning_friction,
-            linearDamping=0.02,
-            angularDamping=0.02,
-            physicsClientId=c,
-        )
-
-    def _write_pieces(self, item: SimObject) -> Path:
-        """The object's pieces as one OBJ file, which PyBullet takes as a union of hulls."""
         # The list itself, not what it holds: whoever changes pieces makes another list.
         if self._object_file is None or self._object_file[0] is not item.pieces:
             path = self._folder / "object.obj"
-            text, start = io.StringIO(), 1
-            for i, (corners, faces) in enumerate(item.pieces):
-                text.write(f"o piece{i}\n")
-                text.writelines("v {:.7f} {:.7f} {:.7f}\n".format(*v) for v in corners)
-                text.writelines("f {} {} {}\n".format(*(f + start)) for f in faces)
-                start += len(corners)
-            path.write_text(text.getvalue(), encoding="ascii")
-            self._object_file = (item.pieces, path)
-        return self._object_file[1]
-
-
-def _pose_of(T: Array) -> tuple[list[float], list[float]]:
-    """Place [3] and quaternion [4] (scalar last, as PyBullet has them) of a pose [4, 4]."""
-    return T[:3, 3].tolist(), wxyz_from_rotation(T[:3, :3])[[1, 2, 3, 0]].tolist()
+            write_pieces(item.pieces, path)
+            self._object_file = item.pieces, path
+        self._object = BulletObject(
+            self._bullet,
+            self._client,
+            item,
+            self._object_file[1],
+            T_world_object,
+            self.physics,
+        )
 
 
 def try_robot(robot: RobotDescription) -> None:

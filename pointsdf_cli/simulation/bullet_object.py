@@ -1,0 +1,123 @@
+"""An object in PyBullet: one free body of convex pieces, and where it is."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import RgraspError
+from pointsdf_cli.geometry.frames import (
+    invert_transform,
+    rotation_from_wxyz,
+    transform,
+    wxyz_from_rotation,
+)
+from pointsdf_cli.simulation.decomposition import Pieces
+from pointsdf_cli.simulation.physics import PhysicsConfig
+from pointsdf_cli.simulation.sim_object import SimObject
+
+Array = NDArray[np.float64]
+
+
+class BulletObject:
+    """One object in one scene of a physics client.
+
+    Args:
+        bullet, client: The module and the number of the physics client.
+        item: The object.
+        file: Its pieces (`write_pieces`).
+        T_world_object: [4, 4], its mesh frame in the world.
+        physics: Its friction.
+
+    Attributes:
+        body: Its number.
+
+    Raises:
+        RgraspError: PyBullet cannot read the pieces.
+    """
+
+    def __init__(
+        self,
+        bullet: Any,
+        client: int,
+        item: SimObject,
+        file: Path,
+        T_world_object: Array,
+        physics: PhysicsConfig,
+    ) -> None:
+        self._bullet, self._client = bullet, client
+        self._T_mesh_body = item.T_mesh_body
+        self._T_body_mesh = invert_transform(item.T_mesh_body)
+        shape = bullet.createCollisionShape(
+            bullet.GEOM_MESH, fileName=str(file), physicsClientId=client
+        )
+        if shape < 0:
+            raise RgraspError(
+                "PyBullet cannot read the object's convex pieces", where=item.mesh.name
+            )
+        position, xyzw = self._body_pose(T_world_object)
+        self.body: int = bullet.createMultiBody(
+            item.mass,
+            shape,
+            basePosition=position,
+            baseOrientation=xyzw,
+            physicsClientId=client,
+        )
+        bullet.changeDynamics(
+            self.body,
+            -1,
+            localInertiaDiagonal=item.inertia.tolist(),
+            lateralFriction=physics.object_friction,
+            rollingFriction=physics.rolling_friction,
+            spinningFriction=physics.spinning_friction,
+            linearDamping=0.02,
+            angularDamping=0.02,
+            physicsClientId=client,
+        )
+
+    def place(self, T_world_object: Array) -> None:
+        """Put it there at rest, without physics."""
+        position, xyzw = self._body_pose(T_world_object)
+        self._bullet.resetBasePositionAndOrientation(
+            self.body, position, xyzw, physicsClientId=self._client
+        )
+
+    def pose(self) -> Array:
+        """T_world_object [4, 4], the mesh frame in the world."""
+        position, xyzw = self._bullet.getBasePositionAndOrientation(
+            self.body, physicsClientId=self._client
+        )
+        rotation = rotation_from_wxyz(np.array([xyzw[3], *xyzw[:3]]))
+        return transform(rotation, np.array(position)) @ self._T_body_mesh
+
+    def centre(self) -> Array:
+        """The centre of mass [3] in the world."""
+        position, _ = self._bullet.getBasePositionAndOrientation(
+            self.body, physicsClientId=self._client
+        )
+        return np.array(position)
+
+    def speed(self) -> tuple[float, float]:
+        """Speed of the centre of mass [m/s], and of the turning [rad/s]."""
+        linear, angular = self._bullet.getBaseVelocity(self.body, physicsClientId=self._client)
+        return float(np.linalg.norm(linear)), float(np.linalg.norm(angular))
+
+    def _body_pose(self, T_world_object: Array) -> tuple[list[float], list[float]]:
+        """Place [3] and quaternion [4] (scalar last, as PyBullet has them) of the body frame."""
+        T = T_world_object @ self._T_mesh_body
+        return T[:3, 3].tolist(), wxyz_from_rotation(T[:3, :3])[[1, 2, 3, 0]].tolist()
+
+
+def write_pieces(pieces: Pieces, path: Path) -> None:
+    """Convex pieces as one OBJ file, which PyBullet takes as a union of hulls."""
+    text, start = io.StringIO(), 1
+    for i, (corners, faces) in enumerate(pieces):
+        text.write(f"o piece{i}\n")
+        text.writelines("v {:.7f} {:.7f} {:.7f}\n".format(*v) for v in corners)
+        text.writelines("f {} {} {}\n".format(*(f + start)) for f in faces)
+        start += len(corners)
+    path.write_text(text.getvalue(), encoding="ascii")
