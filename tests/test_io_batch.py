@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import pytest
 import threadpoolctl
 
 from pointsdf_cli.errors import InputError, RgraspError
-from pointsdf_cli.io.atomic import UnwritableError, write_text_atomic
+from pointsdf_cli.io.atomic import UnwritableError, temporary_beside, write_text_atomic
 from pointsdf_cli.io.batch import run_stage, shard_of, task_seed
 
 
@@ -59,6 +64,29 @@ def test_a_place_that_cannot_be_written_is_no_bad_input_to_skip(jobs: int) -> No
 def test_a_worker_that_dies_ends_the_stage_with_one_message() -> None:
     with pytest.raises(RgraspError, match="worker process died"):
         run_stage([(str(k), k) for k in range(4)], die, jobs=2)
+
+
+def kill(process: int) -> int:
+    os.kill(process, signal.SIGKILL)
+    while b") Z " not in Path(f"/proc/{process}/stat").read_bytes():
+        time.sleep(0.01)
+    return process
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="zombies are told apart under Linux only")
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_a_run_that_ends_meanwhile_was_building_is_removed(jobs: int, tmp_path: Path) -> None:
+    mine = temporary_beside(tmp_path / "a.h5")
+    with (
+        subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as builder,
+        subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as another,
+    ):
+        builders = [builder.pid, another.pid]
+        theirs = [mine.name.replace(f"-{os.getpid()}-", f"-{pid}-") for pid in builders]
+        for name in [mine.name, *theirs]:
+            (tmp_path / name).write_bytes(b"x")
+        run_stage([(str(pid), pid) for pid in builders], kill, jobs=jobs, folders=[tmp_path])
+        assert list(tmp_path.iterdir()) == [mine]
 
 
 def test_shards_are_disjoint_and_make_the_whole() -> None:

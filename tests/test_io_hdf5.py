@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.atomic import atomic_path, remove_leftovers, require_new
+from pointsdf_cli.io.atomic import atomic_path, remove_leftovers, require_new, temporary_beside
 from pointsdf_cli.io.grasps import was_collected
 from pointsdf_cli.io.hdf5 import (
     Dataset,
@@ -158,6 +158,23 @@ with atomic_path({str(tmp_path / "a.h5")!r}) as temporary:
     os.utime(elsewhere, (0, 0))
     remove_leftovers(tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == [".hidden", "b.h5"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="zombies are told apart under Linux only")
+def test_what_was_killed_and_not_asked_for_yet_builds_nothing(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "input()"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as builder:
+        mine = temporary_beside(tmp_path / "a.h5").name
+        theirs = tmp_path / mine.replace(f"-{os.getpid()}-", f"-{builder.pid}-")
+        theirs.write_bytes(b"x")
+        remove_leftovers(tmp_path)
+        assert theirs.exists()
+        builder.kill()
+        # It has ended, and stays a process until its parent asks how.
+        os.waitid(os.P_PID, builder.pid, os.WEXITED | os.WNOWAIT)
+        os.kill(builder.pid, 0)
+        remove_leftovers(tmp_path)
+        assert not theirs.exists()
 
 
 def test_a_name_as_long_as_names_may_be_is_written(tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ def collect_grasps(
     from dataclasses import replace
 
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.atomic import remove_leftovers, require_folder, write_text_atomic
+    from pointsdf_cli.io.atomic import require_folder, write_text_atomic
     from pointsdf_cli.io.batch import shard_of
     from pointsdf_cli.io.grasps import read_grasps
     from pointsdf_cli.io.meshes import artifact_path, find_meshes
@@ -82,8 +82,6 @@ def collect_grasps(
     splits = split_of(list(paths), seed)
     quotas = first_quotas(splits, count)
     mine = set(shard_of(sorted(paths), shard))
-    for folder in {path.parent for _, path in paths.values()}:
-        remove_leftovers(folder)
     reporter = common.Reporter(quiet, as_json)
     tasks = {
         name: CollectTask(
@@ -160,6 +158,7 @@ def _collect(
                 todo,
                 collect_object,
                 jobs=jobs,
+                folders=(task.out.parent for task in tasks.values()),
                 on_done=functools.partial(_one_more, progress, rates),
             )
         rates.say()

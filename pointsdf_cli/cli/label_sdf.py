@@ -28,7 +28,7 @@ def label_sdf(
     Example: rgrasp label-sdf --views views/ --meshes ycb/ --out labels/
     """
     from pointsdf_cli.geometry.sdf_sampling import SamplingConfig
-    from pointsdf_cli.io.atomic import remove_leftovers, require_folder
+    from pointsdf_cli.io.atomic import require_folder
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.objects.labelling import find_label_tasks, label_file
 
@@ -36,12 +36,14 @@ def label_sdf(
     seed, jobs = common.check_seed(seed), common.job_count(jobs)
     found = shard_of(find_label_tasks(views, meshes, out, config, seed, force), shard)
     out = require_folder(out)
-    for folder in {task.out.parent for task in found}:
-        remove_leftovers(folder)
     reporter = common.Reporter(quiet, as_json)
     with reporter.progress("label-sdf", len(found)) as progress:
         report = run_stage(
-            [(task.name, task) for task in found], label_file, jobs=jobs, on_done=progress.advance
+            [(task.name, task) for task in found],
+            label_file,
+            jobs=jobs,
+            folders=(task.out.parent for task in found),
+            on_done=progress.advance,
         )
     made = list(report.made.values())
     labelled = sum(summary.points for summary in made)

@@ -46,7 +46,7 @@ def render(
     from pointsdf_cli.camera.noise import DepthNoise
     from pointsdf_cli.camera.pinhole import load_camera
     from pointsdf_cli.camera.views import ViewConfig, ViewTask, render_file
-    from pointsdf_cli.io.atomic import remove_leftovers, require_folder
+    from pointsdf_cli.io.atomic import require_folder
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.io.meshes import artifact_path, find_meshes
 
@@ -61,11 +61,15 @@ def render(
         path = artifact_path(mesh, meshes, out)
         name = path.relative_to(out).with_suffix("").as_posix()
         tasks.append((name, ViewTask(name, mesh, path, config, seed, force)))
-    for folder in {task.out.parent for _, task in tasks}:
-        remove_leftovers(folder)
     reporter = common.Reporter(quiet, as_json)
     with reporter.progress("render", len(tasks)) as progress:
-        report = run_stage(tasks, render_file, jobs=jobs, on_done=progress.advance)
+        report = run_stage(
+            tasks,
+            render_file,
+            jobs=jobs,
+            folders=(task.out.parent for _, task in tasks),
+            on_done=progress.advance,
+        )
     made = sum(summary.views for summary in report.made.values())
     redrawn = sum(summary.redrawn for summary in report.made.values())
     repaired = {n: s.repair for n, s in report.made.items() if s.repair != "none"}

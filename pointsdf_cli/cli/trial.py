@@ -87,7 +87,7 @@ def trial(
     jobs = common.job_count(jobs)
     reporter = common.Reporter(quiet, as_json)
 
-    from pointsdf_cli.io.atomic import remove_leftovers, require_folder, write_text_atomic
+    from pointsdf_cli.io.atomic import require_folder, write_text_atomic
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.io.trials import write_trials
     from pointsdf_cli.robot.description import load_robot
@@ -128,7 +128,6 @@ def trial(
         check_contender(contender, config.contenders)
     out = require_folder(out)
     folder = require_folder(out / "trials")
-    remove_leftovers(folder)
     filmed = {round(i * len(trials) / record) for i in range(record)} if record > 0 else set()
     tasks = {
         one.name: TrialTask(
@@ -143,7 +142,9 @@ def trial(
     started = time.monotonic()
     mine = shard_of(list(tasks.items()), shard)
     with reporter.progress("trial", len(mine)) as progress:
-        report = run_stage(mine, run_trial_task, jobs=jobs, on_done=progress.advance)
+        report = run_stage(
+            mine, run_trial_task, jobs=jobs, folders=[folder], on_done=progress.advance
+        )
     refused = {tasks[name].trial.object.name: error.what for name, error in report.refused}
     for name, why in refused.items():
         reporter.say(f"skipped: {name}: {why}")

@@ -90,7 +90,7 @@ def remove_leftovers(folder: Path | str) -> None:
     What a process is building at this moment stays: it may be another shard.
     """
     for leftover in Path(folder).glob(f".*{TEMPORARY_MARK}*"):
-        with suppress(FileNotFoundError):
+        with suppress(OSError):  # gone by now, or not ours to remove
             if leftover.is_file() and _is_abandoned(leftover):
                 leftover.unlink()
 
@@ -105,7 +105,20 @@ def _is_abandoned(temporary: Path) -> bool:
         return True
     except OSError:  # somebody else's process
         pass
-    return False
+    return _is_zombie(int(builder[1]))
+
+
+def _is_zombie(process: int) -> bool:
+    """Whether a process has ended, and only waits for its parent to ask how.
+
+    One whose parent was killed with it waits for the machine's first process, which in a
+    container may take its time.
+    """
+    try:
+        status = Path(f"/proc/{process}/stat").read_bytes()
+    except OSError:  # it is gone by now, or this is no Linux
+        return False
+    return status.rpartition(b")")[2].split()[0] in (b"Z", b"X")
 
 
 def require_new(path: Path | str, force: bool, inputs: Iterable[Path] = ()) -> Path:

@@ -10,17 +10,18 @@ import sys
 import threading
 import time
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from pointsdf_cli.errors import InputError, RgraspError
-from pointsdf_cli.io.atomic import UnwritableError
+from pointsdf_cli.io.atomic import UnwritableError, remove_leftovers
 from pointsdf_cli.io.hdf5 import OptionsDifferError
 
 Task = TypeVar("Task")
@@ -67,12 +68,22 @@ def run_stage(
     work: Callable[[Task], Result | None],
     *,
     jobs: int,
+    folders: Iterable[Path] = (),
     on_done: Callable[[str, Result | None], None] | None = None,
 ) -> StageReport[Result]:
     """Run `work` on every named task; `None` from it means that the artifact was there already.
 
     `work` must be a function at module level, because it travels to other processes. The order in
     which tasks finish does not matter to what they make: each draws from `task_seed`.
+
+    Args:
+        tasks: Names and what `work` is given.
+        work: Makes one artifact.
+        jobs: Processes.
+        folders: Where artifacts are written. What killed runs were building there is removed:
+            before, to make room, and afterwards, because the processes of a run that was killed
+            a moment ago may still have been ending then.
+        on_done: Called with each name and what came of it.
 
     Raises:
         RgraspError: Anything but bad input: it stops the stage; what is finished stays.
@@ -91,11 +102,16 @@ def run_stage(
         if on_done:
             on_done(name, outcome)
 
-    if jobs == 1 or len(tasks) < 2:
-        for name, task in tasks:
-            finish(name, _guarded(work, task))
-    else:
-        _run_parallel(tasks, work, jobs, finish)
+    folders = set(folders)
+    _tidy(folders)
+    try:
+        if jobs == 1 or len(tasks) < 2:
+            for name, task in tasks:
+                finish(name, _guarded(work, task))
+        else:
+            _run_parallel(tasks, work, jobs, finish)
+    finally:
+        _tidy(folders)
     # Processes finish in any order; the report does not depend on it.
     report.made = {name: report.made[name] for name, _ in tasks if name in report.made}
     report.kept.sort()
@@ -125,6 +141,11 @@ def shard_of(tasks: Sequence[Task], shard: str | None) -> list[Task]:
 def task_seed(seed: int, name: str) -> np.random.Generator:
     """A random generator for one task, the same whoever runs it and in whatever order."""
     return np.random.default_rng([seed, zlib.crc32(name.encode("utf-8", "surrogateescape"))])
+
+
+def _tidy(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        remove_leftovers(folder)
 
 
 def _guarded(work: Callable[[Task], Result | None], task: Task) -> Result | InputError | None:

@@ -13,12 +13,7 @@ from typing import Any
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.atomic import (
-    TEMPORARY_MARK,
-    remove_leftovers,
-    require_folder,
-    write_text_atomic,
-)
+from pointsdf_cli.io.atomic import TEMPORARY_MARK, require_folder, write_text_atomic
 from pointsdf_cli.io.batch import StageReport, run_stage, shard_of
 from pointsdf_cli.io.hdf5 import OptionsDifferError
 from pointsdf_cli.io.object_mesh import read_object_about, write_object_mesh
@@ -89,15 +84,12 @@ def make_objects(
     names = None if families is None else tuple(family.name for family in choices)
     indices = shard_of(range(count), shard)
     out = require_folder(out)
-    if shard is None:
-        # Shards may be running side by side: what looks left over may be another one's work.
-        remove_leftovers(out)
     tasks = []
     for index in indices:
         name = f"{index:05d}_{family_of(seed, index, choices).name}"
         tasks.append((name, ObjectTask(seed, index, names, out / f"{name}.ply", force)))
     _require_one_series(out, [name for name, _ in tasks], force)
-    report = run_stage(tasks, make_file, jobs=jobs, on_done=on_result)
+    report = run_stage(tasks, make_file, jobs=jobs, folders=[out], on_done=on_result)
     if report.made or report.kept:
         write_manifest(out)
     return report

@@ -104,7 +104,9 @@ def evidence_of(
         out = cache / f"{name.replace('/', '__')}-{key[:16]}.h5"
         tasks.append((name, EvidenceTask(file, out, key, encoder, sweep, robot)))
     missing = [(name, task) for name, task in tasks if not task.out.is_file()]
-    run_stage(missing, make_evidence, jobs=jobs, on_done=on_done).raise_if_refused()
+    run_stage(
+        missing, make_evidence, jobs=jobs, folders=[cache], on_done=on_done
+    ).raise_if_refused()
     evidence = join_evidence([read_evidence(task.out) for _, task in tasks])
     if len(evidence.scale) != len(data):
         raise InputError("does not fit the grasps", where=cache, hint=f"remove {cache}")
