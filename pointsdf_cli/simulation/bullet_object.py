@@ -19,6 +19,7 @@ from pointsdf_cli.geometry.frames import (
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
+from pointsdf_cli.simulation.skin import drawn_in
 
 Array = NDArray[np.float64]
 
@@ -113,9 +114,9 @@ class BulletObject:
 
 
 def write_pieces(pieces: Pieces, path: Path) -> None:
-    """Convex pieces as one OBJ file, which PyBullet takes as a union of hulls."""
+    """Convex pieces as one OBJ file, which PyBullet takes as a union of hulls with a skin each."""
     text, start = io.StringIO(), 1
-    for i, (corners, faces) in enumerate(pieces):
+    for i, (corners, faces) in enumerate(drawn_in(corners) for corners, _ in pieces):
         text.write(f"o piece{i}\n")
         text.writelines("v {:.7f} {:.7f} {:.7f}\n".format(*v) for v in corners)
         text.writelines("f {} {} {}\n".format(*(f + start)) for f in faces)

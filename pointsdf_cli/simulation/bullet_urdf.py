@@ -2,7 +2,8 @@
 
 PyBullet reads a URDF by itself. Of meshes in some formats (text STL) it makes links without a body,
 at others (PLY, OFF, GLB) it gives up, and a link without `<inertial>` weighs 1 kg. So a URDF that
-has either is written anew, with the hulls of `robot/shapes.py` and masses of the links' volumes.
+has either is written anew, with the hulls of `robot/shapes.py` and masses of the links' volumes;
+so is one with hulls or cylinders, which PyBullet makes larger than they are (`skin.py`).
 
 The hand alone comes as several files, one for what cannot move in the palm and one for each finger:
 a step of PyBullet costs the square of a body's joints, so five small bodies are several times as
@@ -26,6 +27,7 @@ from pointsdf_cli.io.untrusted import read_xml
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.shapes import Shape
 from pointsdf_cli.robot.urdf import MOVING, mesh_file
+from pointsdf_cli.simulation.skin import DEEPEST, SKIN, drawn_in
 
 Array = NDArray[np.float64]
 
@@ -45,8 +47,9 @@ def bullet_urdf(robot: RobotDescription, folder: Path, visible: bool = False) ->
     """
     root = read_xml(robot.urdf)
     links = root.findall("link")
-    meshes = root.findall("link/collision/geometry/mesh")
-    if not meshes and all(link.find("inertial") is not None for link in links):
+    geometry = "link/collision/geometry/"
+    hulls = [*root.iterfind(geometry + "mesh"), *root.iterfind(geometry + "cylinder")]
+    if not hulls and all(link.find("inertial") is not None for link in links):
         return robot.urdf
     return _written(_readable(robot, folder, visible), folder / "robot.urdf")
 
@@ -179,8 +182,11 @@ def _readable(robot: RobotDescription, folder: Path, visible: bool) -> ET.Elemen
         for k, (node, shape) in enumerate(zip(link.findall("collision"), shapes, strict=True)):
             if shape.kind == "hull":
                 file = folder / f"link{number}_{k}.obj"
-                trimesh.Trimesh(*shape.triangles(), process=False).export(file)
+                corners, faces = drawn_in(shape.triangles()[0])
+                trimesh.Trimesh(corners, faces, process=False).export(file)
                 _name_mesh(node, file)
+            elif shape.kind == "cylinder":
+                _draw_in_cylinder(node)
         if link.find("inertial") is None:
             link.append(_inertial(shapes))
         for visual in link.findall("visual"):
@@ -195,6 +201,15 @@ def _name_mesh(node: ET.Element, file: Path) -> None:
     assert mesh is not None
     mesh.attrib.clear()
     mesh.set("filename", str(file))
+
+
+def _draw_in_cylinder(node: ET.Element) -> None:
+    cylinder = node.find("geometry/cylinder")
+    assert cylinder is not None
+    radius, length = float(cylinder.get("radius", "")), float(cylinder.get("length", ""))
+    depth = min(SKIN, DEEPEST * min(radius, length / 2.0))
+    cylinder.set("radius", f"{radius - depth:.9g}")
+    cylinder.set("length", f"{length - 2.0 * depth:.9g}")
 
 
 def _at_its_place(visual: ET.Element, urdf: Path) -> bool:
