@@ -22,6 +22,8 @@ from pointsdf_cli.simulation.world import World
 
 pytest.importorskip("pybullet")
 ROBOTS = Path(__file__).parent / "robots"
+INERTIAL = """<inertial><mass value="1"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>"""
 LEFT, RIGHT = (f'<link name="{side}">' for side in ("left", "right"))
 
 
@@ -87,10 +89,20 @@ def test_links_without_a_mass_weigh_what_their_shapes_hold(tmp_path: Path) -> No
 
 
 def test_a_robot_that_pybullet_reads_rightly_is_left_alone(tmp_path: Path) -> None:
-    robot = load_robot()
-    assert bullet_urdf(robot, tmp_path) == robot.urdf
-    assert not any(tmp_path.iterdir())
-    assert not any("inertial" in finding.what for finding in check_robot(robot).findings)
+    robot = gripper(tmp_path / "robot")
+    for before, after in (
+        ('<cylinder radius="0.03" length="0.06"/>', '<box size="0.06 0.06 0.06"/>'),
+        ('<link name="grip"/>', '<link name="grip"></link>'),
+        ("</link>", f"{INERTIAL}</link>"),
+    ):
+        text = robot.urdf.read_text(encoding="utf-8")
+        assert before in text
+        robot.urdf.write_text(text.replace(before, after), encoding="utf-8")
+    robot = load_robot(tmp_path / "robot" / "gripper.yaml")
+    (tmp_path / "written").mkdir()
+    assert bullet_urdf(robot, tmp_path / "written") == robot.urdf
+    assert not any((tmp_path / "written").iterdir())
+    assert not any("inertial" in finding.what for finding in check_robot(load_robot()).findings)
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.002])

@@ -1,0 +1,167 @@
+"""What is simulated has the size that it has: PyBullet's skin is taken off beforehand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import open3d as o3d
+import pytest
+import torch
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.robot.description import RobotDescription, load_robot
+from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.simulation.settle import SettleConfig, settle
+from pointsdf_cli.simulation.sim_object import prepare_object
+from pointsdf_cli.simulation.skin import SKIN, drawn_in
+from pointsdf_cli.simulation.world import World
+
+ROBOTS = Path(__file__).parent / "robots"
+BALL = 0.01
+Array = NDArray[np.float64]
+
+
+def distance(corners: Array, faces: NDArray[np.int64], points: Array) -> Array:
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor(corners.astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32))
+    )
+    return np.asarray(
+        scene.compute_signed_distance(o3d.core.Tensor(points.astype(np.float32))).numpy(), float
+    )
+
+
+def test_a_box_is_drawn_in_on_all_six_sides() -> None:
+    box = trimesh.creation.box((0.1, 0.06, 0.04))
+    corners, faces = drawn_in(np.asarray(box.vertices))
+    inner = trimesh.Trimesh(corners, faces)
+    assert inner.is_watertight
+    assert inner.bounds == pytest.approx(box.bounds + [[SKIN] * 3, [-SKIN] * 3])
+    assert inner.volume == pytest.approx(0.098 * 0.058 * 0.038)  # positive: it faces outwards
+
+
+def test_a_cap_of_many_triangles_is_drawn_in_as_one() -> None:
+    """The middle of a can's lid is a corner of its mesh, but none of its hull."""
+    can = trimesh.creation.cylinder(0.03, 0.1)
+    corners, _ = drawn_in(np.asarray(can.vertices))
+    assert np.ptp(corners[:, 2]) == pytest.approx(0.098)
+    assert len(corners) < len(can.vertices)
+
+
+@pytest.mark.parametrize("thick", [1e-6, 5e-4, 1.9e-3])
+def test_a_plate_thinner_than_two_skins_keeps_its_middle(thick: float) -> None:
+    plate = trimesh.creation.box((0.1, 0.1, thick))
+    corners, faces = drawn_in(np.asarray(plate.vertices) + [0.0, 0.0, 0.3])
+    assert trimesh.Trimesh(corners, faces).volume > 0
+    assert np.ptp(corners[:, 2]) == pytest.approx(0.1 * thick)
+    assert corners[:, 2].mean() == pytest.approx(0.3)
+    assert 0.1 - 2 * SKIN <= np.ptp(corners[:, 0]) <= 0.1
+
+
+def test_hulls_never_stand_out_by_a_skin_and_lose_less_than_one() -> None:
+    rng = np.random.default_rng(0)
+    most_out = most_lost = 0.0
+    for _ in range(200):
+        points = rng.normal(size=(rng.integers(4, 60), 3)) * 10 ** rng.uniform(-2.5, -1, 3)
+        hull = ConvexHull(points)
+        corners, faces = drawn_in(points)
+        # Convex in the place, so largest at corners.
+        out = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
+        lost = distance(corners, faces, points[hull.vertices])
+        most_out, most_lost = max(most_out, out.max() + SKIN), max(most_lost, lost.max() - SKIN)
+        assert len(corners) <= len(hull.vertices)
+    assert 0.0 < most_out <= SKIN + 1e-9
+    assert 0.0 < most_lost <= SKIN + 1e-7
+
+
+def test_of_a_wedge_the_edge_stays() -> None:
+    """Thinner than two skins over 2 cm of its 10: drawn in by planes alone it would lose these."""
+    section = [[0.0, 0.0], [0.1, 0.005], [0.1, -0.005]]
+    wedge = np.array([[x, y, z] for x, z in section for y in (-0.05, 0.05)])
+    corners, _ = drawn_in(wedge)
+    assert corners[:, 0].min() == pytest.approx(2 * SKIN, abs=SKIN / 2)
+
+
+def near(world: World, body: int, link: int, points: Array) -> Array:
+    """Distances [N] of places from one link of a body, as PyBullet has them."""
+    bullet, client = world._bullet, world._client
+    shape = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=BALL, physicsClientId=client)
+    ball = bullet.createMultiBody(0, shape, physicsClientId=client)
+    found = []
+    for point in points:
+        bullet.resetBasePositionAndOrientation(ball, point, [0, 0, 0, 1], physicsClientId=client)
+        close = bullet.getClosestPoints(ball, body, 1.0, linkIndexB=link, physicsClientId=client)
+        found.append(min(one[8] for one in close) + BALL)
+    bullet.removeBody(ball, physicsClientId=client)
+    return np.array(found)
+
+
+def loaded(mesh: trimesh.Trimesh) -> LoadedMesh:
+    return LoadedMesh("thing", mesh.vertices, mesh.faces.astype(np.int32), "0", "none")
+
+
+def test_an_object_of_several_pieces_has_its_own_size(tmp_path: Path) -> None:
+    parts = [trimesh.creation.box((0.1, 0.04, 0.04)), trimesh.creation.box((0.04, 0.04, 0.2))]
+    cross = trimesh.boolean.union(parts)
+    item = prepare_object(loaded(cross), tmp_path)
+    assert len(item.pieces) > 1
+    pose = transform(np.eye(3), [0.5, 0.1, 0.3])
+    # Before faces, where nothing is round.
+    places = np.array([[0.1, 0, 0], [-0.1, 0.01, 0], [0.03, 0.05, 0], [0, 0, 0.15], [0, 0.1, 0.05]])
+    with World(load_robot()) as world:
+        world.reset(item, pose, robot="none")
+        theirs = near(world, world._object_body, -1, places + pose[:3, 3])
+    ours = distance(np.asarray(cross.vertices), np.asarray(cross.faces), places)
+    assert theirs == pytest.approx(ours, abs=2e-5)
+
+
+def test_a_box_stands_on_the_table_and_not_above_it(tmp_path: Path) -> None:
+    item = prepare_object(loaded(trimesh.creation.box((0.06, 0.08, 0.1))), tmp_path)
+    with World(load_robot()) as world:
+        for pose in item.poses:
+            rest = settle(world, item, pose, SettleConfig())
+            assert rest is not None
+            lowest = (item.mesh.vertices @ rest[2, :3]).min() + rest[2, 3]
+            assert lowest == pytest.approx(0.0, abs=2e-4)
+
+
+def with_hulls(folder: Path) -> RobotDescription:
+    """The gripper with jaws from a mesh file."""
+    for file in ROBOTS.iterdir():
+        (folder / file.name).write_bytes(file.read_bytes())
+    trimesh.creation.box((0.06, 0.01, 0.02)).export(folder / "jaw.stl")
+    urdf = (folder / "gripper.urdf").read_text(encoding="utf-8")
+    changed = urdf.replace('<box size="0.06 0.01 0.02"/>', '<mesh filename="jaw.stl"/>')
+    assert changed != urdf
+    (folder / "gripper.urdf").write_text(changed, encoding="utf-8")
+    return load_robot(folder / "gripper.yaml")
+
+
+@pytest.mark.parametrize("which", ["bundled", "hulls"])
+def test_links_have_the_size_that_the_planner_takes_them_for(tmp_path: Path, which: str) -> None:
+    robot = load_robot() if which == "bundled" else with_hulls(tmp_path)
+    rotation, position = Kinematics(robot)(torch.tensor(robot.home)[None])
+    rng = np.random.default_rng(0)
+    kinds = set()
+    with World(robot) as world:
+        world.reset()
+        for k, link in enumerate(robot.tree.links):
+            shapes = robot.tree.shapes[link]
+            if not shapes:
+                continue
+            kinds |= {shape.kind for shape in shapes}
+            local = rng.normal(scale=0.1, size=(12, 3))
+            meshes = [shape.as_mesh(sections=256) for shape in shapes]
+            ours = np.min([distance(mesh.vertices, mesh.faces, local) for mesh in meshes], axis=0)
+            away = ours > 0.02
+            places = local[away] @ rotation[0, k].numpy().T + position[0, k].numpy()
+            theirs = near(world, *world._robot.links[link], places)
+            # Nothing stands out; edges and corners are round, and PyBullet's cylinders have sides.
+            assert (theirs - ours[away] > -2e-4).all(), link
+            assert (theirs - ours[away] < 9e-4).all(), link
+    assert kinds >= ({"box", "cylinder", "sphere"} if which == "bundled" else {"box", "hull"})
