@@ -115,6 +115,7 @@ def test_there_is_no_lift_out_of_reach(grasp: NDArray[np.float64]) -> None:
     assert lift_path(ArmChain(robot), robot, grasp, 3.0) is None
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")  # a line of a library's on the terminal
 def test_a_surface_below_the_table_cannot_be_rehearsed_on(rehearsal: Rehearsal) -> None:
     from pointsdf_cli.errors import InputError
 

@@ -239,6 +239,8 @@ def _put_down(corners: Array, foot: float) -> trimesh.Trimesh | None:
     nothing of it is left."""
     corners = np.array(corners)
     corners[corners[:, 2] < foot, 2] = 0.0
+    if not corners[:, 2].any():  # all of it is foot, or was below
+        return None
     try:
         hull = trimesh.convex.convex_hull(corners)
     except (ValueError, QhullError):  # flat
