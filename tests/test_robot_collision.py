@@ -38,7 +38,7 @@ def test_self_distances_agree_with_pybullet(tmp_path: Path) -> None:
     ours = collision(*kinematics(torch.from_numpy(q))).numpy()
     client = bullet.connect(bullet.DIRECT)
     try:
-        file = bullet_urdf(robot, tmp_path)
+        file = bullet_urdf(robot, tmp_path, 0.001)
         body = bullet.loadURDF(str(file), useFixedBase=True, physicsClientId=client)
         index = {robot.tree.links[0]: -1}
         joints = {}

@@ -100,7 +100,7 @@ def test_a_robot_that_pybullet_reads_rightly_is_left_alone(tmp_path: Path) -> No
         robot.urdf.write_text(text.replace(before, after), encoding="utf-8")
     robot = load_robot(tmp_path / "robot" / "gripper.yaml")
     (tmp_path / "written").mkdir()
-    assert bullet_urdf(robot, tmp_path / "written") == robot.urdf
+    assert bullet_urdf(robot, tmp_path / "written", 0.001) == robot.urdf
     assert not any((tmp_path / "written").iterdir())
     assert not any("inertial" in finding.what for finding in check_robot(load_robot()).findings)
 

@@ -16,13 +16,15 @@ from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.robot.kinematics import Kinematics
+from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import prepare_object
-from pointsdf_cli.simulation.skin import SKIN, drawn_in
+from pointsdf_cli.simulation.skin import drawn_in
 from pointsdf_cli.simulation.world import World
 
 ROBOTS = Path(__file__).parent / "robots"
 BALL = 0.01
+SKIN = PhysicsConfig().skin
 Array = NDArray[np.float64]
 
 
@@ -38,7 +40,7 @@ def distance(corners: Array, faces: NDArray[np.int64], points: Array) -> Array:
 
 def test_a_box_is_drawn_in_on_all_six_sides() -> None:
     box = trimesh.creation.box((0.1, 0.06, 0.04))
-    corners, faces = drawn_in(np.asarray(box.vertices))
+    corners, faces = drawn_in(np.asarray(box.vertices), SKIN)
     inner = trimesh.Trimesh(corners, faces)
     assert inner.is_watertight
     assert inner.bounds == pytest.approx(box.bounds + [[SKIN] * 3, [-SKIN] * 3])
@@ -48,7 +50,7 @@ def test_a_box_is_drawn_in_on_all_six_sides() -> None:
 def test_a_cap_of_many_triangles_is_drawn_in_as_one() -> None:
     """The middle of a can's lid is a corner of its mesh, but none of its hull."""
     can = trimesh.creation.cylinder(0.03, 0.1)
-    corners, _ = drawn_in(np.asarray(can.vertices))
+    corners, _ = drawn_in(np.asarray(can.vertices), SKIN)
     assert np.ptp(corners[:, 2]) == pytest.approx(0.098)
     assert len(corners) < len(can.vertices)
 
@@ -56,7 +58,7 @@ def test_a_cap_of_many_triangles_is_drawn_in_as_one() -> None:
 @pytest.mark.parametrize("thick", [1e-6, 5e-4, 1.9e-3])
 def test_a_plate_thinner_than_two_skins_keeps_its_middle(thick: float) -> None:
     plate = trimesh.creation.box((0.1, 0.1, thick))
-    corners, faces = drawn_in(np.asarray(plate.vertices) + [0.0, 0.0, 0.3])
+    corners, faces = drawn_in(np.asarray(plate.vertices) + [0.0, 0.0, 0.3], SKIN)
     assert trimesh.Trimesh(corners, faces).volume > 0
     assert np.ptp(corners[:, 2]) == pytest.approx(0.1 * thick)
     assert corners[:, 2].mean() == pytest.approx(0.3)
@@ -69,7 +71,7 @@ def test_hulls_never_stand_out_by_a_skin_and_lose_less_than_one() -> None:
     for _ in range(200):
         points = rng.normal(size=(rng.integers(4, 60), 3)) * 10 ** rng.uniform(-2.5, -1, 3)
         hull = ConvexHull(points)
-        corners, faces = drawn_in(points)
+        corners, faces = drawn_in(points, SKIN)
         # Convex in the place, so largest at corners.
         out = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
         lost = distance(corners, faces, points[hull.vertices])
@@ -83,7 +85,7 @@ def test_of_a_wedge_the_edge_stays() -> None:
     """Thinner than two skins over 2 cm of its 10: drawn in by planes alone it would lose these."""
     section = [[0.0, 0.0], [0.1, 0.005], [0.1, -0.005]]
     wedge = np.array([[x, y, z] for x, z in section for y in (-0.05, 0.05)])
-    corners, _ = drawn_in(wedge)
+    corners, _ = drawn_in(wedge, SKIN)
     assert corners[:, 0].min() == pytest.approx(2 * SKIN, abs=SKIN / 2)
 
 

@@ -27,7 +27,7 @@ from pointsdf_cli.io.untrusted import read_xml
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.shapes import Shape
 from pointsdf_cli.robot.urdf import MOVING, mesh_file
-from pointsdf_cli.simulation.skin import DEEPEST, SKIN, drawn_in
+from pointsdf_cli.simulation.skin import drawn_in, drawn_in_cylinder
 
 Array = NDArray[np.float64]
 
@@ -37,12 +37,13 @@ FRAME_MASS, FRAME_INERTIA = 1e-3, 1e-6
 """Of a link without shape or mass, which marks a place only [kg], [kg m²]: PyBullet needs some."""
 
 
-def bullet_urdf(robot: RobotDescription, folder: Path, visible: bool = False) -> Path:
+def bullet_urdf(robot: RobotDescription, folder: Path, skin: float, visible: bool = False) -> Path:
     """The file to load: the robot's own where PyBullet reads it rightly, else one in `folder`.
 
     Args:
         robot: The robot.
         folder: Where the URDF and the hulls go.
+        skin: `PhysicsConfig.skin`.
         visible: Keep what is only to be looked at.
     """
     root = read_xml(robot.urdf)
@@ -51,22 +52,25 @@ def bullet_urdf(robot: RobotDescription, folder: Path, visible: bool = False) ->
     hulls = [*root.iterfind(geometry + "mesh"), *root.iterfind(geometry + "cylinder")]
     if not hulls and all(link.find("inertial") is not None for link in links):
         return robot.urdf
-    return _written(_readable(robot, folder, visible), folder / "robot.urdf")
+    return _written(_readable(robot, folder, skin, visible), folder / "robot.urdf")
 
 
-def hand_urdfs(robot: RobotDescription, folder: Path, visible: bool = False) -> list[Path]:
+def hand_urdfs(
+    robot: RobotDescription, folder: Path, skin: float, visible: bool = False
+) -> list[Path]:
     """The hand in bodies that can be loaded at the palm link's pose, each with a root of its own.
 
     Args:
         robot: The robot.
         folder: Where the URDFs and the hulls go.
+        skin: `PhysicsConfig.skin`.
         visible: Keep what is only to be looked at.
 
     Returns:
         First what is fixed to the palm, a flange before it, too; then one file for every joint
         that leads away from there.
     """
-    root = _readable(robot, folder, visible)
+    root = _readable(robot, folder, skin, visible)
     links = {str(link.get("name")): link for link in root.findall("link")}
     joints = {str(joint.find("child").get("link")): joint for joint in root.findall("joint")}  # type: ignore[union-attr]
     carrier, base = _free_name("carrier", links), _free_name("base", links)
@@ -174,7 +178,7 @@ def _written(root: ET.Element, path: Path) -> Path:
     return path
 
 
-def _readable(robot: RobotDescription, folder: Path, visible: bool) -> ET.Element:
+def _readable(robot: RobotDescription, folder: Path, skin: float, visible: bool) -> ET.Element:
     """The URDF with hulls, masses, and nothing to look at unless it can be found."""
     root = read_xml(robot.urdf)
     for number, link in enumerate(root.findall("link")):
@@ -182,11 +186,11 @@ def _readable(robot: RobotDescription, folder: Path, visible: bool) -> ET.Elemen
         for k, (node, shape) in enumerate(zip(link.findall("collision"), shapes, strict=True)):
             if shape.kind == "hull":
                 file = folder / f"link{number}_{k}.obj"
-                corners, faces = drawn_in(shape.triangles()[0])
+                corners, faces = drawn_in(shape.triangles()[0], skin)
                 trimesh.Trimesh(corners, faces, process=False).export(file)
                 _name_mesh(node, file)
             elif shape.kind == "cylinder":
-                _draw_in_cylinder(node)
+                _draw_in_cylinder(node, skin)
         if link.find("inertial") is None:
             link.append(_inertial(shapes))
         for visual in link.findall("visual"):
@@ -203,13 +207,13 @@ def _name_mesh(node: ET.Element, file: Path) -> None:
     mesh.set("filename", str(file))
 
 
-def _draw_in_cylinder(node: ET.Element) -> None:
+def _draw_in_cylinder(node: ET.Element, skin: float) -> None:
     cylinder = node.find("geometry/cylinder")
     assert cylinder is not None
-    radius, length = float(cylinder.get("radius", "")), float(cylinder.get("length", ""))
-    depth = min(SKIN, DEEPEST * min(radius, length / 2.0))
-    cylinder.set("radius", f"{radius - depth:.9g}")
-    cylinder.set("length", f"{length - 2.0 * depth:.9g}")
+    radius, length = (float(cylinder.get(name, "")) for name in ("radius", "length"))
+    radius, length = drawn_in_cylinder(radius, length, skin)
+    cylinder.set("radius", f"{radius:.9g}")
+    cylinder.set("length", f"{length:.9g}")
 
 
 def _at_its_place(visual: ET.Element, urdf: Path) -> bool:

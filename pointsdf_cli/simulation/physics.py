@@ -26,6 +26,8 @@ class PhysicsConfig:
         hand_friction, object_friction, table_friction: Lateral; two bodies' values multiply.
         rolling_friction, spinning_friction: Of the object, small: soft contacts resist a little.
         gravity: [m/s²].
+        skin: How far PyBullet makes convex hulls, and a URDF's cylinders, stand out on all sides
+            [m], measured; they are drawn in by it (`skin.py`). With 0 they stand out.
     """
 
     step: float = 1 / 480
@@ -36,6 +38,7 @@ class PhysicsConfig:
     rolling_friction: float = 1e-4
     spinning_friction: float = 1e-3
     gravity: float = 9.81
+    skin: float = 1e-3
 
     def __post_init__(self) -> None:
         if not 1e-5 <= self.step <= 0.01 or not 1 <= self.iterations <= 10_000:
@@ -43,3 +46,5 @@ class PhysicsConfig:
                 f"a step of {self.step} s with {self.iterations} iterations",
                 allowed="1e-5 to 0.01 s, 1 to 10000",
             )
+        if not 0.0 <= self.skin <= 0.01:
+            raise InputError(f"a skin of {self.skin} m", allowed="0 to 0.01 m")

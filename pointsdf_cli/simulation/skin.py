@@ -9,8 +9,6 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError, cKDTree
 
 Array = NDArray[np.float64]
 
-SKIN = 1e-3
-"""How far PyBullet makes convex hulls, and a URDF's cylinders, stand out on all sides [m]."""
 DEEPEST = 0.9
 """What is thinner than two skins is drawn in by this share of the way to its middle."""
 FARTHEST = 2.0
@@ -18,7 +16,7 @@ FARTHEST = 2.0
 be lost for as long as the wedge is thinner than two skins."""
 
 
-def drawn_in(corners: Array, skin: float = SKIN) -> tuple[Array, NDArray[np.int64]]:
+def drawn_in(corners: Array, skin: float) -> tuple[Array, NDArray[np.int64]]:
     """A convex hull's corners, so drawn in that it has its size again when it has a skin.
 
     Faces come to lie where they were, edges become round: a square one by 0.4 skins. Where it is
@@ -26,7 +24,7 @@ def drawn_in(corners: Array, skin: float = SKIN) -> tuple[Array, NDArray[np.int6
 
     Args:
         corners: [N, 3] of the hull, m.
-        skin: Thickness [m].
+        skin: Thickness [m], `PhysicsConfig.skin`.
 
     Returns:
         Corners [V, 3], V ≤ N if the hull is no sliver, and faces [F, 3], outwards.
@@ -45,6 +43,12 @@ def drawn_in(corners: Array, skin: float = SKIN) -> tuple[Array, NDArray[np.int6
         return _hull(corners + share[:, None] * (within[nearest] - corners))
     except QhullError:  # so small that corners met
         return _hull(within)
+
+
+def drawn_in_cylinder(radius: float, length: float, skin: float) -> tuple[float, float]:
+    """Radius and length [m] of a cylinder, the same."""
+    depth = min(skin, DEEPEST * min(radius, length / 2.0))
+    return radius - depth, length - 2.0 * depth
 
 
 def _hull(points: Array) -> tuple[Array, NDArray[np.int64]]:
