@@ -11,6 +11,7 @@ import pytest
 from planning_worlds import AroundObject, CylinderField, NearPalm
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.plans import Plan, read_plan, write_plan
 from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate
 from pointsdf_cli.planning.contacts import link_poses
@@ -198,3 +199,25 @@ def test_a_grasp_that_the_arm_cannot_lift_from_comes_last(planner: Planner) -> N
     best, _, rest = patient._with_motion(checker, both, planner.robot.home, 0)
     assert best is stuck
     assert rest.sentence == ""
+
+
+def test_a_grasp_below_a_shelf_is_no_grasp_to_lift_from(planner: Planner) -> None:
+    found, good = found_for_the_can(planner)
+    alone = replace(found, accepted=[good])
+    poses = link_poses(planner.kinematics, good.q[None])
+    hand = [planner.robot.tree.links.index(link) for link in planner.robot.hand_links]
+    top = poses.position[0, hand, 2].max()
+    sentences = []
+    # The hand rises by 15 cm; it reaches a few centimetres beyond its links' frames.
+    for above in (0.1, 0.5):
+        board = Obstacle(
+            "board", "box", (0.5, 0.6, 0.02), transform(np.eye(3), [0.75, 0, top + above])
+        )
+        checker = PathChecker(planner.geometry, target().field, Environment((board,)))
+        assert checker.keeping(-np.inf).room(good.q[None])[0] > 0
+        best, motion, rest = planner._with_motion(checker, alone, planner.robot.home, 0)
+        assert best is good
+        assert motion is not None
+        sentences.append(rest.sentence)
+    assert "no room to lift" in sentences[0]
+    assert sentences[1] == ""

@@ -253,7 +253,7 @@ class Planner:
             failure = failure or motion.failure
             if motion.trajectory is None:
                 continue
-            if self._lifts_from(candidate):
+            if self._lifts_from(checker, candidate):
                 return candidate, motion, _taken(found, best, k, stuck)
             stuck[k] = motion
         if stuck:
@@ -277,10 +277,17 @@ class Planner:
             ),
         )
 
-    def _lifts_from(self, candidate: Candidate) -> bool:
-        """Whether the arm can raise the hand from a grasp."""
-        height, chain = self.config.lift_height, self.inverse.chain
-        return not height or lift_path(chain, self.robot, candidate.q, height) is not None
+    def _lifts_from(self, checker: PathChecker, candidate: Candidate) -> bool:
+        """Whether the arm can raise the hand from a grasp, and touches nothing but the object."""
+        height, chain, robot = self.config.lift_height, self.inverse.chain, self.robot
+        bodies = checker.keeping(-np.inf)  # the object comes along
+
+        def free(path: Array) -> bool:
+            q = np.repeat(candidate.q[None], len(path), axis=0)
+            q[:, robot.arm] = path
+            return bodies.is_free(q)
+
+        return not height or lift_path(chain, robot, candidate.q, height, free) is not None
 
 
 STUCK = "The arm has no room to lift the object from there: move it, or the robot."

@@ -6,6 +6,8 @@ move outwards while it rises, or turn.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,16 +29,27 @@ MOST_TURN = 0.6
 
 
 def lift_path(
-    chain: ArmChain, robot: RobotDescription, q: Array, height: float = 0.15
+    chain: ArmChain,
+    robot: RobotDescription,
+    q: Array,
+    height: float = 0.15,
+    free: Callable[[Array], bool] | None = None,
 ) -> Array | None:
     """Arm joints [K + 1, A] from configuration q [J] to one with the palm `height` [m] above.
+
+    Args:
+        chain: Of the arm.
+        robot: The robot.
+        q: [J], where it begins.
+        height: [m].
+        free: Whether the robot touches nothing all along a path [K + 1, A]; not asked if None.
 
     Returns:
         None where the arm has no room even so.
     """
     for outwards, weight in WAYS:
         path = _follow(chain, robot, q[robot.arm], height, outwards, weight)
-        if path is not None:
+        if path is not None and (free is None or free(path)):
             return path
     return None
 
