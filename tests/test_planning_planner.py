@@ -214,7 +214,7 @@ def test_a_grasp_below_a_shelf_is_no_grasp_to_lift_from(planner: Planner) -> Non
             "board", "box", (0.5, 0.6, 0.02), transform(np.eye(3), [0.75, 0, top + above])
         )
         checker = PathChecker(planner.geometry, target().field, Environment((board,)))
-        assert checker.keeping(-np.inf).room(good.q[None])[0] > 0
+        assert checker.beside_object().room(good.q[None])[0] > 0
         best, motion, rest = planner._with_motion(checker, alone, planner.robot.home, 0)
         assert best is good
         assert motion is not None

@@ -73,7 +73,7 @@ class PathChecker:
         self._body_margin = np.where(
             self._bodies.other_link != WORLD, clearances.self, clearances.environment
         )
-        self._object_margin = clearances.object
+        self._object_margin, self._with_object = clearances.object, True
         self._object_columns = len(self._object.names)
         moved = ContactJacobian(kinematics).moved
         reach = geometry.reach
@@ -92,6 +92,12 @@ class PathChecker:
         other._object_margin = clearance
         return other
 
+    def beside_object(self) -> PathChecker:
+        """The same for all but the object, as where the hand takes it along."""
+        other = copy(self)
+        other._with_object = False
+        return other
+
     def room(self, q: Array, moving: NDArray[np.bool_] | None = None) -> Array:
         """Smallest distance less clearance [B] at configurations q [B, J].
 
@@ -107,10 +113,12 @@ class PathChecker:
         return bound
 
     def _columns(self, moving: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-        """Which pairs some joints move against each other: bool [C]."""
-        if moving is None:
-            return np.ones(len(self._reach), dtype=bool)
-        return np.asarray((self._reach[:, moving] > 0).any(axis=1))
+        """Which pairs count, and are moved against each other by some of these joints: bool [C]."""
+        counts = np.ones(len(self._reach), dtype=bool)
+        counts[: self._object_columns] = self._with_object
+        if moving is not None:
+            counts &= (self._reach[:, moving] > 0).any(axis=1)
+        return counts
 
     def _rooms(self, q: Array, columns: NDArray[np.bool_]) -> Array:
         """Distances less clearances [B, C]; infinity in the columns that are not wanted."""
@@ -119,10 +127,11 @@ class PathChecker:
         for begin in range(0, len(q), self.config.batch):
             rows = slice(begin, begin + self.config.batch)
             poses = link_poses(self.kinematics, q[rows])
-            near = self._object(poses, gradients=False).distance - self._object_margin
+            if patches.any():
+                near = self._object(poses, gradients=False).distance - self._object_margin
+                rooms[rows, : len(patches)] = np.where(patches, near, np.inf)
             bodies = self._bodies(poses, pairs).distance - self._body_margin
-            both = np.concatenate([near, bodies], axis=1)
-            rooms[rows] = np.where(np.concatenate([patches, pairs]), both, np.inf)
+            rooms[rows, len(patches) :] = np.where(pairs, bodies, np.inf)
         self.looked_at += len(q)
         return rooms
 

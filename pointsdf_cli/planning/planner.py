@@ -280,12 +280,12 @@ class Planner:
     def _lifts_from(self, checker: PathChecker, candidate: Candidate) -> bool:
         """Whether the arm can raise the hand from a grasp, and touches nothing but the object."""
         height, chain, robot = self.config.lift_height, self.inverse.chain, self.robot
-        bodies = checker.keeping(-np.inf)  # the object comes along
+        beside = checker.beside_object()
 
         def free(path: Array) -> bool:
             q = np.repeat(candidate.q[None], len(path), axis=0)
             q[:, robot.arm] = path
-            return bodies.is_free(q)
+            return beside.is_free(q)
 
         return not height or lift_path(chain, robot, candidate.q, height, free) is not None
 
