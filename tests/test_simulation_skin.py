@@ -40,7 +40,7 @@ def distance(corners: Array, faces: NDArray[np.int64], points: Array) -> Array:
 
 def test_a_box_is_drawn_in_on_all_six_sides() -> None:
     box = trimesh.creation.box((0.1, 0.06, 0.04))
-    corners, faces = drawn_in(np.asarray(box.vertices), SKIN)
+    corners, faces = drawn_in(np.asarray(box.vertices), np.asarray(box.faces), SKIN)
     inner = trimesh.Trimesh(corners, faces)
     assert inner.is_watertight
     assert inner.bounds == pytest.approx(box.bounds + [[SKIN] * 3, [-SKIN] * 3])
@@ -50,7 +50,7 @@ def test_a_box_is_drawn_in_on_all_six_sides() -> None:
 def test_a_cap_of_many_triangles_is_drawn_in_as_one() -> None:
     """The middle of a can's lid is a corner of its mesh, but none of its hull."""
     can = trimesh.creation.cylinder(0.03, 0.1)
-    corners, _ = drawn_in(np.asarray(can.vertices), SKIN)
+    corners, _ = drawn_in(np.asarray(can.vertices), np.asarray(can.faces), SKIN)
     assert np.ptp(corners[:, 2]) == pytest.approx(0.098)
     assert len(corners) < len(can.vertices)
 
@@ -58,35 +58,63 @@ def test_a_cap_of_many_triangles_is_drawn_in_as_one() -> None:
 @pytest.mark.parametrize("thick", [1e-6, 5e-4, 1.9e-3])
 def test_a_plate_thinner_than_two_skins_keeps_its_middle(thick: float) -> None:
     plate = trimesh.creation.box((0.1, 0.1, thick))
-    corners, faces = drawn_in(np.asarray(plate.vertices) + [0.0, 0.0, 0.3], SKIN)
+    plate.apply_translation([0.0, 0.0, 0.3])
+    corners, faces = drawn_in(np.asarray(plate.vertices), np.asarray(plate.faces), SKIN)
     assert trimesh.Trimesh(corners, faces).volume > 0
     assert np.ptp(corners[:, 2]) == pytest.approx(0.1 * thick)
     assert corners[:, 2].mean() == pytest.approx(0.3)
     assert 0.1 - 2 * SKIN <= np.ptp(corners[:, 0]) <= 0.1
 
 
-def test_hulls_never_stand_out_by_a_skin_and_lose_less_than_one() -> None:
+def test_hulls_have_their_size_again_nearly_everywhere() -> None:
     rng = np.random.default_rng(0)
-    most_out = most_lost = 0.0
+    out, lost = [], []
     for _ in range(200):
-        points = rng.normal(size=(rng.integers(4, 60), 3)) * 10 ** rng.uniform(-2.5, -1, 3)
-        hull = ConvexHull(points)
-        corners, faces = drawn_in(points, SKIN)
-        # Convex in the place, so largest at corners.
-        out = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
-        lost = distance(corners, faces, points[hull.vertices])
-        most_out, most_lost = max(most_out, out.max() + SKIN), max(most_lost, lost.max() - SKIN)
+        points = rng.normal(size=(rng.integers(4, 60), 3)) * 10 ** rng.uniform(-2, -1, 3)
+        hull = trimesh.convex.convex_hull(points)
+        corners, faces = drawn_in(np.asarray(hull.vertices), np.asarray(hull.faces), SKIN)
         assert len(corners) <= len(hull.vertices)
-    assert 0.0 < most_out <= SKIN + 1e-9
-    assert 0.0 < most_lost <= SKIN + 1e-7
+        inner = trimesh.Trimesh(corners, faces, process=False)
+        assert inner.volume > 0
+        on_inner, _ = trimesh.sample.sample_surface(inner, 100, seed=0)
+        on_hull, _ = trimesh.sample.sample_surface(hull, 100, seed=0)
+        out.append(distance(hull.vertices, hull.faces, on_inner) + SKIN)
+        lost.append(distance(corners, faces, on_hull) - SKIN)
+    # As they come, a tenth of them sharp or thin; without being drawn in it would be 1 mm.
+    for off, most in ((np.concatenate(out), SKIN), (np.concatenate(lost), 2 * SKIN)):
+        assert np.abs(np.median(off)) < 2e-5
+        assert np.abs(off).mean() < 1.5e-4
+        assert off.max() < most + 1e-6
 
 
-def test_of_a_wedge_the_edge_stays() -> None:
-    """Thinner than two skins over 2 cm of its 10: drawn in by planes alone it would lose these."""
-    section = [[0.0, 0.0], [0.1, 0.005], [0.1, -0.005]]
-    wedge = np.array([[x, y, z] for x, z in section for y in (-0.05, 0.05)])
-    corners, _ = drawn_in(wedge, SKIN)
-    assert corners[:, 0].min() == pytest.approx(2 * SKIN, abs=SKIN / 2)
+def prism(angle: float) -> trimesh.Trimesh:
+    """An isosceles wedge, its edge of `angle` [degrees] along y at x = 0; 10 cm long, 8 cm wide."""
+    high = 0.1 * np.tan(np.radians(angle / 2))
+    section = [[0.0, 0.0], [0.1, high], [0.1, -high]]
+    return trimesh.convex.convex_hull([[x, y, z] for x, z in section for y in (0.0, 0.08)])
+
+
+def test_down_to_45_degrees_faces_lie_where_they_were_and_sharper_ends_stay() -> None:
+    for angle, exact in ((60.0, True), (45.0, True), (10.0, False)):
+        wedge = prism(angle)
+        corners, _ = drawn_in(np.asarray(wedge.vertices), np.asarray(wedge.faces), SKIN)
+        planes = ConvexHull(wedge.vertices).equations
+        gaps = -(corners @ planes[:, :3].T + planes[:, 3]).max(axis=0)
+        if exact:
+            assert gaps == pytest.approx(SKIN)
+        else:  # by planes alone 10 mm of it would be lost
+            assert (gaps > 0.2 * SKIN).all()
+            assert corners[:, 0].min() < 3 * SKIN
+
+
+def test_what_is_all_but_flat_stays_as_it_is() -> None:
+    disc = trimesh.creation.cylinder(0.03, 1e-9).apply_transform(
+        trimesh.transformations.rotation_matrix(0.7, [1.0, 2.0, 3.0])
+    )
+    corners, faces = np.asarray(disc.vertices), np.asarray(disc.faces)
+    same = drawn_in(corners, faces, SKIN)
+    assert same[0] is corners
+    assert same[1] is faces
 
 
 def near(world: World, body: int, link: int, points: Array) -> Array:
@@ -133,13 +161,17 @@ def test_a_box_stands_on_the_table_and_not_above_it(tmp_path: Path) -> None:
 
 
 def with_hulls(folder: Path) -> RobotDescription:
-    """The gripper with jaws from a mesh file."""
+    """The gripper with jaws from a mesh file, which PyBullet is told to take as it is."""
     for file in ROBOTS.iterdir():
         (folder / file.name).write_bytes(file.read_bytes())
     trimesh.creation.box((0.06, 0.01, 0.02)).export(folder / "jaw.stl")
     urdf = (folder / "gripper.urdf").read_text(encoding="utf-8")
     changed = urdf.replace('<box size="0.06 0.01 0.02"/>', '<mesh filename="jaw.stl"/>')
-    assert changed != urdf
+    for jaw in ("left", "right"):
+        name = f'<link name="{jaw}">\n    <collision'
+        assert name in changed
+        changed = changed.replace(name, f'{name} concave="yes"')
+    assert changed.count("jaw.stl") == 2
     (folder / "gripper.urdf").write_text(changed, encoding="utf-8")
     return load_robot(folder / "gripper.yaml")
 
@@ -161,6 +193,7 @@ def test_links_have_the_size_that_the_planner_takes_them_for(tmp_path: Path, whi
             meshes = [shape.as_mesh(sections=256) for shape in shapes]
             ours = np.min([distance(mesh.vertices, mesh.faces, local) for mesh in meshes], axis=0)
             away = ours > 0.02
+            assert away.any()
             places = local[away] @ rotation[0, k].numpy().T + position[0, k].numpy()
             theirs = near(world, *world._robot.links[link], places)
             # Nothing stands out; edges and corners are round, and PyBullet's cylinders have sides.

@@ -116,7 +116,7 @@ class BulletObject:
 def write_pieces(pieces: Pieces, path: Path, skin: float) -> None:
     """Convex pieces as one OBJ file, which PyBullet takes as a union of hulls with a skin each."""
     text, start = io.StringIO(), 1
-    for i, (corners, faces) in enumerate(drawn_in(corners, skin) for corners, _ in pieces):
+    for i, (corners, faces) in enumerate(drawn_in(*piece, skin) for piece in pieces):
         text.write(f"o piece{i}\n")
         text.writelines("v {:.7f} {:.7f} {:.7f}\n".format(*v) for v in corners)
         text.writelines("f {} {} {}\n".format(*(f + start)) for f in faces)

@@ -186,7 +186,7 @@ def _readable(robot: RobotDescription, folder: Path, skin: float, visible: bool)
         for k, (node, shape) in enumerate(zip(link.findall("collision"), shapes, strict=True)):
             if shape.kind == "hull":
                 file = folder / f"link{number}_{k}.obj"
-                corners, faces = drawn_in(shape.triangles()[0], skin)
+                corners, faces = drawn_in(*shape.triangles(), skin)
                 trimesh.Trimesh(corners, faces, process=False).export(file)
                 _name_mesh(node, file)
             elif shape.kind == "cylinder":
@@ -205,6 +205,7 @@ def _name_mesh(node: ET.Element, file: Path) -> None:
     assert mesh is not None
     mesh.attrib.clear()
     mesh.set("filename", str(file))
+    node.attrib.pop("concave", None)  # triangles without an inside, and without a skin
 
 
 def _draw_in_cylinder(node: ET.Element, skin: float) -> None:

@@ -8,50 +8,63 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError, cKDTree
 
 Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
 
 DEEPEST = 0.9
-"""What is thinner than two skins is drawn in by this share of the way to its middle."""
-FARTHEST = 2.0
-"""No corner is drawn in by more skins than this: a square one needs 1.7, the edge of a wedge would
-be lost for as long as the wedge is thinner than two skins."""
+"""What is hardly thicker than two skins, or thinner, is drawn in by this share of the way to its
+middle."""
+FARTHEST = 3.0
+"""No corner is drawn in by more skins than this: a square one needs 1.7, the end of an edge of 45°
+2.8; of a sharper wedge all would be lost that is thinner than two skins."""
+SIDES = 32
+"""Of the prism that PyBullet takes a URDF's cylinder for, its corners on the circle."""
 
 
-def drawn_in(corners: Array, skin: float) -> tuple[Array, NDArray[np.int64]]:
-    """A convex hull's corners, so drawn in that it has its size again when it has a skin.
+def drawn_in(corners: Array, faces: Faces, skin: float) -> tuple[Array, Faces]:
+    """A convex hull, so drawn in that it has its size again when it has a skin.
 
-    Faces come to lie where they were, edges become round: a square one by 0.4 skins. Where it is
-    thinner than two skins it still stands out, by less than one.
+    Faces come to lie where they were, edges become round: a square one by 0.4 skins. Beside edges
+    and corners that are sharper than 45°, and where it is thinner than two skins, the hull still
+    stands out, by less than one, and loses up to two of the sharp end. One that is all but flat
+    stays as it is.
 
     Args:
         corners: [N, 3] of the hull, m.
+        faces: [F, 3], outwards.
         skin: Thickness [m], `PhysicsConfig.skin`.
 
     Returns:
-        Corners [V, 3], V ≤ N if the hull is no sliver, and faces [F, 3], outwards.
+        Corners [V, 3], V ≤ N if the hull is no sliver, and faces [G, 3], outwards.
     """
-    hull = ConvexHull(corners)
-    corners, sides = corners[hull.vertices], hull.equations
-    inside, depth = _middle(corners, sides, skin)
-    inward = sides.copy()
-    inward[:, 3] += min(skin, DEEPEST * depth)
-    # Of the new corners one for each old one: where many faces meet there are more of them, and
-    # physics takes longer for each.
-    within = HalfspaceIntersection(inward, inside).intersections
-    away, nearest = cKDTree(within).query(corners)
-    share = np.minimum(1.0, FARTHEST * skin / np.maximum(away, 1e-12))
+    if skin == 0.0:
+        return corners, faces
     try:
-        return _hull(corners + share[:, None] * (within[nearest] - corners))
-    except QhullError:  # so small that corners met
-        return _hull(within)
+        hull = ConvexHull(corners)
+        inside, depth = _middle(corners, hull.equations, skin)
+        inward = hull.equations.copy()
+        inward[:, 3] += min(skin, DEEPEST * depth)
+        within = HalfspaceIntersection(inward, inside).intersections
+        # Of the new corners one for each old one: where many faces meet there are more of them,
+        # and physics takes longer for each.
+        old = corners[hull.vertices]
+        away, nearest = cKDTree(within).query(old)
+        share = np.minimum(1.0, FARTHEST * skin / np.maximum(away, 1e-12))
+        try:
+            return _hull(old + share[:, None] * (within[nearest] - old))
+        except QhullError:  # so small that corners met
+            return _hull(within)
+    except QhullError:
+        return corners, faces
 
 
 def drawn_in_cylinder(radius: float, length: float, skin: float) -> tuple[float, float]:
-    """Radius and length [m] of a cylinder, the same."""
+    """Radius and length [m] of a cylinder, the same; the prism's distance from the axis is right in
+    the mean over its directions, and nowhere off by more than 0.3%."""
     depth = min(skin, DEEPEST * min(radius, length / 2.0))
-    return radius - depth, length - 2.0 * depth
+    return (radius - depth) * 2.0 / (1.0 + np.cos(np.pi / SIDES)), length - 2.0 * depth
 
 
-def _hull(points: Array) -> tuple[Array, NDArray[np.int64]]:
+def _hull(points: Array) -> tuple[Array, Faces]:
     """Corners [V, 3] and faces [F, 3], outwards, of the convex hull of points [N, 3]."""
     hull = ConvexHull(points)
     a, b, c = (points[hull.simplices[:, k]] for k in range(3))
@@ -77,4 +90,6 @@ def _middle(corners: Array, sides: Array, skin: float) -> tuple[Array, float]:
         b_ub=-(sides[:, 3] + sides[:, :3] @ centre) / unit,
         bounds=[(None, None)] * 3 + [(0.0, None)],
     )
+    if found.x is None:
+        raise QhullError(found.message)
     return centre + unit * found.x[:3], unit * float(found.x[3])

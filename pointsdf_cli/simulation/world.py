@@ -50,7 +50,7 @@ class World:
 
     Args:
         robot: The robot.
-        physics: Step, iterations, friction.
+        physics: Step, iterations, friction; all but its skin may be changed later.
         gui: Open PyBullet's window to watch.
 
     Attributes:
@@ -65,12 +65,13 @@ class World:
     ) -> None:
         self.robot = robot
         self.physics = physics or PhysicsConfig()
+        self._skin = self.physics.skin  # of files, which are written once
         self.chain = ArmChain(robot)
         self._bullet = import_bullet()
         self._client = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
         self._temporary = tempfile.TemporaryDirectory(prefix="rgrasp-world-")  # gone at exit, too
         self._folder = Path(self._temporary.name)
-        self._whole = [bullet_urdf(robot, self._folder, self.physics.skin, visible=gui)]
+        self._whole = [bullet_urdf(robot, self._folder, self._skin, visible=gui)]
         self._gui = gui
         self._object_file: tuple[Pieces, Path] | None = None
         self._shown: Pieces | None = None
@@ -301,7 +302,7 @@ class World:
 
     @cached_property
     def _hand(self) -> list[Path]:
-        return hand_urdfs(self.robot, self._folder, self.physics.skin, visible=self._gui)
+        return hand_urdfs(self.robot, self._folder, self._skin, visible=self._gui)
 
     def _add_table(self) -> None:
         b, c = self._bullet, self._client
@@ -353,7 +354,7 @@ class World:
         # The list itself, not what it holds: whoever changes pieces makes another list.
         if self._object_file is None or self._object_file[0] is not item.pieces:
             path = self._folder / "object.obj"
-            write_pieces(item.pieces, path, self.physics.skin)
+            write_pieces(item.pieces, path, self._skin)
             self._object_file = item.pieces, path
         self._object = BulletObject(
             self._bullet,
