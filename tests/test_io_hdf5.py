@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -150,7 +151,8 @@ with atomic_path({str(tmp_path / "a.h5")!r}) as temporary:
     (tmp_path / ".hidden").write_bytes(b"the user's")
     with atomic_path(tmp_path / "b.h5") as temporary:
         temporary.write_bytes(b"y")
-        elsewhere = tmp_path / killed.name.replace(".partial-", ".partial-0")  # another machine's
+        # Another machine's, or another container's on this one.
+        elsewhere = tmp_path / re.sub(r"partial-.{8}", "partial-0123abcd", killed.name)
         elsewhere.write_bytes(b"z")
         remove_leftovers(tmp_path)
         left = {p.name for p in tmp_path.iterdir()}
@@ -158,6 +160,30 @@ with atomic_path({str(tmp_path / "a.h5")!r}) as temporary:
     os.utime(elsewhere, (0, 0))
     remove_leftovers(tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == [".hidden", "b.h5"]
+
+
+def test_what_only_looks_like_a_leftover_stays(tmp_path: Path) -> None:
+    names = [".holiday.partial-2019.tar", ".a.partial-", ".a.partial-0123abcd-x-01234567.h5"]
+    names += [".a.partial-0123abcd-7-01234567h5", "a.partial-0123abcd-7-01234567.h5"]
+    names += [f".a.partial-0123abcd-{10**20}-01234567.h5"]
+    for name in names:
+        (tmp_path / name).write_bytes(b"x")
+        os.utime(tmp_path / name, (0, 0))
+    (tmp_path / ".a.partial-0123abcd-7-01234567.h5").mkdir()
+    remove_leftovers(tmp_path)
+    assert len(list(tmp_path.iterdir())) == len(names) + 1
+    remove_leftovers(tmp_path / "none")  # no folder, nothing to remove
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a process's age is known under Linux only")
+def test_a_number_that_another_process_has_by_now_builds_nothing(tmp_path: Path) -> None:
+    mine = temporary_beside(tmp_path / "a.h5")
+    mine.write_bytes(b"x")
+    remove_leftovers(tmp_path)
+    assert mine.exists()
+    os.utime(mine, (0, 0))  # written long before this process began
+    remove_leftovers(tmp_path)
+    assert not mine.exists()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="zombies are told apart under Linux only")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import platform
+import re
 import time
 import uuid
 import zlib
@@ -20,7 +21,23 @@ ABANDONED = 86400.0
 """What another machine has been building for so long [s] was left by a run that was killed."""
 LONGEST_NAME = 255
 """Bytes that a file's name may have; that of a file under construction is cut to it."""
-_HOST = f"{zlib.crc32(platform.node().encode()):08x}"
+CLOCKS = 60.0
+"""By how much a file server's clock may differ from this machine's [s]."""
+_NAME = re.compile(
+    rf"\..*{re.escape(TEMPORARY_MARK)}([0-9a-f]{{8}})-([0-9]{{1,9}})-[0-9a-f]{{8}}(\..*)?"
+)
+
+
+def _host() -> str:
+    """Whose process numbers are meant: of this machine, since it was started, in this container."""
+    known = platform.node()
+    with suppress(OSError):
+        known += Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
+        known += str(os.stat("/proc/self/ns/pid").st_ino)
+    return f"{zlib.crc32(known.encode()):08x}"
+
+
+_HOST = _host()
 
 
 class UnwritableError(InputError):
@@ -89,36 +106,51 @@ def remove_leftovers(folder: Path | str) -> None:
 
     What a process is building at this moment stays: it may be another shard.
     """
-    for leftover in Path(folder).glob(f".*{TEMPORARY_MARK}*"):
+    found: list[Path] = []
+    with suppress(OSError):  # what a folder holds that cannot be read is nothing to remove
+        found += Path(folder).glob(f".*{TEMPORARY_MARK}*")
+    for leftover in found:
         with suppress(OSError):  # gone by now, or not ours to remove
             if leftover.is_file() and _is_abandoned(leftover):
                 leftover.unlink()
 
 
 def _is_abandoned(temporary: Path) -> bool:
-    builder = temporary.name.rpartition(TEMPORARY_MARK)[2].partition(".")[0].split("-")
-    if builder[0] != _HOST or len(builder) != 3 or not builder[1].isdecimal():
-        return time.time() - temporary.stat().st_mtime > ABANDONED
+    name = _NAME.fullmatch(temporary.name)
+    if name is None:  # nobody's who writes like this
+        return False
+    changed = temporary.stat().st_mtime
+    host, process = name[1], int(name[2])
+    if host != _HOST:
+        return time.time() - changed > ABANDONED
     try:
-        os.kill(int(builder[1]), 0)
+        os.kill(process, 0)
     except ProcessLookupError:
         return True
     except OSError:  # somebody else's process
         pass
-    return _is_zombie(int(builder[1]))
+    return _has_ended(process, changed)
 
 
-def _is_zombie(process: int) -> bool:
-    """Whether a process has ended, and only waits for its parent to ask how.
+def _has_ended(process: int, changed: float) -> bool:
+    """Whether what has a process's number is not, or no longer, the one that wrote a file.
 
-    One whose parent was killed with it waits for the machine's first process, which in a
-    container may take its time.
+    One whose parent was killed with it has ended, and waits for the machine's first process to
+    ask how, which in a container may take its time. And numbers are given again.
+
+    Args:
+        process: The number, of a process that there is.
+        changed: When the file was written [s since 1970].
     """
     try:
-        status = Path(f"/proc/{process}/stat").read_bytes()
+        status = Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()
     except OSError:  # it is gone by now, or this is no Linux
         return False
-    return status.rpartition(b")")[2].split()[0] in (b"Z", b"X")
+    if len(status) < 20:
+        return False
+    since_boot = int(status[19]) / os.sysconf("SC_CLK_TCK")
+    began = time.time() - time.clock_gettime(time.CLOCK_BOOTTIME) + since_boot
+    return status[0] in (b"Z", b"X") or changed < began - CLOCKS
 
 
 def require_new(path: Path | str, force: bool, inputs: Iterable[Path] = ()) -> Path:
@@ -157,7 +189,7 @@ def require_folder(path: Path | str) -> Path:
         raise InputError("is a file, and a folder is needed", where=path)
     try:
         path.mkdir(parents=True, exist_ok=True)
-        probe = path / f".{TEMPORARY_MARK}{uuid.uuid4().hex[:8]}"
+        probe = temporary_beside(path / "probe")
         probe.write_bytes(b"")
         probe.unlink()
     except OSError as error:
