@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import gc
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 import torch
-from scipy.spatial import cKDTree
+from pykdtree.kdtree import KDTree
 
-from pointsdf_cli.models import neighbours
+from pointsdf_cli.models import search_trees
 from pointsdf_cli.models.neighbours import (
     TREE_FROM,
     farthest_point_order,
@@ -55,21 +58,50 @@ def test_a_cloud_that_was_moved_is_searched_where_it_is_now(inference: bool) -> 
 def test_a_tree_is_built_once_and_goes_with_its_points(monkeypatch: pytest.MonkeyPatch) -> None:
     built: list[int] = []
 
-    def counted(points: np.ndarray) -> cKDTree:
+    def counted(points: np.ndarray) -> KDTree:
         built.append(len(points))
-        return cKDTree(points)
+        return KDTree(points)
 
-    monkeypatch.setattr(neighbours, "cKDTree", counted)
+    monkeypatch.setattr(search_trees, "KDTree", counted)
     cloud, queries = _cloud(3, 1, 400), _cloud(4, 1, 200)
     gc.collect()
-    kept = len(neighbours._TREES)
+    kept = len(search_trees._TREES)
     for _ in range(3):
         nearest_neighbours(queries, cloud, 3)
     assert built == [400]
-    assert len(neighbours._TREES) == kept + 1
+    assert len(search_trees._TREES) == kept + 1
     del cloud
     gc.collect()
-    assert len(neighbours._TREES) == kept
+    assert len(search_trees._TREES) == kept
+
+
+def test_of_places_that_are_none_nothing_is_nearest() -> None:
+    cloud, queries = _cloud(3, 1, 400), _cloud(4, 1, 200)
+    for value in (torch.nan, torch.inf):
+        queries[0, 7] = value
+        with pytest.raises(ValueError, match="finite"):
+            nearest_neighbours(queries, cloud, 3)
+
+
+def test_searches_have_one_thread_whatever_is_asked_for_others() -> None:
+    code = """
+import os
+import pointsdf_cli.models.search_trees
+from threadpoolctl import threadpool_info
+found = [p["num_threads"] for p in threadpool_info() if "pykdtree" in p["filepath"]]
+print(os.environ["OMP_NUM_THREADS"], *found)
+"""
+    told = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"OMP_NUM_THREADS": "3"},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.split()
+    assert told[0] == "3"
+    if len(told) == 1:
+        pytest.skip("this pykdtree brings no OpenMP of its own")
+    assert told[1:] == ["1"]
 
 
 def test_squared_distances_of_a_3_4_5_triangle() -> None:

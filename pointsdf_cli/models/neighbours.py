@@ -10,15 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
-from torch.utils.weak import WeakIdKeyDictionary
+
+from pointsdf_cli.models.search_trees import nearest_by_tree
 
 TREE_FROM = 32
 """So many queries of one cloud are asked of a tree; fewer are as fast without."""
-
-_TREES = WeakIdKeyDictionary()
-"""Trees by the tensors of their points: a reconstruction is asked many times."""
 
 
 def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
@@ -61,29 +58,9 @@ def nearest_neighbours(queries: Tensor, points: Tensor, count: int) -> Tensor:
         int64 indices [B, Q, count] into the points.
     """
     if len(points) == 1 and queries.shape[1] >= TREE_FROM and points.device.type == "cpu":
-        return _nearest_by_tree(queries[0], points, count).unsqueeze(0)
+        return nearest_by_tree(queries[0], points, count).unsqueeze(0)
     distances = squared_distances(queries, points)
     return distances.topk(count, dim=-1, largest=False, sorted=True).indices
-
-
-def _nearest_by_tree(queries: Tensor, points: Tensor, count: int) -> Tensor:
-    """The same for queries [Q, D] of one cloud [1, N, D] in a third of the time: a tree asks few
-    points, not all."""
-    places = queries.detach().float().numpy()
-    _, index = _tree_of(points).query(places, count, workers=torch.get_num_threads())
-    return torch.from_numpy(index.reshape(len(queries), count))
-
-
-def _tree_of(points: Tensor) -> cKDTree:
-    """The tree of a cloud [1, N, D], kept for as long as this tensor lives and PyTorch counts no
-    change of it. (It counts none of tensors made in inference mode: theirs are not kept.)"""
-    version = None if points.is_inference() else points._version
-    kept_version, tree = _TREES.get(points, (None, None))
-    if tree is None or version is None or version != kept_version:
-        tree = cKDTree(points[0].detach().float().numpy())
-        if version is not None:
-            _TREES[points] = version, tree
-    return tree
 
 
 @torch.no_grad()

@@ -50,7 +50,7 @@ as much as the best after six iterations does not catch up."""
 
 MARGIN = 0.004
 """What plans keep away from the object where they can [m]: what a reconstruction is off by on the
-side that was not seen, and the skin of contact solvers, are a few millimetres."""
+side that was not seen, and by how much arms lag behind, are a few millimetres."""
 
 ROOM = 0.006
 """Up to here [m] a candidate's distance to the object is exact, whatever the clearance; rehearsal

@@ -1,0 +1,61 @@
+"""Search trees of point clouds, kept for as long as the clouds are: a cloud is asked many times."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.weak import WeakIdKeyDictionary
+
+_ASKED = os.environ.get("OMP_NUM_THREADS")
+# It shares out each search over threads of its own, as many as this says when it is loaded. Parts
+# of queries are shared out already (`processor.side_by_side`): these would only be in the way.
+os.environ["OMP_NUM_THREADS"] = "1"
+try:
+    from pykdtree.kdtree import KDTree
+finally:
+    if _ASKED is None:
+        del os.environ["OMP_NUM_THREADS"]
+    else:
+        os.environ["OMP_NUM_THREADS"] = _ASKED
+
+_TREES = WeakIdKeyDictionary()
+"""Trees by the tensors of their points."""
+
+
+def nearest_by_tree(queries: Tensor, points: Tensor, count: int) -> Tensor:
+    """The points nearest to each query, nearest first; a tree asks few points, not all.
+
+    Args:
+        queries: [Q, D], on the CPU.
+        points: [1, N, D] with N ≥ count.
+        count: Neighbours wanted.
+
+    Returns:
+        int64 indices [Q, count].
+
+    Raises:
+        ValueError: A query is not finite: no point is nearest.
+    """
+    places = np.ascontiguousarray(queries.detach().float().numpy())
+    _, index = _tree_of(points).query(places, k=count, sqr_dists=True)
+    found: NDArray[np.int64] = index.reshape(len(places), count).astype(np.int64)
+    if found.size and found.max() >= points.shape[1]:
+        raise ValueError("queries must be finite")
+    return torch.from_numpy(found)
+
+
+def _tree_of(points: Tensor) -> KDTree:
+    """The tree of a cloud [1, N, D], kept for as long as this tensor lives and PyTorch counts no
+    change of it. (It counts none of tensors made in inference mode: theirs are not kept.)"""
+    version = None if points.is_inference() else points._version
+    kept_version, tree = _TREES.get(points, (None, None))
+    if tree is None or version is None or version != kept_version:
+        # A copy: the tree looks at its points again, and what is PyTorch's may change.
+        tree = KDTree(np.array(points[0].detach().float().numpy(), order="C"))
+        if version is not None:
+            _TREES[points] = version, tree
+    return tree
