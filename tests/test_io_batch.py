@@ -13,7 +13,12 @@ import pytest
 import threadpoolctl
 
 from pointsdf_cli.errors import InputError, RgraspError
-from pointsdf_cli.io.atomic import UnwritableError, temporary_beside, write_text_atomic
+from pointsdf_cli.io.atomic import (
+    UnwritableError,
+    _builder,
+    temporary_beside,
+    write_text_atomic,
+)
 from pointsdf_cli.io.batch import run_stage, shard_of, task_seed
 
 
@@ -82,7 +87,8 @@ def test_what_a_run_that_ends_meanwhile_was_building_is_removed(jobs: int, tmp_p
         subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as another,
     ):
         builders = [builder.pid, another.pid]
-        theirs = [mine.name.replace(f"-{os.getpid()}-", f"-{pid}-") for pid in builders]
+        me = _builder(os.getpid())
+        theirs = [mine.name.replace(me, _builder(pid)) for pid in builders]
         for name in [mine.name, *theirs]:
             (tmp_path / name).write_bytes(b"x")
         run_stage([(str(pid), pid) for pid in builders], kill, jobs=jobs, folders=[tmp_path])

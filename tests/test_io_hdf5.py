@@ -14,7 +14,13 @@ import numpy as np
 import pytest
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.atomic import atomic_path, remove_leftovers, require_new, temporary_beside
+from pointsdf_cli.io.atomic import (
+    _builder,
+    atomic_path,
+    remove_leftovers,
+    require_new,
+    temporary_beside,
+)
 from pointsdf_cli.io.grasps import was_collected
 from pointsdf_cli.io.hdf5 import (
     Dataset,
@@ -163,13 +169,13 @@ with atomic_path({str(tmp_path / "a.h5")!r}) as temporary:
 
 
 def test_what_only_looks_like_a_leftover_stays(tmp_path: Path) -> None:
-    names = [".holiday.partial-2019.tar", ".a.partial-", ".a.partial-0123abcd-x-01234567.h5"]
-    names += [".a.partial-0123abcd-7-01234567h5", "a.partial-0123abcd-7-01234567.h5"]
-    names += [f".a.partial-0123abcd-{10**20}-01234567.h5"]
+    names = [".holiday.partial-2019.tar", ".a.partial-", ".a.partial-0123abcd-x-1-01234567.h5"]
+    names += [".a.partial-0123abcd-7-1-01234567h5", "a.partial-0123abcd-7-1-01234567.h5"]
+    names += [f".a.partial-0123abcd-{10**20}-1-01234567.h5"]
     for name in names:
         (tmp_path / name).write_bytes(b"x")
         os.utime(tmp_path / name, (0, 0))
-    (tmp_path / ".a.partial-0123abcd-7-01234567.h5").mkdir()
+    (tmp_path / ".a.partial-0123abcd-7-1-01234567.h5").mkdir()
     remove_leftovers(tmp_path)
     assert len(list(tmp_path.iterdir())) == len(names) + 1
     remove_leftovers(tmp_path / "none")  # no folder, nothing to remove
@@ -178,12 +184,13 @@ def test_what_only_looks_like_a_leftover_stays(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="a process's age is known under Linux only")
 def test_a_number_that_another_process_has_by_now_builds_nothing(tmp_path: Path) -> None:
     mine = temporary_beside(tmp_path / "a.h5")
-    mine.write_bytes(b"x")
+    host, process, began = _builder(os.getpid()).split("-")
+    another = mine.name.replace(_builder(os.getpid()), f"{host}-{process}-{int(began) - 1}")
+    for name in (mine.name, another):
+        (tmp_path / name).write_bytes(b"x")
+        os.utime(tmp_path / name, (0, 0))  # whatever a file server's clock says
     remove_leftovers(tmp_path)
-    assert mine.exists()
-    os.utime(mine, (0, 0))  # written long before this process began
-    remove_leftovers(tmp_path)
-    assert not mine.exists()
+    assert list(tmp_path.iterdir()) == [mine]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="zombies are told apart under Linux only")
@@ -191,7 +198,7 @@ def test_what_was_killed_and_not_asked_for_yet_builds_nothing(tmp_path: Path) ->
     command = [sys.executable, "-c", "input()"]
     with subprocess.Popen(command, stdin=subprocess.PIPE) as builder:
         mine = temporary_beside(tmp_path / "a.h5").name
-        theirs = tmp_path / mine.replace(f"-{os.getpid()}-", f"-{builder.pid}-")
+        theirs = tmp_path / mine.replace(_builder(os.getpid()), _builder(builder.pid))
         theirs.write_bytes(b"x")
         remove_leftovers(tmp_path)
         assert theirs.exists()

@@ -81,6 +81,11 @@ def test_of_places_that_are_none_nothing_is_nearest() -> None:
         queries[0, 7] = value
         with pytest.raises(ValueError, match="finite"):
             nearest_neighbours(queries, cloud, 3)
+    cloud[0, 3, 1] = torch.nan
+    with pytest.raises(ValueError, match="finite"):
+        nearest_neighbours(_cloud(4, 1, 200), cloud, 3)
+    with pytest.raises(ValueError, match="9 neighbours of 8 points"):
+        nearest_neighbours(_cloud(4, 1, 200), _cloud(3, 1, 8), 9)
 
 
 def test_searches_have_one_thread_whatever_is_asked_for_others() -> None:

@@ -19,7 +19,7 @@ from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import prepare_object
-from pointsdf_cli.simulation.skin import drawn_in
+from pointsdf_cli.simulation.skin import drawn_in, drawn_in_cylinder
 from pointsdf_cli.simulation.world import World
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -73,7 +73,6 @@ def test_hulls_have_their_size_again_nearly_everywhere() -> None:
         points = rng.normal(size=(rng.integers(4, 60), 3)) * 10 ** rng.uniform(-2, -1, 3)
         hull = trimesh.convex.convex_hull(points)
         corners, faces = drawn_in(np.asarray(hull.vertices), np.asarray(hull.faces), SKIN)
-        assert len(corners) <= len(hull.vertices)
         inner = trimesh.Trimesh(corners, faces, process=False)
         assert inner.volume > 0
         on_inner, _ = trimesh.sample.sample_surface(inner, 100, seed=0)
@@ -105,6 +104,22 @@ def test_down_to_45_degrees_faces_lie_where_they_were_and_sharper_ends_stay() ->
         else:  # by planes alone 10 mm of it would be lost
             assert (gaps > 0.2 * SKIN).all()
             assert corners[:, 0].min() < 3 * SKIN
+
+
+def test_faces_of_a_pyramid_do_not_lean() -> None:
+    """Its four faces meet in one corner, which is two when they are drawn in."""
+    base = [[x, y, 0.0] for x in (-0.05, 0.05) for y in (-0.025, 0.025)]
+    pyramid = trimesh.convex.convex_hull([*base, [0.0, 0.0, 0.06]])
+    corners, faces = drawn_in(np.asarray(pyramid.vertices), np.asarray(pyramid.faces), SKIN)
+    assert trimesh.Trimesh(corners, faces).is_watertight
+    points, _ = trimesh.sample.sample_surface(pyramid, 4000, seed=0)
+    planes = np.unique(ConvexHull(pyramid.vertices).equations.round(9), axis=0)
+    assert len(planes) == 5
+    second = np.sort(-(points @ planes[:, :3].T + planes[:, 3]), axis=1)[:, 1]
+    inner = points[(second > 0.003) & (points[:, 2] < 0.045)]  # near no edge, and not at the tip
+    assert len(inner) > 1000
+    off = distance(corners, faces, inner) - SKIN
+    assert np.abs(off).max() < 1e-4
 
 
 def test_what_is_all_but_flat_stays_as_it_is() -> None:
@@ -174,6 +189,17 @@ def with_hulls(folder: Path) -> RobotDescription:
     assert changed.count("jaw.stl") == 2
     (folder / "gripper.urdf").write_text(changed, encoding="utf-8")
     return load_robot(folder / "gripper.yaml")
+
+
+def test_with_no_skin_nothing_is_drawn_in() -> None:
+    box = trimesh.creation.box((0.1, 0.06, 0.04))
+    corners = np.asarray(box.vertices)
+    assert drawn_in(corners, np.asarray(box.faces), 0.0)[0] is corners
+    assert drawn_in_cylinder(0.05, 0.1, 0.0) == (0.05, 0.1)
+    assert drawn_in_cylinder(0.05, 0.1, SKIN) == pytest.approx((0.049, 0.098), rel=0.0025)
+    radius, length = drawn_in_cylinder(1e-3, 1e-3, SKIN)  # hardly thicker than its skin
+    assert 0 < radius < 1e-3
+    assert 0 < length < 1e-3
 
 
 @pytest.mark.parametrize("which", ["bundled", "hulls"])

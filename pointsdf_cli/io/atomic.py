@@ -21,19 +21,18 @@ ABANDONED = 86400.0
 """What another machine has been building for so long [s] was left by a run that was killed."""
 LONGEST_NAME = 255
 """Bytes that a file's name may have; that of a file under construction is cut to it."""
-CLOCKS = 60.0
-"""By how much a file server's clock may differ from this machine's [s]."""
 _NAME = re.compile(
-    rf"\..*{re.escape(TEMPORARY_MARK)}([0-9a-f]{{8}})-([0-9]{{1,9}})-[0-9a-f]{{8}}(\..*)?"
+    rf"\..*{re.escape(TEMPORARY_MARK)}([0-9a-f]{{8}})-([0-9]{{1,9}})-([0-9]{{1,18}})-[0-9a-f]{{8}}(\..*)?"
 )
 
 
 def _host() -> str:
-    """Whose process numbers are meant: of this machine, since it was started, in this container."""
+    """Whose process numbers are meant: this machine's, in this container."""
     known = platform.node()
     with suppress(OSError):
-        known += Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
         known += str(os.stat("/proc/self/ns/pid").st_ino)
+        identity, boot = Path("/etc/machine-id"), Path("/proc/sys/kernel/random/boot_id")
+        known += (identity if identity.is_file() else boot).read_text(encoding="ascii")
     return f"{zlib.crc32(known.encode()):08x}"
 
 
@@ -76,7 +75,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
 
 def temporary_beside(path: Path) -> Path:
     """A name for what this process builds, and then puts at `path`."""
-    ending = f"{TEMPORARY_MARK}{_HOST}-{os.getpid()}-{uuid.uuid4().hex[:8]}{path.suffix}"
+    ending = f"{TEMPORARY_MARK}{_builder(os.getpid())}-{uuid.uuid4().hex[:8]}{path.suffix}"
     stem = path.stem
     while len(os.fsencode(stem)) > max(1, LONGEST_NAME - 1 - len(os.fsencode(ending))):
         stem = stem[:-1]
@@ -119,38 +118,35 @@ def _is_abandoned(temporary: Path) -> bool:
     name = _NAME.fullmatch(temporary.name)
     if name is None:  # nobody's who writes like this
         return False
-    changed = temporary.stat().st_mtime
-    host, process = name[1], int(name[2])
+    host, process, began = name[1], int(name[2]), int(name[3])
     if host != _HOST:
-        return time.time() - changed > ABANDONED
+        return time.time() - temporary.stat().st_mtime > ABANDONED
     try:
         os.kill(process, 0)
     except ProcessLookupError:
         return True
     except OSError:  # somebody else's process
         pass
-    return _has_ended(process, changed)
+    status = _status(process)
+    # One whose parent was killed with it has ended, and waits for the machine's first process to
+    # ask how, which in a container may take its time. And numbers are given again.
+    return bool(status) and (status[0] in ("Z", "X") or int(status[19]) != began)
 
 
-def _has_ended(process: int, changed: float) -> bool:
-    """Whether what has a process's number is not, or no longer, the one that wrote a file.
+def _builder(process: int) -> str:
+    """A process's part of the names of what it builds: where, its number and when it began."""
+    status = _status(process)
+    return f"{_HOST}-{process}-{status[19] if status else 0}"
 
-    One whose parent was killed with it has ended, and waits for the machine's first process to
-    ask how, which in a container may take its time. And numbers are given again.
 
-    Args:
-        process: The number, of a process that there is.
-        changed: When the file was written [s since 1970].
-    """
+def _status(process: int) -> list[str]:
+    """A process's state first, and when it began [ticks since the start] twentieth; empty if there
+    is none, or this is no Linux."""
     try:
-        status = Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()
-    except OSError:  # it is gone by now, or this is no Linux
-        return False
-    if len(status) < 20:
-        return False
-    since_boot = int(status[19]) / os.sysconf("SC_CLK_TCK")
-    began = time.time() - time.clock_gettime(time.CLOCK_BOOTTIME) + since_boot
-    return status[0] in (b"Z", b"X") or changed < began - CLOCKS
+        told = Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].decode("ascii")
+    except OSError:
+        return []
+    return told.split() if len(told.split()) >= 20 else []
 
 
 def require_new(path: Path | str, force: bool, inputs: Iterable[Path] = ()) -> Path:

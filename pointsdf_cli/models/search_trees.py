@@ -11,8 +11,9 @@ from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
 _ASKED = os.environ.get("OMP_NUM_THREADS")
-# It shares out each search over threads of its own, as many as this says when it is loaded. Parts
-# of queries are shared out already (`processor.side_by_side`): these would only be in the way.
+# It shares out each search over threads of its own, as many as this says when its OpenMP is loaded
+# (its own: the wheels bring one). Parts of queries are shared out already
+# (`processor.side_by_side`): more threads would only be in the way.
 os.environ["OMP_NUM_THREADS"] = "1"
 try:
     from pykdtree.kdtree import KDTree
@@ -38,14 +39,21 @@ def nearest_by_tree(queries: Tensor, points: Tensor, count: int) -> Tensor:
         int64 indices [Q, count].
 
     Raises:
-        ValueError: A query is not finite: no point is nearest.
+        ValueError: A query or a point is not finite, or there are fewer points than are wanted.
     """
-    places = np.ascontiguousarray(queries.detach().float().numpy())
+    if points.shape[1] < count:
+        raise ValueError(f"{count} neighbours of {points.shape[1]} points")
+    places = _finite(queries)
     _, index = _tree_of(points).query(places, k=count, sqr_dists=True)
-    found: NDArray[np.int64] = index.reshape(len(places), count).astype(np.int64)
-    if found.size and found.max() >= points.shape[1]:
-        raise ValueError("queries must be finite")
-    return torch.from_numpy(found)
+    return torch.from_numpy(index.reshape(len(places), count).astype(np.int64))
+
+
+def _finite(places: Tensor) -> NDArray[np.float32]:
+    found: NDArray[np.float32] = np.ascontiguousarray(places.detach().float().numpy())
+    # To what is not finite nothing is nearest, and the tree would answer all the same.
+    if not np.isfinite(found).all():
+        raise ValueError("places must be finite")
+    return found
 
 
 def _tree_of(points: Tensor) -> KDTree:
@@ -55,7 +63,7 @@ def _tree_of(points: Tensor) -> KDTree:
     kept_version, tree = _TREES.get(points, (None, None))
     if tree is None or version is None or version != kept_version:
         # A copy: the tree looks at its points again, and what is PyTorch's may change.
-        tree = KDTree(np.array(points[0].detach().float().numpy(), order="C"))
+        tree = KDTree(_finite(points[0]).copy())
         if version is not None:
             _TREES[points] = version, tree
     return tree
