@@ -56,6 +56,7 @@ def plan() -> Plan:
             np.array([0.8, 0.7]),
             np.array([1.5, 2.5]),
         ),
+        lift=np.array([[0.1, -0.2], [0.15, -0.2]]),
     )
 
 
@@ -75,6 +76,7 @@ def no_plan(plan: Plan) -> Plan:
         link_clearance_table=nan,
         kind="",
         accepted=AcceptedGrasps.none(2),
+        lift=np.zeros((0, 2)),
     )
 
 

@@ -56,6 +56,11 @@ def test_a_can_gets_a_plan_with_a_motion(planner: Planner, plan: Plan, tmp_path:
     assert plan.objective < 5
     np.testing.assert_array_equal(plan.trajectory[0], planner.robot.home)
     np.testing.assert_array_equal(plan.trajectory[-1], plan.q)
+    # The lift begins there and leaves the fingers where they are.
+    np.testing.assert_array_equal(plan.lift[0], plan.q)
+    np.testing.assert_array_equal(plan.lift[:, 7:], np.repeat(plan.q[None, 7:], len(plan.lift), 0))
+    _, above, _ = planner.inverse.chain.palm_and_jacobian(plan.lift[-1:, :7])
+    np.testing.assert_allclose(above[0] - plan.T_world_palm[:3, 3], [0, 0, 0.15], atol=0.005)
     # The palm is where the arm's forward kinematics puts it.
     rotation, position, _ = planner.inverse.chain.palm_and_jacobian(plan.q[None, :7])
     np.testing.assert_allclose(plan.T_world_palm[:3, 3], position[0], atol=1e-12)
@@ -221,3 +226,25 @@ def test_a_grasp_below_a_shelf_is_no_grasp_to_lift_from(planner: Planner) -> Non
         sentences.append(rest.sentence)
     assert "no room to lift" in sentences[0]
     assert sentences[1] == ""
+
+
+def test_a_lift_goes_around_what_is_above(planner: Planner) -> None:
+    _, good = found_for_the_can(planner)
+    free = PathChecker(planner.geometry, target().field)
+    straight = planner._lift(free, good)
+    assert straight is not None
+    way = []
+    for x in np.linspace(-0.1, 0.1, 9):
+        palm = planner.inverse.chain.palm(good.q)[:3, 3]
+        block = Obstacle(
+            "block", "box", (0.03, 0.03, 0.03), transform(np.eye(3), palm + [x, 0, 0.2])
+        )
+        checker = PathChecker(planner.geometry, target().field, Environment((block,)))
+        if checker.beside_object().is_free(straight):
+            continue
+        lift = planner._lift(checker, good)
+        if lift is not None:
+            assert checker.beside_object().is_free(lift)
+            way.append(np.linalg.norm((planner.inverse.chain.palm(lift[-1])[:3, 3] - palm)[:2]))
+    assert way
+    assert min(way) > 0.04

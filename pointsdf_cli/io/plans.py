@@ -21,6 +21,7 @@ LAYOUT = {
     "q": "f8 [J]",
     "trajectory": "f8 [T, J]",
     "times": "f8 [T]",
+    "lift": "f8 [K, *]",
     "T_world_palm": "f8 [4, 4]",
     "link_names": "S [L]",
     "link_clearance_object": "f8 [L]",
@@ -108,6 +109,8 @@ class Plan:
         rejected: Every rejected seed with its residuals.
         kind: "side" or "top"; empty where there is no grasp.
         accepted: The grasp and its alternatives.
+        lift: f8 [K, J], from the grasp on, the hand as it is there, to where the palm is higher by
+            what was asked for; K = 0 where the robot has no room for it, or none was asked for.
     """
 
     status: str
@@ -128,6 +131,7 @@ class Plan:
     rejected: RejectedSeeds = field(repr=False)
     kind: str = ""
     accepted: AcceptedGrasps = field(default_factory=AcceptedGrasps.none, repr=False)
+    lift: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
 
     def __post_init__(self) -> None:
         joints = len(self.joint_names)
@@ -138,6 +142,8 @@ class Plan:
             )
         if self.q.shape != (joints,) or self.trajectory.shape != (len(self.times), joints):
             raise InputError("the plan's arrays do not fit its joints", allowed="q [J], [T, J]")
+        if len(self.lift) and self.lift.shape[1] != joints:
+            raise InputError("the plan's lift does not fit its joints", allowed="[K, J]")
 
 
 def write_plan(
@@ -153,6 +159,7 @@ def write_plan(
             "q": Dataset(plan.q, "rad"),
             "trajectory": Dataset(plan.trajectory, "rad"),
             "times": Dataset(plan.times, "s"),
+            "lift": Dataset(plan.lift, "rad"),
             "joint_names": Dataset(_bytes(plan.joint_names)),
             "T_world_palm": Dataset(plan.T_world_palm, "m", "world"),
             "link_names": Dataset(_bytes(plan.link_names)),
@@ -223,6 +230,7 @@ def read_plan(path: Path | str) -> Plan:
                 success_probability=data["accepted_success_probability"],
                 objective=data["accepted_objective"],
             ),
+            lift=data["lift"],
         )
 
 
@@ -245,6 +253,7 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
         "timings": dict(plan.timings),
         "trajectory": plan.trajectory.tolist(),
         "times": plan.times.tolist(),
+        "lift": plan.lift.tolist(),
         "link_clearance": {
             link: {"object": _number(o), "table": _number(t)} for link, o, t in links
         },

@@ -209,8 +209,9 @@ class Planner:
             self.config.clearances,
         )
         best, motion, found = self._with_motion(checker, found, start, seed)
+        lift = None if best is None else self._lift(checker, best)
         timings["motion"] = time.perf_counter() - began
-        return plan_of(problems.exact, self.inverse.chain, found, best, motion, timings)
+        return plan_of(problems.exact, self.inverse.chain, found, best, motion, lift, timings)
 
     def _motion_to(
         self, checker: PathChecker, candidate: Candidate, start: Array, seed: int, thorough: bool
@@ -253,7 +254,7 @@ class Planner:
             failure = failure or motion.failure
             if motion.trajectory is None:
                 continue
-            if self._lifts_from(checker, candidate):
+            if not self.config.lift_height or self._lift(checker, candidate) is not None:
                 return candidate, motion, _taken(found, best, k, stuck)
             stuck[k] = motion
         if stuck:
@@ -277,20 +278,27 @@ class Planner:
             ),
         )
 
-    def _lifts_from(self, checker: PathChecker, candidate: Candidate) -> bool:
-        """Whether the arm can raise the hand from a grasp, and touches nothing but the object."""
+    def _lift(self, checker: PathChecker, candidate: Candidate) -> Array | None:
+        """How the arm raises the hand from a grasp and touches nothing but the object, [K, J]; None
+        if it cannot, or need not."""
         height, chain, robot = self.config.lift_height, self.inverse.chain, self.robot
-        beside = checker.beside_object()
+        beside = checker.beside_object()  # the object comes along
 
-        def free(path: Array) -> bool:
+        def whole(path: Array) -> Array:
             q = np.repeat(candidate.q[None], len(path), axis=0)
             q[:, robot.arm] = path
-            return beside.is_free(q)
+            return q
 
-        return not height or lift_path(chain, robot, candidate.q, height, free) is not None
+        def free(path: Array) -> bool:
+            return beside.is_free(whole(path))
+
+        path = lift_path(chain, robot, candidate.q, height, free) if height else None
+        return None if path is None else whole(path)
 
 
-STUCK = "The arm has no room to lift the object from there: move it, or the robot."
+STUCK = (
+    "The robot has no room to lift the object from there: move it, the robot, or what stands above."
+)
 
 
 def _taken(found: Synthesis, best: list[Candidate], k: int, stuck: Container[int]) -> Synthesis:

@@ -23,6 +23,7 @@ def plan_of(
     found: Synthesis,
     best: Candidate | None,
     motion: Motion | None,
+    lift: Array | None,
     timings: Mapping[str, float],
 ) -> Plan:
     """The plan: the best candidate with its motion, or the reason that `found` gives.
@@ -32,6 +33,7 @@ def plan_of(
         chain: The robot's arm; tells where the palm is.
         found: Everything that was tried.
         best, motion: What was chosen; both None if nothing was.
+        lift: [K, J], from there on; None if there is none.
         timings: Seconds by stage.
     """
     robot = problem.kinematics.robot
@@ -65,6 +67,7 @@ def plan_of(
         link_clearance_table=to_table,
         accepted=_accepted(joints, found.accepted),
         rejected=_rejected(joints, found.rejected),
+        lift=np.zeros((0, joints)) if lift is None else lift,
     )
 
 
