@@ -58,6 +58,7 @@ class Motion:
         approach_start: Index in `corners` where the straight stretch begins.
         failure: Empty, or what could not be done.
         attempts: Searches made.
+        lift: [K, J], the way up from the goal; None if there is none, or none was looked for.
     """
 
     trajectory: Trajectory | None
@@ -65,6 +66,7 @@ class Motion:
     approach_start: int
     failure: str
     attempts: int
+    lift: Array | None = None
 
 
 def plan_motion(

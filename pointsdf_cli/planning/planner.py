@@ -209,9 +209,8 @@ class Planner:
             self.config.clearances,
         )
         best, motion, found = self._with_motion(checker, found, start, seed)
-        lift = None if best is None else self._lift(checker, best)
         timings["motion"] = time.perf_counter() - began
-        return plan_of(problems.exact, self.inverse.chain, found, best, motion, lift, timings)
+        return plan_of(problems.exact, self.inverse.chain, found, best, motion, timings)
 
     def _motion_to(
         self, checker: PathChecker, candidate: Candidate, start: Array, seed: int, thorough: bool
@@ -254,8 +253,9 @@ class Planner:
             failure = failure or motion.failure
             if motion.trajectory is None:
                 continue
-            if not self.config.lift_height or self._lift(checker, candidate) is not None:
-                return candidate, motion, _taken(found, best, k, stuck)
+            lift = self._lift(checker, candidate)
+            if lift is not None or not self.config.lift_height:
+                return candidate, replace(motion, lift=lift), _taken(found, best, k, stuck)
             stuck[k] = motion
         if stuck:
             k, motion = next(iter(stuck.items()))

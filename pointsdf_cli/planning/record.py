@@ -23,7 +23,6 @@ def plan_of(
     found: Synthesis,
     best: Candidate | None,
     motion: Motion | None,
-    lift: Array | None,
     timings: Mapping[str, float],
 ) -> Plan:
     """The plan: the best candidate with its motion, or the reason that `found` gives.
@@ -33,14 +32,13 @@ def plan_of(
         chain: The robot's arm; tells where the palm is.
         found: Everything that was tried.
         best, motion: What was chosen; both None if nothing was.
-        lift: [K, J], from there on; None if there is none.
         timings: Seconds by stage.
     """
     robot = problem.kinematics.robot
     joints, links = len(robot.joint_names), shaped_links(robot)
     q, T_world_palm = np.full(joints, np.nan), np.full((4, 4), np.nan)
     to_object = to_table = np.full(len(links), np.nan)
-    trajectory, times = np.zeros((0, joints)), np.zeros(0)
+    trajectory, times, lift = np.zeros((0, joints)), np.zeros(0), np.zeros((0, joints))
     if best is not None and motion is not None and motion.trajectory is not None:
         q = best.q
         T_world_palm = chain.palm(q)
@@ -48,6 +46,7 @@ def plan_of(
         to_object = link_clearance(exactly, best.x, links, problem.is_object)
         to_table = link_clearance(exactly, best.x, links, problem.is_table)
         trajectory, times = motion.trajectory.positions, motion.trajectory.times
+        lift = lift if motion.lift is None else motion.lift
     return Plan(
         status=OK if best is not None else NO_PLAN,
         reason=found.reason,
@@ -67,7 +66,7 @@ def plan_of(
         link_clearance_table=to_table,
         accepted=_accepted(joints, found.accepted),
         rejected=_rejected(joints, found.rejected),
-        lift=np.zeros((0, joints)) if lift is None else lift,
+        lift=lift,
     )
 
 
