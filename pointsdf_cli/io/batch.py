@@ -10,10 +10,9 @@ import sys
 import threading
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -23,6 +22,7 @@ import numpy as np
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.atomic import UnwritableError, remove_leftovers
 from pointsdf_cli.io.hdf5 import OptionsDifferError
+from pointsdf_cli.io.one_thread import one_thread_each
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -166,7 +166,7 @@ def _run_parallel(
     # Spawned, not forked: h5py handles, embree and torch threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
     with (
-        _one_thread_each(),
+        one_thread_each(),
         ProcessPoolExecutor(
             min(jobs, len(tasks)),
             mp_context=context,
@@ -200,25 +200,6 @@ def _run_parallel(
                 process.terminate()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes that are started within give the numerical libraries one thread.
-
-    They must find it said already: NumPy is loaded before a worker runs anything of ours.
-    """
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def _start_worker(parent: int) -> None:

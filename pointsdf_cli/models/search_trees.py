@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
-_ASKED = os.environ.get("OMP_NUM_THREADS")
-# It shares out each search over threads of its own, as many as this says when its OpenMP is loaded
+from pointsdf_cli.io.one_thread import one_thread_each
+
+# It shares out each search over threads of its own, as many as it is told when its OpenMP is loaded
 # (its own: the wheels bring one). Parts of queries are shared out already
 # (`processor.side_by_side`): more threads would only be in the way.
-os.environ["OMP_NUM_THREADS"] = "1"
-try:
+with one_thread_each():
     from pykdtree.kdtree import KDTree
-finally:
-    if _ASKED is None:
-        del os.environ["OMP_NUM_THREADS"]
-    else:
-        os.environ["OMP_NUM_THREADS"] = _ASKED
 
 _TREES = WeakIdKeyDictionary()
 """Trees by the tensors of their points."""

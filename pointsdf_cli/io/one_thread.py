@@ -1,0 +1,28 @@
+"""Numerical libraries with one thread, where processes or threads share the work out already."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """What is loaded within, and processes that are started within, have one thread each.
+
+    Libraries read these numbers once, when they are loaded: a started process must find them said
+    already, because NumPy is loaded before it runs anything of ours.
+    """
+    before = {name: os.environ.get(name) for name in NAMES}
+    os.environ.update(dict.fromkeys(NAMES, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
