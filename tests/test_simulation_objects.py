@@ -21,7 +21,7 @@ from pointsdf_cli.simulation.decomposition import (
 )
 from pointsdf_cli.simulation.feet import with_flat_foot
 from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, prepare_object
-from pointsdf_cli.simulation.stable_poses import (
+from pointsdf_cli.geometry.stable_poses import (
     StandingConfig,
     draw_pose,
     stable_poses,

@@ -31,6 +31,22 @@ class DepthPatch:
     covered: float
 
 
+@dataclass(frozen=True)
+class DepthWindow:
+    """A rectangle of an image.
+
+    Attributes:
+        origin: Column and row of its first pixel in the whole image.
+        depth: f4 [h, w], m along z; inf where nothing was hit.
+        cosine: f4 [h, w], |cos| of the angle between ray and surface normal; 1 where nothing was
+            hit.
+    """
+
+    origin: tuple[int, int]
+    depth: NDArray[np.float32]
+    cosine: NDArray[np.float32]
+
+
 class MeshCaster:
     """Casts rays of a pinhole camera at one mesh.
 
@@ -57,8 +73,54 @@ class MeshCaster:
 
     def cast(self, T_camera_object: NDArray[np.float64]) -> DepthPatch:
         """Exact depths of the mesh seen from a camera in which it stands at `T_camera_object`."""
-        camera = self._camera
         left, right, top, bottom = self._window(T_camera_object)
+        hits, _ = self._cast(T_camera_object, (left, right, top, bottom))
+        depth = hits["t_hit"].numpy()
+        v, u = np.nonzero(np.isfinite(depth))
+        area = self._camera.width * self._camera.height
+        return DepthPatch(u + left, v + top, depth[v, u], len(u) / area)
+
+    def cast_window(
+        self,
+        T_camera_object: NDArray[np.float64],
+        margin: float = 0.0,
+        window: tuple[int, int, int, int] | None = None,
+    ) -> DepthWindow:
+        """Exact depths and incidence around the mesh.
+
+        Args:
+            T_camera_object: [4, 4], the mesh frame in the camera's.
+            margin: Added on each side, as a share of the longer side of the mesh's box in the image.
+            window: Columns [left, right) and rows [top, bottom) to cast instead.
+        """
+        if window is None:
+            window = self.window_around(T_camera_object, margin)
+        hits, rays = self._cast(T_camera_object, window)
+        depth, direction = hits["t_hit"].numpy(), rays[..., 3:]
+        along = np.abs((hits["primitive_normals"].numpy() * direction).sum(-1))
+        cosine = along / np.linalg.norm(direction, axis=-1)
+        cosine[~np.isfinite(depth)] = 1.0
+        return DepthWindow((window[0], window[2]), depth, cosine.astype(np.float32))
+
+    def window_around(
+        self, T_camera_object: NDArray[np.float64], margin: float
+    ) -> tuple[int, int, int, int]:
+        """Columns [left, right) and rows [top, bottom) around the mesh, within the image."""
+        left, right, top, bottom = self._window(T_camera_object)
+        more = round(margin * max(right - left, bottom - top))
+        return (
+            max(0, left - more),
+            min(self._camera.width, right + more),
+            max(0, top - more),
+            min(self._camera.height, bottom + more),
+        )
+
+    def _cast(
+        self, T_camera_object: NDArray[np.float64], window: tuple[int, int, int, int]
+    ) -> tuple[dict[str, o3d.core.Tensor], NDArray[np.float32]]:
+        """Hits, and rays [h, w, 6] in the mesh frame whose directions have z = 1 in the camera's."""
+        camera = self._camera
+        left, right, top, bottom = window
         columns, rows = np.arange(left, right), np.arange(top, bottom)
         # Directions with z = 1 make the ray parameter the depth itself.
         rotation = T_camera_object[:3, :3]
@@ -68,10 +130,7 @@ class MeshCaster:
         rays[..., :3] = invert_transform(T_camera_object)[:3, 3]
         for k in range(3):  # one by one: sums of many short rows take three times as long
             rays[..., 3 + k] = x[:, k] + y[:, None, k] + rotation[2, k]
-        hits = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), self._threads)
-        depth = hits["t_hit"].numpy()
-        v, u = np.nonzero(np.isfinite(depth))
-        return DepthPatch(u + left, v + top, depth[v, u], len(u) / (camera.width * camera.height))
+        return self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), self._threads), rays
 
     def _window(self, T_camera_object: NDArray[np.float64]) -> tuple[int, int, int, int]:
         """Columns [left, right) and rows [top, bottom) that can see the mesh's bounding box."""

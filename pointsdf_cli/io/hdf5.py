@@ -108,7 +108,12 @@ def write_artifact(
 
 
 def read_artifact(
-    path: Path | str, *, schema: str, version: int, names: Iterable[str] | Layout | None = None
+    path: Path | str,
+    *,
+    schema: str,
+    version: int,
+    names: Iterable[str] | Layout | None = None,
+    oldest: int | None = None,
 ) -> Artifact:
     """Read an artifact of the given schema, all of its datasets or those in `names`.
 
@@ -116,6 +121,7 @@ def read_artifact(
         path: The file.
         schema, version: What it must be.
         names: The datasets to read; a `Layout` (see `layout.py`) is checked as well.
+        oldest: The oldest version that is read too; `version` alone if None.
 
     Raises:
         InputError: No such file, not HDF5, cut short, another schema or version, or a dataset
@@ -123,7 +129,7 @@ def read_artifact(
     """
     path = Path(path)
     with open_hdf5(path) as file:
-        _require_schema(path, file, schema, version)
+        _require_schema(path, file, schema, version, oldest)
         wanted = sorted(file) if names is None else list(names)
         missing = [name for name in wanted if name not in file]
         if missing:
@@ -242,7 +248,9 @@ def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[
     return True
 
 
-def _require_schema(path: Path, file: h5py.File, schema: str, version: int) -> None:
+def _require_schema(
+    path: Path, file: h5py.File, schema: str, version: int, oldest: int | None = None
+) -> None:
     found = file.attrs.get("schema")
     if found is None:
         raise InputError(
@@ -257,7 +265,8 @@ def _require_schema(path: Path, file: h5py.File, schema: str, version: int) -> N
             hint=f"rgrasp info {path} shows what it is",
         )
     theirs = file.attrs.get("schema_version")
-    if not isinstance(theirs, (int, np.integer)) or int(theirs) != version:
+    oldest = version if oldest is None else oldest
+    if not isinstance(theirs, (int, np.integer)) or not oldest <= int(theirs) <= version:
         age = "older" if isinstance(theirs, (int, np.integer)) and theirs < version else "another"
         raise InputError(
             f"is {age} version of the {schema} schema ({theirs})",

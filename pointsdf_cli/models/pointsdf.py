@@ -26,6 +26,7 @@ from pointsdf_cli.models.shape_model import (
     Encoding,
     ShapeModel,
 )
+from pointsdf_cli.models.surroundings import Surroundings
 
 BANDWIDTHS = (0.05, 0.1, 0.2, 0.4)
 """Of the density's Gaussian kernel in each layer, network units."""
@@ -115,7 +116,13 @@ class PointSDF(ShapeModel):
     def config(self) -> dict[str, Any]:
         return dict(self._config)
 
-    def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
+    def encode(
+        self,
+        cloud: Tensor,
+        camera: Tensor,
+        neighbours: Tensor | None = None,
+        surroundings: Surroundings | None = None,
+    ) -> Encoding:
         if neighbours is None:
             points = gather(cloud, farthest_point_order(cloud, self.centres[0]))
         else:

@@ -7,7 +7,8 @@ for everything. Here the embedding is kept (the grasp network reads it), and eac
 2. local PointConv features of the centres around it, in space and in the image;
 3. attention over the coarse centres, for what the rest of the object says about this place;
 4. the same evidence at its twin (`revolution.py`): the query turned about the axis that the cloud
-   turns about, if it does, to where something was seen.
+   turns about, if it does, to where something was seen;
+5. what the view knows of the space around the object (`surroundings.py`).
 
 Everything is normalised per sample (LayerNorm), so a value never depends on the batch.
 """
@@ -38,6 +39,14 @@ from pointsdf_cli.models.revolution import (
     twins,
 )
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
+from pointsdf_cli.models.surroundings import (
+    SURROUNDINGS_SIZE,
+    VISIBILITY_SIZE,
+    Surroundings,
+    no_surroundings,
+    plane_evidence,
+    visibility_evidence,
+)
 
 OCTAVES = 4
 """Of the sines and cosines of a query's coordinates."""
@@ -63,6 +72,8 @@ class PointSDFRay(ShapeModel):
         sideways: Of its axis, see `revolution_axis`.
         box: Whether the decoder also reads where a query lies in the box around the cloud (with
             `revolution` only).
+        surroundings: Whether the decoder also reads what the view knows of the space around the
+            object (`surroundings.py`), at the query and, with `revolution`, at its twin.
     """
 
     architecture = "pointsdf-ray"
@@ -82,6 +93,7 @@ class PointSDFRay(ShapeModel):
         revolution: bool = False,
         sideways: float = 0.0,
         box: bool = False,
+        surroundings: bool = False,
     ) -> None:
         super().__init__()
         self.centres, self.neighbours = tuple(centres), tuple(neighbours)
@@ -95,7 +107,7 @@ class PointSDFRay(ShapeModel):
         if box and not revolution:
             raise ValueError("the box is read with the axis of revolution only")
         self.search, self.revolution, self.sideways = search, revolution, sideways
-        self.has_box = box
+        self.has_box, self.reads_surroundings = box, surroundings
         self.packed_neighbours = (centres[0], neighbours[0])
 
         self.layers = nn.ModuleList(
@@ -124,6 +136,8 @@ class PointSDFRay(ShapeModel):
         # Last among the inputs, so that weights of a decoder without them fit (`begin_with`).
         inputs += (TRUST_SIZE + EVIDENCE_SIZE + local) if revolution else 0
         inputs += BOX_SIZE if box else 0
+        if surroundings:
+            inputs += SURROUNDINGS_SIZE + (VISIBILITY_SIZE if revolution else 0)
         self.enter = nn.Linear(inputs, width)
         self.embed_first = nn.Linear(self.embedding_size, width)
         self.embed_middle = nn.Linear(self.embedding_size, width)
@@ -148,6 +162,7 @@ class PointSDFRay(ShapeModel):
             "revolution": self.revolution,
             "sideways": self.sideways,
             "box": self.has_box,
+            "surroundings": self.reads_surroundings,
         }
 
     def begin_with(self, other: ShapeModel) -> None:
@@ -159,7 +174,13 @@ class PointSDFRay(ShapeModel):
             state["enter.weight"] = torch.nn.functional.pad(narrow, (0, missing))
         self.load_state_dict(state)
 
-    def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
+    def encode(
+        self,
+        cloud: Tensor,
+        camera: Tensor,
+        neighbours: Tensor | None = None,
+        surroundings: Surroundings | None = None,
+    ) -> Encoding:
         """Read the clouds.
 
         Args:
@@ -167,6 +188,7 @@ class PointSDFRay(ShapeModel):
             camera: [B, 3].
             neighbours: int64 [B, M, K] of the first layer, where they are known already; the
                 cloud's first M points must then be its farthest points, in order.
+            surroundings: See `ShapeModel.encode`.
         """
         if neighbours is None:
             order = farthest_point_order(cloud, self.centres[0])
@@ -202,6 +224,9 @@ class PointSDFRay(ShapeModel):
         }
         if self.attention is not None:
             evidence |= self.attention.keys_and_values(tokens, token_at)
+        if self.reads_surroundings:
+            around = surroundings or no_surroundings(len(cloud), cloud.device)
+            evidence |= {f"around_{name}": value for name, value in around._asdict().items()}
         if self.revolution:
             with torch.autocast(cloud.device.type, enabled=False):
                 normals = surface_normals(fine_at, neighbours, cloud, camera)
@@ -239,11 +264,21 @@ class PointSDFRay(ShapeModel):
             self.local_image(x, known["image"], near_image).to(x.dtype),
         ]
         if self.revolution:
-            inputs += self._twin_evidence(known, x)
+            with torch.autocast(x.device.type, enabled=False):
+                twin, trust = twins(x, _axis(known), known["cloud"], known["places"], self.search)
+            inputs += [trust, *self._twin_evidence(known, twin)]
         if self.has_box:
             box = BoxFrame(*(known[f"box_{name}"] for name in BoxFrame._fields))
             with torch.autocast(x.device.type, enabled=False):
                 inputs.append(box_evidence(x, box, _axis(known)))
+        if self.reads_surroundings:
+            around = Surroundings(*(known[f"around_{name}"] for name in Surroundings._fields))
+            with torch.autocast(x.device.type, enabled=False):
+                inputs.append(visibility_evidence(x_image, camera, around))
+                inputs.append(plane_evidence(x, known["cloud"], around))
+                if self.revolution:
+                    twin_image = image_coordinates(twin, camera)
+                    inputs.append(visibility_evidence(twin_image, camera, around))
         h = self.enter(torch.cat(inputs, dim=-1))
         h = h + self.embed_first(encoding.embedding).unsqueeze(1)
         for step, block in enumerate(self.trunk):
@@ -258,12 +293,11 @@ class PointSDFRay(ShapeModel):
         cloud, image, plane = known["cloud"], known["cloud_image"], known["cloud_plane"]
         return ray_evidence(x, cloud, known["camera"], image, plane, self.search)
 
-    def _twin_evidence(self, known: dict[str, Tensor], x: Tensor) -> list[Tensor]:
-        with torch.autocast(x.device.type, enabled=False):
-            twin, trust = twins(x, _axis(known), known["cloud"], known["places"], self.search)
+    def _twin_evidence(self, known: dict[str, Tensor], twin: Tensor) -> list[Tensor]:
+        with torch.autocast(twin.device.type, enabled=False):
             seen = self._ray_evidence(known, twin)
         near = SEARCHES[self.search](twin, known["fine_at"], 8)
-        return [trust, seen, self.local_fine(twin, known["fine"], near).to(x.dtype)]
+        return [seen, self.local_fine(twin, known["fine"], near).to(twin.dtype)]
 
 
 def _axis(known: dict[str, Tensor]) -> Axis:

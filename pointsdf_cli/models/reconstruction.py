@@ -20,9 +20,11 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.models.normalise import network_frame, resample
 from pointsdf_cli.models.processor import even_parts, one_thread, side_by_side
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
+from pointsdf_cli.models.surroundings import surroundings_of
 
 CHUNK = 4096
 """Queries decoded at once: few enough that what is between two layers stays in the cache."""
@@ -56,6 +58,7 @@ class Reconstruction:
         camera_position: ArrayLike,
         R_frame_camera: ArrayLike | None = None,
         seed: int | Sequence[int] = 0,
+        evidence: ViewEvidence | None = None,
     ) -> Reconstruction:
         """Read one partial cloud.
 
@@ -66,6 +69,8 @@ class Reconstruction:
             R_frame_camera: [3, 3], the camera's axes (OpenCV: z forward, y down) in that frame;
                 None if the frame already has the camera's axes.
             seed: Of the resampling.
+            evidence: What the view knows of the space around the object, camera frame; nothing
+                where None.
 
         Raises:
             InputError: The points are no cloud, or the rotation is none.
@@ -84,6 +89,7 @@ class Reconstruction:
             encoding = model.encode(
                 _tensor(frame.to_network(cloud), device)[None],
                 _tensor(frame.to_network(np.zeros(3)), device)[None],
+                surroundings=surroundings_of([evidence or ViewEvidence()], [frame], device),
             )
         return cls(
             model=model,

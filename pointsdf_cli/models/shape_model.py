@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from pointsdf_cli.models.surroundings import Surroundings
+
 PACKED_CENTRES, PACKED_NEIGHBOURS = 256, 24
 """What packed training data holds for an encoder's first layer: centres, and neighbours of each."""
 
@@ -69,13 +71,21 @@ class ShapeModel(nn.Module, ABC):
         """The arguments that rebuild this architecture (plain types)."""
 
     @abstractmethod
-    def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
+    def encode(
+        self,
+        cloud: Tensor,
+        camera: Tensor,
+        neighbours: Tensor | None = None,
+        surroundings: Surroundings | None = None,
+    ) -> Encoding:
         """Read a batch of clouds.
 
         Args:
             cloud: [B, P, 3], network frame.
             camera: [B, 3], the camera's centre in the network's frame.
             neighbours: See `packed_neighbours`; searched for where None.
+            surroundings: What the views know of the space around the objects, for architectures
+                that read it; nothing where None.
         """
 
     def lowered(self, encoding: Encoding, dtype: torch.dtype) -> Encoding:

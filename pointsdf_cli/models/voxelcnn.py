@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
+from pointsdf_cli.models.surroundings import Surroundings
 
 GRID = 32
 VIEW_VOXELS = 26
@@ -71,7 +72,13 @@ class VoxelCNN(ShapeModel):
     def embed(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Tensor:
         return self.to_embedding(self.encoder(occupancy(cloud).unsqueeze(1)))
 
-    def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
+    def encode(
+        self,
+        cloud: Tensor,
+        camera: Tensor,
+        neighbours: Tensor | None = None,
+        surroundings: Surroundings | None = None,
+    ) -> Encoding:
         embedding = self.embed(cloud, camera, neighbours)
         logits = self.decoder(self.from_embedding(embedding).view(-1, 1, 7, 7, 7))
         return Encoding(embedding, {"logits": logits})

@@ -23,7 +23,7 @@ from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.reach import Reach, ReachConfig, Reacher
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject
-from pointsdf_cli.simulation.stable_poses import StandingConfig, draw_pose
+from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose
 from pointsdf_cli.simulation.world import World
 
 Array = NDArray[np.float64]

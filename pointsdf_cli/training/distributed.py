@@ -59,7 +59,7 @@ class Workers:
                 allowed=f"multiples of {self.count}, and as many training views",
             )
         rows = len(batch.cloud) // self.count
-        return Batch(*(t[self.rank * rows : (self.rank + 1) * rows] for t in batch))
+        return batch.rows(self.rank * rows, (self.rank + 1) * rows)
 
     def average_gradients(self, model: nn.Module) -> None:
         """Replace each gradient by its mean over all workers, in one exchange."""

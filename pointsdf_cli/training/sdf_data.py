@@ -7,7 +7,7 @@ exactly the batches that an uninterrupted one would have seen.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,11 @@ from torch import Tensor
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.normalise import MARGIN
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.training.sdf_pack import Pack
+from pointsdf_cli.models.surroundings import Surroundings, forgotten, transformed
+from pointsdf_cli.training.sdf_pack import SURROUNDINGS, Pack
+
+FORGET_IMAGE, FORGET_ALL = 0.2, 0.15
+"""Share of training views that keep no visibility image, and of those that keep no plane either."""
 
 
 class Batch(NamedTuple):
@@ -30,6 +34,7 @@ class Batch(NamedTuple):
         neighbours: int64 [B, M, K] of the first encoder layer.
         x: f4 [B, Q, 3].
         sdf: f4 [B, Q], network units, negative inside.
+        around: Evidence about the space around the objects.
     """
 
     cloud: Tensor
@@ -37,10 +42,19 @@ class Batch(NamedTuple):
     neighbours: Tensor
     x: Tensor
     sdf: Tensor
+    around: Surroundings
 
     def to(self, device: torch.device) -> Batch:
         """The same batch on a device."""
-        return Batch(*(t.to(device, non_blocking=True) for t in self))
+        return self._each(lambda t: t.to(device, non_blocking=True))
+
+    def rows(self, first: int, last: int) -> Batch:
+        """Clouds `first` to `last` − 1 of the batch."""
+        return self._each(lambda t: t[first:last])
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> Batch:
+        *plain, around = self
+        return Batch(*map(change, plain), Surroundings(*map(change, around)))
 
 
 class Split(NamedTuple):
@@ -123,13 +137,17 @@ def read_batch(
         torch.from_numpy(pack.neighbours[views].astype(np.int64)),
         torch.from_numpy(x.astype(np.float32)),
         torch.from_numpy(sdf.astype(np.float32)),
+        Surroundings(
+            *(torch.from_numpy(getattr(pack, n)[views].astype(np.float32)) for n in SURROUNDINGS)
+        ),
     )
 
 
 def augment(batch: Batch, rng: np.random.Generator) -> Batch:
     """Mirror and turn each view about the optical axis, camera and labels with it.
 
-    A turned partial cloud has another bounding box, so it is centred and scaled anew.
+    A turned partial cloud has another bounding box, so it is centred and scaled anew. Of some views
+    the evidence about the space around the object is left out: a bare cloud has none.
     """
     count = len(batch.cloud)
     angle = rng.uniform(0.0, 2.0 * np.pi, count)
@@ -143,7 +161,13 @@ def augment(batch: Batch, rng: np.random.Generator) -> Batch:
     low, high = cloud.amin(1, keepdim=True), cloud.amax(1, keepdim=True)
     centre = (low + high) / 2.0
     scale = 1.0 / (MARGIN * (high - low).amax(-1, keepdim=True))
+    # The whole ray is clipped at the same depth whatever the scale; the turn leaves depths as they
+    # are, but for the centre's, which stays where it is to within the last bit.
+    around = transformed(batch.around, torch.from_numpy(turn), centre[:, 0], scale[:, 0, 0])
+    lost = torch.from_numpy(rng.random(count))
+    around = forgotten(around, lost > FORGET_IMAGE, lost > FORGET_ALL)
     return batch._replace(
+        around=around,
         cloud=(cloud - centre) * scale,
         camera=((torch.bmm(batch.camera.unsqueeze(1), rotation) - centre) * scale).squeeze(1),
         x=(torch.bmm(batch.x, rotation) - centre) * scale,
@@ -178,5 +202,6 @@ def predict(model: ShapeModel, batch: Batch) -> Tensor:
     if model.packed_neighbours is None:
         return model(batch.cloud, batch.camera, batch.x)
     centres, count = model.packed_neighbours
-    encoding = model.encode(batch.cloud, batch.camera, batch.neighbours[:, :centres, :count])
+    neighbours = batch.neighbours[:, :centres, :count]
+    encoding = model.encode(batch.cloud, batch.camera, neighbours, batch.around)
     return model.decode(encoding, batch.x)

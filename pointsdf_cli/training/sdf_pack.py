@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.atomic import (
     abandoned_beside,
     require_folder,
@@ -38,8 +39,9 @@ from pointsdf_cli.models.neighbours import farthest_point_order
 from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.shape_model import PACKED_CENTRES as CENTRES
 from pointsdf_cli.models.shape_model import PACKED_NEIGHBOURS as NEIGHBOURS
+from pointsdf_cli.models.surroundings import surroundings_arrays
 
-FORMAT = 2
+FORMAT = 3
 PREFIX, INDEX = "pack-", "index.json"
 NAME = re.compile(r"pack-[0-9a-f]{16}")
 
@@ -55,6 +57,8 @@ class Pack:
         to_network: f4 [V, 3, 4], mesh frame [m] → network frame.
         scale: f4 [V], network units per metre.
         object_of_view: i4 [V].
+        maps: f2 [V, 4, S, S], to_map: f4 [V, 2, 3], plane: f4 [V, 4], known: f4 [V, 2], see
+            `Surroundings`.
         points: f4 [L, 3], mesh frame, m.
         sdf: f4 [L], m.
         label_start: i8 [O + 1]; object o has the labels label_start[o] to label_start[o + 1].
@@ -67,13 +71,21 @@ class Pack:
     to_network: NDArray[np.float32]
     scale: NDArray[np.float32]
     object_of_view: NDArray[np.int32]
+    maps: NDArray[np.float16]
+    to_map: NDArray[np.float32]
+    plane: NDArray[np.float32]
+    known: NDArray[np.float32]
     points: NDArray[np.float32]
     sdf: NDArray[np.float32]
     label_start: NDArray[np.int64]
     names: tuple[str, ...]
 
 
-ARRAYS = ("clouds", "neighbours", "cameras", "to_network", "scale", "object_of_view")
+SURROUNDINGS = ("maps", "to_map", "plane", "known")
+ARRAYS = (
+    *("clouds", "neighbours", "cameras", "to_network", "scale", "object_of_view"),
+    *SURROUNDINGS,
+)
 LABEL_ARRAYS = ("points", "sdf", "label_start")
 
 
@@ -177,7 +189,9 @@ def _packs_in(folder: Path) -> list[Path]:
 
 
 def pack_views(
-    cloud: NDArray[np.float32], T_camera_object: NDArray[np.float64]
+    cloud: NDArray[np.float32],
+    T_camera_object: NDArray[np.float64],
+    evidence: Sequence[ViewEvidence] | None = None,
 ) -> dict[str, NDArray]:
     """One object's per-view arrays (all of `ARRAYS` but `object_of_view`)."""
     frames = [network_frame(c) for c in cloud]
@@ -196,7 +210,14 @@ def pack_views(
         neighbours.append(cKDTree(exact).query(exact[:count], k=min(NEIGHBOURS, len(points)))[1])
     rotation, translation = T_camera_object[:, :3, :3], T_camera_object[:, :3, 3]
     to_network = np.concatenate([rotation, (translation - centre)[:, :, None]], axis=2)
-    return {
+    around = [
+        surroundings_arrays(known, frame)
+        for known, frame in zip(evidence or [ViewEvidence()] * len(frames), frames, strict=True)
+    ]
+    columns = (np.stack(column) for column in zip(*around, strict=True))
+    known_around = dict(zip(SURROUNDINGS, columns, strict=True))
+    known_around["maps"] = known_around["maps"].astype(np.float16)
+    return known_around | {
         "clouds": np.stack(packed),
         "neighbours": np.stack(neighbours).astype(np.uint16),
         "cameras": (-centre * scale[:, None]).astype(np.float32),
@@ -224,7 +245,9 @@ def _build(
                 hint="render and label the same meshes again with --force",
             )
         kept = slice(None, _limit(name, limits))
-        arrays: dict[str, NDArray] = pack_views(views.cloud[kept], views.T_camera_object[kept])
+        arrays: dict[str, NDArray] = pack_views(
+            views.cloud[kept], views.T_camera_object[kept], views.evidence[kept]
+        )
         arrays["object_of_view"] = np.full(len(arrays["scale"]), done, np.int32)
         arrays["points"], arrays["sdf"] = labels.points, labels.sdf
         for key, array in arrays.items():

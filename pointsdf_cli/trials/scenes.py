@@ -21,7 +21,7 @@ from pointsdf_cli.simulation.feet import on_its_foot
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
-from pointsdf_cli.simulation.stable_poses import StablePose, StandingConfig, draw_pose
+from pointsdf_cli.geometry.stable_poses import StablePose, StandingConfig, draw_pose
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.protocol import CAMERAS, Trial, TrialObject
 from pointsdf_cli.viz.shading import look_at

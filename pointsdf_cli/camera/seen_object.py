@@ -1,0 +1,143 @@
+"""What a segmentation that errs takes for the object in one depth image of a simulated scene.
+
+Every segmentation errs by a few pixels, and each kind in its own way. One that removes the table's
+plane keeps what stands above it, flying pixels at the silhouette included, and loses the foot. One
+that draws a mask loses a rim of uneven width or takes in a rim of the background.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.camera.table_scene import OBJECT, OTHER, Scene
+from pointsdf_cli.geometry.visibility import (
+    PLANE_BAND,
+    ViewEvidence,
+    VisibilityImage,
+    visibility_image,
+)
+from pointsdf_cli.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SegmentationErrors:
+    """How far off a segmentation may be.
+
+    Attributes:
+        masked: Share of views that are segmented by a mask; the others by the table's plane, where
+            there is a table.
+        offset: By how much a mask is too small (below 0) or too large [sensor px]. A sensor pixel
+            is that of a depth camera with a focal length of `sensor_focal`: images of a longer one
+            were enlarged.
+        sensor_focal: [px].
+        uneven: Standard deviation of the offset along the silhouette, as a share of it.
+        height: Standard deviation of the error of the plane's height [m].
+        tilt: Of its direction [rad].
+    """
+
+    masked: float = 0.45
+    offset: tuple[float, float] = (-4.0, 2.0)
+    sensor_focal: float = 570.0
+    uneven: float = 0.4
+    height: float = 0.001
+    tilt: float = 0.004
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.masked <= 1 or self.offset[0] > self.offset[1]:
+            raise InputError(
+                f"masked = {self.masked}, offset = {self.offset}",
+                allowed="a share from 0 to 1, and two numbers of pixels, the lower one first",
+            )
+
+
+@dataclass(frozen=True)
+class SeenObject:
+    """One object as a camera and a segmentation give it, camera frame, m.
+
+    Attributes:
+        points: [N, 3], taken for the object's.
+        others: [M, 3], all other measured points of the window.
+        support_plane: [4], as it is known, errors included; None if there is none.
+    """
+
+    points: Array
+    others: Array
+    support_plane: Array | None
+
+    def evidence(self, pitch: float) -> ViewEvidence:
+        """What the view knows besides the points; `pitch` as in `visibility_image`."""
+        image: VisibilityImage = visibility_image(
+            self.points, self.others, self.support_plane, pitch
+        )
+        return ViewEvidence(image, self.support_plane)
+
+
+def segment_scene(
+    scene: Scene,
+    measured: NDArray[np.float32],
+    camera: Camera,
+    errors: SegmentationErrors,
+    rng: np.random.Generator,
+) -> SeenObject:
+    """The object of a scene, segmented with errors.
+
+    Args:
+        scene: The exact scene.
+        measured: f4 [h, w], what a sensor gives of its window, 0 where nothing returned.
+        camera: Intrinsics.
+        errors: How far off the segmentation may be.
+        rng: Of the errors.
+    """
+    rows, columns = np.nonzero(measured > 0)
+    left, top = scene.window.origin
+    points = camera.back_project(columns + left, rows + top, measured[rows, columns])
+    plane = _known_plane(scene.support_plane, scene.T_camera_object[:3, 3], errors, rng)
+    above = np.ones(len(points), dtype=bool)
+    if plane is not None:
+        above = points @ plane[:3] - plane[3] > PLANE_BAND
+    if plane is None or rng.random() < errors.masked:
+        mask = _erring_mask(scene, camera, errors, rng)
+    else:
+        # Whatever stands above the plane and hangs together: up to a few pixels of flying ones.
+        near = ndimage.binary_dilation(scene.label == OBJECT, iterations=3)
+        mask = near & (scene.label != OTHER)
+    kept = mask[rows, columns] & above
+    return SeenObject(points[kept], points[~kept], plane)
+
+
+def _known_plane(
+    plane: Array | None, place: Array, errors: SegmentationErrors, rng: np.random.Generator
+) -> Array | None:
+    """The support plane as a fit would give it: off in height below `place` [3] and in tilt."""
+    if plane is None:
+        return None
+    height, tilt = rng.normal(0.0, errors.height), rng.normal(0.0, errors.tilt, 3)
+    foot = place - (plane[:3] @ place - plane[3]) * plane[:3]
+    normal = plane[:3] + tilt
+    normal /= np.linalg.norm(normal)
+    return np.array([*normal, normal @ foot + height])
+
+
+def _erring_mask(
+    scene: Scene, camera: Camera, errors: SegmentationErrors, rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """bool [h, w]: the object's visible pixels, too few or too many at the silhouette."""
+    visible = scene.label == OBJECT
+    sensor_pixel = max(1.0, camera.fx / errors.sensor_focal)
+    offset = rng.uniform(*errors.offset) * sensor_pixel
+    # No mask loses more than most of a thin object.
+    depth_inside = ndimage.distance_transform_edt(visible)
+    offset = max(offset, -0.6 * float(depth_inside.max()))
+    signed = depth_inside - ndimage.distance_transform_edt(~visible)
+    coarse = rng.normal(0.0, errors.uneven * abs(offset) + 0.5 * sensor_pixel, (8, 8))
+    zoom = np.array(visible.shape) / 8
+    uneven = ndimage.zoom(coarse, zoom, order=1, grid_mode=True, mode="nearest")
+    uneven = uneven[: visible.shape[0], : visible.shape[1]]
+    return np.asarray(signed + offset + uneven > 0.0)

@@ -1,0 +1,225 @@
+"""Random table-top scenes around one object, as exact depth: table, neighbours, background.
+
+The object rests on a table in one of its stable poses. Simple bodies stand beside it or in front of
+it; behind the table's edge is a wall, or nothing that a camera could measure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.camera.raycast import DepthWindow, MeshCaster
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import (
+    apply_transform,
+    invert_transform,
+    random_rotation,
+    transform,
+)
+from pointsdf_cli.geometry.stable_poses import StablePose, StandingConfig, draw_pose
+
+Array = NDArray[np.float64]
+
+NOTHING, OBJECT, TABLE, OTHER = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class SceneConfig:
+    """How scenes are drawn.
+
+    Attributes:
+        resting: Share of scenes in which the object rests on a table; in the others it is turned
+            at random and stands in the void.
+        distance: From the camera to the object's centre [m].
+        elevation: Of the camera above the table [rad].
+        neighbours: Most bodies around the object.
+        beside: Share of the neighbours that stand between the object and the camera.
+        gap: Largest gap between a neighbour and the object [m].
+        table_radius: The table ends so far from the object [m].
+        wall: Share of scenes with a wall behind, and its distance behind the object [m]. Without
+            one nothing comes back from beyond the table.
+        margin: Around the object's box in the image, as a share of its longer side.
+    """
+
+    resting: float = 0.85
+    distance: tuple[float, float] = (0.4, 1.6)
+    elevation: tuple[float, float] = (0.2, 1.3)
+    neighbours: int = 3
+    beside: float = 0.3
+    gap: float = 0.12
+    table_radius: tuple[float, float] = (0.1, 1.0)
+    wall: float = 0.6
+    wall_behind: tuple[float, float] = (0.3, 2.5)
+    margin: float = 0.45
+
+    def __post_init__(self) -> None:
+        for name in ("distance", "elevation", "table_radius", "wall_behind"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high:
+                raise InputError(f"{name} from {low} to {high}", allowed="two numbers above 0")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One scene in a window of the image.
+
+    Attributes:
+        window: Exact depth and incidence of everything; depth inf where there is nothing.
+        label: u1 [h, w]: NOTHING, OBJECT, TABLE or OTHER.
+        object_alone: bool [h, w], pixels that would show the object if nothing hid it.
+        T_camera_object: [4, 4].
+        support_plane: f8 [4] in the camera frame (normal up, offset), None if the object does not
+            rest on anything.
+    """
+
+    window: DepthWindow
+    label: NDArray[np.uint8]
+    object_alone: NDArray[np.bool_]
+    T_camera_object: Array
+    support_plane: Array | None
+
+
+def draw_scene(
+    caster: MeshCaster,
+    vertices: Array,
+    poses: list[StablePose],
+    camera: Camera,
+    config: SceneConfig,
+    rng: np.random.Generator,
+) -> Scene:
+    """A random scene around the mesh.
+
+    Args:
+        caster: Of the mesh.
+        vertices: [V, 3], mesh frame, m.
+        poses: Resting poses of the mesh; where it has none it never rests.
+        camera: Intrinsics.
+        config: What may be drawn.
+        rng: Its random numbers decide everything.
+    """
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    distance = rng.uniform(*config.distance)
+    # Off the image's centre by up to a quarter of its half width.
+    aim = rng.uniform(-0.25, 0.25, 2) * [camera.width / camera.fx, camera.height / camera.fy] / 2
+    place = distance * np.array([*aim, 1.0])
+    if not poses or rng.random() >= config.resting:
+        rotation = random_rotation(rng)
+        pose = transform(rotation, place - rotation @ centre)
+        return _compose(caster, pose, None, [], camera, config, rng)
+    index, _ = draw_pose(poses, StandingConfig(standing=0.6), rng)
+    T_table_object = _turned(rng.uniform(0, 2 * np.pi)) @ poses[index].T_table_object
+    resting = apply_transform(T_table_object, vertices)
+    middle = (resting.min(axis=0) + resting.max(axis=0)) / 2
+    T_camera_table = _camera_from_table(rng.uniform(*config.elevation), rng.normal(0, 0.05))
+    T_camera_table[:3, 3] = place - T_camera_table[:3, :3] @ middle
+    bodies = _neighbours(resting, T_camera_table, config, rng)
+    return _compose(
+        caster, T_camera_table @ T_table_object, T_camera_table, bodies, camera, config, rng
+    )
+
+
+def _turned(yaw: float) -> Array:
+    c, s = np.cos(yaw), np.sin(yaw)
+    return transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [0, 0, 0])
+
+
+def _camera_from_table(elevation: float, roll: float) -> Array:
+    """A camera that looks down on z = 0 at an elevation [rad], x to the right, turned by a roll."""
+    c, s = np.cos(elevation), np.sin(elevation)
+    # Rows: the camera's axes in the table's frame, the camera standing towards −y.
+    rotation = np.array([[1, 0, 0], [0, -s, -c], [0, c, -s]])
+    turn = _turned(roll)[:3, :3]
+    return transform(turn @ rotation, np.zeros(3))
+
+
+def _neighbours(
+    resting: Array, T_camera_table: Array, config: SceneConfig, rng: np.random.Generator
+) -> list[trimesh.Trimesh]:
+    """Boxes, cylinders and balls around the object, table frame."""
+    middle = (resting.min(axis=0) + resting.max(axis=0))[:2] / 2
+    reach = float(np.linalg.norm(resting[:, :2] - middle, axis=1).max())
+    eye = invert_transform(T_camera_table)[:2, 3] - middle
+    towards = np.arctan2(eye[1], eye[0])
+    bodies = []
+    for _ in range(rng.integers(config.neighbours + 1)):
+        size = rng.uniform(0.03, 0.16, 3)
+        kind = rng.integers(3)
+        if kind == 0:
+            body = trimesh.creation.box(size)
+        elif kind == 1:
+            body = trimesh.creation.cylinder(size[0] / 2, size[2], sections=24)
+        else:
+            body = trimesh.creation.icosphere(2, size[0] / 2)
+        in_front = rng.random() < config.beside
+        azimuth = towards + rng.normal(0, 0.5) if in_front else rng.uniform(0, 2 * np.pi)
+        body.apply_transform(_turned(rng.uniform(0, 2 * np.pi)))
+        own = float(np.linalg.norm(body.vertices[:, :2], axis=1).max())
+        away = reach + own + rng.uniform(0.003, config.gap)
+        foot = middle + away * np.array([np.cos(azimuth), np.sin(azimuth)])
+        body.apply_translation([*foot, -body.vertices[:, 2].min()])
+        bodies.append(body)
+    return bodies
+
+
+def _compose(
+    caster: MeshCaster,
+    T_camera_object: Array,
+    T_camera_table: Array | None,
+    bodies: list[trimesh.Trimesh],
+    camera: Camera,
+    config: SceneConfig,
+    rng: np.random.Generator,
+) -> Scene:
+    """The nearest of everything in each pixel."""
+    bounds = caster.window_around(T_camera_object, config.margin)
+    alone = caster.cast_window(T_camera_object, window=bounds)
+    depth, cosine = alone.depth.copy(), alone.cosine.copy()
+    label = np.where(np.isfinite(depth), OBJECT, NOTHING).astype(np.uint8)
+    object_alone = label == OBJECT
+    columns, rows = np.arange(bounds[0], bounds[1]), np.arange(bounds[2], bounds[3])
+    rays = np.ones((*depth.shape, 3))
+    rays[..., 0] = (columns - camera.cx) / camera.fx
+    rays[..., 1] = ((rows - camera.cy) / camera.fy)[:, None]
+    length = np.linalg.norm(rays, axis=-1)
+
+    plane = None
+    if T_camera_table is not None:
+        normal, origin = T_camera_table[:3, 2], T_camera_table[:3, 3]
+        plane = np.array([*normal, normal @ origin])
+        down = rays @ normal
+        with np.errstate(divide="ignore"):
+            table = np.where(down < -1e-6, plane[3] / down, np.inf)
+        foot = T_camera_object[:3, 3] - (normal @ T_camera_object[:3, 3] - plane[3]) * normal
+        away = np.linalg.norm(rays * np.where(np.isfinite(table), table, 0)[..., None] - foot, axis=-1)
+        radius = rng.uniform(*config.table_radius)
+        table = np.where((table > 0) & (away < radius), table, np.inf)
+        _put(depth, cosine, label, table, np.abs(down) / length, TABLE)
+    if bodies:
+        joined = trimesh.util.concatenate(bodies)
+        others = MeshCaster(joined.vertices, joined.faces, camera).cast_window(
+            np.eye(4) if T_camera_table is None else T_camera_table, window=bounds
+        )
+        _put(depth, cosine, label, others.depth, others.cosine, OTHER)
+    if rng.random() < config.wall:
+        behind = float(T_camera_object[2, 3]) + rng.uniform(*config.wall_behind)
+        _put(depth, cosine, label, np.full(depth.shape, behind), 1.0 / length, OTHER)
+    window = DepthWindow(alone.origin, depth, cosine)
+    return Scene(window, label, object_alone, T_camera_object, plane)
+
+
+def _put(
+    depth: NDArray[np.float32],
+    cosine: NDArray[np.float32],
+    label: NDArray[np.uint8],
+    new_depth: Array,
+    new_cosine: Array,
+    new_label: int,
+) -> None:
+    """Draw another surface into the images wherever it is nearer."""
+    nearer = new_depth < depth
+    depth[nearer], cosine[nearer], label[nearer] = new_depth[nearer], new_cosine[nearer], new_label

@@ -1,0 +1,123 @@
+"""Free, seen, unknown: what one depth image knows about the space around an object.
+
+A depth image says more than points. Of each pixel it knows one of three things: a point of the
+*object* was seen there; something else was seen, so the ray is *free* up to it; or nothing came
+back, and the pixel is *unknown*. An occluder in front of the object leaves the space behind it
+unknown too: the ray is free only up to the occluder.
+
+`VisibilityImage` keeps this as a coarse image of tangents around the object: for each cell whether
+the object was seen, and the depth up to which the ray holds nothing of the object. `ViewEvidence`
+adds the plane that the object stands on. Both are made alike for simulated views, depth images and
+clouds, so that a network is trained on what it later reads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+
+SIZE = 64
+"""Cells along each side of a visibility image."""
+
+WIDTH = 1.8
+"""Side of the image over the object's largest extent in it: what is hidden at the silhouette's edge
+still lies inside."""
+
+REACH = 1.5
+"""A cell knows what the nearest pixel shows if that is within this many cells or pixels."""
+
+PLANE_BAND = 0.006
+"""Points nearer to the support plane than this [m] belong to it."""
+
+
+class VisibilityImage(NamedTuple):
+    """Three states of the rays around an object.
+
+    Rows run along the camera's y axis, columns along x.
+
+    Attributes:
+        window: f8 [4], left, top, width and height of the image in tangents x/z, y/z.
+        seen: bool [SIZE, SIZE], cells in which the object was seen.
+        free: f4 [SIZE, SIZE], depth [m] along z up to which the ray holds nothing of the object;
+            0 where nothing is known, inf where the whole ray is free.
+    """
+
+    window: Array
+    seen: NDArray[np.bool_]
+    free: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class ViewEvidence:
+    """What is known besides the object's points, camera frame (OpenCV axes), m.
+
+    Attributes:
+        visibility: None where only the object's points are known: all else is unknown then.
+        support_plane: f8 [4], (unit normal n that points up, offset d): n·x = d on the plane that
+            the object stands on; None where it is not known.
+    """
+
+    visibility: VisibilityImage | None = None
+    support_plane: Array | None = None
+
+
+def visibility_image(
+    object_points: ArrayLike,
+    other_points: ArrayLike,
+    support_plane: ArrayLike | None = None,
+    pitch: float | None = None,
+) -> VisibilityImage:
+    """The visibility around an object.
+
+    Args:
+        object_points: [N, 3], N ≥ 1, camera frame, m, z > 0.
+        other_points: [M, 3], all other measured points: table, background, other objects, and
+            pixels that may be the object's but were cut off; camera frame, m. Points outside of
+            the image do not matter.
+        support_plane: [4], as in `ViewEvidence`: rays that end on it hold nothing of the object.
+        pitch: Distance of neighbouring pixels in tangents (1/f); estimated from the points if None.
+    """
+    object_points = np.asarray(object_points, dtype=np.float64).reshape(-1, 3)
+    other_points = np.asarray(other_points, dtype=np.float64).reshape(-1, 3)
+    tangents = object_points[:, :2] / object_points[:, 2:]
+    low, high = tangents.min(axis=0), tangents.max(axis=0)
+    side = WIDTH * max(float((high - low).max()), 1e-4)
+    window = np.array([*((low + high - side) / 2.0), side, side])
+
+    other_points = other_points[other_points[:, 2] > 0]
+    others = other_points[:, :2] / other_points[:, 2:]
+    near = (np.abs(others - (low + high) / 2.0) < 0.6 * side).all(axis=1)
+    other_points, others = other_points[near], others[near]
+    until = other_points[:, 2].copy()
+    if support_plane is not None:
+        plane = np.asarray(support_plane, dtype=np.float64)
+        until[other_points @ plane[:3] - plane[3] < PLANE_BAND] = np.inf
+
+    if pitch is None:
+        pitch = _pitch(np.concatenate([tangents, others]))
+    cell = side / SIZE
+    centres = (np.arange(SIZE) + 0.5) * cell
+    x, y = np.meshgrid(window[0] + centres, window[1] + centres)
+    tree = cKDTree(np.concatenate([tangents, others]))
+    away, index = tree.query(np.stack([x.ravel(), y.ravel()], axis=1))
+    index[away > REACH * max(cell, pitch)] = -1
+    seen = (index >= 0) & (index < len(tangents))
+    # The last entry is that of cells that know nothing.
+    depth = np.concatenate([object_points[:, 2], until, [0.0]])
+    shape = (SIZE, SIZE)
+    return VisibilityImage(window, seen.reshape(shape), depth[index].astype(np.float32).reshape(shape))
+
+
+def _pitch(tangents: Array) -> float:
+    """Median distance of neighbouring points [N, 2]: the pixels' distance where none is missing."""
+    if len(tangents) < 2:
+        return 0.0
+    some = tangents[:: max(1, len(tangents) // 500)]
+    away, _ = cKDTree(tangents).query(some, k=2)
+    return float(np.median(away[:, 1]))
