@@ -1,0 +1,328 @@
+"""Depth sensors: what a real depth camera measures where the exact depth is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera import sensor_effects as effects
+from pointsdf_cli.camera.noise import DepthNoise
+from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.errors import InputError
+
+Image = NDArray[np.float32]
+
+_RANGES = {
+    "focal": (100.0, 10_000.0),
+    "baseline": (0.0, 0.5),
+    "displacement": (0.0, 10.0),
+    "displacement_window": (0.5, 50.0),
+    "registration": (0.0, 10.0),
+    "fattening": (0.0, 20.0),
+    "edge_slope": (1.0, 100.0),
+    "missing_at_edge": (0.0, 1.0),
+    "missing_reach": (0.1, 50.0),
+    "missing_anywhere": (0.0, 1.0),
+    "missing_grazing": (0.0, 1.0),
+    "missing_angle": (0.0, 1.57),
+    "missing_window": (0.5, 50.0),
+    "flying": (0.0, 1.0),
+    "quantisation": (0.0, 2.0),
+    "axial_floor": (0.0, 0.1),
+    "axial_depth": (0.0, 0.1),
+    "axial_incidence": (0.0, 0.01),
+    "disparity_noise": (0.0, 5.0),
+    "noise_window": (0.5, 50.0),
+    "bias": (0.0, 0.1),
+    "bias_window": (10.0, 1000.0),
+}
+
+
+@dataclass(frozen=True)
+class DepthSensor:
+    """A depth camera's errors.
+
+    Lengths in pixels are those of the sensor itself, at its focal length `focal`; they are scaled
+    to the camera that is simulated. A parameter of 0 switches its effect off. Equations and
+    sources: docs/method.md.
+
+    Attributes:
+        name: In `SENSORS`.
+        noise: Gaussian noise of the ideal camera.
+        focal: Focal length of the sensor's own images [px].
+        baseline: From the imager to the projector or the second imager [m].
+        shadow: Side of an object on which the background is not measured: `right` (projector to
+            the left of the imager), `left` (second imager to its right) or `none`.
+        displacement: σ of the lateral displacement of edges [px].
+        displacement_window: Length over which the displacement is correlated [px].
+        registration: σ of the whole image's displacement [px].
+        fattening: Growth of near surfaces over far ones [px].
+        edge_slope: tan of the incidence beyond which two neighbouring pixels are a depth edge.
+        missing_at_edge: Probability of no return at a depth edge.
+        missing_reach: Distance from the edge at which it has fallen to 1/e [px].
+        missing_anywhere: Probability of no return far from edges.
+        missing_grazing: Probability of no return at an incidence of 90°.
+        missing_angle: Incidence from which returns are lost [rad].
+        missing_window: Length over which missing returns are correlated [px].
+        flying: Probability that a pixel at a depth edge measures a depth between both sides.
+        quantisation: Step of the disparity [px].
+        axial_floor, axial_depth, axial_incidence: Coefficients [m], [1/m], [m^1.5] of
+            σ_z = floor + depth·(z − 0.4 m)² + incidence/√z·θ²/(π/2 − θ)².
+        disparity_noise: σ of the disparity [px].
+        noise_window: Length over which axial noise is correlated [px].
+        bias: σ of the low-frequency error at 1 m [m]; grows with z².
+        bias_window: Length over which it is correlated [px].
+
+    Raises:
+        InputError: A parameter is out of its range.
+    """
+
+    name: str
+    noise: DepthNoise = field(default_factory=lambda: DepthNoise(0.0))
+    focal: float = 575.0
+    baseline: float = 0.0
+    shadow: str = "none"
+    displacement: float = 0.0
+    displacement_window: float = 3.0
+    registration: float = 0.0
+    fattening: float = 0.0
+    edge_slope: float = 6.0
+    missing_at_edge: float = 0.0
+    missing_reach: float = 2.0
+    missing_anywhere: float = 0.0
+    missing_grazing: float = 0.0
+    missing_angle: float = 1.0
+    missing_window: float = 2.0
+    flying: float = 0.0
+    quantisation: float = 0.0
+    axial_floor: float = 0.0
+    axial_depth: float = 0.0
+    axial_incidence: float = 0.0
+    disparity_noise: float = 0.0
+    noise_window: float = 1.0
+    bias: float = 0.0
+    bias_window: float = 100.0
+
+    def __post_init__(self) -> None:
+        if self.shadow not in ("none", "left", "right"):
+            raise InputError(
+                f"{self.shadow!r} is no side", where="shadow", allowed="none, left, right"
+            )
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            if not (math.isfinite(value) and low <= value <= high):
+                raise InputError(
+                    f"{name} is {value}",
+                    where=f"sensor {self.name}",
+                    allowed=f"{low:g} to {high:g}",
+                )
+        needs = self.shadow != "none" or self.quantisation > 0 or self.disparity_noise > 0
+        if needs and self.baseline == 0:
+            raise InputError(
+                "baseline is 0", where=f"sensor {self.name}", allowed="above 0 with disparities"
+            )
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether Gaussian noise is the only error."""
+        return not any(
+            getattr(self, name)
+            for name in (
+                *("displacement", "registration", "fattening", "flying", "quantisation", "bias"),
+                *("missing_at_edge", "missing_anywhere", "missing_grazing", "disparity_noise"),
+                *("axial_floor", "axial_depth", "axial_incidence"),
+            )
+        ) and (self.shadow == "none")
+
+    def as_dict(self) -> dict[str, Any]:
+        """All parameters, for `config_json`."""
+        known = {f.name: getattr(self, f.name) for f in fields(self)}
+        return known | {"noise": self.noise.sigma}
+
+    def observe(
+        self,
+        depth: Image,
+        camera: Camera,
+        rng: np.random.Generator,
+        origin: tuple[int, int] = (0, 0),
+        cos_incidence: Image | None = None,
+    ) -> Image:
+        """Measured depths of a scene.
+
+        Args:
+            depth: f4 [h, w], exact depths along z [m] of all that is seen in a window of the
+                camera's image; 0 or inf where there is nothing.
+            camera: Intrinsics of the whole image.
+            rng: Source of the errors.
+            origin: Column and row of the window's first pixel in the image.
+            cos_incidence: f4 [h, w], cosine of the angle between ray and surface normal; None
+                computes it from `depth`.
+
+        Returns:
+            f4 [h, w], measured depths along z [m]; 0 where nothing was returned.
+
+        Raises:
+            InputError: The arrays' shapes differ or have no pixels.
+        """
+        depth = np.asarray(depth, dtype=np.float32)
+        if depth.ndim != 2 or depth.size == 0:
+            raise InputError(f"a depth image of shape {depth.shape}", allowed="[h, w]")
+        if cos_incidence is not None and np.shape(cos_incidence) != depth.shape:
+            raise InputError(
+                f"cosines of shape {np.shape(cos_incidence)} for depths of {depth.shape}"
+            )
+        if self.is_ideal:
+            seen = (depth > 0) & np.isfinite(depth)
+            measured = np.zeros_like(depth)
+            measured[seen] = self.noise.apply(depth[seen], rng)
+            return measured
+        inverse = effects.inverse_depth(depth)
+        if cos_incidence is None:
+            cosine = effects.cos_incidence(inverse, camera, origin)
+        else:
+            cosine = np.asarray(cos_incidence, dtype=np.float32)
+        return self._measure(inverse, cosine, camera, rng)
+
+    def _measure(
+        self, inverse: Image, cosine: Image, camera: Camera, rng: np.random.Generator
+    ) -> Image:
+        """Measured depths [m] of inverse depths [1/m] that are seen at these cosines."""
+        scale = camera.fx / self.focal
+        shadow = None
+        if self.shadow != "none":
+            shadow = effects.shadow(inverse, self.baseline * camera.fx, self.shadow)
+        if self.fattening:
+            inverse = effects.grown(inverse, self.fattening * scale)
+        if self.displacement or self.registration:
+            shift = scale * self.displacement * effects.smooth_noise(
+                (2, *inverse.shape), scale * self.displacement_window, rng
+            ) + scale * self.registration * rng.standard_normal((2, 1, 1), dtype=np.float32)
+            at = effects.displaced(inverse.shape, shift)
+            inverse, cosine = inverse.take(at), cosine.take(at)
+            if shadow is not None:
+                shadow = shadow.take(at)
+        edges = effects.depth_edges(inverse, self.edge_slope / camera.fx)
+        seen = inverse > 0
+        if shadow is not None:
+            seen &= ~shadow
+        seen &= ~self._missing(edges, cosine, scale, rng)
+        if self.flying:
+            inverse = effects.flying_pixels(inverse, edges, self.flying, rng)
+        return self._depths(inverse, cosine, seen, scale, rng)
+
+    def _missing(
+        self, edges: NDArray[np.bool_], cosine: Image, scale: float, rng: np.random.Generator
+    ) -> NDArray[np.bool_]:
+        """Pixels without a return, by distance from a depth edge and by incidence."""
+        reach = self.missing_reach * scale
+        farthest = math.ceil(4 * reach) if self.missing_at_edge else 0
+        distance = effects.edge_distance(edges, farthest)
+        at_edge = self.missing_at_edge * np.exp(-np.arange(farthest + 1) / reach)
+        at_edge[-1] = 0.0
+        angle = effects.INCIDENCES
+        share = np.clip((angle - self.missing_angle) / (np.pi / 2 - self.missing_angle), 0, 1)
+        grazing = self.missing_grazing * share
+        kept = np.multiply.outer(1 - at_edge, 1 - grazing) * (1 - self.missing_anywhere)
+        drawn = effects.smooth_noise(cosine.shape, self.missing_window * scale, rng)
+        return effects.rarer_than(1 - kept, distance, cosine, drawn)
+
+    def _depths(
+        self,
+        inverse: Image,
+        cosine: Image,
+        seen: NDArray[np.bool_],
+        scale: float,
+        rng: np.random.Generator,
+    ) -> Image:
+        """Depths [m] with axial noise, bias and quantised disparity; 0 where not `seen`."""
+        depth: Image = np.float32(1) / np.maximum(inverse, np.float32(1e-3))
+        white = effects.smooth_noise(inverse.shape, self.noise_window * scale, rng)
+        deviation = effects.nguyen_deviation(
+            depth, cosine, self.axial_floor, self.axial_depth, self.axial_incidence
+        )
+        factor = self.focal * self.baseline
+        squared = depth * depth
+        if self.disparity_noise:
+            deviation = np.hypot(deviation, squared * np.float32(self.disparity_noise / factor))
+        depth = depth + deviation * white
+        if self.bias:
+            wave = effects.smooth_noise(inverse.shape, self.bias_window * scale, rng)
+            depth += squared * (np.float32(self.bias) * wave)
+        if self.noise.sigma:
+            depth = self.noise.apply(depth, rng)
+        if self.quantisation:
+            depth = effects.quantised(depth, factor, self.quantisation)
+        measured: Image = np.where(seen & (depth > 0), depth, np.float32(0))
+        return measured
+
+
+SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
+    {
+        sensor.name: sensor
+        for sensor in (
+            # The paper's: Gaussian noise of 1 mm at 1.5 m.
+            DepthSensor("ideal", noise=DepthNoise()),
+            # Asus Xtion, Kinect 1.
+            DepthSensor(
+                "structured-light",
+                focal=575.0,
+                baseline=0.075,
+                shadow="right",
+                displacement=1.0,
+                displacement_window=4.0,
+                registration=0.5,
+                missing_at_edge=0.4,
+                missing_reach=2.0,
+                missing_anywhere=0.03,
+                missing_grazing=0.4,
+                missing_angle=1.0,
+                missing_window=3.0,
+                flying=0.2,
+                quantisation=1 / 24,
+                axial_floor=0.0008,
+                axial_depth=0.0019,
+                axial_incidence=0.0001,
+                noise_window=1.5,
+                bias=0.001,
+            ),
+            # Intel RealSense D415, D435.
+            DepthSensor(
+                "stereo",
+                focal=615.0,
+                baseline=0.05,
+                shadow="left",
+                displacement=1.0,
+                displacement_window=3.0,
+                fattening=1.0,
+                missing_at_edge=0.1,
+                missing_reach=1.0,
+                missing_anywhere=0.003,
+                missing_grazing=0.3,
+                missing_angle=1.2,
+                missing_window=2.0,
+                flying=0.3,
+                quantisation=1 / 32,
+                disparity_noise=0.08,
+                noise_window=2.0,
+                bias=0.001,
+            ),
+        )
+    }
+)
+
+
+def load_sensor(name: str) -> DepthSensor:
+    """The preset `name`.
+
+    Raises:
+        InputError: No such preset.
+    """
+    if name not in SENSORS:
+        raise InputError(f"no sensor {name!r}", where="--sensor", allowed=", ".join(SENSORS))
+    return SENSORS[name]

@@ -1,0 +1,239 @@
+"""Errors of depth cameras, one by one, as functions of images.
+
+Depth z is handled as its inverse w = 1/z, f4 [h, w] in 1/m, 0 where there is nothing: disparity
+is f·b·w, and w is linear in the pixel over any plane.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from pointsdf_cli.camera.pinhole import Camera
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+INCIDENCES = np.arccos((np.arange(64) + 0.5) / 64)
+"""Angles of incidence [rad] that stand for 64 equal steps of the cosine."""
+
+STEEPEST = 1.45
+"""Incidence [rad] beyond which the axial noise grows no more: there it would have no bound."""
+
+
+def inverse_depth(depth: Image) -> Image:
+    """Inverse depths [1/m] of depths [m]; 0 for 0 and inf."""
+    seen = (depth > 0) & np.isfinite(depth)
+    inverse = np.zeros_like(depth)
+    np.divide(np.float32(1), depth, out=inverse, where=seen)
+    return inverse
+
+
+def cos_incidence(inverse: Image, camera: Camera, origin: tuple[int, int] = (0, 0)) -> Image:
+    """Cosine of the angle between ray and surface normal.
+
+    On a plane n·p = c, w = (n/c)·(x, y, 1) with x, y the ray's slopes, so the gradient of w is
+    the normal. Of the differences to either side the smaller is taken: it does not cross an edge.
+
+    Returns:
+        f4 [h, w]; 1 where there is nothing.
+    """
+    rows, columns = inverse.shape
+    x = ((np.arange(columns) + origin[0] - camera.cx) / camera.fx).astype(np.float32)
+    y = ((np.arange(rows) + origin[1] - camera.cy) / camera.fy).astype(np.float32)[:, None]
+    along_x = _smaller_difference(inverse) * np.float32(camera.fx)
+    along_y = _smaller_difference(inverse.T).T * np.float32(camera.fy)
+    along_z = inverse - along_x * x - along_y * y
+    length = (along_x * along_x + along_y * along_y + along_z * along_z) * (x * x + y * y + 1)
+    cosine = np.ones_like(inverse)
+    np.divide(inverse, np.sqrt(length), out=cosine, where=inverse > 0)
+    return np.minimum(cosine, np.float32(1))
+
+
+def _smaller_difference(values: Image) -> Image:
+    """Difference to the next or from the last pixel of a row, whichever is smaller."""
+    found = np.zeros_like(values)
+    step = values[:, 1:] - values[:, :-1]
+    if step.shape[1] == 0:
+        return found
+    found[:, 0], found[:, -1] = step[:, 0], step[:, -1]
+    before, after = step[:, :-1], step[:, 1:]
+    found[:, 1:-1] = np.where(np.abs(before) < np.abs(after), before, after)
+    return found
+
+
+def smooth_noise(shape: tuple[int, ...], window: float, rng: np.random.Generator) -> Image:
+    """Gaussian noise of unit variance, correlated over about `window` pixels.
+
+    Args:
+        shape: [..., h, w].
+        window: Distance of the cubic B-splines [px]; 1 or less gives white noise.
+    """
+    if window <= 1:
+        return rng.standard_normal(shape, dtype=np.float32)
+    down, across = _splines(shape[-2], window), _splines(shape[-1], window)
+    drawn = rng.standard_normal((*shape[:-2], down.shape[1], across.shape[1]), dtype=np.float32)
+    smooth: Image = down @ drawn @ across.T
+    return smooth
+
+
+@lru_cache(maxsize=64)
+def _splines(pixels: int, window: float) -> Image:
+    """Cubic B-splines [pixels, knots], a knot every `window` pixels, rows of unit norm."""
+    knots = np.arange(-1, math.ceil((pixels - 1) / window) + 2)
+    away = np.abs(np.arange(pixels)[:, None] / window - knots)
+    weight = np.where(away < 1, 2 / 3 - away**2 + away**3 / 2, np.clip(2 - away, 0, None) ** 3 / 6)
+    weight /= np.linalg.norm(weight, axis=1, keepdims=True)
+    found: Image = weight.astype(np.float32)
+    found.flags.writeable = False
+    return found
+
+
+def displaced(shape: tuple[int, ...], shift: Image) -> NDArray[np.int32]:
+    """Flat indices [h, w] of the pixels looked up at a displacement (u, v) [2, h, w] [px]."""
+    rows, columns = shape
+    shift = np.rint(shift).astype(np.int32)
+    u = np.arange(columns, dtype=np.int32) + shift[0]
+    v = np.arange(rows, dtype=np.int32)[:, None] + shift[1]
+    np.clip(u, 0, columns - 1, out=u)
+    np.clip(v, 0, rows - 1, out=v)
+    v *= np.int32(columns)
+    v += u
+    return v
+
+
+def grown(inverse: Image, radius: float) -> Image:
+    """Near surfaces grown over far ones by about `radius` pixels."""
+    found = inverse
+    for _ in range(round(radius)):
+        found = _dilated(found)
+    return found
+
+
+def _dilated(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Maximum over each pixel and its four neighbours."""
+    found = values.copy()
+    for to, of in (
+        (np.s_[1:], np.s_[:-1]),
+        (np.s_[:-1], np.s_[1:]),
+        (np.s_[:, 1:], np.s_[:, :-1]),
+        (np.s_[:, :-1], np.s_[:, 1:]),
+    ):
+        np.maximum(found[to], values[of], out=found[to])
+    return found
+
+
+def shadow(inverse: Image, factor: float, side: str) -> Mask:
+    """Surfaces that a projector or second imager beside the camera does not reach.
+
+    A point at column u lies at u ± f·b·w in the other's image. It is hidden if a nearer point, on
+    the side of the other, lies farther along.
+
+    Args:
+        inverse: Inverse depths.
+        factor: f·b [px·m].
+        side: Side of an object on which the shadow falls, `left` or `right`.
+    """
+    step = 1 if side == "right" else -1
+    ordered = inverse[:, ::step]
+    other = np.arange(inverse.shape[1], dtype=np.float32) + np.float32(factor) * ordered
+    farthest = np.maximum.accumulate(other, axis=1)
+    # Half a pixel is what a column covers itself.
+    return ((other < farthest - 0.5) & (ordered > 0))[:, ::step]
+
+
+def depth_edges(inverse: Image, relative: float) -> Mask:
+    """Pixels beside a neighbour whose depth differs by more than `relative` of it."""
+    found = np.zeros(inverse.shape, dtype=bool)
+    for near, far in (
+        (np.s_[1:], np.s_[:-1]),
+        (np.s_[:, 1:], np.s_[:, :-1]),
+    ):
+        one, other = inverse[near], inverse[far]
+        jump = np.abs(one - other) > np.float32(relative) * np.minimum(one, other)
+        found[near] |= jump
+        found[far] |= jump
+    return found
+
+
+def edge_distance(edges: Mask, farthest: int) -> NDArray[np.uint8]:
+    """Distance [h, w] to the nearest edge in steps along rows and columns [px], at most
+    `farthest`."""
+    near = edges.astype(np.uint8)
+    distance = np.full(edges.shape, farthest, dtype=np.uint8)
+    for _ in range(farthest):
+        distance -= near
+        near = _dilated(near)
+    return distance
+
+
+def rarer_than(
+    probability: NDArray[np.float64],
+    distance: NDArray[np.uint8],
+    cosine: Image,
+    drawn: Image,
+) -> Mask:
+    """Pixels whose normal number `drawn` falls into the share that `probability` gives.
+
+    Args:
+        probability: [D, 64], by distance [px] and by cosine in `INCIDENCES`' steps.
+        distance: [h, w], below D.
+        cosine: [h, w], 0 to 1.
+        drawn: [h, w], normally distributed.
+    """
+    limit = ndtri(np.clip(probability, 1e-12, 1 - 1e-12)).astype(np.float32)
+    steps = len(INCIDENCES)
+    index = np.minimum((cosine * steps).astype(np.int32), steps - 1)
+    index += distance.astype(np.int32) * np.int32(steps)
+    return drawn < limit.ravel().take(index)
+
+
+def flying_pixels(inverse: Image, edges: Mask, share: float, rng: np.random.Generator) -> Image:
+    """Inverse depths of which a `share` of those at edges lies between both sides."""
+    at = np.flatnonzero(edges)
+    at = at[rng.random(len(at), dtype=np.float32) < share]
+    if not len(at):
+        return inverse
+    nearest, farthest = _dilated(inverse).ravel()[at], -_dilated(-inverse).ravel()[at]
+    found = inverse.copy()
+    between = rng.random(len(at), dtype=np.float32)
+    # Where one side is nothing there is no depth between.
+    mixed = np.where(farthest > 0, farthest + between * (nearest - farthest), found.ravel()[at])
+    found.ravel()[at] = mixed
+    return found
+
+
+def nguyen_deviation(
+    depth: Image, cosine: Image, floor: float, by_depth: float, by_incidence: float
+) -> Image:
+    """σ_z [m] = floor + by_depth·(z − 0.4)² + by_incidence/√z·θ²/(π/2 − θ)².
+
+    Nguyen, Izadi and Lovell 2012, "Modeling Kinect sensor noise for improved 3D reconstruction
+    and tracking", eq. 5; θ is bounded by `STEEPEST`.
+    """
+    away = depth - np.float32(0.4)
+    deviation: Image = np.float32(floor) + np.float32(by_depth) * away * away
+    if by_incidence:
+        angle = np.minimum(INCIDENCES, STEEPEST)
+        grows = (by_incidence * angle**2 / (np.pi / 2 - angle) ** 2).astype(np.float32)
+        index = np.minimum((cosine * len(grows)).astype(np.int32), len(grows) - 1)
+        deviation += grows.take(index) / np.sqrt(depth)
+    return deviation
+
+
+def quantised(depth: Image, factor: float, step: float) -> Image:
+    """Depths whose disparity factor/z [px] is rounded to whole steps.
+
+    Args:
+        depth: [h, w], m.
+        factor: f·b [px·m].
+        step: Of the disparity [px].
+    """
+    scaled = np.float32(factor / step)
+    steps = np.rint(scaled / np.maximum(depth, np.float32(1e-3)))
+    found: Image = scaled / np.maximum(steps, np.float32(1))
+    return found
