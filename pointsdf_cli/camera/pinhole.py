@@ -84,6 +84,9 @@ CAMERAS = {
     "reference": from_field_of_view(640, 480, 0.820305),
     # The depth camera of a Kinect 2: nominal values of its factory calibration.
     "kinect2": Camera(512, 424, 365.456, 365.456, 254.878, 205.395),
+    # Nominal depth cameras of an Asus Xtion and of a RealSense D415.
+    "xtion": Camera(640, 480, 575.0, 575.0, 319.5, 239.5),
+    "realsense": Camera(640, 480, 617.0, 617.0, 319.5, 239.5),
 }
 
 

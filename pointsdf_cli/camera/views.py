@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.camera.noise import DepthNoise
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.camera.raycast import DepthPatch, MeshCaster, depth_image
+from pointsdf_cli.camera.scene_views import SceneViewConfig, SceneViews
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import random_rotation, transform
 from pointsdf_cli.io.batch import task_seed
@@ -41,6 +42,8 @@ class ViewConfig:
         unit: Unit of the mesh file's numbers.
         above: Only from above the horizon, z up as the mesh stands: what an open vessel holds is
             then seen, as it is on a table.
+        scene: Views of random table-top scenes, measured by a sensor and segmented with errors; the
+            distance, the noise, `above` and `keep_depth` are not used then.
 
     Raises:
         InputError: A value is out of its range.
@@ -53,6 +56,7 @@ class ViewConfig:
     keep_depth: bool = False
     unit: str = "m"
     above: bool = False
+    scene: SceneViewConfig | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.views <= 100_000:
@@ -65,6 +69,8 @@ class ViewConfig:
         known = asdict(self)
         if not self.above:
             del known["above"]
+        if self.scene is None:
+            del known["scene"]
         return known
 
 
@@ -121,6 +127,8 @@ def render_views(
     Raises:
         InputError: The mesh is too small or too large for the camera at this distance.
     """
+    if config.scene is not None:
+        return _scene_views(mesh, config, config.scene, rng)
     caster = MeshCaster(mesh.vertices, mesh.faces, config.camera)
     centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     clouds = np.empty((config.views, CLOUD_SIZE, 3), dtype=np.float32)
@@ -163,16 +171,41 @@ def render_views(
     return views, redrawn
 
 
+def _scene_views(
+    mesh: LoadedMesh, config: ViewConfig, scene: SceneViewConfig, rng: np.random.Generator
+) -> tuple[Views, int]:
+    drawer = SceneViews(mesh, config.camera, scene)
+    drawn = [drawer.draw(rng) for _ in range(config.views)]
+    clouds = [view.points[_sample(len(view.points), CLOUD_SIZE, rng)] for view, _ in drawn]
+    views = Views(
+        cloud=np.stack(clouds).astype(np.float32),
+        T_camera_object=np.stack([view.T_camera_object for view, _ in drawn]),
+        K=config.camera.K,
+        image_size=(config.camera.width, config.camera.height),
+        noise=config.noise.sigma,
+        mesh_file=mesh.name,
+        mesh_hash=mesh.sha256,
+        mesh_repair=mesh.repair,
+        evidence=tuple(view.evidence for view, _ in drawn),
+    )
+    return views, sum(vain for _, vain in drawn)
+
+
 def sample_cloud(
     patch: DepthPatch, camera: Camera, rng: np.random.Generator, count: int = CLOUD_SIZE
 ) -> NDArray[np.float64]:
     """`count` points [count, 3] of a patch, camera frame, m; each pixel once before any twice."""
-    pixels = len(patch.u)
-    chosen = (
-        rng.permutation(pixels)[:count]
-        if pixels < 4 * count
-        else rng.choice(pixels, count, replace=False, shuffle=False)
-    )
-    if pixels < count:
-        chosen = np.concatenate([chosen, rng.integers(pixels, size=count - pixels)])
+    chosen = _sample(len(patch.u), count, rng)
     return camera.back_project(patch.u[chosen], patch.v[chosen], patch.depth[chosen])
+
+
+def _sample(total: int, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """`count` indices below `total`, each once before any twice."""
+    chosen = (
+        rng.permutation(total)[:count]
+        if total < 4 * count
+        else rng.choice(total, count, replace=False, shuffle=False)
+    )
+    if total < count:
+        chosen = np.concatenate([chosen, rng.integers(total, size=count - total)])
+    return chosen

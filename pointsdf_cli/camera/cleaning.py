@@ -1,0 +1,228 @@
+"""Points that no surface returned: flying pixels, outliers and specks.
+
+A camera that matches patterns reports depths between an object and what is behind it, lone points,
+and small detached groups of points. A network that centres and scales its input by all points is
+misled by a single one of them.
+
+Distances are taken in a space in which the camera samples evenly: pixel directions, and the
+logarithm of depth compressed by `SLANT`, so that a steeply seen surface is still one surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage, sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from pointsdf_cli.errors import InputError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SLANT = 4.0
+"""Depth steps are divided by this: tan of the angle (76°) up to which sampling looks even."""
+
+
+@dataclass(frozen=True)
+class CleaningConfig:
+    """What counts as no surface.
+
+    Attributes:
+        neighbours: A point is judged by the distance to this neighbour.
+        isolation: It is isolated if that is more than this many times the median's.
+        part_share: A detached group with at least this share of all points is a part of the object
+            however far away it is.
+        part_gap: A smaller group may be this far [m] from what is kept, or the object's size times
+            its share over `part_share` if that is more; else it is a speck.
+        tiny_share, tiny_gap: A group with less than this share may be this far [m].
+    """
+
+    neighbours: int = 4
+    isolation: float = 4.0
+    part_share: float = 0.2
+    part_gap: float = 0.03
+    tiny_share: float = 0.005
+    tiny_gap: float = 0.015
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.neighbours <= 32 or self.isolation <= 1:
+            raise InputError(
+                f"{self.neighbours} neighbours and an isolation of {self.isolation}",
+                allowed="1 to 32 neighbours, an isolation above 1",
+            )
+
+
+@dataclass(frozen=True)
+class Cleaning:
+    """Which of N points are kept, and how many are not, by cause.
+
+    Attributes:
+        kept: bool [N].
+        flying: Points between a nearer and a farther surface.
+        outliers: Points with no others near them.
+        specks: Points of small detached groups.
+    """
+
+    kept: Mask
+    flying: int = 0
+    outliers: int = 0
+    specks: int = 0
+
+    @property
+    def dropped(self) -> int:
+        """The number of points that are not kept."""
+        return self.flying + self.outliers + self.specks
+
+    def report(self) -> str:
+        """One sentence for the user; empty if everything was kept."""
+        named = (
+            (self.flying, "flying pixels"),
+            (self.outliers, "outliers"),
+            (self.specks, "in specks"),
+        )
+        said = ", ".join(f"{count} {name}" for count, name in named if count)
+        return f"cleaning dropped {self.dropped} of {len(self.kept)} points: {said}" if said else ""
+
+
+def clean(
+    points: ArrayLike, config: CleaningConfig | None = None, specks: bool = True
+) -> Cleaning:
+    """Find the points of a cloud that no surface returned.
+
+    Args:
+        points: [N, 3], camera frame, m; finite. Where some lie behind the camera, the viewpoint
+            is unknown and plain distances are used.
+        config: Thresholds.
+        specks: Also drop small detached groups. Only for a cloud of one object: in a scene they
+            may be objects.
+
+    Raises:
+        InputError: Not [N, 3].
+    """
+    config = config or CleaningConfig()
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"a cloud of shape {points.shape}", allowed="[N, 3]")
+    if len(points) < 4 * config.neighbours:
+        return Cleaning(np.ones(len(points), dtype=bool))
+    even, seen_from_camera = _evenly_sampled(points)
+    tree = cKDTree(even, compact_nodes=False, balanced_tree=False)
+    distance, neighbour = tree.query(even, k=config.neighbours + 1)
+    pitch = _typical(distance[:, -1])
+    isolated = distance[:, -1] > config.isolation * pitch
+    kept = ~isolated
+    flying = 0
+    if seen_from_camera:
+        flying = _count_flying(even, isolated, config.isolation * pitch)
+    outliers = int(isolated.sum()) - flying
+    dropped = np.zeros(len(points), dtype=bool)
+    if specks:
+        close = distance[:, 1:] <= config.isolation * pitch
+        dropped = _specks(points, neighbour[:, 1:], close, kept, config)
+    return Cleaning(kept & ~dropped, flying, outliers, int(dropped.sum()))
+
+
+def flying_pixels(depth: NDArray[np.floating], focal: float) -> Mask:
+    """Pixels of a depth image that lie between a nearer and a farther surface.
+
+    A pixel belongs to a surface if at least three of its eight neighbours continue it: their depth
+    differs by no more than a surface seen at 81° does from pixel to pixel, plus noise.
+
+    Args:
+        depth: [height, width], m along z; 0 where nothing returned.
+        focal: Focal length [px].
+
+    Returns:
+        bool [height, width], False where nothing returned.
+    """
+    z = np.pad(np.asarray(depth, dtype=np.float32), 1)
+    middle = z[1:-1, 1:-1]
+    # 0.2 % of the depth at 1 m is three deviations of a structured-light camera's noise.
+    step = np.float32(6.0 / focal) * middle + np.float32(0.006) * middle**2
+    count = np.zeros(middle.shape, dtype=np.uint8)
+    height, width = middle.shape
+    for down in range(3):
+        for right in range(3):
+            if (down, right) != (1, 1):
+                beside = z[down : down + height, right : right + width]
+                count += np.abs(beside - middle) <= step
+    return (middle > 0) & (count < 3)
+
+
+def small_regions(mask: Mask, fewest: int) -> Mask:
+    """Pixels [height, width] of `mask` in connected regions of fewer than `fewest` pixels."""
+    label, _ = ndimage.label(mask, structure=np.ones((3, 3)))
+    return mask & (np.bincount(label.ravel())[label] < fewest)
+
+
+def _evenly_sampled(points: Array) -> tuple[Array, bool]:
+    """Points [N, 3] in the space where the camera samples evenly [m at the median depth]."""
+    z = points[:, 2]
+    if not (z > 0).all():
+        return points, False
+    middle = float(np.median(z))
+    even = np.empty_like(points)
+    even[:, :2] = points[:, :2] * (middle / z)[:, None]
+    even[:, 2] = np.log(z / middle) * (middle / SLANT)
+    return even, True
+
+
+def _typical(distance: Array) -> float:
+    """The median of the distances; of those above 0 where most points are repeated."""
+    middle = float(np.median(distance))
+    if middle > 0:
+        return middle
+    above = distance[distance > 0]
+    return float(np.median(above)) if len(above) else np.inf
+
+
+def _count_flying(even: Array, isolated: Mask, near: float) -> int:
+    """How many isolated points have kept points beside them in the image, and so jump in depth."""
+    lone = even[isolated, :2]
+    if not len(lone) or isolated.all():
+        return 0
+    image = cKDTree(even[~isolated, :2], compact_nodes=False, balanced_tree=False)
+    return int((image.query(lone)[0] <= near).sum())
+
+
+def _specks(
+    points: Array, neighbour: NDArray[np.intp], close: Mask, kept: Mask, config: CleaningConfig
+) -> Mask:
+    """Kept points in small groups that are detached from the largest group and what is near it."""
+    count = len(points)
+    rows = np.repeat(np.arange(count), neighbour.shape[1])
+    joined = close.ravel() & kept[rows] & kept[neighbour.ravel()]
+    ends = rows[joined], neighbour.ravel()[joined]
+    graph = sparse.coo_array((np.ones(len(ends[0]), dtype=np.int8), ends), (count, count))
+    _, label = connected_components(graph, directed=False)
+    sizes = np.bincount(label, weights=kept).astype(np.int64)
+    dropped = np.zeros(count, dtype=bool)
+    if sizes.max() == kept.sum():
+        return dropped
+    body = label == sizes.argmax()
+    extent = float(np.ptp(points[body], axis=0).max())
+    total = int(kept.sum())
+    # The largest first: a handle's far end may hang on its near end.
+    order = np.argsort(-sizes, kind="stable")[1:]
+    for one in order[sizes[order] >= config.tiny_share * total]:
+        group, share = kept & (label == one), sizes[one] / total
+        limit = max(config.part_gap, extent * share / config.part_share)
+        if share < config.part_share and _gap(points[body], points[group]) > limit:
+            dropped |= group
+        else:
+            body |= group
+    tiny = kept & ~body & ~dropped
+    gaps = np.full(len(sizes), np.inf)
+    np.minimum.at(gaps, label[tiny], cKDTree(points[body]).query(points[tiny])[0])
+    dropped |= tiny & (gaps[label] > config.tiny_gap)
+    # What falls apart so far is no one body with specks around it.
+    return dropped if 2 * dropped.sum() < total else np.zeros(count, dtype=bool)
+
+
+def _gap(points: Array, others: Array) -> float:
+    """The least distance [m] between points [N, 3] and others [M, 3]."""
+    return float(cKDTree(points).query(others)[0].min())

@@ -1,0 +1,137 @@
+"""Views of one object as a depth camera over a table and a segmentation that errs give them.
+
+Each view: a random scene (`table_scene.py`), what a sensor measures of it (`sensor.py`), what a
+segmentation takes for the object (`seen_object.py`), and what cleaning keeps of that, as at run
+time. The cloud, the free space around it and the support plane are stored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.cleaning import clean
+from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.camera.seen_object import SeenObject, SegmentationErrors, segment_scene
+from pointsdf_cli.camera.sensor import SENSORS, load_sensor
+from pointsdf_cli.camera.table_scene import OBJECT, Scene, SceneConfig, draw_scene
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.stable_poses import StablePose, stable_poses
+from pointsdf_cli.geometry.visibility import ViewEvidence
+from pointsdf_cli.io.meshes import LoadedMesh
+
+FEWEST_POINTS = 60
+"""A view of fewer points of the object is drawn again."""
+MOST_HIDDEN = 0.45
+"""A view in which more of the object's pixels are hidden is drawn again."""
+REDRAWS = 30
+
+
+@dataclass(frozen=True)
+class SceneViewConfig:
+    """How a view is made.
+
+    Attributes:
+        sensors: Names in `SENSORS`; each view is measured by one of them.
+        scene: What stands where.
+        errors: How far off the segmentation is.
+
+    Raises:
+        InputError: No sensor, or one that does not exist.
+    """
+
+    sensors: tuple[str, ...] = ("structured-light", "stereo")
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    errors: SegmentationErrors = field(default_factory=SegmentationErrors)
+
+    def __post_init__(self) -> None:
+        if not self.sensors:
+            raise InputError("no sensor", where="--sensor", allowed=", ".join(SENSORS))
+        for name in self.sensors:
+            load_sensor(name)
+
+
+@dataclass(frozen=True)
+class SceneView:
+    """One view.
+
+    Attributes:
+        points: [N, 3], the object's points, camera frame, m.
+        T_camera_object: [4, 4].
+        evidence: About the space around it.
+    """
+
+    points: NDArray[np.float64]
+    T_camera_object: NDArray[np.float64]
+    evidence: ViewEvidence
+
+
+class SceneViews:
+    """Draws views of one mesh.
+
+    Args:
+        mesh: The object.
+        camera: Intrinsics.
+        config: How views are made.
+    """
+
+    def __init__(
+        self, mesh: LoadedMesh, camera: Camera, config: SceneViewConfig | None = None
+    ) -> None:
+        self._camera, self._config = camera, config or SceneViewConfig()
+        self._sensors = [load_sensor(name) for name in self._config.sensors]
+        self._vertices = mesh.vertices
+        self._caster = MeshCaster(mesh.vertices, mesh.faces, camera)
+        self._poses = _resting(mesh)
+
+    def draw(self, rng: np.random.Generator) -> tuple[SceneView, int]:
+        """A view, and how many were drawn in vain before it.
+
+        Raises:
+            InputError: The object is never seen well enough.
+        """
+        config, camera = self._config, self._camera
+        for vain in range(REDRAWS):
+            scene = draw_scene(
+                self._caster, self._vertices, self._poses, camera, config.scene, rng
+            )
+            if _hidden(scene) > MOST_HIDDEN:
+                continue
+            sensor = self._sensors[rng.integers(len(self._sensors))]
+            window = scene.window
+            measured = sensor.observe(window.depth, camera, rng, window.origin, window.cosine)
+            seen = segment_scene(scene, measured, camera, config.errors, rng)
+            if len(seen.points) < FEWEST_POINTS:
+                continue
+            kept = clean(seen.points).kept
+            if kept.sum() < FEWEST_POINTS:
+                continue
+            # What cleaning drops lies between surfaces: of its pixels nothing is known.
+            seen = SeenObject(seen.points[kept], seen.others, seen.support_plane)
+            view = SceneView(seen.points, scene.T_camera_object, seen.evidence(1.0 / camera.fx))
+            return view, vain
+        raise InputError(
+            f"{REDRAWS} scenes showed fewer than {FEWEST_POINTS} points of it",
+            hint="check its size and unit, or choose another --camera",
+        )
+
+
+def _hidden(scene: Scene) -> float:
+    """Share of the object's pixels that something else hides."""
+    total = int(scene.object_alone.sum())
+    return 1.0 if total == 0 else 1.0 - int((scene.label == OBJECT).sum()) / total
+
+
+def _resting(mesh: LoadedMesh) -> list[StablePose]:
+    """Resting poses; none for a mesh whose centre of mass is not known."""
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    if not np.isfinite(solid.volume) or solid.volume <= 1e-9:
+        return []
+    try:
+        return stable_poses(mesh.vertices, np.asarray(solid.center_mass))
+    except InputError:
+        return []
