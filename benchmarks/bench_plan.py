@@ -23,6 +23,7 @@ import numpy as np
 import torch
 from plan_scenes import TableScene, table_scenes
 
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.io.plans import OK, Plan, write_plan
 from pointsdf_cli.planning.answer import METHODS, Answer, GraspPlanner, PlanOptions
@@ -94,11 +95,11 @@ def run(
     judge, rows = Judge(planner.robot), []
     first = scenes[0]
     if planner.options.solver == "sqp":  # compile the step's program, load libraries
-        planner.plan(first.points, first.T_world_camera)
+        planner.plan([View(first.points, first.T_world_camera)])
     for k in range(len(scenes)) if chosen is None else chosen:
         scene = scenes[k]
         wall, cpu = time.perf_counter(), time.process_time()
-        answer = planner.plan(scene.points, scene.T_world_camera, seed=k)
+        answer = planner.plan([View(scene.points, scene.T_world_camera)], seed=k)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         plan = answer.plan
         row: dict[str, object] = {

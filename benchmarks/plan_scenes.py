@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from pointsdf_cli.camera.segmentation import segment_object
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, transform
+from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose, stable_poses
 from pointsdf_cli.io.meshes import load_mesh
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.simulation.observe import Observer
 from pointsdf_cli.simulation.sim_object import SimObject
-from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose, stable_poses
 from pointsdf_cli.viz.shading import look_at
 
 Array = NDArray[np.float64]

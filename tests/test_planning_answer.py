@@ -12,10 +12,11 @@ from torch import Tensor
 
 from pointsdf_cli.camera.pinhole import CAMERAS
 from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.plans import OK
-from pointsdf_cli.planning.answer import GraspPlanner, PlanOptions, View
+from pointsdf_cli.planning.answer import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.fields import (
     Field,
     MeanField,
@@ -91,14 +92,14 @@ def partial() -> GraspPlanner:
 
 
 def test_a_can_gets_a_plan_that_the_true_can_allows(planner: GraspPlanner) -> None:
-    answer = planner.plan(*vars(VIEW).values(), seed=1)
+    answer = planner.plan([VIEW], seed=1)
     assert answer.plan.status == OK, answer.plan.sentence
     assert answer.plan.kind == "side"
     assert answer.reconstruction is not None
     np.testing.assert_array_equal(answer.candidates[0], answer.plan.q)
     stages = ("reconstruction", "score", "configuration", "motion")
     assert all(answer.plan.timings[stage] >= 0 for stage in stages)
-    again = planner.plan(*vars(VIEW).values(), seed=1)
+    again = planner.plan([VIEW], seed=1)
     np.testing.assert_array_equal(again.plan.trajectory, answer.plan.trajectory)
 
 
@@ -107,7 +108,7 @@ def test_the_motion_uses_the_share_of_the_speed_limits_that_is_asked_for() -> No
     for speed in (0.5, 0.1):
         options = PlanOptions(method="partial-view", synthesis=SMALL, speed=speed)
         asked = GraspPlanner(options, CanModel())
-        plan = asked.plan(*vars(VIEW).values(), seed=1).plan
+        plan = asked.plan([VIEW], seed=1).plan
         assert plan.status == OK
         fastest = np.abs(np.diff(plan.trajectory, axis=0)) / np.diff(plan.times)[:, None]
         share = (fastest / asked.robot.velocity).max()
@@ -124,34 +125,34 @@ def test_reconstruction_fills_the_can_and_the_partial_view_does_not(
     planner: GraspPlanner, partial: GraspPlanner
 ) -> None:
     middle = np.array([CAN])
-    filled = planner.see(*vars(VIEW).values()).target
-    seen = partial.see(*vars(VIEW).values()).target
+    filled = planner.see([VIEW]).target
+    seen = partial.see([VIEW]).target
     assert filled.field(middle)[0] < -0.02
     # Nothing was seen within a radius of the axis: the surface there is one voxel thick.
     assert 0.02 < seen.field(middle)[0] < RADIUS + 0.005
     on_the_far_side = np.array([[CAN[0] - RADIUS, 0.0, CAN[2]]])
     assert abs(filled.field(on_the_far_side)[0]) < 0.015
     assert seen.field(on_the_far_side)[0] > 0.02
-    assert partial.see(*vars(VIEW).values()).reconstruction is None
+    assert partial.see([VIEW]).reconstruction is None
 
 
 def test_the_score_reads_the_methods_own_field_whatever_constrains(planner: GraspPlanner) -> None:
     truth = CylinderField(RADIUS, HEIGHT, CAN)
-    own = planner.see(*vars(VIEW).values())
-    given = planner.see(*vars(VIEW).values(), field=truth)
+    own = planner.see([VIEW])
+    given = planner.see([VIEW], field=truth)
     assert given.target.field is truth
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3)) + CAN
     assert isinstance(given.target.score, CanGrasps)
     assert isinstance(own.target.score, CanGrasps)
     np.testing.assert_array_equal(given.target.score.field(points), own.target.score.field(points))
-    without = planner.see(*vars(VIEW).values(), field="none")
+    without = planner.see([VIEW], field="none")
     assert without.target.field(points).min() > 0.5
 
 
 def test_two_views_are_the_mean_of_both_and_what_they_saw(planner: GraspPlanner) -> None:
     other = can_view(2.0)
-    first, second = (planner.see(*vars(view).values()) for view in (VIEW, other))
-    joint = planner.see(*vars(VIEW).values(), more=(other,))
+    first, second = (planner.see([view]) for view in (VIEW, other))
+    joint = planner.see([VIEW, other])
     completed = [ReconstructionField(sight.reconstruction) for sight in (first, second)]
     both = UnionField(MeanField(completed), SeenField(joint.points))
     points = np.random.default_rng(0).uniform(-0.08, 0.08, (50, 3)) + CAN
@@ -176,7 +177,7 @@ def test_the_hand_keeps_off_what_was_seen_where_the_network_saw_nothing(
     wire = np.array(CAN) + np.column_stack([np.zeros((8, 2)), HEIGHT / 2 + 0.004 * np.arange(8)])
     T = VIEW.T_world_camera
     seen = np.concatenate([VIEW.points, (wire - T[:3, 3]) @ T[:3, :3]])
-    sight = planner.see(seen, T)
+    sight = planner.see([View(seen, T)])
     beside = wire[-1:] + [0.0, 0.01, 0.0]
     assert ReconstructionField(sight.reconstruction)(beside)[0] > 0.012
     for field in (sight.target.field, sight.target.kept):
@@ -221,7 +222,7 @@ def test_low_things_are_grasped_from_the_top_first(planner: GraspPlanner) -> Non
 
 
 def test_what_no_ranking_wants_is_no_plan(planner: GraspPlanner) -> None:
-    answer = planner.plan(*vars(VIEW).values(), seed=1, rank=lambda candidates: [])
+    answer = planner.plan([VIEW], seed=1, rank=lambda candidates: [])
     assert (answer.plan.status, answer.plan.reason) == ("no_plan", "low_success_probability")
     assert not len(answer.candidates)
 
@@ -240,7 +241,7 @@ def test_a_field_without_inside_is_no_object(planner: GraspPlanner) -> None:
     far = CylinderField(0.01, 0.02, (9.0, 9.0, 9.0))
     with pytest.raises(EmptyFieldError):
         given_object(far, np.array([CAN]))
-    answer = planner.plan(*vars(VIEW).values(), field=far)
+    answer = planner.plan([VIEW], field=far)
     assert (answer.plan.status, answer.plan.reason) == ("no_plan", "no_object")
     assert answer.target is None
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from planning_worlds import SphereField
 
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.planning.answer import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.redraws import Redraws
@@ -60,12 +61,12 @@ def test_as_many_draws_are_completed_as_are_asked_for_and_they_differ() -> None:
     pose = np.eye(4)
     pose[:3, 3] = [0.6, 0.0, -0.7]
     planner = GraspPlanner(PlanOptions(redraws=2))
-    sight = planner.see(points, pose, seed=5)
+    sight = planner.see([View(points, pose)], seed=5)
     behind = np.array([[0.6, 0.0, 0.8 - 0.7 + z] for z in (0.01, 0.03, 0.05)])
     first, second = (field(behind) for field in sight.redrawn)
     assert np.abs(first - second).max() > 1e-6
     assert np.abs(first - sight.target.field(behind)).max() > 1e-6
-    again = planner.see(points, pose, seed=5)
+    again = planner.see([View(points, pose)], seed=5)
     np.testing.assert_array_equal(again.redrawn[0](behind), first)
     # The truth, or nothing, in place of what was completed: nothing is left to be contradicted.
-    assert planner.see(points, pose, seed=5, field="none").redrawn == ()
+    assert planner.see([View(points, pose)], seed=5, field="none").redrawn == ()

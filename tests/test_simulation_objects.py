@@ -10,6 +10,12 @@ import trimesh
 from manifold3d import Manifold, Mesh64, OpType
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.stable_poses import (
+    StandingConfig,
+    draw_pose,
+    stable_poses,
+    tilt_margin,
+)
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.objects.generate import make_object
 from pointsdf_cli.simulation.decomposition import (
@@ -21,12 +27,6 @@ from pointsdf_cli.simulation.decomposition import (
 )
 from pointsdf_cli.simulation.feet import with_flat_foot
 from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, prepare_object
-from pointsdf_cli.geometry.stable_poses import (
-    StandingConfig,
-    draw_pose,
-    stable_poses,
-    tilt_margin,
-)
 
 
 def loaded(name: str, mesh: trimesh.Trimesh) -> LoadedMesh:

@@ -88,9 +88,7 @@ class Cleaning:
         return f"cleaning dropped {self.dropped} of {len(self.kept)} points: {said}" if said else ""
 
 
-def clean(
-    points: ArrayLike, config: CleaningConfig | None = None, specks: bool = True
-) -> Cleaning:
+def clean(points: ArrayLike, config: CleaningConfig | None = None, specks: bool = True) -> Cleaning:
     """Find the points of a cloud that no surface returned.
 
     Args:

@@ -90,7 +90,7 @@ class MeshCaster:
 
         Args:
             T_camera_object: [4, 4], the mesh frame in the camera's.
-            margin: Added on each side, as a share of the longer side of the mesh's box in the image.
+            margin: Added on each side, as a share of the longer side of the mesh's box.
             window: Columns [left, right) and rows [top, bottom) to cast instead.
         """
         if window is None:
@@ -118,7 +118,7 @@ class MeshCaster:
     def _cast(
         self, T_camera_object: NDArray[np.float64], window: tuple[int, int, int, int]
     ) -> tuple[dict[str, o3d.core.Tensor], NDArray[np.float32]]:
-        """Hits, and rays [h, w, 6] in the mesh frame whose directions have z = 1 in the camera's."""
+        """Hits, and rays [h, w, 6], mesh frame, of directions with z = 1 in the camera frame."""
         camera = self._camera
         left, right, top, bottom = window
         columns, rows = np.arange(left, right), np.arange(top, bottom)

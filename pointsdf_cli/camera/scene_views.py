@@ -96,9 +96,7 @@ class SceneViews:
         """
         config, camera = self._config, self._camera
         for vain in range(REDRAWS):
-            scene = draw_scene(
-                self._caster, self._vertices, self._poses, camera, config.scene, rng
-            )
+            scene = draw_scene(self._caster, self._vertices, self._poses, camera, config.scene, rng)
             if _hidden(scene) > MOST_HIDDEN:
                 continue
             sensor = self._sensors[rng.integers(len(self._sensors))]

@@ -15,13 +15,13 @@ from scipy import ndimage
 
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.table_scene import OBJECT, OTHER, Scene
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.visibility import (
     PLANE_BAND,
     ViewEvidence,
     VisibilityImage,
     visibility_image,
 )
-from pointsdf_cli.errors import InputError
 
 Array = NDArray[np.float64]
 

@@ -195,7 +195,9 @@ def _compose(
         with np.errstate(divide="ignore"):
             table = np.where(down < -1e-6, plane[3] / down, np.inf)
         foot = T_camera_object[:3, 3] - (normal @ T_camera_object[:3, 3] - plane[3]) * normal
-        away = np.linalg.norm(rays * np.where(np.isfinite(table), table, 0)[..., None] - foot, axis=-1)
+        away = np.linalg.norm(
+            rays * np.where(np.isfinite(table), table, 0)[..., None] - foot, axis=-1
+        )
         radius = rng.uniform(*config.table_radius)
         table = np.where((table > 0) & (away < radius), table, np.inf)
         _put(depth, cosine, label, table, np.abs(down) / length, TABLE)

@@ -111,7 +111,9 @@ def visibility_image(
     # The last entry is that of cells that know nothing.
     depth = np.concatenate([object_points[:, 2], until, [0.0]])
     shape = (SIZE, SIZE)
-    return VisibilityImage(window, seen.reshape(shape), depth[index].astype(np.float32).reshape(shape))
+    return VisibilityImage(
+        window, seen.reshape(shape), depth[index].astype(np.float32).reshape(shape)
+    )
 
 
 def _pitch(tangents: Array) -> float:

@@ -150,9 +150,7 @@ def _read_evidence(
         )
     return tuple(
         ViewEvidence(
-            None
-            if np.isnan(window[k]).any()
-            else VisibilityImage(window[k], seen[k] > 0, free[k]),
+            None if np.isnan(window[k]).any() else VisibilityImage(window[k], seen[k] > 0, free[k]),
             None if np.isnan(plane[k]).any() else plane[k],
         )
         for k in range(len(window))

@@ -1,7 +1,7 @@
 """From a cloud of one object to a plan: the two methods of the paper, and what they are made of.
 
     planner = GraspPlanner(PlanOptions(method="reconstruction"))       # loads networks, once
-    answer = planner.plan(points, T_world_camera, seed=0)
+    answer = planner.plan([View(points, T_world_camera)], seed=0)
     answer.plan.status, answer.plan.q, answer.candidates
 
 As in the paper (section V-C): *reconstruction* constrains the robot by the shape that the network
@@ -21,8 +21,8 @@ from typing import Literal, Protocol
 import numpy as np
 
 from pointsdf_cli.assets import assets_folder
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
@@ -129,24 +129,6 @@ class PlanOptions:
 
 
 @dataclass(frozen=True)
-class View:
-    """One look at the object.
-
-    Attributes:
-        points: [N, 3], camera frame, m.
-        T_world_camera: [4, 4].
-    """
-
-    points: Array
-    T_world_camera: Array
-
-    @property
-    def in_world(self) -> Array:
-        """The points [N, 3] in the world."""
-        return apply_transform(self.T_world_camera, self.points)
-
-
-@dataclass(frozen=True)
 class Sight:
     """What is made of a cloud before anything is planned.
 
@@ -221,30 +203,25 @@ class GraspPlanner:
 
     def see(
         self,
-        points: Array,
-        T_world_camera: Array,
+        views: Sequence[View],
         seed: int = 0,
         field: Field | Literal["none"] | None = None,
-        more: Sequence[View] = (),
         table: bool = True,
     ) -> Sight:
         """Complete the object, keep its field on a grid, and ready the score.
 
         Args:
-            points: [N, 3], the segmented object, camera frame, m.
-            T_world_camera: [4, 4].
+            views: One or more views of the same object. Each is completed on its own, and the mean
+                of the fields is the object; the score is made for the first.
             seed: Of the resampling of the cloud.
             field: Constrains the robot instead of the method's own field: the truth in trials, or
                 "none" for no constraint. The score reads the method's own all the same.
-            more: Further views of the same object. Each is completed on its own, and the mean of
-                the fields is the object; the first view is what the score is made for.
             table: The object rests on the table: what could not stand there as it was completed
                 keeps the hand out of the unseen space below it, too (`support.py`).
 
         Raises:
             EmptyFieldError: The network sees nothing solid.
         """
-        views = [View(np.asarray(points, dtype=np.float64), T_world_camera), *more]
         world = np.concatenate([view.in_world for view in views])
         grid = grid_for(narrowest(world))
         began = time.perf_counter()
@@ -261,7 +238,8 @@ class GraspPlanner:
             own = seen_object(world, grid)
         timings = {"reconstruction": time.perf_counter() - began}
         began = time.perf_counter()
-        grasps = self._grasps.on(views[0].points, T_world_camera, field=own.kept, seed=seed)
+        first = views[0]
+        grasps = self._grasps.on(first.points, first.T_world_camera, field=own.kept, seed=seed)
         timings["score"] = time.perf_counter() - began
         if field is not None:
             constraint = _constraint(field, world, grid)
@@ -281,33 +259,29 @@ class GraspPlanner:
 
     def plan(
         self,
-        points: Array,
-        T_world_camera: Array,
+        views: Sequence[View],
         environment: Environment | None = None,
         start: Array | None = None,
         seed: int = 0,
         field: Field | Literal["none"] | None = None,
         rank: Rank | None = None,
-        more: Sequence[View] = (),
     ) -> Answer:
         """Configuration and motion, or the reason why there is none.
 
         Args:
-            points: [N, 3], the segmented object, camera frame, m.
-            T_world_camera: [4, 4].
+            views: As in `see`.
             environment: What stands around; the table alone if None.
             start: [J], where the robot is; its home if None.
             seed: Equal seeds give equal plans.
             field: As in `see`.
             rank: As in `Planner.plan`.
-            more: As in `see`.
 
         Raises:
             InputError: The start is no configuration within the joint limits.
         """
         try:
             table = environment is None or environment.table
-            sight = self.see(points, T_world_camera, seed, field, more, table)
+            sight = self.see(views, seed, field, table)
         except EmptyFieldError as error:
             return self.nothing(error.what)
         return self.plan_seen(sight, environment, start, seed, rank)
@@ -364,7 +338,12 @@ def _completed(
     """Each view completed on its own, from the points that `seed` draws of it."""
     return [
         Reconstruction.from_cloud(
-            network, view.in_world, view.T_world_camera[:3, 3], view.T_world_camera[:3, :3], seed
+            network,
+            view.in_world,
+            view.T_world_camera[:3, 3],
+            view.T_world_camera[:3, :3],
+            seed,
+            view.evidence,
         )
         for view in views
     ]

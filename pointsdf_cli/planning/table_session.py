@@ -105,15 +105,12 @@ def plan_on_table(
         if beside:
             report.append(f"{len(beside)} other things are obstacles")
         environment = replace(environment, obstacles=(*environment.obstacles, *beside))
-    first, *more = seen.views
-    answer = planner.plan(
-        first.points, first.T_world_camera, environment, q, seed, more=tuple(more)
-    )
+    answer = planner.plan(seen.views, environment, q, seed)
     if doubt:
         sentence = f"{answer.plan.sentence} {doubt[0].upper()}{doubt[1:]}.".strip()
         answer = replace(answer, plan=replace(answer.plan, sentence=sentence))
     points = np.concatenate([view.in_world for view in seen.views])
-    camera = first.T_world_camera[:3, 3]
+    camera = seen.views[0].T_world_camera[:3, 3]
     return TableSession(answer, tuple(report), q, points, camera, environment.obstacles)
 
 

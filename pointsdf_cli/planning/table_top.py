@@ -23,10 +23,11 @@ from pointsdf_cli.camera.segmentation import (
     clusters,
     segment_object,
 )
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
-from pointsdf_cli.planning.answer import View
 from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
@@ -146,7 +147,8 @@ def look_at_table(
         if not free.all():
             sentence += f", {int((~free).sum())} on the robot"
         report.append(f"{name}: {sentence}")
-        views.append(View(points[found.kept], cloud.T_world_camera))
+        evidence = _evidence(points, found, cloud.T_world_camera)
+        views.append(View(points[found.kept], cloud.T_world_camera, evidence))
         others.append(world[found.other])
         if found.plane is not None:
             heights.append(float(found.plane[3]))
@@ -160,6 +162,16 @@ def look_at_table(
     rest = np.concatenate(others) if others else np.zeros((0, 3))
     height = float(np.median(heights)) if heights else None
     return TableTop(tuple(views), rest, tuple(report), height)
+
+
+def _evidence(points: Array, found: Segmentation, T_world_camera: Array) -> ViewEvidence:
+    """What a view [N, 3] (camera frame, m) knows of the space around the object in it."""
+    plane = None
+    if found.plane is not None:
+        normal = T_world_camera[:3, :3].T @ found.plane[:3]
+        plane = np.array([*normal, found.plane[3] - found.plane[:3] @ T_world_camera[:3, 3]])
+    image = visibility_image(points[found.kept], points[~found.kept], plane)
+    return ViewEvidence(image, plane)
 
 
 def clutter(points: Array, taken: Collection[str] = ()) -> tuple[Obstacle, ...]:

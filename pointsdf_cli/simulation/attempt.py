@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, transform
+from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose
 from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, KINDS, LOST, Grasps
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
@@ -23,7 +24,6 @@ from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.reach import Reach, ReachConfig, Reacher
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject
-from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose
 from pointsdf_cli.simulation.world import World
 
 Array = NDArray[np.float64]

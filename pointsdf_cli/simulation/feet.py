@@ -9,9 +9,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
+from pointsdf_cli.geometry.stable_poses import StablePose, foot_height
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.sim_object import SimObject
-from pointsdf_cli.geometry.stable_poses import StablePose, foot_height
 
 FOOT = 5e-4
 """Corners that are higher than this [m] above the lowest do not carry an object."""

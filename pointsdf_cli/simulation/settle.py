@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.frames import transform
-from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.geometry.stable_poses import StablePose
+from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
 
 

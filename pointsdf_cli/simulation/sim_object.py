@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.geometry.stable_poses import StablePose, stable_poses
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.simulation.decomposition import Pieces, convex_pieces
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
-from pointsdf_cli.geometry.stable_poses import StablePose, stable_poses
 
 DENSITY = 400.0
 """Household things [kg/m³], counted over their volume: between a filled bottle and a toy."""

@@ -100,7 +100,7 @@ def evaluate_object(task: EvalTask) -> list[ScoredView]:
     for view in range(_view_count(views, task.config)):
         to_object = invert_transform(views.T_camera_object[view])
         surfaces: dict[str, Surface | None] = {
-            label: reconstruct(load_cached(path), views.cloud[view], task, view)[1]
+            label: reconstruct(load_cached(path), views, task, view)[1]
             for label, path in task.config.checkpoints
         }
         surfaces[PARTIAL_HULL] = convex_hull(views.cloud[view])
@@ -139,11 +139,15 @@ def make_tasks(views: Path, meshes: Path, config: EvalConfig) -> list[EvalTask]:
 
 
 def reconstruct(
-    model: ShapeModel, cloud: NDArray[np.floating], task: EvalTask, view: int
+    model: ShapeModel, views: Views, task: EvalTask, view: int
 ) -> tuple[Reconstruction, Surface | None]:
     """The reconstruction of one view, and its mesh in the camera's frame, if it has one."""
     reconstruction = Reconstruction.from_cloud(
-        model, cloud.astype(np.float64), np.zeros(3), seed=task.config.seed + view
+        model,
+        views.cloud[view].astype(np.float64),
+        np.zeros(3),
+        seed=task.config.seed + view,
+        evidence=views.evidence[view],
     )
     try:
         mesh = mesh_reconstruction(
@@ -162,7 +166,7 @@ def gallery_row(task: EvalTask, scored: ScoredView, note: str) -> GalleryRow:
     views, mesh = _load(task)
     pose = views.T_camera_object[scored.view]
     model = load_cached(task.config.checkpoints[0][1])
-    reconstruction, surface = reconstruct(model, views.cloud[scored.view], task, scored.view)
+    reconstruction, surface = reconstruct(model, views, task, scored.view)
     score = scored.score
     return GalleryRow(
         title=f"{note}\n{Path(task.name).name}\nIoU {score.iou:.2f}\n"

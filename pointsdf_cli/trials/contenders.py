@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pointsdf_cli.assets import asset_path
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.io.checkpoints import CONFIG, WEIGHTS, read_checkpoint
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_score import load_grasp_model
@@ -184,7 +185,7 @@ class Mind:
             field = MeshField(*surface)
         planner = self._planner
         try:
-            sight = planner.see(points, T_world_camera, seed, field)
+            sight = planner.see([View(points, T_world_camera)], seed, field)
         except EmptyFieldError as error:
             return planner.nothing(error.what)
         if isinstance(planner, RehearsedPlanner):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, transform
+from pointsdf_cli.geometry.stable_poses import StablePose, StandingConfig, draw_pose
 from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
 from pointsdf_cli.objects.stand_ins import make_stand_in
 from pointsdf_cli.simulation.attempt import placed
@@ -21,7 +22,6 @@ from pointsdf_cli.simulation.feet import on_its_foot
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
-from pointsdf_cli.geometry.stable_poses import StablePose, StandingConfig, draw_pose
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.protocol import CAMERAS, Trial, TrialObject
 from pointsdf_cli.viz.shading import look_at

@@ -1,0 +1,33 @@
+"""One look at an object: its points, where the camera stood, and what else it saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.visibility import ViewEvidence
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class View:
+    """One look at the object.
+
+    Attributes:
+        points: [N, 3], camera frame, m.
+        T_world_camera: [4, 4].
+        evidence: What the camera saw of the space around the object; None for a bare cloud.
+    """
+
+    points: Array
+    T_world_camera: Array
+    evidence: ViewEvidence | None = None
+
+    @property
+    def in_world(self) -> Array:
+        """The points [N, 3] in the world."""
+        return apply_transform(self.T_world_camera, self.points)
