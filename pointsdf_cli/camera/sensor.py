@@ -22,6 +22,8 @@ Image = NDArray[np.float32]
 _RANGES = {
     "focal": (100.0, 10_000.0),
     "baseline": (0.0, 0.5),
+    "shadow_left": (0.0, 0.5),
+    "shadow_right": (0.0, 0.5),
     "displacement": (0.0, 10.0),
     "displacement_window": (0.5, 50.0),
     "registration": (0.0, 10.0),
@@ -59,9 +61,10 @@ class DepthSensor:
         name: In `SENSORS`.
         noise: Gaussian noise of the ideal camera.
         focal: Focal length of the sensor's own images [px].
-        baseline: From the imager to the projector or the second imager [m].
-        shadow: Side of an object on which the background is not measured: `right` (projector to
-            the left of the imager), `left` (second imager to its right) or `none`.
+        baseline: Between imager and projector, or between both imagers [m].
+        shadow_left, shadow_right: Baselines [m] of the shadows to the left and right of an object:
+            how far the projector or an imager stands to its left (shadow on the right) or to its
+            right (shadow on the left) of the camera that the depth image is registered to.
         displacement: σ of the lateral displacement of edges [px].
         displacement_window: Length over which the displacement is correlated [px].
         registration: σ of the low-frequency displacement of whole objects [px].
@@ -92,7 +95,8 @@ class DepthSensor:
     noise: DepthNoise = field(default_factory=lambda: DepthNoise(0.0))
     focal: float = 575.0
     baseline: float = 0.0
-    shadow: str = "none"
+    shadow_left: float = 0.0
+    shadow_right: float = 0.0
     displacement: float = 0.0
     displacement_window: float = 3.0
     registration: float = 0.0
@@ -117,10 +121,6 @@ class DepthSensor:
     bias_window: float = 100.0
 
     def __post_init__(self) -> None:
-        if self.shadow not in ("none", "left", "right"):
-            raise InputError(
-                f"{self.shadow!r} is no side", where="shadow", allowed="none, left, right"
-            )
         for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
@@ -129,8 +129,7 @@ class DepthSensor:
                     where=f"sensor {self.name}",
                     allowed=f"{low:g} to {high:g}",
                 )
-        needs = self.shadow != "none" or self.quantisation > 0 or self.disparity_noise > 0
-        if needs and self.baseline == 0:
+        if self.baseline == 0 and (self.quantisation > 0 or self.disparity_noise > 0):
             raise InputError(
                 "baseline is 0", where=f"sensor {self.name}", allowed="above 0 with disparities"
             )
@@ -143,9 +142,9 @@ class DepthSensor:
             for name in (
                 *("displacement", "registration", "fattening", "flying", "quantisation", "bias"),
                 *("missing_at_edge", "missing_patches", "missing_grazing", "disparity_noise"),
-                *("axial_floor", "axial_depth", "axial_incidence"),
+                *("axial_floor", "axial_depth", "axial_incidence", "shadow_left", "shadow_right"),
             )
-        ) and (self.shadow == "none")
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """All parameters, for `config_json`."""
@@ -201,9 +200,10 @@ class DepthSensor:
     ) -> Image:
         """Measured depths [m] of inverse depths [1/m] that are seen at these cosines."""
         scale = camera.fx / self.focal
-        shadow = None
-        if self.shadow != "none":
-            shadow = effects.shadow(inverse, self.baseline * camera.fx, self.shadow)
+        lit = inverse > 0
+        for width, side in ((self.shadow_left, "left"), (self.shadow_right, "right")):
+            if width:
+                lit &= ~effects.shadow(inverse, width * camera.fx, side)
         if self.fattening:
             inverse = effects.grown(inverse, self.fattening * scale)
         if self.displacement or self.registration:
@@ -213,14 +213,9 @@ class DepthSensor:
                 (2, *inverse.shape), scale * self.registration_window, rng
             )
             at = effects.displaced(inverse.shape, shift)
-            inverse, cosine = inverse.take(at), cosine.take(at)
-            if shadow is not None:
-                shadow = shadow.take(at)
+            inverse, cosine, lit = inverse.take(at), cosine.take(at), lit.take(at)
         edges = effects.depth_edges(inverse, self.edge_slope / camera.fx)
-        seen = inverse > 0
-        if shadow is not None:
-            seen &= ~shadow
-        seen &= ~self._missing(edges, cosine, scale, rng)
+        seen = lit & ~self._missing(edges, cosine, scale, rng)
         if self.flying:
             inverse = effects.flying_pixels(inverse, edges, self.flying, rng)
         return self._depths(inverse, cosine, seen, scale, rng)
@@ -286,32 +281,33 @@ SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
                 "structured-light",
                 focal=575.0,
                 baseline=0.075,
-                shadow="right",
+                shadow_left=0.045,
+                shadow_right=0.03,
                 displacement=0.5,
-                displacement_window=4.0,
-                registration=1.3,
-                missing_at_edge=0.34,
-                missing_reach=1.5,
+                displacement_window=3.0,
+                registration=1.6,
+                missing_at_edge=0.43,
+                missing_reach=1.15,
                 missing_patches=0.02,
                 patch_window=20.0,
-                missing_grazing=0.19,
+                missing_grazing=0.3,
                 missing_angle=1.4,
                 missing_window=4.0,
-                flying=0.24,
+                flying=0.2,
                 quantisation=1 / 24,
-                axial_floor=0.00065,
-                axial_depth=0.0013,
-                axial_incidence=2e-05,
+                axial_floor=0.0008,
+                axial_depth=0.0009,
+                axial_incidence=1e-05,
                 noise_window=1.5,
-                bias=0.0007,
-                edge_slope=5.0,
+                bias=0.0008,
+                edge_slope=7.0,
             ),
             # Intel RealSense D415, D435.
             DepthSensor(
                 "stereo",
                 focal=615.0,
                 baseline=0.05,
-                shadow="left",
+                shadow_left=0.065,
                 displacement=1.0,
                 displacement_window=3.0,
                 fattening=1.0,
