@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from pointsdf_cli.camera import sensor_effects as effects
 from pointsdf_cli.camera.noise import DepthNoise
@@ -21,14 +22,18 @@ Image = NDArray[np.float32]
 _RANGES = {
     "focal": (100.0, 10_000.0),
     "baseline": (0.0, 0.5),
+    "shadow_left": (0.0, 0.5),
+    "shadow_right": (0.0, 0.5),
     "displacement": (0.0, 10.0),
     "displacement_window": (0.5, 50.0),
     "registration": (0.0, 10.0),
+    "registration_window": (10.0, 1000.0),
     "fattening": (0.0, 20.0),
     "edge_slope": (1.0, 100.0),
     "missing_at_edge": (0.0, 1.0),
     "missing_reach": (0.1, 50.0),
-    "missing_anywhere": (0.0, 1.0),
+    "missing_patches": (0.0, 1.0),
+    "patch_window": (0.5, 200.0),
     "missing_grazing": (0.0, 1.0),
     "missing_angle": (0.0, 1.57),
     "missing_window": (0.5, 50.0),
@@ -56,17 +61,20 @@ class DepthSensor:
         name: In `SENSORS`.
         noise: Gaussian noise of the ideal camera.
         focal: Focal length of the sensor's own images [px].
-        baseline: From the imager to the projector or the second imager [m].
-        shadow: Side of an object on which the background is not measured: `right` (projector to
-            the left of the imager), `left` (second imager to its right) or `none`.
+        baseline: Between imager and projector, or between both imagers [m].
+        shadow_left, shadow_right: Baselines [m] of the shadows to the left and right of an object:
+            how far the projector or an imager stands to its left (shadow on the right) or to its
+            right (shadow on the left) of the camera that the depth image is registered to.
         displacement: σ of the lateral displacement of edges [px].
         displacement_window: Length over which the displacement is correlated [px].
-        registration: σ of the whole image's displacement [px].
+        registration: σ of the low-frequency displacement of whole objects [px].
+        registration_window: Length over which it is correlated [px].
         fattening: Growth of near surfaces over far ones [px].
         edge_slope: tan of the incidence beyond which two neighbouring pixels are a depth edge.
         missing_at_edge: Probability of no return at a depth edge.
         missing_reach: Distance from the edge at which it has fallen to 1/e [px].
-        missing_anywhere: Probability of no return far from edges.
+        missing_patches: Share of surfaces that return nothing, as dark or shiny patches.
+        patch_window: Length over which these are correlated [px].
         missing_grazing: Probability of no return at an incidence of 90°.
         missing_angle: Incidence from which returns are lost [rad].
         missing_window: Length over which missing returns are correlated [px].
@@ -87,15 +95,18 @@ class DepthSensor:
     noise: DepthNoise = field(default_factory=lambda: DepthNoise(0.0))
     focal: float = 575.0
     baseline: float = 0.0
-    shadow: str = "none"
+    shadow_left: float = 0.0
+    shadow_right: float = 0.0
     displacement: float = 0.0
     displacement_window: float = 3.0
     registration: float = 0.0
+    registration_window: float = 50.0
     fattening: float = 0.0
     edge_slope: float = 6.0
     missing_at_edge: float = 0.0
     missing_reach: float = 2.0
-    missing_anywhere: float = 0.0
+    missing_patches: float = 0.0
+    patch_window: float = 20.0
     missing_grazing: float = 0.0
     missing_angle: float = 1.0
     missing_window: float = 2.0
@@ -110,10 +121,6 @@ class DepthSensor:
     bias_window: float = 100.0
 
     def __post_init__(self) -> None:
-        if self.shadow not in ("none", "left", "right"):
-            raise InputError(
-                f"{self.shadow!r} is no side", where="shadow", allowed="none, left, right"
-            )
         for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
@@ -122,8 +129,7 @@ class DepthSensor:
                     where=f"sensor {self.name}",
                     allowed=f"{low:g} to {high:g}",
                 )
-        needs = self.shadow != "none" or self.quantisation > 0 or self.disparity_noise > 0
-        if needs and self.baseline == 0:
+        if self.baseline == 0 and (self.quantisation > 0 or self.disparity_noise > 0):
             raise InputError(
                 "baseline is 0", where=f"sensor {self.name}", allowed="above 0 with disparities"
             )
@@ -135,10 +141,10 @@ class DepthSensor:
             getattr(self, name)
             for name in (
                 *("displacement", "registration", "fattening", "flying", "quantisation", "bias"),
-                *("missing_at_edge", "missing_anywhere", "missing_grazing", "disparity_noise"),
-                *("axial_floor", "axial_depth", "axial_incidence"),
+                *("missing_at_edge", "missing_patches", "missing_grazing", "disparity_noise"),
+                *("axial_floor", "axial_depth", "axial_incidence", "shadow_left", "shadow_right"),
             )
-        ) and (self.shadow == "none")
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """All parameters, for `config_json`."""
@@ -194,24 +200,22 @@ class DepthSensor:
     ) -> Image:
         """Measured depths [m] of inverse depths [1/m] that are seen at these cosines."""
         scale = camera.fx / self.focal
-        shadow = None
-        if self.shadow != "none":
-            shadow = effects.shadow(inverse, self.baseline * camera.fx, self.shadow)
+        lit = inverse > 0
+        for width, side in ((self.shadow_left, "left"), (self.shadow_right, "right")):
+            if width:
+                lit &= ~effects.shadow(inverse, width * camera.fx, side)
         if self.fattening:
             inverse = effects.grown(inverse, self.fattening * scale)
         if self.displacement or self.registration:
             shift = scale * self.displacement * effects.smooth_noise(
                 (2, *inverse.shape), scale * self.displacement_window, rng
-            ) + scale * self.registration * rng.standard_normal((2, 1, 1), dtype=np.float32)
+            ) + scale * self.registration * effects.smooth_noise(
+                (2, *inverse.shape), scale * self.registration_window, rng
+            )
             at = effects.displaced(inverse.shape, shift)
-            inverse, cosine = inverse.take(at), cosine.take(at)
-            if shadow is not None:
-                shadow = shadow.take(at)
+            inverse, cosine, lit = inverse.take(at), cosine.take(at), lit.take(at)
         edges = effects.depth_edges(inverse, self.edge_slope / camera.fx)
-        seen = inverse > 0
-        if shadow is not None:
-            seen &= ~shadow
-        seen &= ~self._missing(edges, cosine, scale, rng)
+        seen = lit & ~self._missing(edges, cosine, scale, rng)
         if self.flying:
             inverse = effects.flying_pixels(inverse, edges, self.flying, rng)
         return self._depths(inverse, cosine, seen, scale, rng)
@@ -221,16 +225,20 @@ class DepthSensor:
     ) -> NDArray[np.bool_]:
         """Pixels without a return, by distance from a depth edge and by incidence."""
         reach = self.missing_reach * scale
-        farthest = math.ceil(4 * reach) if self.missing_at_edge else 0
+        farthest = math.ceil(2 * reach) + 1 if self.missing_at_edge else 0
         distance = effects.edge_distance(edges, farthest)
-        at_edge = self.missing_at_edge * np.exp(-np.arange(farthest + 1) / reach)
+        at_edge = self.missing_at_edge * np.exp(-((np.arange(farthest + 1) / reach) ** 2))
         at_edge[-1] = 0.0
         angle = effects.INCIDENCES
         share = np.clip((angle - self.missing_angle) / (np.pi / 2 - self.missing_angle), 0, 1)
         grazing = self.missing_grazing * share
-        kept = np.multiply.outer(1 - at_edge, 1 - grazing) * (1 - self.missing_anywhere)
+        kept = np.multiply.outer(1 - at_edge, 1 - grazing)
         drawn = effects.smooth_noise(cosine.shape, self.missing_window * scale, rng)
-        return effects.rarer_than(1 - kept, distance, cosine, drawn)
+        missing = effects.rarer_than(1 - kept, distance, cosine, drawn)
+        if self.missing_patches:
+            drawn = effects.smooth_noise(cosine.shape, self.patch_window * scale, rng)
+            missing |= drawn < np.float32(ndtri(self.missing_patches))
+        return missing
 
     def _depths(
         self,
@@ -241,7 +249,7 @@ class DepthSensor:
         rng: np.random.Generator,
     ) -> Image:
         """Depths [m] with axial noise, bias and quantised disparity; 0 where not `seen`."""
-        depth: Image = np.float32(1) / np.maximum(inverse, np.float32(1e-3))
+        depth = np.reciprocal(np.maximum(inverse, np.float32(1e-3)))
         white = effects.smooth_noise(inverse.shape, self.noise_window * scale, rng)
         deviation = effects.nguyen_deviation(
             depth, cosine, self.axial_floor, self.axial_depth, self.axial_incidence
@@ -273,44 +281,50 @@ SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
                 "structured-light",
                 focal=575.0,
                 baseline=0.075,
-                shadow="right",
-                displacement=1.0,
-                displacement_window=4.0,
-                registration=0.5,
+                shadow_left=0.045,
+                shadow_right=0.03,
+                displacement=0.65,
+                displacement_window=3.0,
+                registration=1.7,
                 missing_at_edge=0.4,
-                missing_reach=2.0,
-                missing_anywhere=0.03,
-                missing_grazing=0.4,
-                missing_angle=1.0,
-                missing_window=3.0,
+                missing_reach=1.0,
+                missing_patches=0.02,
+                patch_window=20.0,
+                missing_grazing=0.3,
+                missing_angle=1.4,
+                missing_window=4.0,
                 flying=0.2,
                 quantisation=1 / 24,
-                axial_floor=0.0008,
-                axial_depth=0.0019,
-                axial_incidence=0.0001,
+                axial_floor=0.0005,
+                axial_depth=0.0007,
+                axial_incidence=1e-05,
                 noise_window=1.5,
                 bias=0.001,
+                edge_slope=5.0,
             ),
             # Intel RealSense D415, D435.
             DepthSensor(
                 "stereo",
                 focal=615.0,
                 baseline=0.05,
-                shadow="left",
-                displacement=1.0,
-                displacement_window=3.0,
+                shadow_left=0.065,
+                displacement=1.2,
+                displacement_window=6.0,
                 fattening=1.0,
-                missing_at_edge=0.1,
+                missing_at_edge=0.15,
                 missing_reach=1.0,
-                missing_anywhere=0.003,
-                missing_grazing=0.3,
-                missing_angle=1.2,
+                missing_patches=0.002,
+                patch_window=10.0,
+                missing_grazing=0.4,
+                missing_angle=1.35,
                 missing_window=2.0,
                 flying=0.3,
                 quantisation=1 / 32,
-                disparity_noise=0.08,
+                disparity_noise=0.1,
                 noise_window=2.0,
-                bias=0.001,
+                bias=0.002,
+                registration=0.7,
+                registration_window=60.0,
             ),
         )
     }

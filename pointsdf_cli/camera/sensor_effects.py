@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 INCIDENCES = np.arccos((np.arange(64) + 0.5) / 64)
 """Angles of incidence [rad] that stand for 64 equal steps of the cosine."""
 
-STEEPEST = 1.45
+STEEPEST = 1.4
 """Incidence [rad] beyond which the axial noise grows no more: there it would have no bound."""
 
 
