@@ -50,7 +50,7 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
         return {}, TrainConfig(loss=SdfLoss("sign", sign_weight=1.0))
     if model == "pointsdf":
         return dict(POINTSDF_PRESETS["small"]), TrainConfig()
-    return {"revolution": True, "sideways": SIDEWAYS, "box": True}, TrainConfig()
+    return {"revolution": True, "sideways": SIDEWAYS, "box": True, "surroundings": True}, TrainConfig()
 
 
 def paper_steps(views: int, batch_size: int) -> int:
