@@ -148,6 +148,19 @@ class MeshCaster:
         )
 
 
+def depth_window(patch: DepthPatch, margin: int) -> tuple[NDArray[np.float32], tuple[int, int]]:
+    """The depth image of the patch's rectangle grown by `margin` pixels, 0 where nothing was hit.
+
+    Returns:
+        f4 [h, w], and the column and row of its first pixel, which may lie outside the image.
+    """
+    left, top = int(patch.u.min()) - margin, int(patch.v.min()) - margin
+    size = int(patch.v.max()) - top + margin + 1, int(patch.u.max()) - left + margin + 1
+    window = np.zeros(size, dtype=np.float32)
+    window[patch.v - top, patch.u - left] = patch.depth
+    return window, (left, top)
+
+
 def depth_image(patch: DepthPatch, camera: Camera) -> NDArray[np.float32]:
     """The whole depth image [height, width] of a patch, 0 where nothing was hit."""
     image = np.zeros((camera.height, camera.width), dtype=np.float32)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from pointsdf_cli.camera import sensor_effects as effects
-from pointsdf_cli.camera.noise import DepthNoise
+from pointsdf_cli.camera.noise import REFERENCE_DEPTH, DepthNoise
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.errors import InputError
 
@@ -145,6 +145,16 @@ class DepthSensor:
                 *("axial_floor", "axial_depth", "axial_incidence", "shadow_left", "shadow_right"),
             )
         )
+
+    def deviation(self, depth: float) -> float:
+        """σ [m] of the white noise of a surface seen face on at `depth` [m]."""
+        parts = [
+            self.noise.sigma * (depth / REFERENCE_DEPTH) ** 2,
+            self.axial_floor + self.axial_depth * (depth - 0.4) ** 2,
+        ]
+        if self.disparity_noise:
+            parts.append(self.disparity_noise * depth**2 / (self.focal * self.baseline))
+        return math.hypot(*parts)
 
     def as_dict(self) -> dict[str, Any]:
         """All parameters, for `config_json`."""
@@ -283,24 +293,24 @@ SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
                 baseline=0.075,
                 shadow_left=0.045,
                 shadow_right=0.03,
-                displacement=0.65,
-                displacement_window=3.0,
-                registration=1.7,
-                missing_at_edge=0.4,
+                displacement=1.0,
+                displacement_window=3.5,
+                registration=1.5,
+                missing_at_edge=0.38,
                 missing_reach=1.0,
-                missing_patches=0.02,
+                missing_patches=0.013,
                 patch_window=20.0,
                 missing_grazing=0.3,
-                missing_angle=1.4,
+                missing_angle=1.3,
                 missing_window=4.0,
                 flying=0.2,
                 quantisation=1 / 24,
                 axial_floor=0.0005,
-                axial_depth=0.0007,
+                axial_depth=0.0006,
                 axial_incidence=1e-05,
                 noise_window=1.5,
                 bias=0.001,
-                edge_slope=5.0,
+                edge_slope=7.0,
             ),
             # Intel RealSense D415, D435.
             DepthSensor(

@@ -81,9 +81,15 @@ def smooth_noise(shape: tuple[int, ...], window: float, rng: np.random.Generator
     return smooth
 
 
-@lru_cache(maxsize=64)
 def _splines(pixels: int, window: float) -> Image:
     """Cubic B-splines [pixels, knots], a knot every `window` pixels, rows of unit norm."""
+    # Windows are of all sizes: the rows of one that is somewhat larger are the same.
+    larger = _spline_table(-(-pixels // 128) * 128, window)
+    return larger[:pixels, : math.ceil((pixels - 1) / window) + 3]
+
+
+@lru_cache(maxsize=64)
+def _spline_table(pixels: int, window: float) -> Image:
     knots = np.arange(-1, math.ceil((pixels - 1) / window) + 2)
     away = np.abs(np.arange(pixels)[:, None] / window - knots)
     weight = np.where(away < 1, 2 / 3 - away**2 + away**3 / 2, np.clip(2 - away, 0, None) ** 3 / 6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -9,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.camera.noise import DepthNoise
+from pointsdf_cli.camera.noise import REFERENCE_DEPTH, DepthNoise
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
-from pointsdf_cli.camera.raycast import DepthPatch, MeshCaster, depth_image
+from pointsdf_cli.camera.raycast import DepthPatch, MeshCaster, depth_image, depth_window
 from pointsdf_cli.camera.scene_views import SceneViewConfig, SceneViews
+from pointsdf_cli.camera.sensor import DepthSensor, load_sensor
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import random_rotation, transform
 from pointsdf_cli.io.batch import task_seed
@@ -27,6 +29,8 @@ FEWEST_PIXELS = 50
 LARGEST_COVER = 0.95
 """A view that covers more of the image has no silhouette left: it is drawn again."""
 REDRAWS = 50
+EDGE_MARGIN = 6
+"""Sensor pixels around the mesh into which its silhouette may be displaced."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,7 @@ class ViewConfig:
         unit: Unit of the mesh file's numbers.
         above: Only from above the horizon, z up as the mesh stands: what an open vessel holds is
             then seen, as it is on a table.
+        sensor: Name in `SENSORS` of what measures the depth; only the ideal one uses `noise`.
         scene: Views of random table-top scenes, measured by a sensor and segmented with errors; the
             distance, the noise, `above` and `keep_depth` are not used then.
 
@@ -57,12 +62,25 @@ class ViewConfig:
     unit: str = "m"
     above: bool = False
     scene: SceneViewConfig | None = None
+    sensor: str = "ideal"
 
     def __post_init__(self) -> None:
         if not 1 <= self.views <= 100_000:
             raise InputError(f"{self.views} views", where="--views", allowed="1 to 100000")
         if not 0.1 <= self.distance <= 20:
             raise InputError(f"{self.distance} m", where="--distance", allowed="0.1 to 20 m")
+        if not load_sensor(self.sensor).is_ideal and self.noise != DepthNoise():
+            raise InputError(
+                f"the sensor {self.sensor} has its own noise",
+                where="--noise",
+                allowed="only with --sensor ideal",
+            )
+
+    @property
+    def measures(self) -> DepthSensor:
+        """What measures the depth."""
+        sensor = load_sensor(self.sensor)
+        return replace(sensor, noise=self.noise) if sensor.is_ideal else sensor
 
     def as_dict(self) -> dict[str, Any]:
         """For `config_json`; what files of earlier versions could not say is left out."""
@@ -71,6 +89,10 @@ class ViewConfig:
             del known["above"]
         if self.scene is None:
             del known["scene"]
+        if self.measures.is_ideal:
+            del known["sensor"]
+        else:
+            known["sensor"] = self.measures.as_dict()
         return known
 
 
@@ -135,7 +157,7 @@ def render_views(
     poses = np.empty((config.views, 4, 4))
     width, height = config.camera.width, config.camera.height
     depths = np.empty((config.views, height, width), np.float32) if config.keep_depth else None
-    redrawn = 0
+    redrawn, sensor = 0, config.measures
     for k in range(config.views):
         for _ in range(REDRAWS):
             rotation = random_rotation(rng)
@@ -144,7 +166,9 @@ def render_views(
             pose = transform(rotation, np.array([0, 0, config.distance]) - rotation @ centre)
             patch = caster.cast(pose)
             if len(patch.u) >= FEWEST_PIXELS and patch.covered <= LARGEST_COVER:
-                break
+                patch = measured_patch(patch, config.camera, sensor, rng)
+                if len(patch.u) >= FEWEST_PIXELS:
+                    break
             redrawn += 1
         else:
             raise InputError(
@@ -152,7 +176,6 @@ def render_views(
                 "it, or nothing else",
                 hint="check its size and unit, or choose another --distance or --camera",
             )
-        patch = replace(patch, depth=config.noise.apply(patch.depth, rng))
         clouds[k] = sample_cloud(patch, config.camera, rng)
         poses[k] = pose
         if depths is not None:
@@ -162,7 +185,7 @@ def render_views(
         T_camera_object=poses,
         K=config.camera.K,
         image_size=(width, height),
-        noise=config.noise.sigma,
+        noise=sensor.deviation(REFERENCE_DEPTH),
         mesh_file=mesh.name,
         mesh_hash=mesh.sha256,
         mesh_repair=mesh.repair,
@@ -189,6 +212,22 @@ def _scene_views(
         evidence=tuple(view.evidence for view, _ in drawn),
     )
     return views, sum(vain for _, vain in drawn)
+
+
+def measured_patch(
+    patch: DepthPatch, camera: Camera, sensor: DepthSensor, rng: np.random.Generator
+) -> DepthPatch:
+    """What a sensor measures of a patch; pixels that return nothing are left out."""
+    if sensor.is_ideal:
+        return replace(patch, depth=sensor.noise.apply(patch.depth, rng))
+    window, (left, top) = depth_window(patch, math.ceil(EDGE_MARGIN * camera.fx / sensor.focal))
+    depth = sensor.observe(window, camera, rng, (left, top))
+    # An edge that is displaced beyond the image is not seen.
+    depth = depth[max(0, -top) : camera.height - top, max(0, -left) : camera.width - left]
+    v, u = np.nonzero(depth)
+    return DepthPatch(
+        u + max(0, left), v + max(0, top), depth[v, u], len(u) / (camera.width * camera.height)
+    )
 
 
 def sample_cloud(
