@@ -49,8 +49,8 @@ def calibrate(
         str | None,
         typer.Option(
             metavar="POSE",
-            help="With --eye-in-hand: gripper in the robot's root frame; the camera's pose there is "
-            "written.",
+            help="With --eye-in-hand: gripper in the robot's root frame; the camera's pose with "
+            "the gripper there is written.",
         ),
     ] = None,
     squares: Annotated[str, typer.Option(help="The board: columns x rows.")] = "5x7",
@@ -144,12 +144,8 @@ def _write_board(reporter: common.Reporter, path: Path, board: CharucoBoard) -> 
     from pointsdf_cli.io.board_images import write_board_page
 
     drawn = draw_board(board, PIXELS_A_SQUARE, PIXELS_A_SQUARE // 3)
-    width, height = write_board_page(
-        path,
-        drawn,
-        PIXELS_A_SQUARE / board.square,
-        f"{board}. Print at 100%, measure a square.".replace("×", "x"),
-    )
+    caption = f"{board}. Print at 100%, measure a square.".replace("×", "x")  # no sign of the font
+    width, height = write_board_page(path, drawn, PIXELS_A_SQUARE / board.square, caption)
     reporter.result(
         {"board": path, "width_mm": 1000 * width, "height_mm": 1000 * height},
         [
