@@ -156,7 +156,7 @@ def _camera(bag: Bag, frames: DepthFrames, wanted: str | None) -> Camera:
 
 def _pose(bag: Bag, frames: DepthFrames, world: str | None) -> tuple[Array | None, list[str]]:
     """T_world_camera [4, 4], or None where no frame is asked for; and what there is to say."""
-    transforms = bag.transforms(int(frames.stamps[0]))
+    transforms = bag.transforms(int(frames.stamps[0]), int(frames.times[0]))
     known = sorted({name for edge in transforms for name in edge})
     if world is None:
         joined = [n for n in known if chain(transforms, n, frames.frame) is not None]
@@ -173,7 +173,8 @@ def _pose(bag: Bag, frames: DepthFrames, world: str | None) -> tuple[Array | Non
             hint="record /tf_static (and /tf, if the camera moves), or give --camera-pose",
         )  # fmt: skip
     if len(frames.stamps) > 1:
-        last = chain(bag.transforms(int(frames.stamps[-1])), world.lstrip("/"), frames.frame)
+        then = bag.transforms(int(frames.stamps[-1]), int(frames.times[-1]))
+        last = chain(then, world.lstrip("/"), frames.frame)
         if last is None or np.abs(last - pose).max() > STILL:
             raise InputError(
                 "the camera moves while the images are taken",

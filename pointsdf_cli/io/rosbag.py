@@ -41,6 +41,7 @@ class DepthFrames:
         depths: f4 [n, height, width], m along z; 0 where the camera saw nothing.
         frame: The camera's frame of reference, such as camera_depth_optical_frame.
         stamps: [n] ns, as the camera set them.
+        times: [n] ns, when they were recorded; another clock than the stamps', perhaps.
         number: Of the first image, counted from 0 where the bag begins.
     """
 
@@ -48,6 +49,7 @@ class DepthFrames:
     depths: NDArray[np.float32]
     frame: str
     stamps: NDArray[np.int64]
+    times: NDArray[np.int64]
     number: int
 
 
@@ -132,8 +134,9 @@ class Bag:
             index += sum(1 for _ in self.messages([topic]))
         depths: list[NDArray[np.float32]] = []
         stamps: list[int] = []
+        times: list[int] = []
         seen, frame = 0, ""
-        for _, _, message in self.messages([topic], start):
+        for _, recorded, message in self.messages([topic], start):
             seen += 1
             if time is None and seen <= index:
                 continue
@@ -141,13 +144,14 @@ class Bag:
             if depths[-1].shape != depths[0].shape:
                 raise InputError(f"images on {topic} differ in size", where=self.path)
             stamps.append(_nanoseconds(message.header.stamp))
+            times.append(recorded)
             frame = message.header.frame_id.lstrip("/")
             if len(depths) == count:
                 break
         if len(depths) < count or index < 0:
             raise self._too_few(topic, seen, index, time, count)
         first = index if time is None else -1
-        return DepthFrames(topic, np.stack(depths), frame, np.array(stamps), first)
+        return DepthFrames(topic, np.stack(depths), frame, np.array(stamps), np.array(times), first)
 
     def _too_few(
         self, topic: str, seen: int, index: int, time: float | None, count: int
@@ -205,18 +209,20 @@ class Bag:
         same = found.header.frame_id.lstrip("/") == frame
         return bool(same and (found.width, found.height) == size)
 
-    def transforms(self, stamp: int) -> dict[tuple[str, str], Array]:
+    def transforms(self, stamp: int, recorded: int) -> dict[tuple[str, str], Array]:
         """T_parent_child [4, 4] by (parent, child): the static ones, and of the moving ones those
-        nearest to a time [ns], if within `NEAR_IN_TIME`."""
+        nearest to an image's stamp [ns], if within `NEAR_IN_TIME`."""
+        topics = self.topics(TF)
+        fixed = [topic for topic in topics if topic.endswith("tf_static")]
         static: dict[tuple[str, str], Array] = {}
+        for _, _, message in self.messages(fixed):
+            static |= {_edge(item): _matrix(item.transform) for item in message.transforms}
         moving: dict[tuple[str, str], tuple[int, Array]] = {}
-        for topic, _, message in self.messages(self.topics(TF)):
+        # A part of the bag only: it may hold an hour of the arm's motion.
+        window = recorded - 2 * NEAR_IN_TIME, recorded + 2 * NEAR_IN_TIME
+        for _, _, message in self.messages([t for t in topics if t not in fixed], *window):
             for item in message.transforms:
-                edge = item.header.frame_id.lstrip("/"), item.child_frame_id.lstrip("/")
-                if topic.endswith("tf_static"):
-                    static[edge] = _matrix(item.transform)
-                    continue
-                away = abs(_nanoseconds(item.header.stamp) - stamp)
+                edge, away = _edge(item), abs(_nanoseconds(item.header.stamp) - stamp)
                 if away <= NEAR_IN_TIME and (edge not in moving or away < moving[edge][0]):
                     moving[edge] = away, _matrix(item.transform)
         return {edge: pose for edge, (_, pose) in moving.items()} | static
@@ -282,6 +288,10 @@ def _nanoseconds(stamp: Any) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
+def _edge(item: Any) -> tuple[str, str]:
+    return item.header.frame_id.lstrip("/"), item.child_frame_id.lstrip("/")
+
+
 def _matrix(pose: Any) -> Array:
     q, t = pose.rotation, pose.translation
     return transform(rotation_from_wxyz([q.w, q.x, q.y, q.z]), [t.x, t.y, t.z])
@@ -307,7 +317,7 @@ def _raw(message: Any, path: Path, topic: str) -> NDArray[Any]:
     kind, scale = _ENCODINGS[message.encoding]
     number = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     data = np.ascontiguousarray(message.data)
-    whole = 0 < width and 0 < height and width * height <= LARGEST_PIXELS
+    whole = min(width, height) > 0 and width * height <= LARGEST_PIXELS
     if not whole or step < width * number.itemsize or data.nbytes < step * height:
         raise InputError(f"an image on {topic} is cut short", where=path)
     rows = data.view(np.uint8)[: step * height].reshape(height, step)
