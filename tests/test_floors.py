@@ -98,6 +98,7 @@ def test_every_third_party_import_is_a_declared_dependency() -> None:
     declared = (PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8").lower()
     distribution = {
         "yaml": "pyyaml",
+        "cv2": "opencv-python-headless",
         "igl": "libigl",
         "sklearn": "scikit-learn",
         "skimage": "scikit-image",

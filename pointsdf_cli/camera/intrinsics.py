@@ -26,7 +26,14 @@ _DISTORTION = (
     *("dist_coeffs", "dist_coeff", "k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"),
 )
 _WIDTH, _HEIGHT = ("width", "image_width"), ("height", "image_height")
+_NAMED = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_OPENCV_MODELS = ("plumb_bob", "rational_polynomial", "brown_conrady", "radtan", "opencv")
 SMALLEST_DISTORTION = 1e-6
+LENSES = (
+    "OpenCV's k1, k2, p1, p2, then none, k3, or k3, k4, k5, k6 (models "
+    + ", ".join(_OPENCV_MODELS)
+    + ")"
+)
 
 
 def read_intrinsics(name: str, width: int, height: int) -> Camera:
@@ -39,19 +46,43 @@ def read_intrinsics(name: str, width: int, height: int) -> Camera:
     Raises:
         InputError: No such file or form, another image size, or a camera that bends the picture.
     """
+    camera, data = _read(name, width, height, "depth image")
+    _check_distortion(data, Path(name))
+    return camera
+
+
+def read_lens(name: str, width: int, height: int) -> tuple[Camera, tuple[float, ...]]:
+    """The camera of an image of `width` × `height` pixels and its distortion.
+
+    Args:
+        name: A file in one of `FORMS` (JSON or YAML), or a camera's name.
+        width, height: Of the image; a file that gives another size is refused.
+
+    Returns:
+        The camera, and OpenCV's coefficients k1, k2, p1, p2[, k3[, k4, k5, k6]]; none for a pinhole
+        camera.
+
+    Raises:
+        InputError: No such file or form, another image size, or another model of distortion.
+    """
+    camera, data = _read(name, width, height, "image")
+    return camera, _coefficients(data, Path(name))
+
+
+def _read(name: str, width: int, height: int, kind: str) -> tuple[Camera, Mapping[str, Any]]:
+    """The camera without its distortion, and what else its file holds."""
     if name in CAMERAS:
         camera = CAMERAS[name]
-        _check_size(camera.width, camera.height, width, height, name)
-        return camera
+        _check_size(camera.width, camera.height, width, height, name, kind)
+        return camera, {}
     data, path = _load(name), Path(name)
     if isinstance(data, Mapping):
-        _check_distortion(data, path)
         # One number, or ROS calibration's names, say as well that it is of another image.
         mine, mine_high = (
             next((_whole(data[name], path) for name in names if data.get(name) is not None), own)
             for names, own in ((_WIDTH, width), (_HEIGHT, height))
         )
-        _check_size(mine, mine_high, width, height, path)
+        _check_size(mine, mine_high, width, height, path, kind)
         fx, fy, cx, cy = _numbers(data, path)
     else:
         fx, fy, cx, cy = _of_matrix(data, False, path)
@@ -65,7 +96,7 @@ def read_intrinsics(name: str, width: int, height: int) -> Camera:
             where=path,
             allowed="intrinsics of this image: those of its own size and crop, in pixels",
         )
-    return camera
+    return camera, data if isinstance(data, Mapping) else {}
 
 
 def _load(name: str) -> Any:
@@ -161,17 +192,44 @@ def _check_distortion(data: Mapping[str, Any], path: Path) -> None:
             )
 
 
+def _coefficients(data: Mapping[str, Any], path: Path) -> tuple[float, ...]:
+    """OpenCV's distortion coefficients; none if all are zero."""
+    try:
+        if any(name in data for name in _NAMED):
+            found = np.array([float(data.get(name, 0.0)) for name in _NAMED])
+        else:
+            given = next((data[key] for key in _DISTORTION if data.get(key) is not None), ())
+            given = given.get("data") if isinstance(given, Mapping) else given
+            found = np.asarray(given, dtype=np.float64).ravel()
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            "has distortion coefficients that are not numbers", where=path, allowed=LENSES
+        ) from error
+    if np.abs(found).max(initial=0.0) <= SMALLEST_DISTORTION:
+        return ()
+    model = data.get("distortion_model") or data.get("model") or "plumb_bob"
+    known = str(model).lower().removeprefix("distortion.") in _OPENCV_MODELS
+    if not known or len(found) not in (4, 5, 8) or not np.isfinite(found).all():
+        raise InputError(
+            f"has {len(found)} distortion coefficients of the model {model}",
+            where=path,
+            allowed=LENSES,
+            hint="rectify the images first, and give the rectified K",
+        )
+    return tuple(found.tolist())
+
+
 def _whole(value: Any, path: Path) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or value % 1 != 0:
         raise InputError(f"has a width or height of {value!r}", where=path, allowed="whole numbers")
     return int(value)
 
 
-def _check_size(mine: int, my_height: int, width: int, height: int, where: Any) -> None:
+def _check_size(mine: int, my_height: int, width: int, height: int, where: Any, kind: str) -> None:
     if (mine, my_height) != (width, height):
         raise InputError(
-            f"is for images of {mine} × {my_height}, and the depth image has {width} × {height}",
+            f"is for images of {mine} × {my_height}, and the {kind} has {width} × {height}",
             where=where,
-            allowed="intrinsics of the depth image itself (not of the colour camera, or of "
-            "another resolution)",
+            allowed=f"intrinsics of the {kind} itself (not of another camera, or of another "
+            "resolution)",
         )

@@ -8,6 +8,7 @@ import typer
 
 from pointsdf_cli import __version__
 from pointsdf_cli.cli import (
+    calibrate,
     cloud,
     collect_grasps,
     doctor,
@@ -60,6 +61,7 @@ app.command("render")(render.render)
 app.command("label-sdf")(label_sdf.label_sdf)
 app.command("train-sdf")(train_sdf.train_sdf)
 app.command("eval-sdf")(eval_sdf.eval_sdf)
+app.command("calibrate")(calibrate.calibrate)
 app.command("cloud")(cloud.cloud)
 app.command("mesh")(mesh.mesh)
 app.command("collect-grasps")(collect_grasps.collect_grasps)

@@ -1,25 +1,37 @@
-"""`rgrasp cloud`: a depth image of a real camera as a point cloud."""
+"""`rgrasp cloud`: a depth image of a real camera, or of a ROS 2 bag, as a point cloud."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pointsdf_cli.cli import common
 
+if TYPE_CHECKING:
+    from numpy import float64
+    from numpy.typing import NDArray
+
+    from pointsdf_cli.camera.bag_cloud import BagOptions
+
 
 def cloud(
-    depth: Annotated[Path, typer.Argument(help="16-bit PNG, TIFF or PGM, or NPY: depth along z.")],
+    depth: Annotated[
+        Path,
+        typer.Argument(
+            help="16-bit PNG, TIFF or PGM, or NPY: depth along z; or a ROS 2 bag (folder, .mcap, "
+            ".db3)."
+        ),
+    ],
     intrinsics: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="K.json",
             help="K matrix, ROS camera_info, RealSense or Open3D intrinsics (JSON or YAML), or "
-            "kinect2.",
+            "kinect2; a bag has camera_info.",
         ),
-    ],
+    ] = None,
     pose: Annotated[
         str | None,
         typer.Option(metavar="POSE", help="Camera in the world: X,Y,Z,QW,QX,QY,QZ, or a file."),
@@ -39,6 +51,26 @@ def cloud(
     out: Annotated[
         Path | None, typer.Option(help="The cloud [default: cloud.ply, here].", show_default=False)
     ] = None,
+    topic: Annotated[
+        str | None,
+        typer.Option(help="Of a bag: the depth images [default: the only topic named so]."),
+    ] = None,
+    world_frame: Annotated[
+        str | None,
+        typer.Option(help="Of a bag: the frame, such as base_link, to find the pose in."),
+    ] = None,
+    index: Annotated[int, typer.Option(help="Of a bag: which image; -1 is the last.")] = 0,
+    time: Annotated[
+        float | None,
+        typer.Option(help="Of a bag: the first image so many seconds after its beginning."),
+    ] = None,
+    frames: Annotated[
+        int, typer.Option(help="Of a bag: the median of so many images, which removes noise.")
+    ] = 1,
+    info_topic: Annotated[
+        str | None,
+        typer.Option(help="Of a bag: camera_info [default: beside the images]."),
+    ] = None,
     force: common.Force = False,
     quiet: common.Quiet = False,
     as_json: common.Json = False,
@@ -46,9 +78,11 @@ def cloud(
     """Turn a depth image into a cloud that mesh and plan read.
 
     Example: rgrasp cloud depth.png --intrinsics K.json --pose T.json --out cloud.ply
+    Example: rgrasp cloud bag/ --topic /camera/depth/image_rect_raw --world-frame base_link
     """
     import numpy as np
 
+    from pointsdf_cli.camera.bag_cloud import BagOptions
     from pointsdf_cli.camera.depth_cloud import cloud_of_depth
     from pointsdf_cli.camera.intrinsics import read_intrinsics
     from pointsdf_cli.errors import InputError
@@ -56,10 +90,27 @@ def cloud(
     from pointsdf_cli.io.clouds import write_cloud
     from pointsdf_cli.io.depth_images import read_colour, read_depth
     from pointsdf_cli.io.poses import camera_pose
+    from pointsdf_cli.io.rosbag import is_bag
 
     out = require_new(out or Path("cloud.ply"), force)
     if out.suffix.lower() != ".ply":
         raise InputError(f"{out.suffix!r} is not written", where="--out", allowed=".ply")
+    bag = BagOptions(topic, info_topic, world_frame, index, time, frames)
+    if is_bag(depth):
+        if color is not None or depth_scale is not None:
+            what = "--color" if color is not None else "--depth-scale"
+            raise InputError(f"{what} with a bag", where=depth, hint="leave it out")
+        fixed = None if pose is None else camera_pose(pose, "--pose")
+        _cloud_of_bag(
+            common.Reporter(quiet, as_json), depth, bag, intrinsics, fixed, near, far, out
+        )
+        return
+    if bag != BagOptions():
+        raise InputError("is no bag, and an option of bags is given", where=depth)
+    if intrinsics is None:
+        raise InputError(
+            "a depth image needs its intrinsics", where=depth, hint="add --intrinsics K.json"
+        )
     image = read_depth(depth, depth_scale)
     height, width = image.shape
     camera = read_intrinsics(intrinsics, width, height)
@@ -89,4 +140,54 @@ def cloud(
             "has_colours": colours is not None,
         },
         lines,
+    )
+
+
+def _cloud_of_bag(
+    reporter: common.Reporter,
+    path: Path,
+    options: BagOptions,
+    intrinsics: str | None,
+    pose: NDArray[float64] | None,
+    near: float,
+    far: float,
+    out: Path,
+) -> None:
+    """Write the cloud of a bag's depth images, and say what it is made of."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from pointsdf_cli.camera.bag_cloud import cloud_of_bag
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.clouds import write_cloud
+
+    if pose is not None and options.world_frame is not None:
+        raise InputError("two poses: --world-frame and --pose", where=path, hint="leave one out")
+    made, frames, said = cloud_of_bag(path, options, intrinsics, near, far)
+    if pose is not None:
+        made = replace(made, T_world_camera=pose)
+    elif made.T_world_camera is None:
+        said.append("rgrasp mesh needs no pose, rgrasp plan will ask for --camera-pose")
+    write_cloud(out, made)
+    middle = float(np.median(made.points[:, 2]))
+    place = f"image {frames.number}" if frames.number >= 0 else f"the image at {options.time:g} s"
+    if options.frames > 1:
+        place = f"{options.frames} images from {place}"
+    reporter.result(
+        {
+            "out": out,
+            "points": len(made.points),
+            "median_depth": middle,
+            "has_pose": made.T_world_camera is not None,
+            "topic": frames.topic,
+            "frame_id": frames.frame,
+            "stamps": frames.stamps,
+            "said": said,
+        },
+        [
+            f"{out}: {len(made.points)} points in the camera frame, median depth {middle:.3f} m, "
+            f"from {place} on {frames.topic} ({frames.frame})",
+            *said,
+        ],
     )

@@ -59,7 +59,7 @@ def read_colour(path: Path | str) -> NDArray[np.uint8]:
     Raises:
         InputError: No such file, or no image.
     """
-    with _open(Path(path)) as image:
+    with open_image(Path(path)) as image:
         try:
             return np.asarray(image.convert("RGB"))
         except (OSError, ValueError, SyntaxError) as error:
@@ -73,7 +73,7 @@ def _image(path: Path) -> NDArray:
             where=path,
             allowed=", ".join(DEPTH_SUFFIXES),
         )
-    with _open(path) as image:
+    with open_image(path) as image:
         if image.mode in ("RGB", "RGBA", "P", "CMYK"):
             raise InputError(
                 "is a colour picture, and depths are one number a pixel",
@@ -102,7 +102,12 @@ def _as_stored(values: NDArray, path: Path) -> NDArray:
     return np.rint(values * (greatest / shown)).astype(values.dtype)
 
 
-def _open(path: Path) -> Image.Image:
+def open_image(path: Path) -> Image.Image:
+    """An image file, opened.
+
+    Raises:
+        InputError: No such file, no image, or one of over `LARGEST_PIXELS` pixels.
+    """
     if not path.is_file():
         raise InputError("no such image", where=path)
     try:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import is_rigid, rotation_from_wxyz, transform
+from pointsdf_cli.io.atomic import write_text_atomic
+from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.io.untrusted import read_json, read_npy_array
 
 ALLOWED = (
@@ -31,6 +33,16 @@ def camera_pose(text: str, option: str = "--camera-pose") -> NDArray[np.float64]
     if not is_rigid(matrix):
         raise InputError(f"{len(numbers)} numbers that are no pose", where=option, allowed=ALLOWED)
     return matrix
+
+
+def write_pose(path: Path, pose: NDArray[np.float64]) -> None:
+    """Write a pose [4, 4] as JSON, a row a line, as `camera_pose` reads it.
+
+    Raises:
+        InputError: The folder cannot be written.
+    """
+    rows = ",\n ".join(to_json(row) for row in pose)
+    write_text_atomic(path, f"[{rows}]\n")
 
 
 def place(text: str, where: str) -> NDArray[np.float64]:

@@ -1,0 +1,184 @@
+"""A cloud from a ROS 2 bag: depth images, their intrinsics and the camera's pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.depth_cloud import cloud_of_depth
+from pointsdf_cli.camera.intrinsics import SMALLEST_DISTORTION, read_intrinsics
+from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import Array
+from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.io.rosbag import MOST_FRAMES, Bag, DepthFrames, chain, open_bag
+
+STILL = 0.001
+"""The camera moved [m, rad] between the first and the last of several images."""
+
+
+@dataclass(frozen=True)
+class BagOptions:
+    """What to take from a bag.
+
+    Attributes:
+        topic: Of the depth images; None for the only one with "depth" in its name.
+        info_topic: Of their camera_info; None for the one beside it.
+        world_frame: The frame in which the camera's pose is wanted; None for no pose.
+        index: Number of the first image, from 0; negative ones count from the end.
+        time: If given, take the first image this many seconds after the bag's beginning.
+        frames: So many images, of which the median is taken.
+
+    Raises:
+        InputError: A number is out of its range.
+    """
+
+    topic: str | None = None
+    info_topic: str | None = None
+    world_frame: str | None = None
+    index: int = 0
+    time: float | None = None
+    frames: int = 1
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.frames <= MOST_FRAMES:
+            raise InputError(
+                f"{self.frames} images", where="--frames", allowed=f"1 to {MOST_FRAMES}"
+            )
+        if self.time is not None and (self.index or not 0 <= self.time < 1e7):
+            raise InputError(
+                "--time with --index" if self.index else f"{self.time} s",
+                where="--time",
+                allowed="seconds after the bag's beginning, and no --index",
+            )
+
+
+def cloud_of_bag(
+    path: Path,
+    options: BagOptions,
+    intrinsics: str | None = None,
+    nearest: float = 0.1,
+    farthest: float = 2.5,
+) -> tuple[Cloud, DepthFrames, list[str]]:
+    """The cloud of one depth image, or of the median of several, in the camera's frame.
+
+    Args:
+        path: The bag.
+        options: What to take from it.
+        intrinsics: As for `read_intrinsics`; None takes camera_info.
+        nearest, farthest: Depths [m] beyond which a reading is not believed.
+
+    Returns:
+        The cloud, the images that it is made of, and what there is to say about it.
+
+    Raises:
+        InputError: No such bag or topic, no camera_info, or no way to the world's frame.
+    """
+    said = []
+    with open_bag(path) as bag:
+        topic = bag.depth_topic(options.topic)
+        frames = bag.depth_frames(topic, options.index, options.time, options.frames)
+        height, width = frames.depths.shape[1:]
+        if intrinsics is None:
+            camera = _camera(bag, frames, options.info_topic)
+        else:
+            camera = read_intrinsics(intrinsics, width, height)
+        pose, told = _pose(bag, frames, options.world_frame)
+    said += told
+    if options.frames == 1:
+        depth = frames.depths[0].astype(np.float64)
+    else:
+        depth, spread = median_depth(frames.depths)
+        lasted = (frames.stamps[-1] - frames.stamps[0]) / 1e9
+        said.append(
+            f"median of {options.frames} images in {lasted:.2f} s: readings scattered by "
+            f"{1000 * spread:.2g} mm from image to image; steady errors stay"
+        )
+    cloud = cloud_of_depth(depth, camera, pose, None, nearest, farthest)
+    return cloud, frames, said
+
+
+def median_depth(depths: NDArray[np.float32]) -> tuple[NDArray[np.float64], float]:
+    """The median of depth images and their scatter from one to the next.
+
+    Args:
+        depths: [n, height, width], m; 0 where nothing was seen.
+
+    Returns:
+        [height, width], m, over the images that saw something; 0 where fewer than half did. And
+        the standard deviation [m] of one image's readings, from the median absolute difference.
+    """
+    seen = depths > 0
+    often = 2 * seen.sum(axis=0) >= len(depths)
+    values = np.where(seen, depths, np.nan)[:, often].astype(np.float64)
+    if not values.size:
+        return np.zeros(depths.shape[1:]), 0.0
+    median = np.nanmedian(values, axis=0)
+    depth = np.zeros(depths.shape[1:])
+    depth[often] = median
+    # 1.4826: from the median absolute deviation to a Gaussian's standard deviation.
+    steps = np.abs(np.diff(values, axis=0))
+    spread = 1.4826 * float(np.nanmedian(steps)) / np.sqrt(2) if np.isfinite(steps).any() else 0.0
+    return depth, spread
+
+
+def _camera(bag: Bag, frames: DepthFrames, wanted: str | None) -> Camera:
+    info = bag.camera_info(frames, wanted)
+    height, width = frames.depths.shape[1:]
+    if (info.width, info.height) != (width, height):
+        raise InputError(
+            f"{info.topic} is of images of {info.width} × {info.height}, and those on "
+            f"{frames.topic} have {width} × {height}",
+            where=bag.path,
+            allowed="the camera_info of the depth images themselves (--info-topic)",
+        )
+    # A rectified image is what a camera with the matrix P sees, and the distortion is that of the
+    # image before.
+    rectified = "rect" in frames.topic and info.P[0, 0] > 0
+    if not rectified and np.abs(info.distortion).max(initial=0.0) > SMALLEST_DISTORTION:
+        raise InputError(
+            f"{info.topic} says that the images on {frames.topic} are distorted",
+            where=bag.path,
+            allowed="rectified depth images",
+            hint="record the rectified topic (…/image_rect, from depth_image_proc or image_proc)",
+        )
+    K = info.P[:, :3] if rectified else info.K
+    try:
+        return Camera(width, height, *(float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))))
+    except InputError as error:
+        raise InputError(
+            f"{info.topic}: {error.what}", where=bag.path, allowed=error.allowed
+        ) from error
+
+
+def _pose(bag: Bag, frames: DepthFrames, world: str | None) -> tuple[Array | None, list[str]]:
+    """T_world_camera [4, 4], or None where no frame is asked for; and what there is to say."""
+    transforms = bag.transforms(int(frames.stamps[0]), int(frames.times[0]))
+    known = sorted({name for edge in transforms for name in edge})
+    if world is None:
+        joined = [n for n in known if chain(transforms, n, frames.frame) is not None]
+        joined = [n for n in joined if n != frames.frame]
+        told = f"no --world-frame, so no pose; frames that lead to the camera: {', '.join(joined)}"
+        return None, [told] if joined else ["no pose, and no transforms in the bag to find it"]
+    pose = chain(transforms, world.lstrip("/"), frames.frame)
+    if pose is None:
+        raise InputError(
+            f"no transforms lead from {world} to the camera's frame {frames.frame}",
+            where=bag.path,
+            allowed=f"frames in the bag: {', '.join(known)}" if known else
+            "a bag with /tf_static (none is in it)",
+            hint="record /tf_static (and /tf, if the camera moves), or give --camera-pose",
+        )  # fmt: skip
+    if len(frames.stamps) > 1:
+        then = bag.transforms(int(frames.stamps[-1]), int(frames.times[-1]))
+        last = chain(then, world.lstrip("/"), frames.frame)
+        if last is None or np.abs(last - pose).max() > STILL:
+            raise InputError(
+                "the camera moves while the images are taken",
+                where="--frames",
+                allowed="several images of a camera that stands still, or --frames 1",
+            )
+    return pose, [f"the camera's pose in {world} from the bag's transforms"]

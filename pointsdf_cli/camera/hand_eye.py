@@ -1,0 +1,291 @@
+"""Hand-eye calibration from images of a board: closed form, then least reprojection error.
+
+Each image i relates a robot pose, the camera and the board; X and Z are those of
+`geometry/hand_eye.py`:
+
+    T_camera_board_i = (T_fixed_moving_i · X)⁻¹ · Z
+
+The closed form starts a least-squares fit of X and Z to the board's corners in all images. Images
+that do not fit (a pose of another moment, a board that slipped) are found and left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from pointsdf_cli.camera.charuco import BoardView
+from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import (
+    Array,
+    apply_transform,
+    invert_transform,
+    rotation_vector,
+    transform,
+)
+from pointsdf_cli.geometry.hand_eye import HandEyePoses, rotation_spread, solve_hand_eye
+
+FEWEST_IMAGES = 5
+SMALLEST_SPREAD = np.radians(5)
+"""Least root-mean-square rotation about a second axis [rad]."""
+LARGEST_ERROR = 10.0
+"""Median reprojection error [px] beyond which the poses do not belong to the images."""
+OUTLIER, OUTLIER_PIXELS = 4.0, 1.0
+"""An image is left out if its error is so many times the median, and so many pixels."""
+SUBSETS = 60
+"""Random triples of images that the fit may start from, so that one wrong pose spoils none."""
+
+
+@dataclass(frozen=True)
+class HandEye:
+    """A calibration and how well the images agree with it.
+
+    Attributes:
+        X: T_base_camera [4, 4] (eye-to-hand) or T_gripper_camera (eye-in-hand).
+        Z: T_gripper_board or T_base_board.
+        pixels: [N] root-mean-square reprojection error of each image [px].
+        millimetres: [N] distance between the board's middle as the robot's pose places it and as
+            the image alone does.
+        degrees: [N] angle between the two.
+        used: [N] whether the image took part in the fit.
+        sigma_millimetres, sigma_degrees: Standard deviation of X's position and rotation, from the
+            scatter between images.
+    """
+
+    X: Array
+    Z: Array
+    pixels: Array
+    millimetres: Array
+    degrees: Array
+    used: NDArray[np.bool_]
+    sigma_millimetres: float
+    sigma_degrees: float
+
+
+@dataclass(frozen=True)
+class _Observations:
+    """Poses, the camera, and the corners on the board [m] and in the images [px]."""
+
+    T_fixed_moving: Array
+    camera: Camera
+    corners: list[Array]
+    pixels: list[Array]
+
+    def errors(self, poses: HandEyePoses, images: Sequence[int]) -> list[Array]:
+        """Reprojection errors [n, 2] px of the images, the corners behind the camera made far."""
+        found = []
+        for i in images:
+            T_camera_board = invert_transform(self.T_fixed_moving[i] @ poses.X) @ poses.Z
+            seen = apply_transform(T_camera_board, self.corners[i])
+            seen[:, 2] = np.maximum(seen[:, 2], 1e-3)
+            found.append(self.camera.project(seen) - self.pixels[i])
+        return found
+
+    def rms(self, poses: HandEyePoses) -> Array:
+        """Root-mean-square reprojection error [N] of each image, px."""
+        errors = self.errors(poses, range(len(self.pixels)))
+        return np.array([np.sqrt((e**2).sum(axis=1).mean()) for e in errors])
+
+
+def calibrate_hand_eye(
+    T_base_gripper: Array,
+    views: Sequence[BoardView],
+    corners: Array,
+    camera: Camera,
+    eye_in_hand: bool,
+    seed: int = 0,
+) -> HandEye:
+    """The camera's pose from views of a board and the robot's poses.
+
+    Args:
+        T_base_gripper: [N, 4, 4] in m, one an image.
+        views: Corners found in each image, without distortion.
+        corners: [M, 3] of the board, m.
+        camera: Intrinsics.
+        eye_in_hand: Camera on the gripper and board fixed; else camera fixed, board on the gripper.
+        seed: Of the subsets of images that are tried first.
+
+    Raises:
+        InputError: Too few images, too little rotation, or images and poses do not fit together.
+    """
+    check_poses(T_base_gripper)
+    alone = [board_pose(view, corners, camera) for view in views]
+    fixed_moving = T_base_gripper if eye_in_hand else invert_transform(T_base_gripper)
+    seen = _Observations(
+        fixed_moving, camera, [corners[view.ids] for view in views], [v.pixels for v in views]
+    )
+    poses, used = _fit(seen, np.stack(alone), np.random.default_rng(seed))
+    rms = seen.rms(poses)
+    if np.median(rms) > LARGEST_ERROR or used.sum() < FEWEST_IMAGES:
+        raise _does_not_fit(seen, np.stack(alone), float(np.median(rms)), int(used.sum()))
+    position, rotation = _standard_deviations(seen, poses, np.flatnonzero(used))
+    placed = invert_transform(fixed_moving @ poses.X) @ poses.Z
+    refined = np.stack(
+        [board_pose(v, corners, camera, T) for v, T in zip(views, placed, strict=True)]
+    )
+    middle = corners.mean(axis=0)[None]
+    apart = apply_transform(placed, middle) - apply_transform(refined, middle)
+    turned = rotation_vector(np.swapaxes(placed[:, :3, :3], -1, -2) @ refined[:, :3, :3])
+    return HandEye(
+        X=poses.X,
+        Z=poses.Z,
+        pixels=rms,
+        millimetres=1000 * np.linalg.norm(apart[:, 0], axis=1),
+        degrees=np.degrees(np.linalg.norm(turned, axis=1)),
+        used=used,
+        sigma_millimetres=1000 * position,
+        sigma_degrees=float(np.degrees(rotation)),
+    )
+
+
+def check_poses(T_base_gripper: Array) -> None:
+    """Refuse robot poses that cannot determine the camera's.
+
+    Raises:
+        InputError: Fewer than `FEWEST_IMAGES`, or rotations about fewer than two axes.
+    """
+    if len(T_base_gripper) < FEWEST_IMAGES:
+        raise InputError(
+            f"the board was found in {len(T_base_gripper)} image{'s' * (len(T_base_gripper) != 1)}",
+            allowed=f"at least {FEWEST_IMAGES}; about 15 with different rotations are good",
+        )
+    spread = rotation_spread(T_base_gripper)
+    if spread[1] < SMALLEST_SPREAD:
+        first, second = np.degrees(spread[:2])
+        raise InputError(
+            f"the robot's poses differ by {first:.1f}° about one axis and by {second:.1f}° about "
+            "all others, which does not determine the camera's place",
+            allowed=f"rotations about two axes or more, at least {np.degrees(SMALLEST_SPREAD):g}° "
+            "and better 30°",
+            hint="tilt the gripper to all sides between the images",
+        )
+
+
+def board_pose(
+    view: BoardView, corners: Array, camera: Camera, start: Array | None = None
+) -> Array:
+    """T_camera_board [4, 4] from one image.
+
+    Args:
+        view: Corners found, without distortion.
+        corners: [M, 3] of the board, m.
+        camera: Intrinsics.
+        start: A pose near the answer. A flat board seen from afar has two poses that fit about
+            equally well; the start decides, else the smaller error.
+    """
+    import cv2
+
+    points, pixels = corners[view.ids], view.pixels
+    if start is None:
+        _, turn, shift = cv2.solvePnP(points, pixels, camera.K, None, flags=cv2.SOLVEPNP_IPPE)
+    else:
+        turn = Rotation.from_matrix(start[:3, :3]).as_rotvec()[:, None]
+        shift = start[:3, 3:].copy()
+    turn, shift = cv2.solvePnPRefineLM(points, pixels, camera.K, None, turn, shift)
+    return transform(Rotation.from_rotvec(np.ravel(turn)).as_matrix(), np.ravel(shift))
+
+
+def _fit(
+    seen: _Observations, alone: Array, rng: np.random.Generator
+) -> tuple[HandEyePoses, NDArray[np.bool_]]:
+    """X and Z, and which images they were fitted to."""
+    poses, count = _start(seen, alone, rng), len(alone)
+    used = _agreeing(seen.rms(poses), np.ones(count, bool))
+    for _ in range(4):
+        poses = _refine(seen, poses, np.flatnonzero(used))
+        now = _agreeing(seen.rms(poses), used)
+        if (now == used).all():
+            break
+        used = now
+    return poses, used
+
+
+def _start(seen: _Observations, alone: Array, rng: np.random.Generator) -> HandEyePoses:
+    """The closed form of all images or of three, whichever has the least median error."""
+    count = len(alone)
+    subsets = [np.arange(count)] + [rng.choice(count, 3, replace=False) for _ in range(SUBSETS)]
+    tried = []
+    for subset in subsets:
+        if rotation_spread(seen.T_fixed_moving[subset])[1] >= SMALLEST_SPREAD:
+            poses = solve_hand_eye(seen.T_fixed_moving[subset], alone[subset])
+            tried.append((float(np.median(seen.rms(poses))), len(tried), poses))
+    return min(tried)[2]
+
+
+def _agreeing(rms: Array, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The images whose error is not far above those of the ones used; never fewer than half."""
+    limit = max(OUTLIER * float(np.median(rms[used])), OUTLIER_PIXELS, float(np.median(rms)))
+    return np.asarray(rms <= limit)
+
+
+def _refine(seen: _Observations, poses: HandEyePoses, images: Sequence[int]) -> HandEyePoses:
+    def residuals(change: Array) -> Array:
+        return np.concatenate(seen.errors(_moved(poses, change), images)).ravel()
+
+    return _moved(poses, least_squares(residuals, np.zeros(12), x_scale=0.1, loss="soft_l1").x)
+
+
+def _moved(poses: HandEyePoses, change: Array) -> HandEyePoses:
+    """X and Z after small rotations (rotation vectors) and translations [m] in their own frames."""
+    small = transform(
+        Rotation.from_rotvec(change.reshape(2, 6)[:, :3]).as_matrix(), change.reshape(2, 6)[:, 3:]
+    )
+    return HandEyePoses(poses.X @ small[0], poses.Z @ small[1])
+
+
+def _standard_deviations(
+    seen: _Observations, poses: HandEyePoses, images: Sequence[int]
+) -> tuple[float, float]:
+    """Of X's position [m] and rotation [rad]. Errors of one image, which share a robot pose, are
+    taken together (cluster-robust covariance)."""
+
+    def residuals(change: Array, i: int) -> Array:
+        return seen.errors(_moved(poses, change), [i])[0].ravel()
+
+    information, scatter = np.zeros((12, 12)), np.zeros((12, 12))
+    step = 1e-6
+    for i in images:
+        columns = [
+            (residuals(step * axis, i) - residuals(-step * axis, i)) / (2 * step)
+            for axis in np.eye(12)
+        ]
+        jacobian = np.stack(columns, axis=1)
+        gradient = jacobian.T @ residuals(np.zeros(12), i)
+        information += jacobian.T @ jacobian
+        scatter += np.outer(gradient, gradient)
+    inverse = np.linalg.pinv(information)
+    # Twelve unknowns were fitted, six numbers an image say anything about the robot's pose.
+    few = len(images) / max(len(images) - 2, 1)
+    variance = np.diag(inverse @ scatter @ inverse) * few
+    return float(np.sqrt(variance[3:6].sum())), float(np.sqrt(variance[:3].sum()))
+
+
+def _does_not_fit(seen: _Observations, alone: Array, error: float, fitting: int) -> InputError:
+    """The message for poses that do not belong to the images, with what would fit, if anything."""
+    inverted = _Observations(
+        invert_transform(seen.T_fixed_moving), seen.camera, seen.corners, seen.pixels
+    )
+    other = float(np.median(inverted.rms(_start(inverted, alone, np.random.default_rng(0)))))
+    if other < min(LARGEST_ERROR, 0.2 * error):
+        hint = (
+            f"they do ({other:.2g} px) with the other arrangement (--eye-in-hand: camera on the "
+            "wrist, board fixed; without it: camera fixed, board on the gripper), or if the poses "
+            "are of the base in the gripper's frame: then invert them"
+        )
+    else:
+        hint = (
+            "check that image and pose n are of the same moment, the order of the quaternions, "
+            "--pose-unit, and --square against the printed board"
+        )
+    return InputError(
+        f"the robot's poses do not fit the images: a median reprojection error of {error:.3g} px, "
+        f"{fitting} of {len(alone)} images agree",
+        allowed=f"at most {LARGEST_ERROR:g} px",
+        hint=hint,
+    )

@@ -1,0 +1,221 @@
+"""`rgrasp calibrate`: where the camera stands, from images of a board."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+if TYPE_CHECKING:
+    from pointsdf_cli.camera.calibration import Calibration
+    from pointsdf_cli.camera.charuco import CharucoBoard
+
+BOARD_SUFFIXES = (".pdf", ".png")
+PIXELS_A_SQUARE = 420
+
+
+def calibrate(
+    images: Annotated[
+        Path | None,
+        typer.Argument(help="A folder of images of the board.", show_default=False),
+    ] = None,
+    intrinsics: Annotated[
+        str | None,
+        typer.Option(
+            metavar="K.json",
+            help="Of these images, as for rgrasp cloud; OpenCV's distortion may be in it.",
+        ),
+    ] = None,
+    robot_poses: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="POSES",
+            help="Gripper in the robot's root frame, one pose an image, in the order of the "
+            "images' names or with their names: JSON or CSV.",
+        ),
+    ] = None,
+    eye_in_hand: Annotated[
+        bool,
+        typer.Option(
+            "--eye-in-hand",
+            help="The camera is on the wrist and the board stands still; else the camera stands "
+            "still and the gripper holds the board.",
+        ),
+    ] = False,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="POSE",
+            help="With --eye-in-hand: gripper in the robot's root frame; the camera's pose with "
+            "the gripper there is written.",
+        ),
+    ] = None,
+    squares: Annotated[str, typer.Option(help="The board: columns x rows.")] = "5x7",
+    square: Annotated[float, typer.Option(help="Side of a square, as measured [m].")] = 0.035,
+    marker: Annotated[float, typer.Option(help="Side of a marker [m].")] = 0.026,
+    dictionary: Annotated[
+        str, typer.Option(help="ArUco dictionary of the markers: 4X4_50 to 7X7_1000.")
+    ] = "5X5_100",
+    legacy_board: Annotated[
+        bool, typer.Option("--legacy-board", help="The board was made by OpenCV before 4.6.")
+    ] = False,
+    pose_unit: Annotated[
+        str, typer.Option(help="Unit of the robot's translations: m, cm, mm or inch.")
+    ] = "m",
+    robot: common.Robot = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="The pose [default: T_world_camera.json; with --eye-in-hand and without --at "
+            "T_gripper_camera.json].",
+            show_default=False,
+        ),
+    ] = None,
+    write_board: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Only write the board to print: PDF or PNG, to scale."),
+    ] = None,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Find the camera's pose from images of a ChArUco board and the robot's poses.
+
+    Example: rgrasp calibrate images/ --intrinsics K.json --robot-poses poses.json
+    """
+    from pointsdf_cli.camera.calibration import calibrate_from_files
+    from pointsdf_cli.camera.charuco import CharucoBoard
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.atomic import require_folder, require_new
+    from pointsdf_cli.io.board_images import list_images
+    from pointsdf_cli.io.poses import camera_pose, write_pose
+    from pointsdf_cli.robot.description import load_robot
+
+    reporter = common.Reporter(quiet, as_json)
+    board = CharucoBoard(*_squares(squares), square, marker, dictionary, legacy_board)
+    if write_board is not None:
+        common.check_suffix(write_board, "--write-board", BOARD_SUFFIXES)
+        _write_board(reporter, require_new(write_board, force), board)
+        return
+    if images is None or intrinsics is None or robot_poses is None:
+        raise InputError(
+            "needs IMAGES, --intrinsics and --robot-poses, or --write-board",
+            where="rgrasp calibrate",
+            hint="rgrasp calibrate images/ --intrinsics K.json --robot-poses poses.json",
+        )
+    if at is not None and not eye_in_hand:
+        raise InputError("--at without --eye-in-hand", hint="leave it out: the camera stands still")
+    placed = None if at is None else camera_pose(at, "--at")
+    name = "T_gripper_camera" if eye_in_hand and placed is None else "T_world_camera"
+    out = require_new(out or Path(f"{name}.json"), force, [robot_poses])
+    common.check_suffix(out, "--out", (".json",))
+    require_folder(out.parent)
+    T_world_base = load_robot(robot).T_world_base
+    with reporter.progress("images", len(list_images(images))) as progress:
+        found = calibrate_from_files(
+            images, intrinsics, robot_poses, board, eye_in_hand, pose_unit, progress.advance
+        )
+    pose = found.hand_eye.X
+    if not eye_in_hand:
+        pose = T_world_base @ pose
+    elif placed is not None:
+        pose = T_world_base @ placed @ pose
+    write_pose(out, pose)
+    reporter.result(
+        {"out": out, name: pose, "eye_in_hand": eye_in_hand, **_values(found)},
+        _lines(found, out, name),
+    )
+
+
+def _squares(text: str) -> tuple[int, int]:
+    from pointsdf_cli.errors import InputError
+
+    sides = text.lower().replace("×", "x").split("x")
+    if len(sides) != 2 or not all(side.strip().isdecimal() for side in sides):
+        raise InputError(f"{text!r} squares", where="--squares", allowed="such as 5x7")
+    return int(sides[0]), int(sides[1])
+
+
+def _write_board(reporter: common.Reporter, path: Path, board: CharucoBoard) -> None:
+    from pointsdf_cli.camera.charuco import draw_board
+    from pointsdf_cli.io.board_images import write_board_page
+
+    drawn = draw_board(board, PIXELS_A_SQUARE, PIXELS_A_SQUARE // 3)
+    caption = f"{board}. Print at 100%, measure a square.".replace("×", "x")  # no sign of the font
+    width, height = write_board_page(path, drawn, PIXELS_A_SQUARE / board.square, caption)
+    reporter.result(
+        {"board": path, "width_mm": 1000 * width, "height_mm": 1000 * height},
+        [
+            f"{path}: {board}; {1000 * width:.0f} × {1000 * height:.0f} mm with its margin",
+            "print it at 100% (no fitting to the page), glue it to something flat, measure a "
+            "square, and give that as --square",
+        ],
+    )
+
+
+def _values(found: Calibration) -> dict[str, object]:
+    solved, used = found.hand_eye, found.hand_eye.used
+    return {
+        "images_used": int(used.sum()),
+        "outliers": found.outliers,
+        "without_board": found.without_board,
+        "poses_matched_by": "name" if found.matched_by_name else "order",
+        "error_px": _rms(solved.pixels[used]),
+        "error_mm": _rms(solved.millimetres[used]),
+        "error_deg": _rms(solved.degrees[used]),
+        "sigma_mm": solved.sigma_millimetres,
+        "sigma_deg": solved.sigma_degrees,
+        "T_target_board": solved.Z,
+        "images": [
+            {
+                "image": image,
+                "corners": corners,
+                "error_px": pixels,
+                "error_mm": millimetres,
+                "error_deg": degrees,
+                "used": bool(was_used),
+            }
+            for image, corners, pixels, millimetres, degrees, was_used in zip(
+                found.images, found.corners, solved.pixels, solved.millimetres, solved.degrees,
+                used, strict=True,
+            )
+        ],
+    }  # fmt: skip
+
+
+def _lines(found: Calibration, out: Path, name: str) -> list[str]:
+    solved, used = found.hand_eye, found.hand_eye.used
+    lines = [
+        f"{out}: {name} from {used.sum()} images: the robot's poses place the board within "
+        f"{_rms(solved.pixels[used]):.2f} px, {_rms(solved.millimetres[used]):.2f} mm and "
+        f"{_rms(solved.degrees[used]):.2f}° of where the images show it (rms)",
+        f"standard deviation of the camera's pose: {solved.sigma_millimetres:.2f} mm, "
+        f"{solved.sigma_degrees:.3f}°",
+    ]
+    for image, corners, pixels, millimetres, degrees, was_used in zip(
+        found.images, found.corners, solved.pixels, solved.millimetres, solved.degrees, used,
+        strict=True,
+    ):  # fmt: skip
+        told = "" if was_used else "   does not fit, left out: was the robot there?"
+        lines.append(
+            f"  {image}: {corners} corners, {pixels:.2f} px, {millimetres:.2f} mm, "
+            f"{degrees:.2f}°{told}"
+        )
+    lines += [f"  {image}: no board found, left out" for image in found.without_board]
+    if not found.matched_by_name:
+        lines.append("poses and images were matched by their order: give names to be sure")
+    if name == "T_gripper_camera":
+        lines.append(
+            "for --camera-pose: T_world_camera = T_world_gripper · T_gripper_camera at each "
+            "image's robot pose; --at POSE writes it"
+        )
+    return lines
+
+
+def _rms(values: object) -> float:
+    import numpy as np
+
+    return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))

@@ -1,0 +1,352 @@
+"""Depth images, camera_info and transforms from ROS 2 bags (mcap or db3), by the rosbags package.
+
+A bag is a folder with metadata.yaml, or a single .mcap or .db3 file.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import Array, rotation_from_wxyz, transform
+from pointsdf_cli.io.depth_images import LARGEST_PIXELS
+
+SUFFIXES = (".mcap", ".db3")
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO, TF = "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
+TRANSPORTS = ("compressed", "compressedDepth", "zstd")
+MOST_FRAMES = 100
+NEAR_IN_TIME = 1_000_000_000
+"""A moving transform [ns] older or newer than this does not say where the camera was."""
+_ENCODINGS = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}
+_DEPTH_HEADER = 12
+"""Bytes before the PNG of a compressedDepth image: the format and two parameters."""
+
+
+@dataclass(frozen=True)
+class DepthFrames:
+    """Depth images of one topic.
+
+    Attributes:
+        topic: The topic.
+        depths: f4 [n, height, width], m along z; 0 where the camera saw nothing.
+        frame: The camera's frame of reference, such as camera_depth_optical_frame.
+        stamps: [n] ns, as the camera set them.
+        times: [n] ns, when they were recorded; another clock than the stamps', perhaps.
+        number: Of the first image, counted from 0 where the bag begins.
+    """
+
+    topic: str
+    depths: NDArray[np.float32]
+    frame: str
+    stamps: NDArray[np.int64]
+    times: NDArray[np.int64]
+    number: int
+
+
+@dataclass(frozen=True)
+class CameraInfo:
+    """A camera_info message: size [px], K [3, 3], P [3, 4], distortion coefficients."""
+
+    topic: str
+    width: int
+    height: int
+    K: Array
+    P: Array
+    distortion: Array
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is to be read as a bag: a folder, .mcap or .db3 (or .bag, of ROS 1)."""
+    return path.is_dir() or path.suffix.lower() in (*SUFFIXES, ".bag")
+
+
+class Bag:
+    """An open bag; use `open_bag`."""
+
+    def __init__(self, path: Path, reader: Any, store: Any) -> None:
+        self.path, self._reader, self._store = path, reader, store
+
+    def topics(self, *kinds: str) -> list[str]:
+        """Names of the topics of these message types."""
+        found = {c.topic for c in self._reader.connections if c.msgtype in kinds}
+        return sorted(found)
+
+    def messages(
+        self, topics: Sequence[str], start: int | None = None, stop: int | None = None
+    ) -> Iterator[tuple[str, int, Any]]:
+        """Topic, time of recording [ns] and message of everything on some topics, in order."""
+        connections = [c for c in self._reader.connections if c.topic in topics]
+        if connections:  # none would mean all
+            for connection, time, raw in self._reader.messages(connections, start, stop):
+                yield (
+                    connection.topic,
+                    time,
+                    self._store.deserialize_cdr(raw, connection.msgtype),
+                )
+
+    def depth_topic(self, wanted: str | None) -> str:
+        """The topic of depth images: the one that is wanted, or the only one named so.
+
+        Raises:
+            InputError: There is no such topic, or several are to choose from.
+        """
+        there = self.topics(IMAGE, COMPRESSED)
+        listed = ", ".join(there) or "no image topics at all"
+        if wanted is not None:
+            if wanted not in there:
+                raise InputError(
+                    f"has no images on {wanted}", where=self.path, allowed=listed,
+                    hint=f"--topic {_likeliest(there)}" if there else None,
+                )  # fmt: skip
+            return wanted
+        named = [t for t in there if "depth" in t and t.rpartition("/")[2] not in TRANSPORTS]
+        if len(named) != 1:
+            raise InputError(
+                "which images are the depth images?", where=self.path, allowed=listed,
+                hint=f"--topic {_likeliest(there)}" if there else None,
+            )  # fmt: skip
+        return named[0]
+
+    def depth_frames(self, topic: str, index: int, time: float | None, count: int) -> DepthFrames:
+        """Consecutive depth images of a topic.
+
+        Args:
+            topic: Of depth images.
+            index: The first one, from 0; from -1 backwards counts from the end.
+            time: If given, the first image this many seconds after the bag's beginning instead.
+            count: How many.
+
+        Raises:
+            InputError: There are not so many images, they are no depth images, or differ in size.
+        """
+        start = None if time is None else self._reader.start_time + round(1e9 * time)
+        if index < 0:
+            index += sum(1 for _ in self.messages([topic]))
+        depths: list[NDArray[np.float32]] = []
+        stamps: list[int] = []
+        times: list[int] = []
+        seen, frame = 0, ""
+        for _, recorded, message in self.messages([topic], start):
+            seen += 1
+            if time is None and seen <= index:
+                continue
+            depths.append(_depth(message, self.path, topic))
+            if depths[-1].shape != depths[0].shape:
+                raise InputError(f"images on {topic} differ in size", where=self.path)
+            stamps.append(_nanoseconds(message.header.stamp))
+            times.append(recorded)
+            frame = message.header.frame_id.lstrip("/")
+            if len(depths) == count:
+                break
+        if len(depths) < count or index < 0:
+            raise self._too_few(topic, seen, index, time, count)
+        first = index if time is None else -1
+        return DepthFrames(topic, np.stack(depths), frame, np.array(stamps), np.array(times), first)
+
+    def _too_few(
+        self, topic: str, seen: int, index: int, time: float | None, count: int
+    ) -> InputError:
+        if time is not None:
+            length = (self._reader.end_time - self._reader.start_time) / 1e9
+            return InputError(
+                f"has {seen} images on {topic} after {time:g} s, and {count} are asked for",
+                where=self.path,
+                allowed=f"a --time from 0 to {length:.1f} s that leaves as many",
+            )
+        wanted = f"image {index}" if count == 1 else f"images {index} to {index + count - 1}"
+        return InputError(
+            f"has {seen} images on {topic}, and {wanted} asked for",
+            where=self.path,
+            allowed=f"--index {-seen} to {seen - 1}, and as many --frames as follow" if seen else
+            "a topic with images",
+        )  # fmt: skip
+
+    def camera_info(self, frames: DepthFrames, wanted: str | None) -> CameraInfo:
+        """The camera_info of depth images: beside their topic, or the only one of their frame.
+
+        Raises:
+            InputError: There is none, or several are to choose from.
+        """
+        there = self.topics(CAMERA_INFO)
+        parts = frames.topic.split("/")
+        base = parts[:-2] if parts[-1] in TRANSPORTS else parts[:-1]
+        topic = wanted or "/".join([*base, "camera_info"])
+        if topic not in there and wanted is None:
+            size = frames.depths.shape[:0:-1]
+            same = [t for t in there if self._describes(t, frames.frame, size)]
+            topic = same[0] if len(same) == 1 else topic
+        message = next((m for _, _, m in self.messages([topic])), None) if topic in there else None
+        if message is None:
+            raise InputError(
+                f"has no camera_info for {frames.topic} (looked for {topic})",
+                where=self.path,
+                allowed=f"--info-topic: {', '.join(there)}" if there else "record it, too",
+                hint="--intrinsics K.json gives them by hand",
+            )
+        return CameraInfo(
+            topic,
+            int(message.width),
+            int(message.height),
+            np.asarray(message.k, dtype=np.float64).reshape(3, 3),
+            np.asarray(message.p, dtype=np.float64).reshape(3, 4),
+            np.asarray(message.d, dtype=np.float64).ravel(),
+        )
+
+    def _describes(self, topic: str, frame: str, size: tuple[int, ...]) -> bool:
+        found = next((m for _, _, m in self.messages([topic])), None)
+        if found is None:
+            return False
+        same = found.header.frame_id.lstrip("/") == frame
+        return bool(same and (found.width, found.height) == size)
+
+    def transforms(self, stamp: int, recorded: int) -> dict[tuple[str, str], Array]:
+        """T_parent_child [4, 4] by (parent, child): the static ones, and of the moving ones those
+        nearest to an image's stamp [ns], if within `NEAR_IN_TIME`."""
+        topics = self.topics(TF)
+        fixed = [topic for topic in topics if topic.endswith("tf_static")]
+        static: dict[tuple[str, str], Array] = {}
+        for _, _, message in self.messages(fixed):
+            static |= {_edge(item): _matrix(item.transform) for item in message.transforms}
+        moving: dict[tuple[str, str], tuple[int, Array]] = {}
+        # A part of the bag only: it may hold an hour of the arm's motion.
+        window = recorded - 2 * NEAR_IN_TIME, recorded + 2 * NEAR_IN_TIME
+        for _, _, message in self.messages([t for t in topics if t not in fixed], *window):
+            for item in message.transforms:
+                edge, away = _edge(item), abs(_nanoseconds(item.header.stamp) - stamp)
+                if away <= NEAR_IN_TIME and (edge not in moving or away < moving[edge][0]):
+                    moving[edge] = away, _matrix(item.transform)
+        return {edge: pose for edge, (_, pose) in moving.items()} | static
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """A bag, open for reading.
+
+    Raises:
+        InputError: No such bag, a damaged one, or one of ROS 1.
+    """
+    from rosbags.rosbag2 import Reader
+    from rosbags.typesys import Stores, get_typestore
+
+    if not path.exists():
+        raise InputError("no such bag", where=path)
+    if path.suffix.lower() == ".bag":
+        raise InputError(
+            "is a bag of ROS 1",
+            where=path,
+            allowed="ROS 2 bags: a folder with metadata.yaml, .mcap or .db3",
+            hint=f"rosbags-convert --src {path} --dst {path.with_suffix('')}",
+        )
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        raise InputError(
+            "is a folder without metadata.yaml, so no ROS 2 bag",
+            where=path,
+            hint=f"ros2 bag reindex {path}, or give the .mcap or .db3 file in it",
+        )
+    try:
+        with Reader(path) as reader:
+            # The messages read here are the same in every distribution since Foxy.
+            yield Bag(path, reader, get_typestore(Stores.ROS2_HUMBLE))
+    except InputError:
+        raise
+    except Exception as error:  # a damaged bag fails in any part of the libraries that read it
+        reason = (str(error).splitlines() or [""])[0][:160] or type(error).__name__
+        raise InputError(f"is no readable ROS 2 bag ({reason})", where=path) from error
+
+
+def chain(transforms: dict[tuple[str, str], Array], world: str, camera: str) -> Array | None:
+    """T_world_camera [4, 4] through a tree of T_parent_child; None if nothing joins the two."""
+    neighbours: dict[str, list[tuple[str, Array]]] = {}
+    for (parent, child), pose in transforms.items():
+        neighbours.setdefault(parent, []).append((child, pose))
+        neighbours.setdefault(child, []).append((parent, np.linalg.inv(pose)))
+    reached, waiting = {world: np.eye(4)}, [world]
+    while waiting:
+        at = waiting.pop(0)
+        for other, pose in neighbours.get(at, []):
+            if other not in reached:
+                reached[other] = reached[at] @ pose
+                waiting.append(other)
+    return reached.get(camera) if camera in neighbours or camera == world else None
+
+
+def _likeliest(topics: Sequence[str]) -> str:
+    return next((topic for topic in topics if "depth" in topic), topics[0])
+
+
+def _nanoseconds(stamp: Any) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def _edge(item: Any) -> tuple[str, str]:
+    return item.header.frame_id.lstrip("/"), item.child_frame_id.lstrip("/")
+
+
+def _matrix(pose: Any) -> Array:
+    q, t = pose.rotation, pose.translation
+    return transform(rotation_from_wxyz([q.w, q.x, q.y, q.z]), [t.x, t.y, t.z])
+
+
+def _depth(message: Any, path: Path, topic: str) -> NDArray[np.float32]:
+    """The depths f4 [height, width] in m of an Image or CompressedImage message."""
+    if hasattr(message, "format"):
+        values = _compressed(message, path, topic)
+    else:
+        values = _raw(message, path, topic)
+    return np.where(np.isfinite(values) & (values > 0), values, 0).astype(np.float32)
+
+
+def _raw(message: Any, path: Path, topic: str) -> NDArray[Any]:
+    width, height, step = int(message.width), int(message.height), int(message.step)
+    if message.encoding not in _ENCODINGS:
+        raise InputError(
+            f"images on {topic} are {message.encoding}, no depths",
+            where=path,
+            allowed=", ".join(_ENCODINGS),
+        )
+    kind, scale = _ENCODINGS[message.encoding]
+    number = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
+    data = np.ascontiguousarray(message.data)
+    whole = min(width, height) > 0 and width * height <= LARGEST_PIXELS
+    if not whole or step < width * number.itemsize or data.nbytes < step * height:
+        raise InputError(f"an image on {topic} is cut short", where=path)
+    rows = data.view(np.uint8)[: step * height].reshape(height, step)
+    return rows[:, : width * number.itemsize].copy().view(number) * np.float64(scale)
+
+
+def _compressed(message: Any, path: Path, topic: str) -> NDArray[Any]:
+    """16UC1 and 32FC1 as `compressedDepth` (PNG) writes them, and 16UC1 as a plain PNG."""
+    form, data = str(message.format), np.ascontiguousarray(message.data).tobytes()
+    encoding = form.partition(";")[0].strip()
+    header = _DEPTH_HEADER if "compressedDepth" in form else 0
+    png = data[header:].startswith(b"\x89PNG")
+    if not png or encoding not in _ENCODINGS or (encoding == "32FC1" and not header):
+        raise InputError(
+            f"images on {topic} are compressed as {form!r}, which is not read",
+            where=path,
+            allowed="uncompressed images, or compressedDepth with PNG",
+            hint="ros2 run image_transport republish compressedDepth raw, and record that; or "
+            "record the uncompressed topic",
+        )
+    try:
+        with Image.open(io.BytesIO(data[header:])) as image:
+            if image.width * image.height > LARGEST_PIXELS or not image.mode.startswith("I"):
+                raise ValueError(image.mode)
+            values = np.asarray(image).astype(np.float64)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InputError(f"an image on {topic} is no 16-bit PNG", where=path) from error
+    if encoding != "32FC1":
+        return values * 0.001
+    # Floats are kept as inverse depths: value = a / depth + b.
+    a, b = np.frombuffer(data[4:header], "<f4").astype(np.float64)
+    return np.divide(a, values - b, out=np.zeros_like(values), where=values > 0)
