@@ -218,8 +218,8 @@ def _put(
     depth: NDArray[np.float32],
     cosine: NDArray[np.float32],
     label: NDArray[np.uint8],
-    new_depth: Array,
-    new_cosine: Array,
+    new_depth: NDArray[np.floating],
+    new_cosine: NDArray[np.floating],
     new_label: int,
 ) -> None:
     """Draw another surface into the images wherever it is nearer."""

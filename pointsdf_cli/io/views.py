@@ -120,7 +120,7 @@ def _version(path: Path | str) -> int:
 
 
 def _evidence_datasets(evidence: Sequence[ViewEvidence]) -> dict[str, Dataset]:
-    """One row a view; a view without an image has a window of NaN, one without a plane NaN there."""
+    """One row a view: NaN for the window or the plane that is not known."""
     nothing = VisibilityImage(
         np.full(4, np.nan), np.zeros((SIZE, SIZE), bool), np.zeros((SIZE, SIZE), np.float32)
     )

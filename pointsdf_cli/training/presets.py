@@ -50,7 +50,8 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
         return {}, TrainConfig(loss=SdfLoss("sign", sign_weight=1.0))
     if model == "pointsdf":
         return dict(POINTSDF_PRESETS["small"]), TrainConfig()
-    return {"revolution": True, "sideways": SIDEWAYS, "box": True, "surroundings": True}, TrainConfig()
+    evidence = {"revolution": True, "sideways": SIDEWAYS, "box": True, "surroundings": True}
+    return evidence, TrainConfig()
 
 
 def paper_steps(views: int, batch_size: int) -> int:

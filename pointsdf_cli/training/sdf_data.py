@@ -53,8 +53,11 @@ class Batch(NamedTuple):
         return self._each(lambda t: t[first:last])
 
     def _each(self, change: Callable[[Tensor], Tensor]) -> Batch:
-        *plain, around = self
-        return Batch(*map(change, plain), Surroundings(*map(change, around)))
+        cloud, camera, neighbours, x, sdf, around = self
+        return Batch(
+            *map(change, (cloud, camera, neighbours, x, sdf)),
+            around=Surroundings(*map(change, around)),
+        )
 
 
 class Split(NamedTuple):
