@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.geometry.open3d_core import o3d
 
 SKY = np.array([1.0, 1.0, 1.0])
 LIGHT = np.array([0.35, -0.45, 1.0]) / np.linalg.norm([0.35, -0.45, 1.0])
@@ -111,10 +112,10 @@ def table_mesh(
 
 
 def _cast(
-    scene: o3d.t.geometry.RaycastingScene,
+    scene: Any,
     origins: NDArray[np.float64],
     directions: NDArray[np.float64],
-) -> dict[str, o3d.core.Tensor]:
+) -> dict[str, Any]:
     rays = np.concatenate([origins, directions], axis=-1).astype(np.float32)
-    found: dict[str, o3d.core.Tensor] = scene.cast_rays(o3d.core.Tensor.from_numpy(rays), 1)
+    found: dict[str, Any] = scene.cast_rays(o3d.core.Tensor.from_numpy(rays), 1)
     return found
