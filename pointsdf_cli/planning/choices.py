@@ -91,9 +91,7 @@ def check_segment(segment: str, target: bool, workspace: bool) -> None:
         raise InputError(f"no {segment!r}", where="--segment", allowed=", ".join(SEGMENT))
     for name, given in (("target", target), ("workspace", workspace)):
         if given and segment == "none":
-            raise InputError(
-                f"--{name} without --segment auto", hint="leave one of the two out"
-            )
+            raise InputError(f"--{name} without --segment auto", hint="leave one of the two out")
 
 
 def _require_one_of(value: str, allowed: tuple[str, ...], what: str, option: str) -> None:

@@ -68,7 +68,8 @@ class PlannerConfig:
     """Everything that is decided before an object is seen.
 
     Attributes:
-        solver: One of `choices.SOLVERS`. `slsqp` asks the exact field throughout, as the paper does.
+        solver: One of `choices.SOLVERS`. `slsqp` asks the exact field throughout, as the paper
+            does.
         clearances: Least distances.
         margin: Distance to the object that solver and motion keep wherever they can [m]; what
             comes nearer, down to the clearance, is taken all the same.

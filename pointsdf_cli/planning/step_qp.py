@@ -5,8 +5,8 @@
 
 With slack an infeasible linearisation only costs; for μ above the multipliers the penalty is exact.
 
-Clarabel minimises ½ xᵀP x + q · x with A x + s = b, s in a cone. Here x = (y, d, t) with y = F d, so
-that P is the identity on y, and the rows of A are
+Clarabel minimises ½ xᵀP x + q · x with A x + s = b, s in a cone. Here x = (y, d, t) with y = F d,
+so that P is the identity on y, and the rows of A are
 
     [ −I   F    0 ]        0     y = F d
     [  0   0   −I ]        0     t ≥ 0
@@ -14,9 +14,9 @@ that P is the identity on y, and the rows of A are
     [  0  −I    0 ]     −low     d ≥ low
     [  0   I    0 ]     high     d ≤ high
 
-cvxpy makes the same matrices of the problem as it is written above (a test compares them), but takes
-longer to import than all steps of a plan take to solve. Their pattern never changes: each step
-writes its numbers into it.
+cvxpy makes the same matrices of the problem as it is written above (a test compares them), but
+takes longer to import than all steps of a plan take to solve. Their pattern never changes: each
+step writes its numbers into it.
 """
 
 from __future__ import annotations
