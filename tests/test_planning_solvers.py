@@ -188,6 +188,25 @@ def test_the_steps_program_is_the_one_that_cvxpy_solves() -> None:
         np.testing.assert_allclose(step, d.value, atol=1e-4)
 
 
+def test_the_steps_matrices_are_those_that_cvxpy_compiles() -> None:
+    n, k = 4, 6
+    rng = np.random.default_rng(3)
+    d, t = cp.Variable(n), cp.Variable(k, nonneg=True)
+    factor, jacobian = cp.Parameter((n, n)), cp.Parameter((k, n))
+    gradient, low, high = cp.Parameter(n), cp.Parameter(n), cp.Parameter(n)
+    values, penalty = cp.Parameter(k), cp.Parameter(nonneg=True)
+    cost = 0.5 * cp.sum_squares(factor @ d) + gradient @ d + penalty * cp.sum(t)
+    bounds = [jacobian @ d + values + t >= 0, d >= low, d <= high]
+    parameters = [factor, gradient, jacobian, values, low, high, penalty]
+    for parameter in parameters:
+        parameter.value = rng.uniform(1, 2, parameter.shape) if parameter.shape else 3.0
+    stated, _, _ = cp.Problem(cp.Minimize(cost), bounds).get_problem_data(cp.CLARABEL)
+    matrix, linear, bound = StepQp(n, k).data(*(parameter.value for parameter in parameters))
+    assert (matrix != stated["A"]).nnz == 0
+    np.testing.assert_array_equal(linear, stated["c"])
+    np.testing.assert_array_equal(bound, stated["b"])
+
+
 def test_senseless_options_are_refused() -> None:
     with pytest.raises(InputError, match="radius"):
         SqpConfig(radius=1.0)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.geometry.open3d_core import o3d
 
 _BEHIND = 1e-3
 """Vertices nearer to the image plane than this [m] cannot be projected: cast the whole image."""
@@ -117,7 +118,7 @@ class MeshCaster:
 
     def _cast(
         self, T_camera_object: NDArray[np.float64], window: tuple[int, int, int, int]
-    ) -> tuple[dict[str, o3d.core.Tensor], NDArray[np.float32]]:
+    ) -> tuple[dict[str, Any], NDArray[np.float32]]:
         """Hits, and rays [h, w, 6], mesh frame, of directions with z = 1 in the camera frame."""
         camera = self._camera
         left, right, top, bottom = window

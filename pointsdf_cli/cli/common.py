@@ -162,22 +162,28 @@ def check_picture(path: Path | None, force: bool) -> Path | None:
     return path
 
 
+def check_device(name: str) -> None:
+    """Refuse what names no kind of device, without asking torch which there are.
+
+    Raises:
+        InputError: Neither cpu nor cuda nor cuda:N.
+    """
+    kind, colon, number = name.partition(":")
+    numbered = not colon or number.isdecimal()
+    if kind not in ("cpu", "cuda") or not numbered:
+        raise InputError(f"no device {name!r}", where="--device", allowed="cpu, cuda, cuda:N")
+
+
 def torch_device(name: str) -> str:
     """`name`, if torch can compute there.
 
     Raises:
         InputError: No such kind of device, or not on this machine.
     """
+    check_device(name)
     import torch
 
-    try:
-        device = torch.device(name)
-    except RuntimeError as error:
-        raise InputError(
-            f"no device {name!r}", where="--device", allowed="cpu, cuda, cuda:N"
-        ) from error
-    if device.type not in ("cpu", "cuda"):
-        raise InputError(f"no device {name!r}", where="--device", allowed="cpu, cuda, cuda:N")
+    device = torch.device(name)
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         raise InputError(
             f"{name} is not on this machine ({torch.cuda.device_count()} CUDA devices)",

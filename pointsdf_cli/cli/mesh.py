@@ -107,6 +107,7 @@ def mesh(
     from pointsdf_cli.geometry.frames import apply_transform
     from pointsdf_cli.geometry.isosurface import EmptySurfaceError, IsosurfaceConfig
     from pointsdf_cli.io.atomic import require_new
+    from pointsdf_cli.io.checkpoints import read_config
     from pointsdf_cli.io.clouds import check_object_cloud, read_cloud
     from pointsdf_cli.io.meshes import UNITS, save_mesh
     from pointsdf_cli.io.poses import camera_pose as parse_pose
@@ -117,6 +118,10 @@ def mesh(
     IsosurfaceConfig(resolution)  # a wrong resolution is known before anything is read
     out = require_new(mesh_path(out, form), force, [cloud])
     common.check_picture(picture, force)
+    common.check_seed(seed)
+    common.check_device(device)
+    if checkpoint is not None:
+        read_config(checkpoint)
     pose = None if camera_pose is None else parse_pose(camera_pose)
     view = read_cloud(cloud, unit, drop_invalid, frame, pose)
     if segment == "none":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -120,8 +121,14 @@ def plan(
     """
     from pointsdf_cli.errors import NoPlanError
     from pointsdf_cli.io.atomic import require_new
+    from pointsdf_cli.io.checkpoints import read_config
     from pointsdf_cli.io.plans import OK, write_plan, write_trajectory
     from pointsdf_cli.io.poses import box, place
+    from pointsdf_cli.planning.choices import check_segment
+    from pointsdf_cli.planning.environment import Environment, read_environment
+    from pointsdf_cli.planning.scene_inputs import check_scene_inputs
+    from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.robot.start import start_configuration
 
     reporter = common.Reporter(quiet, as_json)
     common.check_seed(seed)
@@ -136,20 +143,25 @@ def plan(
     _require_places({k: path for k, path in files.items() if path is not None}, force, inputs)
     wanted = None if target is None else place(target, "--target")
     looked_at = None if workspace is None else box(workspace, "--workspace")
+    _check_choices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
+    check_segment(segment, target is not None, workspace is not None)
+    common.check_device(device)
+    around = Environment() if environment is None else read_environment(environment)
+    start_configuration(start, load_robot(robot))
+    for weights in (checkpoint, grasp_checkpoint):
+        if weights is not None:
+            read_config(weights)
     views = _read_clouds(clouds, camera_pose or [], frame, unit, drop_invalid)
+    check_scene_inputs(views, [str(path) for path in clouds], segment)
 
-    # Seconds of imports: only for clouds that can be read.
+    # Seconds of imports: only for clouds and options that can be used.
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.planning.answer import RECONSTRUCTION, GraspPlanner, PlanOptions
-    from pointsdf_cli.planning.environment import Environment, read_environment
     from pointsdf_cli.planning.grasp_problem import Clearances
     from pointsdf_cli.planning.synthesis import SynthesisConfig
     from pointsdf_cli.planning.table_session import plan_on_table
     from pointsdf_cli.planning.table_top import workspace_of
     from pointsdf_cli.training.precision import idle_processors
-    from pointsdf_cli.trials.rehearsed import RehearsedPlanner, RehearsedPlannerConfig
-    from pointsdf_cli.viz.plan_picture import plan_picture
-    from pointsdf_cli.viz.robot_picture import RobotMeshes
 
     options = PlanOptions(
         method=method,
@@ -164,9 +176,10 @@ def plan(
         speed=speed,
         synthesis=SynthesisConfig(acceptance=_acceptance(min_success)),
     )
-    around = Environment() if environment is None else read_environment(environment)
     use_threads(threads or idle_processors())
     if rehearse:
+        from pointsdf_cli.trials.rehearsed import RehearsedPlanner, RehearsedPlannerConfig
+
         wanted_grasps = RehearsedPlannerConfig(count=rehearse)
         planner: GraspPlanner = RehearsedPlanner(options, config=wanted_grasps)
     else:
@@ -208,11 +221,15 @@ def plan(
     stale_picture = out.with_suffix(".png")
     if no_picture and stale_picture.exists():
         reporter.say(f"{stale_picture} was there before and does not show this plan")
+    _report(reporter, answer, session.report, out, picture, trajectory if found else None)
     if picture is not None:
+        sys.stdout.flush()  # the plan is on disk: who reads this need not wait for the picture
+        from pointsdf_cli.viz.plan_picture import plan_picture
+        from pointsdf_cli.viz.robot_picture import RobotMeshes
+
         title, below = _headline(answer), "; ".join(session.report)
         q = answer.q if found else session.start
         plan_picture(picture, RobotMeshes(planner.robot), q, session.scene(), title, below)
-    _report(reporter, answer, session.report, out, picture, trajectory if found else None)
     if not found:
         raise NoPlanError(f"no plan ({answer.reason}): {answer.sentence.rstrip('.')}", where=out)
 
@@ -259,17 +276,42 @@ def _read_clouds(
     return views
 
 
+def _check_choices(
+    method: str,
+    solver: str,
+    kind: str,
+    clearance: float | None,
+    margin: float,
+    speed: float,
+    rehearse: int,
+    min_success: float | None,
+) -> None:
+    """What the planner would refuse, known before it is loaded.
+
+    Raises:
+        InputError: A name that is none, or a number out of its range.
+    """
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.planning import choices
+
+    choices.check_method(method)
+    choices.check_solver(solver)
+    choices.check_kind(kind)
+    choices.check_speed(speed)
+    choices.check_distance("margin", margin)
+    if clearance is not None:
+        choices.check_distance("clearance", clearance)
+    choices.check_min_success(min_success)
+    if rehearse < 0:
+        raise InputError(f"{rehearse} grasps", where="--rehearse", allowed="0 or more")
+
+
 def _acceptance(min_success: float | None) -> AcceptanceConfig:
     """The usual thresholds, or with no exception for want of better."""
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.planning.acceptance import AcceptanceConfig
 
     if min_success is None:
         return AcceptanceConfig()
-    if not 0 <= min_success < 1:
-        raise InputError(
-            f"{min_success} is no probability", where="--min-success", allowed="0 ≤ p < 1"
-        )
     return AcceptanceConfig(max(min_success, 0.6), min_success, floor=min_success)
 
 

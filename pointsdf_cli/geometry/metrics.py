@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.open3d_core import o3d
 from pointsdf_cli.geometry.signed_distance import SignedDistance, sample_surface
 
 SAMPLES = 100_000

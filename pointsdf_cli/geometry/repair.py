@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import manifold3d
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
@@ -43,6 +42,8 @@ def close_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Close
     Raises:
         InputError: The soup encloses no volume.
     """
+    import trimesh
+
     whole = _as_manifold(vertices, faces)
     steps: list[str] = []
     if whole is None:

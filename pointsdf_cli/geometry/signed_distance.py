@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
+
+from pointsdf_cli.geometry.open3d_core import o3d
 
 _RAY_DIRECTIONS = np.array(
     # Irrational-looking directions: a ray along an axis would run inside the faces of boxes.

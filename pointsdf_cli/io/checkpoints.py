@@ -15,12 +15,9 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save
-from torch import Tensor
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import (
@@ -33,6 +30,9 @@ from pointsdf_cli.io.atomic import (
 )
 from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.io.untrusted import read_json
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 WEIGHTS, CONFIG, TRAIN_STATE = "model.safetensors", "config.json", "train_state.pt"
 SCHEMA, VERSION = "checkpoint", 1
@@ -73,6 +73,9 @@ def write_checkpoint(
     Raises:
         InputError: The place cannot be written, or is a file.
     """
+    import torch
+    from safetensors.torch import save
+
     path = Path(path).resolve()
     if path.exists() and not path.is_dir():
         raise InputError("is a file, and a checkpoint is a directory", where=path)
@@ -172,6 +175,8 @@ def read_checkpoint(path: Path | str) -> Checkpoint:
     Raises:
         InputError: No checkpoint is there, a file is damaged, or it is of another version.
     """
+    from safetensors.torch import load_file
+
     path = Path(path)
     config = read_config(path)
     weights_file = path / WEIGHTS
@@ -225,6 +230,8 @@ def read_train_state(path: Path | str) -> dict[str, Any]:
     Raises:
         InputError: There is none, or it holds more than plain types and tensors.
     """
+    import torch
+
     _put_back(Path(path))
     state_file = Path(path) / TRAIN_STATE
     if not state_file.exists():

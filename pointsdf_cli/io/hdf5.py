@@ -114,6 +114,7 @@ def read_artifact(
     version: int,
     names: Iterable[str] | Layout | None = None,
     oldest: int | None = None,
+    optional: Layout | None = None,
 ) -> Artifact:
     """Read an artifact of the given schema, all of its datasets or those in `names`.
 
@@ -122,6 +123,7 @@ def read_artifact(
         schema, version: What it must be.
         names: The datasets to read; a `Layout` (see `layout.py`) is checked as well.
         oldest: The oldest version that is read too; `version` alone if None.
+        optional: Datasets that are read and checked too where they are there.
 
     Raises:
         InputError: No such file, not HDF5, cut short, another schema or version, or a dataset
@@ -139,8 +141,10 @@ def read_artifact(
                 allowed=f"a {schema} file (version {version}); this one holds "
                 + (", ".join(sorted(file)) or "nothing"),
             )
+        there = {name: text for name, text in (optional or {}).items() if name in file}
+        wanted += [name for name in there if name not in wanted]
         if isinstance(names, Mapping):
-            check_layout(path, file, names)
+            check_layout(path, file, {**names, **there})
         for name in wanted:
             check_stored(path, file, name)
         datasets = {name: np.asarray(file[name][()]) for name in wanted}

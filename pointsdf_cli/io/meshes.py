@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.errors import InputError
@@ -22,7 +21,8 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 SMALLEST, LARGEST = 0.005, 2.0
 """Bounds [m] of the longest side of a thing to grasp: beyond them the unit is wrong."""
 
-# trimesh warns on its logger of what the checks below say better.
+# trimesh warns on its logger of what the checks below say better. It is imported where a mesh is
+# read or written: a third of a second that a cloud's reader need not wait.
 logging.getLogger("trimesh").setLevel(logging.ERROR)
 
 
@@ -181,6 +181,8 @@ def read_triangles(path: Path | str) -> tuple[NDArray[np.float64], NDArray[np.in
 
 def save_mesh(path: Path | str, vertices: ArrayLike, faces: ArrayLike) -> None:
     """Write a mesh [m], as a whole or not at all, in the format of the path's suffix."""
+    import trimesh
+
     mesh = trimesh.Trimesh(np.asarray(vertices), np.asarray(faces), process=False)
     with atomic_path(path) as temporary:
         mesh.export(temporary)
@@ -202,6 +204,8 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         raise InputError(
             f"unknown mesh format {path.suffix!r}", where=path, allowed=", ".join(MESH_SUFFIXES)
         )
+    import trimesh
+
     try:
         # From bytes, and without materials: a mesh file must not make us open other files.
         loaded = trimesh.load_scene(

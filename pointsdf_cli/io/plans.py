@@ -36,6 +36,8 @@ LAYOUT = {
     "accepted_success_probability": "f8 [A]",
     "accepted_objective": "f8 [A]",
 }
+OPTIONAL = {"object_vertices": "f4 [V, 3]", "object_faces": "i4 [F, 3]"}
+"""Not in files of before they were added."""
 OK, NO_PLAN = "ok", "no_plan"
 ROOMS = ("object", "table", "obstacles", "self")
 
@@ -111,6 +113,9 @@ class Plan:
         accepted: The grasp and its alternatives.
         lift: f8 [K, J], from the grasp on, the hand as it is there, to where the palm is higher by
             what was asked for; K = 0 where the robot has no room for it, or none was asked for.
+        object_vertices: f4 [V, 3] m, world: the object's surface as planning completed it; V = 0
+            where there is none, or the file is older.
+        object_faces: i4 [F, 3], its triangles, seen counter-clockwise from outside.
     """
 
     status: str
@@ -132,6 +137,12 @@ class Plan:
     kind: str = ""
     accepted: AcceptedGrasps = field(default_factory=AcceptedGrasps.none, repr=False)
     lift: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    object_vertices: NDArray[np.float32] = field(
+        default_factory=lambda: np.zeros((0, 3), np.float32), repr=False
+    )
+    object_faces: NDArray[np.int32] = field(
+        default_factory=lambda: np.zeros((0, 3), np.int32), repr=False
+    )
 
     def __post_init__(self) -> None:
         joints = len(self.joint_names)
@@ -144,6 +155,9 @@ class Plan:
             raise InputError("the plan's arrays do not fit its joints", allowed="q [J], [T, J]")
         if len(self.lift) and self.lift.shape[1] != joints:
             raise InputError("the plan's lift does not fit its joints", allowed="[K, J]")
+        faces = self.object_faces
+        if faces.size and not 0 <= faces.min() <= faces.max() < len(self.object_vertices):
+            raise InputError("the object's faces name vertices that it has not", allowed="0 to V")
 
 
 def write_plan(
@@ -169,6 +183,8 @@ def write_plan(
             "accepted_kind": Dataset(_bytes(accepted.kinds)),
             "accepted_success_probability": Dataset(accepted.success_probability),
             "accepted_objective": Dataset(accepted.objective),
+            "object_vertices": Dataset(plan.object_vertices, "m", "world", compress=True),
+            "object_faces": Dataset(plan.object_faces, compress=True),
             "rejected_q": Dataset(rejected.q, "rad"),
             "rejected_reason": Dataset(_bytes(rejected.reasons)),
             "rejected_success_probability": Dataset(rejected.success_probability),
@@ -197,8 +213,9 @@ def read_plan(path: Path | str) -> Plan:
     Raises:
         InputError: Not a plan of this version.
     """
-    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT)
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT, optional=OPTIONAL)
     data, facts = artifact.datasets, artifact.attributes
+    surface = {name: data[name] for name in OPTIONAL if name in data}
     with sense_of(path):
         return Plan(
             status=str(facts["status"]),
@@ -231,6 +248,7 @@ def read_plan(path: Path | str) -> Plan:
                 objective=data["accepted_objective"],
             ),
             lift=data["lift"],
+            **surface,
         )
 
 

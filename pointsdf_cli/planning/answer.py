@@ -22,12 +22,19 @@ import numpy as np
 
 from pointsdf_cli.assets import assets_folder
 from pointsdf_cli.camera.view import View
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.planning.choices import METHODS as METHODS
+from pointsdf_cli.planning.choices import (
+    PARTIAL_VIEW,
+    RECONSTRUCTION,
+    check_kind,
+    check_method,
+    check_speed,
+)
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import Field
@@ -39,7 +46,7 @@ from pointsdf_cli.planning.planner import HALVINGS, MARGIN, Planner, PlannerConf
 from pointsdf_cli.planning.reasons import too_large
 from pointsdf_cli.planning.record import no_plan
 from pointsdf_cli.planning.screen import narrowest
-from pointsdf_cli.planning.seeds import EITHER, KINDS, GraspPrior
+from pointsdf_cli.planning.seeds import EITHER, GraspPrior
 from pointsdf_cli.planning.support import hidden_below, stands
 from pointsdf_cli.planning.synthesis import Satisfied, SynthesisConfig
 from pointsdf_cli.planning.target import (
@@ -56,9 +63,6 @@ from pointsdf_cli.planning.target import (
 )
 from pointsdf_cli.planning.timing import TimingConfig
 from pointsdf_cli.robot.description import RobotDescription, load_robot
-
-RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
-METHODS = (RECONSTRUCTION, PARTIAL_VIEW)
 
 SCRATCH = "weights/grasp_scratch"
 """PointSDF-Scratch, the success network of partial-view grasping, where it is bundled."""
@@ -116,16 +120,9 @@ class PlanOptions:
     redraws: int = 0
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise InputError(
-                f"no method {self.method!r}", where="--method", allowed=", ".join(METHODS)
-            )
-        if self.kind not in ("auto", *KINDS):
-            raise InputError(
-                f"no kind of grasp {self.kind!r}", where="--kind", allowed="auto, side, top"
-            )
-        if not 0 < self.speed <= 1:
-            raise InputError(f"{self.speed:g}", where="--speed", allowed="above 0, at most 1")
+        check_method(self.method)
+        check_kind(self.kind)
+        check_speed(self.speed)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from skimage.measure import marching_cubes
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.fields import MeshField
@@ -43,6 +42,8 @@ def partial_mesh(points: Array) -> tuple[Array, NDArray[np.int32]]:
     place = np.floor((points - origin) / side).astype(np.int64)
     occupancy = np.zeros((RESOLUTION,) * 3, dtype=np.float32)
     occupancy[tuple(place.T)] = 1.0
+    from skimage.measure import marching_cubes
+
     # Values stand for the middles of voxels.
     vertices, faces, _, _ = marching_cubes(occupancy, 0.5, gradient_direction="ascent")
     return origin + (vertices + 0.5) * side, faces.astype(np.int32)

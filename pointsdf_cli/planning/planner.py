@@ -11,6 +11,7 @@ import numpy as np
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.planning.acceptance import Candidate
+from pointsdf_cli.planning.choices import check_distance, check_solver
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import Field, RefinedField
@@ -42,8 +43,6 @@ from pointsdf_cli.robot.lift import lift_path
 Rank = Callable[[list[Candidate]], list[Candidate]]
 """Puts accepted candidates in the order in which motions are looked for, and may leave some out."""
 
-SOLVERS = ("sqp", "slsqp")
-
 HALVINGS = (6, 11)
 """Iterations of `sqp` after which half of the seeds are left where they are: what costs three times
 as much as the best after six iterations does not catch up."""
@@ -63,16 +62,14 @@ motions are found within a few hundred."""
 BRIEFLY = 3
 """Candidates to which motions are looked for briefly before any is looked at thoroughly."""
 
-LARGEST_CLEARANCE = 0.015
-"""Distances are exact up to 2 cm only [m]; a grasp that stays farther away holds nothing."""
-
 
 @dataclass(frozen=True)
 class PlannerConfig:
     """Everything that is decided before an object is seen.
 
     Attributes:
-        solver: One of `SOLVERS`. `slsqp` asks the exact field throughout, as the paper does.
+        solver: One of `choices.SOLVERS`. `slsqp` asks the exact field throughout, as the paper
+            does.
         clearances: Least distances.
         margin: Distance to the object that solver and motion keep wherever they can [m]; what
             comes nearer, down to the clearance, is taken all the same.
@@ -97,18 +94,9 @@ class PlannerConfig:
     motion: MotionConfig = field(default_factory=MotionConfig)
 
     def __post_init__(self) -> None:
-        if self.solver not in SOLVERS:
-            raise InputError(
-                f"no solver {self.solver!r}", where="--solver", allowed=", ".join(SOLVERS)
-            )
-        largest = max(vars(self.clearances).values())
-        for name, value in (("clearance", largest), ("margin", self.margin)):
-            if not 0 <= value <= LARGEST_CLEARANCE:
-                raise InputError(
-                    f"a {name} of {value:g} m",
-                    where=f"--{name}",
-                    allowed=f"0 m or more, at most {LARGEST_CLEARANCE:g} m",
-                )
+        check_solver(self.solver)
+        check_distance("clearance", max(vars(self.clearances).values()))
+        check_distance("margin", self.margin)
 
 
 class Planner:

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.choices import KINDS
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.reasons import Drawn
 from pointsdf_cli.planning.screen import depth_in, lifted
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
-KINDS = ("side", "top")
 EITHER = "either"
 """Half of the grasps are drawn from each kind; what they are worth decides which are tried."""
 

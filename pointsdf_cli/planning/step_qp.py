@@ -1,24 +1,30 @@
-"""The quadratic subproblem of one step, written in cvxpy, compiled once, solved by Clarabel.
+"""The quadratic subproblem of one step, solved by Clarabel.
 
     min  ½ ‖F d‖² + g · d + μ Σ t      over the step d [n] and slack t [k]
     s.t. J d + c + t ≥ 0,   t ≥ 0,   low ≤ d ≤ high
 
 With slack an infeasible linearisation only costs; for μ above the multipliers the penalty is exact.
 
-cvxpy needs a millisecond to fill in parameters, and Clarabel half of one to solve. So cvxpy states
-the problem and is asked twice, with numbered parameters, which entry of the solver's matrices holds
-which parameter; from then on the entries are written directly.
+Clarabel minimises ½ xᵀP x + q · x with A x + s = b, s in a cone. Here x = (y, d, t) with y = F d,
+so that P is the identity on y, and the rows of A are
+
+    [ −I   F    0 ]        0     y = F d
+    [  0   0   −I ]        0     t ≥ 0
+    [  0  −J   −I ]  ≤     c     J d + c + t ≥ 0
+    [  0  −I    0 ]     −low     d ≥ low
+    [  0   I    0 ]     high     d ≤ high
+
+cvxpy makes the same matrices of the problem as it is written above (a test compares them), but
+takes longer to import than all steps of a plan take to solve. Their pattern never changes: each
+step writes its numbers into it.
 """
 
 from __future__ import annotations
 
 import clarabel
-import cvxpy as cp
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-
-from pointsdf_cli.errors import RgraspError
 
 Array = NDArray[np.float64]
 
@@ -28,18 +34,30 @@ class StepQp:
 
     def __init__(self, n: int, k: int) -> None:
         self.n, self.k = n, k
-        d, t = cp.Variable(n), cp.Variable(k, nonneg=True)
-        factor, jacobian = cp.Parameter((n, n)), cp.Parameter((k, n))
-        gradient, low, high = cp.Parameter(n), cp.Parameter(n), cp.Parameter(n)
-        values, penalty = cp.Parameter(k), cp.Parameter(nonneg=True)
-        problem = cp.Problem(
-            cp.Minimize(0.5 * cp.sum_squares(factor @ d) + gradient @ d + penalty * cp.sum(t)),
-            [jacobian @ d + values + t >= 0, d >= low, d <= high],
+        size = 2 * n + k
+        # Column j of d holds F's column, −J's, and the two bounds; nothing else ever changes.
+        each = np.arange(n)
+        column = np.concatenate([each, n + k + np.arange(k), [n + 2 * k], [2 * n + 2 * k]])
+        rows = np.tile(column, (n, 1))
+        rows[:, -2] += each
+        rows[:, -1] += each
+        slack = np.stack([n + np.arange(k), n + k + np.arange(k)], axis=1)
+        indices = np.concatenate([each, rows.ravel(), slack.ravel()])
+        counts = np.concatenate([np.ones(n), np.full(n, n + k + 2), np.full(k, 2)])
+        starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        data = np.full(len(indices), -1.0)
+        self._matrix = sparse.csc_matrix((data, indices, starts), shape=(3 * n + 2 * k, size))
+        self._columns = self._matrix.data[n : n + n * (n + k + 2)].reshape(n, n + k + 2)
+        self._columns[:, -1] = 1.0
+        ones = np.concatenate([np.ones(n, dtype=np.int64), np.zeros(n + k, dtype=np.int64)])
+        self._quadratic = sparse.csc_matrix(
+            (np.ones(n), each, np.concatenate([[0], np.cumsum(ones)])), shape=(size, size)
         )
-        # The order in which `solve` concatenates them.
-        self._parameters = [factor, gradient, jacobian, values, low, high, penalty]
-        self._problem = problem
-        self._compile()
+        self._cones = [clarabel.ZeroConeT(n), clarabel.NonnegativeConeT(2 * n + 2 * k)]
+        self._settings = clarabel.DefaultSettings()
+        self._settings.verbose = False
+        self._settings.presolve_enable = False
+        self._settings.max_threads = 1
 
     def solve(
         self,
@@ -61,94 +79,28 @@ class StepQp:
             low, high: [n], what the trust region and the joint limits leave.
             penalty: μ.
         """
-        numbers = np.concatenate(
-            [
-                factor.ravel(order="F"),
-                gradient,
-                jacobian.ravel(order="F"),
-                values,
-                low,
-                high,
-                [penalty],
-            ]
-        )
-        matrix, cost, bound = (fill(numbers) for fill in self._fills)
-        self._matrix.data[:] = matrix
+        matrix, cost, bound = self.data(factor, gradient, jacobian, values, low, high, penalty)
         solver = clarabel.DefaultSolver(
-            self._quadratic, cost, self._matrix, bound, self._cones, self._settings
+            self._quadratic, cost, matrix, bound, self._cones, self._settings
         )
-        step = np.array(solver.solve().x)[self._step]
+        step = np.array(solver.solve().x)[self.n : 2 * self.n]
         # Interior points stop a hair outside of the box at worst.
         return np.clip(step, low, high)
 
-    def _compile(self) -> None:
-        sizes = [int(p.size) for p in self._parameters]
-        ids = np.arange(1.0, sum(sizes) + 1)
-        first, second = self._data(ids), self._data(2 * ids)
-        self._matrix = sparse.csc_matrix(first["A"])
-        self._quadratic = sparse.csc_matrix(sparse.triu(first["P"]))
-        self._fills = [
-            _Fill(np.asarray(a), np.asarray(b), len(ids))
-            for a, b in (
-                (first["A"].data, second["A"].data),
-                (first["c"], second["c"]),
-                (first["b"], second["b"]),
-            )
-        ]
-        dims = first["dims"]
-        self._cones = [clarabel.ZeroConeT(dims.zero), clarabel.NonnegativeConeT(dims.nonneg)]
-        self._settings = clarabel.DefaultSettings()
-        self._settings.verbose = False
-        self._settings.presolve_enable = False
-        self._settings.max_threads = 1
-        # The step stands where its gradient does in the cost.
-        offset = sizes[0]
-        places = self._fills[1].places
-        self._step = np.array([int(np.flatnonzero(places == offset + i)[0]) for i in range(self.n)])
-        check = np.random.default_rng(0).uniform(1, 2, len(ids))
-        data = self._data(check)
-        same = [
-            np.allclose(self._fills[0](check), data["A"].data),
-            np.allclose(self._fills[1](check), data["c"]),
-            np.allclose(self._fills[2](check), data["b"]),
-            np.allclose(self._quadratic.data, sparse.csc_matrix(sparse.triu(data["P"])).data),
-        ]
-        if not all(same):
-            raise RgraspError(
-                "this cvxpy compiles the step's quadratic program in another form than expected",
-                where=f"cvxpy {cp.__version__}",
-                hint="install the versions in constraints.txt",
-            )
-
-    def _data(self, numbers: Array) -> dict:
-        offset = 0
-        for parameter in self._parameters:
-            size = int(parameter.size)
-            chunk = numbers[offset : offset + size]
-            parameter.value = (
-                chunk.reshape(parameter.shape, order="F") if parameter.shape else (float(chunk[0]))
-            )
-            offset += size
-        data, _, _ = self._problem.get_problem_data(cp.CLARABEL)
-        return dict(data)
-
-
-class _Fill:
-    """Entries of the solver's data as `constant + sign · parameter`, found from two probes.
-
-    Attributes:
-        places: For each entry the parameter in it, or `count` where there is none.
-    """
-
-    def __init__(self, once: Array, twice: Array, count: int) -> None:
-        # With parameters p and 2 p an entry is constant + p, then constant + 2 p.
-        linear = twice - once
-        self._constant = once - linear
-        self._sign = np.sign(linear)
-        number = np.rint(np.abs(linear)).astype(np.int64)
-        self.places = np.where(number > 0, number - 1, count)
-
-    def __call__(self, numbers: Array) -> Array:
-        padded = np.append(numbers, 0.0)
-        filled: Array = self._constant + self._sign * padded[self.places]
-        return filled
+    def data(
+        self,
+        factor: Array,
+        gradient: Array,
+        jacobian: Array,
+        values: Array,
+        low: Array,
+        high: Array,
+        penalty: float,
+    ) -> tuple[sparse.csc_matrix, Array, Array]:
+        """A, q and b of the module's docstring; A is overwritten by the next call."""
+        n, k = self.n, self.k
+        self._columns[:, :n] = factor.T
+        self._columns[:, n : n + k] = -jacobian.T
+        cost = np.concatenate([np.zeros(n), gradient, np.full(k, penalty)])
+        bound = np.concatenate([np.zeros(n + k), values, -low, high])
+        return self._matrix, cost, bound

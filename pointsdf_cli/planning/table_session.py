@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,6 +11,7 @@ import numpy as np
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.planning.answer import Answer, GraspPlanner
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment, Obstacle
@@ -48,11 +50,12 @@ class TableSession:
 
     def scene(self) -> PlanScene:
         """For the picture."""
-        target = self.answer.target
+        plan = self.answer.plan
+        believed = (plan.object_vertices.astype(np.float64), plan.object_faces)
         return PlanScene(
             self.points,
             self.camera,
-            None if target is None else surface_of(target),
+            believed if len(plan.object_faces) else None,
             [obstacle_mesh(obstacle) for obstacle in self.obstacles],
         )
 
@@ -106,12 +109,28 @@ def plan_on_table(
             report.append(f"{len(beside)} other things are obstacles")
         environment = replace(environment, obstacles=(*environment.obstacles, *beside))
     answer = planner.plan(seen.views, environment, q, seed)
+    answer = replace(answer, plan=_with_surface(answer))
     if doubt:
         sentence = f"{answer.plan.sentence} {doubt[0].upper()}{doubt[1:]}.".strip()
         answer = replace(answer, plan=replace(answer.plan, sentence=sentence))
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
     return TableSession(answer, tuple(report), q, points, camera, environment.obstacles)
+
+
+def _with_surface(answer: Answer) -> Plan:
+    """The plan with the object as it was planned around."""
+    began = time.perf_counter()
+    surface = None if answer.target is None else surface_of(answer.target)
+    if surface is None:
+        return answer.plan
+    timings = {**answer.plan.timings, "surface": time.perf_counter() - began}
+    return replace(
+        answer.plan,
+        timings=timings,
+        object_vertices=surface[0].astype(np.float32),
+        object_faces=surface[1],
+    )
 
 
 def table_doubt(height: float | None, clouds: Sequence[Cloud]) -> str:

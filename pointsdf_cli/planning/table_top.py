@@ -27,14 +27,14 @@ from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
-from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
+from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.planning.choices import check_segment
 from pointsdf_cli.planning.environment import Obstacle
+from pointsdf_cli.planning.scene_inputs import check_scene_inputs
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 
 Array = NDArray[np.float64]
-
-SEGMENT = ("auto", "none")
 
 WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
 """What is looked at, unless another is named. Wider than what the bundled arm reaches: what stands
@@ -104,26 +104,15 @@ def look_at_table(
         InputError: No pose, or no cloud of an object.
         NoObjectError: No cloud shows an object; the first one's reason.
     """
-    if segment not in SEGMENT:
-        raise InputError(f"no {segment!r}", where="--segment", allowed=", ".join(SEGMENT))
-    if segment == "none" and target is not None:
-        raise InputError("--target without --segment auto", hint="leave one of the two out")
-    if segment == "none" and workspace is not WORKSPACE:
-        raise InputError("--workspace without --segment auto", hint="leave one of the two out")
+    check_segment(segment, target is not None, workspace is not WORKSPACE)
+    check_scene_inputs(clouds, names, segment)
     views, others, report, heights = [], [], [], []
     problem: NoObjectError | None = None
     first: tuple[Array, Array] | None = None
     own = robot_points(robot, start)
     for cloud, name in zip(clouds, names, strict=True):
-        if cloud.T_world_camera is None:
-            raise InputError(
-                "nothing says where the camera stood",
-                where=name,
-                allowed="a header comment `T_world_camera` with 16 numbers, row by row",
-                hint="add --camera-pose X,Y,Z,QW,QX,QY,QZ",
-            )
-        check = check_object_cloud if segment == "none" else check_scene_cloud
-        points, _ = check(cloud, name).in_camera_frame()
+        assert cloud.T_world_camera is not None  # checked above
+        points, _ = cloud.in_camera_frame()
         if segment == "none":
             views.append(View(points, cloud.T_world_camera))
             report.append(f"{name}: all {len(points)} points are the object's")

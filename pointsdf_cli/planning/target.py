@@ -7,9 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from skimage.measure import marching_cubes
 
 from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.geometry.isosurface import (
+    MAX_RESOLUTION,
+    EmptySurfaceError,
+    IsosurfaceConfig,
+    extract_isosurface,
+)
+from pointsdf_cli.geometry.mise import SearchRules
 from pointsdf_cli.geometry.smoothing import taubin_smooth
 from pointsdf_cli.models.meshing import SMOOTHING
 from pointsdf_cli.models.reconstruction import Reconstruction
@@ -41,6 +47,9 @@ CELLS_ACROSS = 5
 """The thinnest side of an object spans so many cells: a fork lies between the nodes of a grid that
 is fine enough for a box."""
 
+
+COARSE_CELLS = 16
+"""Cells along the box where the search for a surface begins."""
 
 GIVEN_REACH = 0.25
 """A given field's surface is looked for within this [m] of the seen points."""
@@ -203,20 +212,31 @@ def absent_object(points: Array) -> ObjectField:
 
 
 def surface_of(target: Target, step: float = 0.004) -> tuple[Array, NDArray[np.int32]] | None:
-    """The target's surface as planning takes it, for pictures: vertices [V, 3] m in the world and
-    faces [F, 3], or None where it has none.
+    """The target's surface as planning takes it: vertices [V, 3] m in the world and faces [F, 3],
+    or None where it has none.
 
     Args:
         target: The object.
         step: Side of the cells of marching cubes [m].
     """
-    fine = GridConfig(step=step, levels=3, band=step)
-    values, low = GridField(target.field, target.low, target.high, fine).nodes()
-    if not values.min() < 0 < values.max():
+    middle, side = (target.low + target.high) / 2, float((target.high - target.low).max())
+    cells = COARSE_CELLS
+    while cells * step < side and cells < MAX_RESOLUTION:
+        cells *= 2
+    half = max(cells * step, side) / 2
+    config = IsosurfaceConfig(
+        cells,
+        coarse=COARSE_CELLS,
+        half_width=half,
+        rules=SearchRules(slope=1.0),
+        newton=False,
+        smallest_part=0.0,
+    )
+    try:
+        made = extract_isosurface(lambda x: target.field(x.astype(np.float64) + middle), config)
+    except EmptySurfaceError:
         return None
-    vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent")
-    faces = faces.astype(np.int32)
-    return taubin_smooth(low + step * vertices, faces, SMOOTHING), faces
+    return taubin_smooth(made.vertices + middle, made.faces, SMOOTHING), made.faces
 
 
 def reconstruction_target(

@@ -1,20 +1,25 @@
-"""Collision shapes of a link: box, cylinder, sphere and convex hull, with exact geometry."""
+"""Collision shapes of a link: box, cylinder, sphere and convex hull, with exact geometry.
+
+torch and trimesh are imported where they compute: whether a robot's file can be used is known
+without them, seconds earlier.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import QhullError, cKDTree
-from torch import Tensor
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.meshes import read_triangles
+
+if TYPE_CHECKING:
+    import trimesh
+    from torch import Tensor
 
 KINDS = ("box", "cylinder", "sphere", "hull")
 
@@ -55,6 +60,8 @@ class Shape:
 
     def as_mesh(self, sections: int = 48) -> trimesh.Trimesh:
         """The shape as a triangle mesh in the link's frame; curves have `sections` facets."""
+        import trimesh
+
         if self.kind == "box":
             mesh = trimesh.creation.box(self.size)
         elif self.kind == "cylinder":
@@ -73,6 +80,8 @@ class Shape:
         it is the largest distance to a face's plane: the exact sign, exact inside, and never
         more than the distance outside.
         """
+        import torch
+
         pose = torch.as_tensor(self.pose, dtype=points.dtype, device=points.device)
         local = (points - pose[:3, 3]) @ pose[:3, :3]
         if self.kind == "sphere":
@@ -89,6 +98,8 @@ class Shape:
 
     def lowest(self, rotation: Tensor, position: Tensor) -> Tensor:
         """Height [...] of the lowest point of the shape, exact, for links at (R [..., 3, 3], p)."""
+        import torch
+
         # The world's z axis in the shape's frame; the support function of the shape along it.
         pose = torch.as_tensor(self.pose, dtype=rotation.dtype, device=rotation.device)
         centre = position[..., 2] + rotation[..., 2, :] @ pose[:3, 3]
@@ -104,6 +115,8 @@ class Shape:
         return centre + (up @ vertices.T).amin(dim=-1)
 
     def _planes(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        import torch
+
         vertices, faces = self.triangles()
         a, b, c = (vertices[faces[:, k]] for k in range(3))
         normals = np.cross(b - a, c - a)
@@ -121,6 +134,9 @@ def mesh_shape(path: Path, scale: NDArray[np.float64], pose: NDArray[np.float64]
     Raises:
         InputError: The mesh cannot be read, or has no inside.
     """
+    import trimesh
+    from scipy.spatial import QhullError
+
     # A hull needs neither a closed surface nor metres: drawings in millimetres come with a scale.
     vertices, faces = read_triangles(path)
     try:
@@ -150,6 +166,8 @@ def cover_points(shape: Shape, step: float) -> NDArray[np.float64]:
     elif shape.kind == "sphere":
         local = _cover_sphere(shape.size[0], step)
     else:
+        import trimesh
+
         # Subdivided until no edge is longer: every point of a triangle is then within
         # edge / √3 of a corner. Corners of a finely drawn hull stand far denser than needed, so
         # they are thinned; both distances together stay below the step.
@@ -162,6 +180,8 @@ def cover_points(shape: Shape, step: float) -> NDArray[np.float64]:
 
 def _thinned(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
     """Some of the points [N, 3]; none of the others is farther than `radius` from all of them."""
+    from scipy.spatial import cKDTree
+
     near = cKDTree(points)
     left = np.ones(len(points), dtype=bool)
     kept = []

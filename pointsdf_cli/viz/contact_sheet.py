@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import open3d as o3d
 from matplotlib import get_data_path
 from PIL import Image, ImageDraw, ImageFont
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.open3d_core import o3d
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.meshes import load_mesh
 

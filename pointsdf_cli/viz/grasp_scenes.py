@@ -53,11 +53,15 @@ def grasps_scene(path: Path, options: SceneOptions) -> Scene:
 
 
 def plan_scene(path: Path, options: SceneOptions) -> Scene:
-    """The motion to the grasp; without one, the robot at home and the reason."""
+    """The motion to the grasp and the object as it was completed; where there is no motion, the
+    robot at home and the reason."""
     plan = read_plan(path)
     require_joints(path, plan.joint_names, options.robot)
     robot = MovingRobot(options.robot)
     parts = [*robot.parts, table_part(), axes("world", "axes", 0.1)]
+    if len(plan.object_faces):
+        vertices, faces = plan.object_vertices, plan.object_faces
+        parts.append(Part("object", "object", "mesh", vertices, faces, OBJECT_COLOUR, opacity=0.6))
     if plan.status == OK and len(plan.times):
         chosen = spread(len(plan.times), 400)
         q = plan.trajectory[chosen]

@@ -12,18 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 
+from pointsdf_cli.io.atomic import atomic_path
+from pointsdf_cli.viz.lettering import lettering
 from pointsdf_cli.viz.robot_picture import RobotMeshes
-from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh
-from pointsdf_cli.viz.sheets import save_figure
+from pointsdf_cli.viz.shading import Painted, Stage, look_at, shaded_image, table_mesh
 
 Array = NDArray[np.float64]
 Mesh = tuple[Array, NDArray[np.integer]]
@@ -89,8 +85,9 @@ def plan_picture(
         title, below: Words above and below.
     """
     pictures = [overview(robot, q, scene), *close_ups(robot, q, scene)]
-    captions = ["", "from the camera", "from behind: unseen by the camera"]
-    save_figure(_page([(title, pictures)], captions, below), path, dpi=100)
+    captions = ["from the camera", "from behind: unseen by the camera"]
+    with atomic_path(path) as temporary:
+        _page(pictures, title, captions, below).save(temporary, format="png", compress_level=3)
 
 
 def overview(
@@ -107,7 +104,8 @@ def close_ups(
     robot: RobotMeshes, q: Array, scene: PlanScene, size: tuple[int, int] = (480, 440)
 ) -> list[NDArray[np.uint8]]:
     """The object with the hand, from where the camera stood and from the opposite side."""
-    return [close_up(robot, q, scene, behind, size) for behind in (False, True)]
+    stages = _with_and_without_hand(robot, q, scene)
+    return [_close_up(stages, scene, behind, size) for behind in (False, True)]
 
 
 def close_up(
@@ -121,13 +119,22 @@ def close_up(
 
     The arm is left out: it reaches over from behind, and would stand before everything.
     """
+    return _close_up(_with_and_without_hand(robot, q, scene), scene, behind, size)
+
+
+def _with_and_without_hand(robot: RobotMeshes, q: Array, scene: PlanScene) -> tuple[Stage, Stage]:
+    without = scene.painted()
+    return Stage([*robot.at(q, hand_only=True), *without]), Stage(without)
+
+
+def _close_up(
+    stages: tuple[Stage, Stage], scene: PlanScene, behind: bool, size: tuple[int, int]
+) -> NDArray[np.uint8]:
     toward = scene.camera - scene.centre
     heading = float(np.arctan2(toward[1], toward[0])) + (np.pi if behind else 0.0)
     way = np.array([np.cos(heading), np.sin(heading), 0.45])
     camera = look_at(scene.centre + 0.62 * way, scene.centre)
-    without = scene.painted()
-    front = shaded_image([*robot.at(q, hand_only=True), *without], camera, size, 0.62).astype(float)
-    back = shaded_image(without, camera, size, 0.62).astype(float)
+    front, back = (stage.image(camera, size, 0.62).astype(np.float32) for stage in stages)
     return (TRANSLUCENT * front + (1 - TRANSLUCENT) * back).astype(np.uint8)
 
 
@@ -141,23 +148,31 @@ def dots(points: Array, colour: tuple[float, float, float] = SEEN_COLOUR) -> Pai
     return Painted(vertices, every, colour)
 
 
+LETTERS, SMALL_LETTERS, LINE = 14, 13, 17
+"""Heights [pixels] of letters above and below, and of a line."""
+GAP = 5
+"""Between the pictures, and around the page [pixels]."""
+
+
 def _page(
-    rows: Sequence[tuple[str, Sequence[NDArray[np.uint8]]]], captions: Sequence[str], below: str
-) -> Figure:
-    """Rows of pictures with their titles, captions over the columns, words under all."""
-    columns = max(len(pictures) for _, pictures in rows)
-    figure, axes = plt.subplots(
-        len(rows), columns, figsize=(4.8 * columns, 4.7 * len(rows)), squeeze=False
-    )
-    for row, (title, pictures) in zip(axes, rows, strict=True):
-        for axis, picture, caption in zip(row, pictures, captions, strict=True):
-            axis.imshow(picture)
-            axis.axis("off")
-            axis.set_title(caption, fontsize=10)
-        # Names of files and links are no formulas, even with dollars in them.
-        row[0].set_title("\n".join(wrap(title, 58)), fontsize=10, loc="left", parse_math=False)
-    if below:
-        text = "\n".join(wrap(below, 190))
-        figure.text(0.01, 0.0, text, fontsize=9, va="top", parse_math=False)
-    figure.subplots_adjust(0.0, 0.0, 1.0, 0.92, wspace=0.01)
-    return figure
+    pictures: Sequence[NDArray[np.uint8]], title: str, captions: Sequence[str], below: str
+) -> Image.Image:
+    """Pictures side by side: the title over the first, captions over the others, words below."""
+    height, width = pictures[0].shape[:2]
+    titles, words = wrap(title, 58), wrap(below, 190)
+    top = GAP + LINE * max(1, len(titles))
+    size = (len(pictures) * (width + GAP) + GAP, top + height + 2 * GAP + LINE * len(words))
+    page = Image.new("RGB", size, "white")
+    for k, picture in enumerate(pictures):
+        page.paste(Image.fromarray(picture), (GAP + k * (width + GAP), top))
+    draw = ImageDraw.Draw(page)
+    font = lettering(LETTERS)
+    for k, line in enumerate(titles):
+        draw.text((GAP, GAP + k * LINE), line, "black", font)
+    for k, caption in enumerate(captions, start=1):
+        middle = GAP + k * (width + GAP) + width // 2
+        draw.text((middle, top - LINE), caption, "black", font, anchor="ma")
+    small = lettering(SMALL_LETTERS)
+    for k, line in enumerate(words):
+        draw.text((GAP, top + height + GAP + k * LINE), line, "black", small)
+    return page

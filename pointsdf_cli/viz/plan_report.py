@@ -10,16 +10,21 @@ from PIL import Image
 from pointsdf_cli.io.plans import OK, ROOMS, Plan
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.viz import html
+from pointsdf_cli.viz.plan_picture import BELIEVED_COLOUR
 from pointsdf_cli.viz.robot_picture import robot_poses_picture
+from pointsdf_cli.viz.shading import Painted
 
 
 def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
     """The page, as HTML. The robot is drawn at the start, half-way and at the grasp."""
     parts = [html.table(("", ""), _facts(plan))]
+    things = _completed(plan)
     if plan.status == OK and len(plan.times):
         moments = plan.trajectory[np.linspace(0, len(plan.times) - 1, 3).round().astype(int)]
         buffer = io.BytesIO()
-        Image.fromarray(robot_poses_picture(robot, list(moments), 380)).save(buffer, format="png")
+        Image.fromarray(robot_poses_picture(robot, list(moments), 380, things)).save(
+            buffer, format="png"
+        )
         parts += [
             html.heading("Start, half-way, grasp"),
             html.png(buffer.getvalue(), "the robot at the start, half-way and at the grasp"),
@@ -60,6 +65,14 @@ def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
             ),
         ]
     return html.page(title, parts)
+
+
+def _completed(plan: Plan) -> list[Painted]:
+    """The object as it was completed, where the plan keeps it."""
+    if not len(plan.object_faces):
+        return []
+    vertices, faces = plan.object_vertices.astype(np.float64), plan.object_faces.astype(np.int64)
+    return [Painted(vertices, faces, BELIEVED_COLOUR)]
 
 
 def _facts(plan: Plan) -> list[tuple[str, object]]:

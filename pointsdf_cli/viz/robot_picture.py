@@ -52,13 +52,17 @@ class RobotMeshes:
 
 
 def robot_poses_picture(
-    robot: RobotDescription, poses: Sequence[NDArray[np.float64]], height: int = 520
+    robot: RobotDescription,
+    poses: Sequence[NDArray[np.float64]],
+    height: int = 520,
+    things: Sequence[Painted] = (),
 ) -> NDArray[np.uint8]:
-    """The robot on its table at several configurations [J], side by side."""
+    """The robot on its table at several configurations [J], side by side, with other things."""
     meshes = RobotMeshes(robot)
     camera = look_at((1.9, -2.0, 1.25), (0.25, 0.0, 0.55))
     pictures = [
-        shaded_image([*meshes.at(q), table_mesh()], camera, (height, height)) for q in poses
+        shaded_image([*meshes.at(q), table_mesh(), *things], camera, (height, height))
+        for q in poses
     ]
     return np.concatenate(pictures, axis=1)
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.geometry.open3d_core import o3d
 
 SKY = np.array([1.0, 1.0, 1.0])
 LIGHT = np.array([0.35, -0.45, 1.0]) / np.linalg.norm([0.35, -0.45, 1.0])
@@ -45,6 +46,90 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0, 0, 1)) -> NDA
     return transform(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
 
 
+class Stage:
+    """Painted meshes, ready to be looked at from several sides.
+
+    Args:
+        meshes: What is seen.
+    """
+
+    def __init__(self, meshes: Sequence[Painted]) -> None:
+        self._scene = o3d.t.geometry.RaycastingScene(1)
+        for mesh in meshes:
+            self._scene.add_triangles(
+                o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.vertices, dtype=np.float32)),
+                o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.faces, dtype=np.uint32)),
+            )
+        self._colours = np.array([mesh.colour for mesh in meshes], dtype=np.float32)
+        self._unlit = np.array([mesh.unlit for mesh in meshes])
+
+    def image(
+        self,
+        T_world_camera: NDArray[np.float64],
+        size: tuple[int, int] = (480, 480),
+        field_of_view: float = 0.7,
+        oversampling: int = 2,
+    ) -> NDArray[np.uint8]:
+        """A picture [height, width, 3] with diffuse light and hard shadows.
+
+        One ray a pixel first; more only where neighbouring pixels differ, at edges and shadows.
+
+        Args:
+            T_world_camera: OpenCV camera in the world, from `look_at`.
+            size: (width, height) in pixels.
+            field_of_view: Vertical [rad].
+            oversampling: Rays a pixel along each axis, at edges.
+        """
+        width, height = size
+        u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+
+        def seen(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float32]:
+            focal = height / 2 / np.tan(field_of_view / 2)
+            x, y = (u - width / 2) / focal, (v - height / 2) / focal
+            ways = np.stack([x, y, np.ones_like(x)], axis=-1) @ T_world_camera[:3, :3].T
+            ways /= np.sqrt((ways**2).sum(axis=-1, keepdims=True))
+            return self._seen(T_world_camera[:3, 3], ways.astype(np.float32))
+
+        image = seen(u.ravel(), v.ravel()).reshape(height, width, 3)
+        if oversampling > 1:
+            rows, columns = np.nonzero(_edges(image))
+            offsets = (np.arange(oversampling) + 0.5) / oversampling
+            across, down = (o.ravel() for o in np.meshgrid(offsets, offsets))
+            finer = seen(
+                (columns[:, None] + across).ravel(), (rows[:, None] + down).ravel()
+            ).reshape(len(rows), oversampling**2, 3)
+            image[rows, columns] = finer.mean(axis=1)
+        picture: NDArray[np.uint8] = (np.clip(image, 0, 1) * 255).astype(np.uint8)
+        return picture
+
+    def _seen(
+        self, origin: NDArray[np.float64], directions: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Colours [N, 3] along directions [N, 3] of unit length."""
+        colours = np.empty((len(directions), 3), dtype=np.float32)
+        colours[:] = SKY
+        hits = _cast(self._scene, origin, directions)
+        depth = hits["t_hit"].numpy()
+        hit = np.flatnonzero(np.isfinite(depth))
+        which = hits["geometry_ids"].numpy()[hit]
+        normals, toward = hits["primitive_normals"].numpy()[hit], directions[hit]
+        facing = np.einsum("ij,ij->i", normals, toward)
+        # Seen from inside or with reversed faces: light the side that is looked at.
+        normals *= -np.sign(facing)[:, None]
+        light = LIGHT.astype(np.float32)
+        diffuse = np.clip(normals @ light, 0, 1)
+        # What is turned away from the light is dark whatever stands in between.
+        bright = np.flatnonzero(diffuse > 0)
+        places = origin.astype(np.float32) + depth[hit[bright], None] * toward[bright]
+        toward_light = np.broadcast_to(light, places.shape)
+        shadow = _cast(self._scene, places + 1e-4 * normals[bright], toward_light)["t_hit"].numpy()
+        diffuse[bright[np.isfinite(shadow)]] *= 0.35
+        strength = 0.42 + 0.12 * normals[:, 2] + 0.5 * diffuse + 0.18 * np.abs(facing)
+        strength[self._unlit[which]] = 1.0
+        colours[hit] = self._colours[which] * strength[:, None]
+        return colours
+
+
 def shaded_image(
     meshes: Sequence[Painted],
     T_world_camera: NDArray[np.float64],
@@ -52,50 +137,24 @@ def shaded_image(
     field_of_view: float = 0.7,
     oversampling: int = 2,
 ) -> NDArray[np.uint8]:
-    """A picture [height, width, 3] of meshes with diffuse light and hard shadows.
+    """A picture [height, width, 3] of meshes, as `Stage.image` makes it."""
+    return Stage(meshes).image(T_world_camera, size, field_of_view, oversampling)
 
-    Args:
-        meshes: What is seen.
-        T_world_camera: OpenCV camera in the world, from `look_at`.
-        size: (width, height) in pixels.
-        field_of_view: Vertical [rad].
-        oversampling: Rays a pixel along each axis.
-    """
-    scene = o3d.t.geometry.RaycastingScene(1)
-    for mesh in meshes:
-        scene.add_triangles(
-            o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.vertices, dtype=np.float32)),
-            o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.faces, dtype=np.uint32)),
-        )
-    width, height = (side * oversampling for side in size)
-    focal = height / 2 / np.tan(field_of_view / 2)
-    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    ones = np.ones_like(u)
-    directions = np.stack([(u - width / 2) / focal, (v - height / 2) / focal, ones], axis=-1)
-    directions = directions @ T_world_camera[:3, :3].T
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    origins = np.broadcast_to(T_world_camera[:3, 3], directions.shape)
-    hits = _cast(scene, origins, directions)
-    depth, which = hits["t_hit"].numpy(), hits["geometry_ids"].numpy()
-    seen = np.isfinite(depth)
-    colours = np.array([mesh.colour for mesh in meshes])
-    image = np.broadcast_to(SKY, (*depth.shape, 3)).copy()
-    normals = hits["primitive_normals"].numpy()[seen].astype(float)
-    toward = directions[seen]
-    # Seen from inside or with reversed faces: light the side that is looked at.
-    normals *= -np.sign((normals * toward).sum(axis=1, keepdims=True))
-    points = origins[seen] + depth[seen][:, None] * toward
-    shadow_rays = _cast(scene, points + 1e-4 * normals, np.broadcast_to(LIGHT, points.shape))
-    lit = ~np.isfinite(shadow_rays["t_hit"].numpy())
-    diffuse = np.clip(normals @ LIGHT, 0, 1) * np.where(lit, 1.0, 0.35)
-    ambient = 0.42 + 0.12 * normals[:, 2]
-    headlight = 0.18 * np.abs((normals * toward).sum(axis=1))
-    strength = ambient + 0.5 * diffuse + headlight
-    strength[np.array([mesh.unlit for mesh in meshes])[which[seen]]] = 1.0
-    image[seen] = colours[which[seen]] * strength[:, None]
-    blocks = image.reshape(size[1], oversampling, size[0], oversampling, 3).mean(axis=(1, 3))
-    picture: NDArray[np.uint8] = (np.clip(blocks, 0, 1) * 255).astype(np.uint8)
-    return picture
+
+EDGE = 0.03
+"""Neighbouring pixels that differ by more than this, of 1, are looked at more closely."""
+
+
+def _edges(image: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Pixels [height, width] that differ from a neighbour."""
+    edges = np.zeros(image.shape[:2], dtype=bool)
+    across = (np.abs(np.diff(image, axis=1)) > EDGE).any(axis=-1)
+    down = (np.abs(np.diff(image, axis=0)) > EDGE).any(axis=-1)
+    edges[:, 1:] |= across
+    edges[:, :-1] |= across
+    edges[1:] |= down
+    edges[:-1] |= down
+    return edges
 
 
 def table_mesh(
@@ -111,10 +170,9 @@ def table_mesh(
 
 
 def _cast(
-    scene: o3d.t.geometry.RaycastingScene,
-    origins: NDArray[np.float64],
-    directions: NDArray[np.float64],
-) -> dict[str, o3d.core.Tensor]:
-    rays = np.concatenate([origins, directions], axis=-1).astype(np.float32)
-    found: dict[str, o3d.core.Tensor] = scene.cast_rays(o3d.core.Tensor.from_numpy(rays), 1)
+    scene: Any, origins: NDArray[np.floating], directions: NDArray[np.float32]
+) -> dict[str, Any]:
+    rays = np.empty((len(directions), 6), dtype=np.float32)
+    rays[:, :3], rays[:, 3:] = origins, directions
+    found: dict[str, Any] = scene.cast_rays(o3d.core.Tensor.from_numpy(rays), 1)
     return found

@@ -1,0 +1,99 @@
+"""What may be asked of the planner: names and ranges, known before anything heavy is imported."""
+
+from __future__ import annotations
+
+from pointsdf_cli.errors import InputError
+
+RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
+METHODS = (RECONSTRUCTION, PARTIAL_VIEW)
+SOLVERS = ("sqp", "slsqp")
+KINDS = ("side", "top")
+SEGMENT = ("auto", "none")
+
+LARGEST_CLEARANCE = 0.015
+"""Distances are exact up to 2 cm only [m]; a grasp that stays farther away holds nothing."""
+
+
+def check_method(method: str) -> None:
+    """One of `METHODS`.
+
+    Raises:
+        InputError: It is none of them.
+    """
+    _require_one_of(method, METHODS, "method", "--method")
+
+
+def check_solver(solver: str) -> None:
+    """One of `SOLVERS`.
+
+    Raises:
+        InputError: It is none of them.
+    """
+    _require_one_of(solver, SOLVERS, "solver", "--solver")
+
+
+def check_kind(kind: str) -> None:
+    """`auto` or one of `KINDS`.
+
+    Raises:
+        InputError: It is none of them.
+    """
+    _require_one_of(kind, ("auto", *KINDS), "kind of grasp", "--kind")
+
+
+def check_speed(speed: float) -> None:
+    """A share of the joints' speed limits.
+
+    Raises:
+        InputError: Not within (0, 1].
+    """
+    if not 0 < speed <= 1:
+        raise InputError(f"{speed:g}", where="--speed", allowed="above 0, at most 1")
+
+
+def check_distance(name: str, value: float) -> None:
+    """A clearance or a margin [m].
+
+    Raises:
+        InputError: Negative, or above `LARGEST_CLEARANCE`.
+    """
+    if not 0 <= value <= LARGEST_CLEARANCE:
+        raise InputError(
+            f"a {name} of {value:g} m",
+            where=f"--{name}",
+            allowed=f"0 m or more, at most {LARGEST_CLEARANCE:g} m",
+        )
+
+
+def check_min_success(probability: float | None) -> None:
+    """A probability, or None for the usual thresholds.
+
+    Raises:
+        InputError: Not within [0, 1).
+    """
+    if probability is not None and not 0 <= probability < 1:
+        raise InputError(
+            f"{probability} is no probability", where="--min-success", allowed="0 ≤ p < 1"
+        )
+
+
+def check_segment(segment: str, target: bool, workspace: bool) -> None:
+    """How the object is found in its cloud.
+
+    Args:
+        segment: One of `SEGMENT`.
+        target, workspace: Whether they were given; both belong to `auto`.
+
+    Raises:
+        InputError: Another word, or an option that does not go with it.
+    """
+    if segment not in SEGMENT:
+        raise InputError(f"no {segment!r}", where="--segment", allowed=", ".join(SEGMENT))
+    for name, given in (("target", target), ("workspace", workspace)):
+        if given and segment == "none":
+            raise InputError(f"--{name} without --segment auto", hint="leave one of the two out")
+
+
+def _require_one_of(value: str, allowed: tuple[str, ...], what: str, option: str) -> None:
+    if value not in allowed:
+        raise InputError(f"no {what} {value!r}", where=option, allowed=", ".join(allowed))
