@@ -57,6 +57,29 @@ class Things:
     plane: Array | None
     unsplit: frozenset[int] = frozenset()
 
+    def standing(self, points: Array, floating: float = 0.03) -> NDArray[np.bool_]:
+        """Which things [T] begin near the table and over it; all where no table was seen.
+
+        Args:
+            points: [N, 3], world, m.
+            floating: A thing that starts higher than this [m] stands on nothing.
+        """
+        stands = np.ones(self.count, dtype=bool)
+        table = points[self.label == TABLE]
+        if self.plane is None or not len(table):
+            return stands
+        height = points @ self.plane[:3] - self.plane[3]
+        on_table = height[self.label == TABLE] > -0.02
+        if not on_table.any():
+            return stands
+        low, high = np.percentile(table[on_table, :2], [1, 99], axis=0)
+        for one in range(self.count):
+            mine = self.label == one
+            foot = points[mine][height[mine] < height[mine].min() + 0.02, :2]
+            over = ((foot > low - 0.03) & (foot < high + 0.03)).all(axis=1).mean() > 0.5
+            stands[one] = bool(np.percentile(height[mine], 1) < floating and over)
+        return stands
+
     @property
     def count(self) -> int:
         """The number of things."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from pointsdf_cli.camera.things import Things
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -19,6 +20,9 @@ TARGET_REACH = 0.1
 
 PIXEL_REACH = 15.0
 """--target names the thing that was seen no farther than this [px] from a pixel."""
+
+EQUAL = 1.4
+"""Things whose merits differ by less than this factor are equally good to grasp."""
 
 SMALLEST_THING, LARGEST_THING = 0.015, 0.35
 """Things between these sizes [m] are what one wants to grasp."""
@@ -55,6 +59,7 @@ class Thing:
         centre: [3], of its box, world, m.
         size: [3], of its box: the longer and the shorter level side, and its height, m.
         points: How many were seen, thinned.
+        stands: It stands on the table; others come last.
         unsplit: It looks like several in touch.
         image: [2], where it is in the image, in units of half the image: (0, 0) is the middle.
     """
@@ -64,6 +69,7 @@ class Thing:
     centre: Array
     size: Array
     points: int
+    stands: bool
     unsplit: bool
     image: Array
 
@@ -93,12 +99,11 @@ def reach_of(robot: RobotDescription) -> tuple[float, float]:
 def numbered(
     points: Array,
     image: Array,
-    label: NDArray[np.int64],
+    things: Things,
     standing: NDArray[np.bool_],
-    unsplit: frozenset[int] = frozenset(),
     reach: tuple[float, float] | None = None,
 ) -> list[Thing]:
-    """The standing things, best to grasp first.
+    """All things, best to grasp first.
 
     A thing near the middle of the image, within the robot's reach and of a size to be grasped comes
     first: what somebody points a camera at is what is meant.
@@ -106,29 +111,38 @@ def numbered(
     Args:
         points: [N, 3], world, m, one a voxel.
         image: [N, 2], where they are in the image, in units of half its size.
-        label: [N], the thing of each point; negative for none.
-        standing: bool [T], which things stand on the table.
-        unsplit: Things that look like several.
+        things: The thing of each point.
+        standing: bool [T], which of them stand on the table.
         reach: From `reach_of`; None where the robot's place is not known.
     """
     found = []
-    for one in np.flatnonzero(standing):
-        mine = label == one
+    for one in range(things.count):
+        mine = things.label == one
         if not mine.any():
             continue
         seen = points[mine]
         low, high = np.percentile(seen, [0.5, 99.5], axis=0)
-        middle = np.median(image[mine], axis=0)
         thing = Thing(
-            0, int(one), (low + high) / 2, _sides(seen), len(seen), int(one) in unsplit, middle
+            number=0,
+            label=one,
+            centre=(low + high) / 2,
+            size=_sides(seen),
+            points=len(seen),
+            stands=bool(standing[one]),
+            unsplit=one in things.unsplit,
+            image=np.median(image[mine], axis=0),
         )
         found.append((_merit(thing, reach), thing))
-    # Of equals the larger.
-    found.sort(key=lambda pair: (-round(pair[0], 1), -pair[1].points))
-    return [
-        Thing(k, t.label, t.centre, t.size, t.points, t.unsplit, t.image)
-        for k, (_, t) in enumerate(found, 1)
-    ]
+    best = max((merit for merit, thing in found if thing.stands), default=1.0)
+    # Of those about as good as the best, the larger.
+    found.sort(
+        key=lambda pair: (
+            not pair[1].stands,
+            int(np.log(max(best / max(pair[0], 1e-9), 1.0)) / np.log(EQUAL)),
+            -pair[1].points,
+        )
+    )
+    return [replace(thing, number=k) for k, (_, thing) in enumerate(found, 1)]
 
 
 def choose(
