@@ -29,19 +29,25 @@ _WIDTH, _HEIGHT = ("width", "image_width"), ("height", "image_height")
 SMALLEST_DISTORTION = 1e-6
 
 
-def read_intrinsics(name: str, width: int, height: int) -> Camera:
-    """The camera of a depth image of `width` × `height` pixels.
+def read_intrinsics(
+    name: str, width: int | None = None, height: int | None = None, image: str = "the depth image"
+) -> Camera:
+    """The camera of an image of `width` × `height` pixels.
 
     Args:
         name: A file in one of `FORMS` (JSON or YAML), or a camera's name.
-        width, height: Of the image; a file that gives another size is refused.
+        width, height: Of the image; a file that gives another size is refused. None where the image
+            is not at hand; the camera's own size is then what the file says, or twice the principal
+            point.
+        image: What the size is of, for messages.
 
     Raises:
         InputError: No such file or form, another image size, or a camera that bends the picture.
     """
     if name in CAMERAS:
         camera = CAMERAS[name]
-        _check_size(camera.width, camera.height, width, height, name)
+        size = (width or camera.width, height or camera.height)
+        _check_size(camera.width, camera.height, *size, name, image)
         return camera
     data, path = _load(name), Path(name)
     if isinstance(data, Mapping):
@@ -51,10 +57,13 @@ def read_intrinsics(name: str, width: int, height: int) -> Camera:
             next((_whole(data[name], path) for name in names if data.get(name) is not None), own)
             for names, own in ((_WIDTH, width), (_HEIGHT, height))
         )
-        _check_size(mine, mine_high, width, height, path)
+        width, height = width or mine, height or mine_high
+        if width and height:
+            _check_size(mine or width, mine_high or height, width, height, path, image)
         fx, fy, cx, cy = _numbers(data, path)
     else:
         fx, fy, cx, cy = _of_matrix(data, False, path)
+    width, height = width or max(1, round(2 * cx)), height or max(1, round(2 * cy))
     try:
         camera = Camera(width, height, fx, fy, cx, cy)
     except InputError as error:
@@ -167,11 +176,13 @@ def _whole(value: Any, path: Path) -> int:
     return int(value)
 
 
-def _check_size(mine: int, my_height: int, width: int, height: int, where: Any) -> None:
+def _check_size(
+    mine: int, my_height: int, width: int, height: int, where: Any, image: str
+) -> None:
     if (mine, my_height) != (width, height):
         raise InputError(
-            f"is for images of {mine} × {my_height}, and the depth image has {width} × {height}",
+            f"is for images of {mine} × {my_height}, and {image} has {width} × {height}",
             where=where,
-            allowed="intrinsics of the depth image itself (not of the colour camera, or of "
-            "another resolution)",
+            allowed=f"intrinsics of {image} itself (not of another camera, or of another "
+            "resolution)",
         )

@@ -116,7 +116,7 @@ def look_at_table(
             cleaned,
         )
         try:
-            thing = _chosen(scene, wanted, workspace, first is not None)
+            thing = chosen_thing(scene, wanted, workspace, first is not None)
             found = sighting(scene, thing, cleaned)
             in_world = apply_transform(found.T_world_camera, found.object_points)
             if first is not None:
@@ -244,10 +244,16 @@ def bare_object(cloud: Cloud, cleaned: bool = True) -> tuple[Array, str]:
     return points[found.kept], found.report()
 
 
-def _chosen(
-    scene: Scene, wanted: Target | None, workspace: SegmentationConfig, again: bool
+def chosen_thing(
+    scene: Scene, wanted: Target | None, workspace: SegmentationConfig, again: bool = False
 ) -> Thing:
     """The thing that is meant.
+
+    Args:
+        scene: Sorted.
+        wanted: What the user said; the best to grasp if None.
+        workspace: That the scene was sorted with, for messages.
+        again: Another camera named the target, which then says more than a mask.
 
     Raises:
         InputError: No such number, or a mask and a target.
