@@ -36,15 +36,15 @@ class CleaningConfig:
         isolation: It is isolated if that is more than this many times the median's.
         part_share: A detached group with at least this share of all points is a part of the object
             however far away it is.
-        part_gap: A smaller group may be this far [m] from what is kept, or the object's size times
-            its share over `part_share` if that is more; else it is a speck.
+        part_gap: A smaller group is a speck if it is farther from what is kept than this share of
+            the object's size.
         tiny_share, tiny_gap: A group with less than this share may be this far [m].
     """
 
     neighbours: int = 4
     isolation: float = 4.0
     part_share: float = 0.2
-    part_gap: float = 0.03
+    part_gap: float = 0.4
     tiny_share: float = 0.005
     tiny_gap: float = 0.015
 
@@ -128,7 +128,7 @@ def flying_pixels(depth: NDArray[np.floating], focal: float) -> Mask:
     """Pixels of a depth image that lie between a nearer and a farther surface.
 
     A pixel belongs to a surface if at least three of its eight neighbours continue it: their depth
-    differs by no more than a surface seen at 81° does from pixel to pixel, plus noise.
+    differs by no more than a surface seen at 83° does from pixel to pixel, plus noise.
 
     Args:
         depth: [height, width], m along z; 0 where nothing returned.
@@ -140,7 +140,7 @@ def flying_pixels(depth: NDArray[np.floating], focal: float) -> Mask:
     z = np.pad(np.asarray(depth, dtype=np.float32), 1)
     middle = z[1:-1, 1:-1]
     # 0.2 % of the depth at 1 m is three deviations of a structured-light camera's noise.
-    step = np.float32(6.0 / focal) * middle + np.float32(0.006) * middle**2
+    step = np.float32(8.0 / focal) * middle + np.float32(0.006) * middle**2
     count = np.zeros(middle.shape, dtype=np.uint8)
     height, width = middle.shape
     for down in range(3):
@@ -207,9 +207,9 @@ def _specks(
     # The largest first: a handle's far end may hang on its near end.
     order = np.argsort(-sizes, kind="stable")[1:]
     for one in order[sizes[order] >= config.tiny_share * total]:
-        group, share = kept & (label == one), sizes[one] / total
-        limit = max(config.part_gap, extent * share / config.part_share)
-        if share < config.part_share and _gap(points[body], points[group]) > limit:
+        group = kept & (label == one)
+        far = _gap(points[body], points[group]) > config.part_gap * extent
+        if far and sizes[one] < config.part_share * total:
             dropped |= group
         else:
             body |= group

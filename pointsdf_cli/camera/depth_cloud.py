@@ -7,7 +7,11 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.io.clouds import Cloud, DepthImage
+
+OFF_CENTRE = 0.22
+"""A principal point farther from the middle than this share of the image is worth a warning: half
+or twice the resolution makes 0.25 or more."""
 
 
 def cloud_of_depth(
@@ -48,18 +52,32 @@ def cloud_of_depth(
             allowed="a colour image registered to the depth image, pixel by pixel",
         )
     v, u = np.nonzero((depth >= nearest) & (depth <= farthest) & (depth > 0))
+    if not (depth > 0).any():
+        raise InputError(
+            "the depth image is 0 everywhere: the camera saw nothing",
+            allowed="depths above 0 where something was seen",
+            hint="was the camera covered, or too near? Is it the depth stream's image?",
+        )
     if not len(v):
         seen = depth[depth > 0]
-        found = f"{seen.min():.4g} to {seen.max():.4g} m" if seen.size else "none at all"
+        found = f"{seen.min():.4g} to {seen.max():.4g} m"
         raise InputError(
             f"no depth between {nearest:g} and {farthest:g} m (there is {found})",
             allowed="depths of a table-top scene",
             hint="check --depth-scale: 0.001 if the numbers are millimetres, 0.00025 for a "
             "RealSense L515, 1 for metres",
         )
+    off = abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5)
+    note = (
+        f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of the image of "
+        f"{camera.width} × {camera.height}: are the intrinsics of another resolution?"
+    )
     return Cloud(
         points=camera.back_project(u, v, depth[v, u]),
         colours=None if colours is None else np.ascontiguousarray(colours[v, u]),
         frame="camera",
         T_world_camera=T_world_camera,
+        pixels=np.stack([u, v], axis=1).astype(np.float64),
+        image=DepthImage(depth, camera.K),
+        notes=(note,) if max(off) > OFF_CENTRE else (),
     )

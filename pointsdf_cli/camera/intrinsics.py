@@ -36,17 +36,22 @@ LENSES = (
 )
 
 
-def read_intrinsics(name: str, width: int, height: int) -> Camera:
-    """The camera of a depth image of `width` × `height` pixels.
+def read_intrinsics(
+    name: str, width: int | None = None, height: int | None = None, image: str = "the depth image"
+) -> Camera:
+    """The camera of an image of `width` × `height` pixels.
 
     Args:
         name: A file in one of `FORMS` (JSON or YAML), or a camera's name.
-        width, height: Of the image; a file that gives another size is refused.
+        width, height: Of the image; a file that gives another size is refused. None where the image
+            is not at hand; the camera's own size is then what the file says, or twice the principal
+            point.
+        image: What the size is of, for messages.
 
     Raises:
         InputError: No such file or form, another image size, or a camera that bends the picture.
     """
-    camera, data = _read(name, width, height, "depth image")
+    camera, data = _read(name, width, height, image)
     _check_distortion(data, Path(name))
     return camera
 
@@ -65,15 +70,18 @@ def read_lens(name: str, width: int, height: int) -> tuple[Camera, tuple[float, 
     Raises:
         InputError: No such file or form, another image size, or another model of distortion.
     """
-    camera, data = _read(name, width, height, "image")
+    camera, data = _read(name, width, height, "the image")
     return camera, _coefficients(data, Path(name))
 
 
-def _read(name: str, width: int, height: int, kind: str) -> tuple[Camera, Mapping[str, Any]]:
+def _read(
+    name: str, width: int | None, height: int | None, image: str
+) -> tuple[Camera, Mapping[str, Any]]:
     """The camera without its distortion, and what else its file holds."""
     if name in CAMERAS:
         camera = CAMERAS[name]
-        _check_size(camera.width, camera.height, width, height, name, kind)
+        size = (width or camera.width, height or camera.height)
+        _check_size(camera.width, camera.height, *size, name, image)
         return camera, {}
     data, path = _load(name), Path(name)
     if isinstance(data, Mapping):
@@ -82,10 +90,13 @@ def _read(name: str, width: int, height: int, kind: str) -> tuple[Camera, Mappin
             next((_whole(data[name], path) for name in names if data.get(name) is not None), own)
             for names, own in ((_WIDTH, width), (_HEIGHT, height))
         )
-        _check_size(mine, mine_high, width, height, path, kind)
+        width, height = width or mine, height or mine_high
+        if width and height:
+            _check_size(mine or width, mine_high or height, width, height, path, image)
         fx, fy, cx, cy = _numbers(data, path)
     else:
         fx, fy, cx, cy = _of_matrix(data, False, path)
+    width, height = width or max(1, round(2 * cx)), height or max(1, round(2 * cy))
     try:
         camera = Camera(width, height, fx, fy, cx, cy)
     except InputError as error:
@@ -225,11 +236,11 @@ def _whole(value: Any, path: Path) -> int:
     return int(value)
 
 
-def _check_size(mine: int, my_height: int, width: int, height: int, where: Any, kind: str) -> None:
+def _check_size(mine: int, my_height: int, width: int, height: int, where: Any, image: str) -> None:
     if (mine, my_height) != (width, height):
         raise InputError(
-            f"is for images of {mine} × {my_height}, and the {kind} has {width} × {height}",
+            f"is for images of {mine} × {my_height}, and {image} has {width} × {height}",
             where=where,
-            allowed=f"intrinsics of the {kind} itself (not of another camera, or of another "
+            allowed=f"intrinsics of {image} itself (not of another camera, or of another "
             "resolution)",
         )

@@ -44,6 +44,19 @@ CLOUD_SUFFIXES = tuple(_READERS)
 
 
 @dataclass(frozen=True)
+class DepthImage:
+    """A depth image with its intrinsics.
+
+    Attributes:
+        depth: f8 [height, width], m along z; 0 where nothing returned.
+        K: f8 [3, 3], px.
+    """
+
+    depth: NDArray[np.float64]
+    K: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class Cloud:
     """Points with what is known about where they lie.
 
@@ -53,6 +66,10 @@ class Cloud:
         colours: u1 [N, 3], red green blue; None where the file had none.
         frame: "camera" or "world".
         T_world_camera: f8 [4, 4], the camera in the world; None where it is not known.
+        pixels: f8 [N, 2], (u, v) of each point in the image; None where no image is known.
+        image: The depth image that the points are of; None where there was none.
+        mask: bool [N], the points that a mask of the user's says are the object's; None for none.
+        notes: Sentences about how the file was read that its user should see.
     """
 
     points: NDArray[np.float64]
@@ -60,6 +77,10 @@ class Cloud:
     colours: NDArray[np.uint8] | None = None
     frame: str = "camera"
     T_world_camera: NDArray[np.float64] | None = None
+    pixels: NDArray[np.float64] | None = None
+    image: DepthImage | None = None
+    mask: NDArray[np.bool_] | None = None
+    notes: tuple[str, ...] = ()
 
     def in_camera_frame(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The points [N, 3] in the camera's frame, and T_frame_camera [4, 4] to go back.
@@ -87,14 +108,21 @@ class Cloud:
                 hint="add --drop-invalid to leave those points out",
             )
         if behind:
-            raise InputError(
-                f"{behind} of {len(points)} points lie behind the camera (z ≤ 0), so these are "
-                "not the coordinates of a camera looking along +z",
-                allowed="camera frame: x right, y down, z forward",
-                hint="if the cloud is in the world's frame, add "
-                "--frame world --camera-pose X,Y,Z,QW,QX,QY,QZ",
-            )
+            raise self._behind_camera(behind)
         return points, T_frame_camera
+
+    def _behind_camera(self, behind: int) -> InputError:
+        """The message for points that a camera at its stated place cannot see."""
+        return InputError(
+            f"{behind} of {len(self.points)} points lie behind the camera (z ≤ 0), so these are "
+            "not the coordinates of a camera looking along +z",
+            allowed="camera frame: x right, y down, z forward",
+            hint="the cloud lies in front of a camera at its origin: add --frame camera"
+            if self.frame == "world" and (self.points[:, 2] > 0).all()
+            else "if the cloud is in the world's frame, add --frame world --camera-pose "
+            f"X,Y,Z,QW,QX,QY,QZ (such as {_camera_before(self.points)}, which looks at it along "
+            "the world's −x)",
+        )
 
 
 def read_cloud(
@@ -151,13 +179,41 @@ def read_cloud(
         pose = _pose(raw.comments, path)
         if pose is not None and path.suffix.lower() == ".pcd":
             pose[:3, 3] *= UNITS[unit]  # its header holds the viewpoint in the points' own unit
-    return Cloud(
+    cloud = Cloud(
         points=raw.points * UNITS[unit],
         normals=_unit_normals(raw.normals),
         colours=raw.colours,
         frame=frame or _frame(raw.comments, path),
         T_world_camera=pose,
     )
+    if path.suffix.lower() == ".pcd" and frame is None and T_world_camera is None:
+        return _without_false_viewpoint(cloud)
+    return cloud
+
+
+def _without_false_viewpoint(cloud: Cloud) -> Cloud:
+    """A PCD cloud, in the camera's frame if a camera at its VIEWPOINT would have it at its back.
+
+    Some programs write a viewpoint and leave the points in the camera's frame.
+    """
+    if cloud.frame != "world" or cloud.T_world_camera is None:
+        return cloud
+    seen = apply_transform(invert_transform(cloud.T_world_camera), cloud.points)
+    if (seen[:, 2] > 0).any() or not (cloud.points[:, 2] > 0).all():
+        return cloud
+    note = (
+        "the header's VIEWPOINT has all points behind the camera; they are read as the camera's "
+        "own coordinates, and the pose is not used (--frame camera; --frame world takes the header "
+        "at its word)"
+    )
+    return replace(cloud, frame="camera", T_world_camera=None, notes=(*cloud.notes, note))
+
+
+def _camera_before(points: NDArray[np.float64]) -> str:
+    """A pose, as it is typed, from which points [N, 3] of the world are seen along −x."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    x, y, z = (low + high) / 2 + [0.5 + (high - low).max(), 0.0, 0.0]
+    return f"{x:.3g},{y:.3g},{z:.3g},0.5,-0.5,-0.5,0.5"
 
 
 def write_cloud(path: Path | str, cloud: Cloud) -> None:

@@ -66,6 +66,56 @@ def read_colour(path: Path | str) -> NDArray[np.uint8]:
             raise InputError("is damaged or cut short", where=path) from error
 
 
+def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.bool_]:
+    """A mask bool [height, width]: where an image is not 0, or has one number.
+
+    Args:
+        text: An image's path, or `PATH:NUMBER` for the pixels of that number in an image of labels.
+            Of a colour image any channel counts; a transparent pixel is 0.
+        shape: [height, width] that it must have; any if None.
+
+    Raises:
+        InputError: No such image, another size, or nothing in it.
+    """
+    path, number = Path(text), None
+    before, colon, after = text.rpartition(":")
+    if colon and after.isdigit() and not path.exists():
+        path, number = Path(before), int(after)
+    if path.suffix.lower() == ".npy":
+        values = _array(path)
+    else:
+        with _open(path) as image:
+            try:
+                # The numbers of a palette are labels, its colours are not.
+                plain = image.mode if image.mode in ("P", "L", "1", "I", "I;16", "F") else "RGBA"
+                values = np.asarray(image if image.mode == plain else image.convert(plain))
+            except (OSError, ValueError, SyntaxError) as error:
+                raise InputError("is damaged or cut short", where=path) from error
+            if values.ndim == 3:
+                values = values[..., :3].max(axis=2) * (values[..., 3] > 0)
+    if values.ndim != 2 or values.dtype.kind not in "buif":
+        raise InputError(f"is of shape {values.shape}", where=path, allowed="[height, width]")
+    if shape is not None and values.shape != shape:
+        raise InputError(
+            f"has {values.shape[1]} × {values.shape[0]} pixels and the depth image {shape[1]} × "
+            f"{shape[0]}",
+            where=path,
+            allowed="a mask of the depth image's size",
+            hint="resize it with nearest-neighbour sampling",
+        )
+    mask = values != 0 if number is None else values == number
+    if not mask.any():
+        there = ", ".join(f"{value:g}" for value in np.unique(values)[:20])
+        raise InputError(
+            "is 0 everywhere" if number is None else f"has no pixel of the number {number}",
+            where=path,
+            allowed="a mask that is not 0 where the object is"
+            if number is None
+            else f"numbers in it: {there}",
+        )
+    return np.asarray(mask)
+
+
 def _image(path: Path) -> NDArray:
     if path.suffix.lower() not in DEPTH_SUFFIXES:
         raise InputError(

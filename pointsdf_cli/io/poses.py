@@ -20,6 +20,10 @@ ALLOWED = (
 )
 
 
+TABLE_PLACE = (0.6, 0.0)
+"""Where `--camera-pose table` puts the object [m]: ahead of the robot, where it reaches."""
+
+
 def camera_pose(text: str, option: str = "--camera-pose") -> NDArray[np.float64]:
     """T_world_camera [4, 4] from `option`: numbers, or a file that holds them.
 
@@ -43,6 +47,38 @@ def write_pose(path: Path, pose: NDArray[np.float64]) -> None:
     """
     rows = ",\n ".join(to_json(row) for row in pose)
     write_text_atomic(path, f"[{rows}]\n")
+
+
+def target_numbers(text: str, where: str = "--target") -> NDArray[np.float64]:
+    """An object's number [1] (from 1), a pixel [2] (u, v) or a place [3] in the world, m.
+
+    Raises:
+        InputError: None of these.
+    """
+    allowed = "an object's number from 1, a pixel U,V, or a place X,Y,Z in the world, m"
+    numbers = numbers_in(text, where, allowed)
+    whole_number = len(numbers) == 1 and numbers[0] >= 1 and numbers[0] % 1 == 0
+    if not (whole_number or len(numbers) in (2, 3)):
+        raise InputError(f"{text[:60]!r} is none of these", where=where, allowed=allowed)
+    return numbers
+
+
+def table_place(text: str, option: str = "--camera-pose") -> tuple[float, float] | None:
+    """Where `table` or `table:X,Y` puts the object in the world [m]; None of another pose.
+
+    Raises:
+        InputError: `table:` with something else than two numbers.
+    """
+    word, _, rest = text.partition(":")
+    if word != "table":
+        return None
+    if not rest:
+        return TABLE_PLACE
+    allowed = "table, or table:X,Y with the object's place in the world, m"
+    numbers = numbers_in(rest, option, allowed)
+    if len(numbers) != 2:
+        raise InputError(f"{len(numbers)} numbers", where=option, allowed=allowed)
+    return float(numbers[0]), float(numbers[1])
 
 
 def place(text: str, where: str) -> NDArray[np.float64]:

@@ -13,10 +13,11 @@ from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.planning.answer import Answer, GraspPlanner
+from pointsdf_cli.planning.choice import NoObjectError, Target
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
-from pointsdf_cli.planning.table_top import WORKSPACE, NoObjectError, clutter, look_at_table
+from pointsdf_cli.planning.table_top import WORKSPACE, clutter, look_at_table
 from pointsdf_cli.planning.target import surface_of
 from pointsdf_cli.robot.start import start_configuration
 from pointsdf_cli.viz.plan_picture import PlanScene
@@ -68,9 +69,10 @@ def plan_on_table(
     start: str | None = None,
     seed: int = 0,
     segment: str = "auto",
-    target: Array | None = None,
+    target: Target | Array | None = None,
     others: bool = True,
     workspace: SegmentationConfig = WORKSPACE,
+    cleaned: bool = True,
 ) -> TableSession:
     """Find the object in the clouds and plan a grasp of it.
 
@@ -82,9 +84,10 @@ def plan_on_table(
         start: Where the robot is, as typed; its home if None.
         seed: Equal seeds give equal plans.
         segment: "auto", or "none" where the clouds hold the object alone.
-        target: [3], where the object is that is meant.
+        target: The object that is meant, or a place [3] of it in the world.
         others: Whether other things that are seen are obstacles.
         workspace: What is looked at of the world.
+        cleaned: Whether flying pixels, outliers and specks are dropped.
 
     Raises:
         InputError: The clouds or the start cannot be used.
@@ -92,7 +95,7 @@ def plan_on_table(
     environment = environment or Environment()
     q = start_configuration(start, planner.robot)
     try:
-        seen = look_at_table(clouds, names, planner.robot, q, segment, target, workspace)
+        seen = look_at_table(clouds, names, planner.robot, q, segment, target, workspace, cleaned)
     except NoObjectError as error:
         world = np.concatenate([_in_world(cloud) for cloud in clouds])
         camera = np.asarray(clouds[0].T_world_camera)[:3, 3]

@@ -8,7 +8,6 @@ unchanged, as nothing but its largest part is left to keep.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
 
@@ -17,24 +16,22 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import QhullError, cKDTree
 
-from pointsdf_cli.camera.segmentation import (
-    Segmentation,
-    SegmentationConfig,
-    clusters,
-    segment_object,
-)
+from pointsdf_cli.camera.cleaning import clean
+from pointsdf_cli.camera.segmentation import SegmentationConfig, clusters
 from pointsdf_cli.camera.view import View
-from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
-from pointsdf_cli.io.clouds import Cloud
-from pointsdf_cli.planning.choices import check_segment
+from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
+from pointsdf_cli.planning.choice import NoObjectError, Target, Thing, choose, reach_of
 from pointsdf_cli.planning.environment import Obstacle
-from pointsdf_cli.planning.scene_inputs import check_scene_inputs
+from pointsdf_cli.planning.scene import Scene, Sighting, describe, sighting, sort_scene
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 
 Array = NDArray[np.float64]
+
+SEGMENT = ("auto", "none")
 
 WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
 """What is looked at, unless another is named. Wider than what the bundled arm reaches: what stands
@@ -49,18 +46,8 @@ def workspace_of(corners: tuple[tuple[float, ...], tuple[float, ...]] | None) ->
     return replace(WORKSPACE, low=(x0, y0, z0), high=(x1, y1, z1))
 
 
-TARGET_REACH = 0.1
-"""--target names the object whose nearest seen point is no farther than this [m]."""
-
-
 SAME_THING = 0.03
 """What another camera sees of the object is no farther [m] from what the first one saw of it."""
-
-
-class NoObjectError(RgraspError):
-    """The clouds show nothing that could be grasped."""
-
-    exit_code = 3
 
 
 @dataclass(frozen=True)
@@ -86,8 +73,9 @@ def look_at_table(
     robot: RobotDescription,
     start: Array,
     segment: str = "auto",
-    target: Array | None = None,
+    target: Target | Array | None = None,
     workspace: SegmentationConfig = WORKSPACE,
+    cleaned: bool = True,
 ) -> TableTop:
     """Find the object in each cloud.
 
@@ -97,70 +85,69 @@ def look_at_table(
         robot: The robot.
         start: [J], where it is: points on it are left out.
         segment: "auto", or "none" where the clouds hold the object alone.
-        target: [3], a place in the world: the object there is taken instead of the largest.
+        target: The object that is meant, or a place [3] of it in the world; of the first cloud
+            where it is a number or a pixel. The best to grasp if None.
         workspace: What is looked at of the world.
+        cleaned: Whether flying pixels, outliers and specks are dropped.
 
     Raises:
-        InputError: No pose, or no cloud of an object.
+        InputError: No pose, no cloud of an object, or no such target.
         NoObjectError: No cloud shows an object; the first one's reason.
     """
-    check_segment(segment, target is not None, workspace is not WORKSPACE)
-    check_scene_inputs(clouds, names, segment)
-    views, others, report, heights = [], [], [], []
+    _check_options(segment, target, workspace)
+    wanted = target if isinstance(target, Target) or target is None else Target(place=target)
+    if segment == "none":
+        return _bare_objects(clouds, names, cleaned)
+    own = robot_points(robot, start)
+    reach = reach_of(robot)
+    seen: list[Sighting] = []
+    others, report, heights = [], [], []
     problem: NoObjectError | None = None
     first: tuple[Array, Array] | None = None
-    own = robot_points(robot, start)
     for cloud, name in zip(clouds, names, strict=True):
-        assert cloud.T_world_camera is not None  # checked above
-        points, _ = cloud.in_camera_frame()
-        if segment == "none":
-            views.append(View(points, cloud.T_world_camera))
-            report.append(f"{name}: all {len(points)} points are the object's")
-            continue
-        world = apply_transform(cloud.T_world_camera, points)
-        free = off_robot(world, own)
-        points, world = points[free], world[free]
+        _require_pose(cloud, name)
+        scene = sort_scene(
+            check_scene_cloud(cloud, name),
+            name,
+            workspace,
+            lambda world: ~off_robot(world, own),
+            reach,
+            cleaned,
+        )
         try:
-            found = _segment(world, name, target, workspace)
+            thing = chosen_thing(scene, wanted, workspace, first is not None)
+            found = sighting(scene, thing, cleaned)
+            in_world = apply_transform(found.T_world_camera, found.object_points)
             if first is not None:
-                _require_same(world[found.kept], first, name)
+                _require_same(in_world, first, name)
         except NoObjectError as error:
             problem = problem or error
             report.append(f"{name}: the object is not seen")
-            # What else it saw stands there all the same.
-            with suppress(InputError):
-                around = segment_object(world, workspace)
-                others.append(world[around.kept | around.other])
+            # What it saw stands there all the same.
+            others.append(scene.world[scene.things.label >= 0])
             continue
-        sentence = found.report()
-        if not free.all():
-            sentence += f", {int((~free).sum())} on the robot"
-        report.append(f"{name}: {sentence}")
-        evidence = _evidence(points, found, cloud.T_world_camera)
-        views.append(View(points[found.kept], cloud.T_world_camera, evidence))
-        others.append(world[found.other])
-        if found.plane is not None:
-            heights.append(float(found.plane[3]))
-        if target is None:
-            # The other cameras are asked for what the first one chose.
-            target = np.median(world[found.kept], axis=0)
+        report.append(f"{name}: {describe(scene, thing, found)}")
+        seen.append(found)
+        others.append(found.others_in_world)
+        if scene.things.plane is not None:
+            heights.append(float(scene.things.plane[3]))
         if first is None:
-            first = world[found.kept], world[found.other]
-    if problem is not None and not views:
+            first = in_world, found.others_in_world
+            # The other cameras are asked for what the first one chose.
+            wanted = Target(place=np.median(in_world, axis=0))
+    if problem is not None and not seen:
         raise problem
     rest = np.concatenate(others) if others else np.zeros((0, 3))
     height = float(np.median(heights)) if heights else None
-    return TableTop(tuple(views), rest, tuple(report), height)
+    return TableTop(tuple(view_of(each) for each in seen), rest, tuple(report), height)
 
 
-def _evidence(points: Array, found: Segmentation, T_world_camera: Array) -> ViewEvidence:
-    """What a view [N, 3] (camera frame, m) knows of the space around the object in it."""
-    plane = None
-    if found.plane is not None:
-        normal = T_world_camera[:3, :3].T @ found.plane[:3]
-        plane = np.array([*normal, found.plane[3] - found.plane[:3] @ T_world_camera[:3, 3]])
-    image = visibility_image(points[found.kept], points[~found.kept], plane)
-    return ViewEvidence(image, plane)
+def view_of(seen: Sighting) -> View:
+    """What the planner is told of one camera's sighting."""
+    pitch = None if seen.image is None else 1.0 / float(seen.image.K[0, 0])
+    image = visibility_image(seen.object_points, seen.other_points, seen.support_plane, pitch)
+    evidence = ViewEvidence(image, seen.support_plane)
+    return View(seen.object_points, seen.T_world_camera, evidence)
 
 
 def clutter(points: Array, taken: Collection[str] = ()) -> tuple[Obstacle, ...]:
@@ -211,21 +198,80 @@ def _require_same(points: Array, first: tuple[Array, Array], name: str) -> None:
         )
 
 
-def _segment(
-    world: Array, name: str, target: Array | None, workspace: SegmentationConfig
-) -> Segmentation:
-    try:
-        found = segment_object(world, workspace, target)
-    except InputError as error:
+def _check_options(segment: str, target: object, workspace: SegmentationConfig) -> None:
+    if segment not in SEGMENT:
+        raise InputError(f"no {segment!r}", where="--segment", allowed=", ".join(SEGMENT))
+    if segment == "none" and target is not None:
+        raise InputError("--target without --segment auto", hint="leave one of the two out")
+    if segment == "none" and workspace is not WORKSPACE:
+        raise InputError("--workspace without --segment auto", hint="leave one of the two out")
+
+
+def _require_pose(cloud: Cloud, name: str) -> None:
+    if cloud.T_world_camera is None:
+        raise InputError(
+            "nothing says where the camera stood",
+            where=name,
+            allowed="a header comment `T_world_camera` with 16 numbers, row by row",
+            hint="add --camera-pose X,Y,Z,QW,QX,QY,QZ, or --camera-pose table to try it out on "
+            "the table that is seen",
+        )
+
+
+def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) -> TableTop:
+    """Clouds that hold the object alone."""
+    views, report = [], []
+    for cloud, name in zip(clouds, names, strict=True):
+        _require_pose(cloud, name)
+        points, said = bare_object(check_object_cloud(cloud, name), cleaned)
+        assert cloud.T_world_camera is not None
+        views.append(View(points, cloud.T_world_camera))
+        report.append(f"{name}: {said or f'all {len(points)} points are the object'}")
+    return TableTop(tuple(views), np.zeros((0, 3)), tuple(report), None)
+
+
+def bare_object(cloud: Cloud, cleaned: bool = True) -> tuple[Array, str]:
+    """The points [N, 3] (camera frame, m) of a cloud that holds one object alone.
+
+    Returns:
+        The points, and what cleaning dropped; nothing is said where nothing was dropped.
+    """
+    points, _ = cloud.in_camera_frame()
+    if not cleaned:
+        return points, ""
+    found = clean(points)
+    return points[found.kept], found.report()
+
+
+def chosen_thing(
+    scene: Scene, wanted: Target | None, workspace: SegmentationConfig, again: bool = False
+) -> Thing:
+    """The thing that is meant.
+
+    Args:
+        scene: Sorted.
+        wanted: What the user said; the best to grasp if None.
+        workspace: That the scene was sorted with, for messages.
+        again: Another camera named the target, which then says more than a mask.
+
+    Raises:
+        InputError: No such number, or a mask and a target.
+        NoObjectError: Nothing stands there.
+    """
+    if scene.mask is not None and not again:
+        if wanted is not None:
+            raise InputError("--target and --mask", hint="leave one of the two out")
+        last = scene.things.count - 1
+        return next(thing for thing in scene.listed if thing.label == last)
+    if not scene.listed:
+        count = np.bincount(-np.minimum(scene.label, 0), minlength=6)
         raise NoObjectError(
-            error.what, where=name, allowed=error.allowed, hint=f"{error.hint}, or --workspace"
-        ) from error
-    if target is not None:
-        away = float(np.linalg.norm(world[found.kept] - target, axis=1).min())
-        if away > TARGET_REACH:
-            raise NoObjectError(
-                f"the object nearest to --target is {away:.2f} m away from it",
-                where=name,
-                allowed=f"a place within {TARGET_REACH:g} m of an object, world, m",
-            )
-    return found
+            f"no object in the cloud: of {len(scene.label)} points {count[1]} are outside the "
+            f"workspace, {count[2]} on the table, {count[3]} in groups too small, {count[4]} on "
+            "the robot",
+            where=scene.name,
+            allowed=f"at least {workspace.fewest} points of an object above the table, between "
+            f"{workspace.low} and {workspace.high} m in the world",
+            hint="check the camera's pose (--camera-pose), the cloud's unit, or --workspace",
+        )
+    return choose(scene.listed, wanted, scene.world, scene.things.label, scene.pixels, scene.name)

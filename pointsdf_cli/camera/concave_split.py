@@ -1,0 +1,116 @@
+"""Touching things told apart where their surfaces meet in a valley."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SplitConfig:
+    """When a valley parts two things.
+
+    Attributes:
+        radius: Neighbourhood [m] in which a surface is called concave.
+        depth: Mean height [m] of the neighbours above the tangent plane in a valley. A right-angled
+            one has about 3 mm, the inside of a mug 1 mm.
+        gap: Points of one part are nearer to each other than this [m].
+        share: A part holds at least this share of the points.
+        foot: A part stands by itself if it begins lower than this [m] above the table ...
+        rise: ... rises higher than this [m] ...
+        base: ... and is at least this wide [m] in both level directions.
+        most: Larger clouds are not looked at.
+    """
+
+    radius: float = 0.012
+    depth: float = 0.0018
+    gap: float = 0.006
+    share: float = 0.12
+    foot: float = 0.025
+    rise: float = 0.03
+    base: float = 0.025
+    most: int = 60_000
+
+
+def standing_parts(
+    points: Array, height: Array, camera: Array, config: SplitConfig | None = None
+) -> tuple[NDArray[np.int64], bool]:
+    """Split a group of points at concave edges into parts that stand by themselves.
+
+    Two surfaces that meet in a valley belong to two things as a rule (Stein et al. 2014, "Object
+    partitioning using local convexity"); a handle also meets a mug so, but does not stand by itself.
+
+    Args:
+        points: [N, 3], world, m, one a voxel.
+        height: [N], above the table, m.
+        camera: [3], where it stood, m.
+        config: Thresholds.
+
+    Returns:
+        The part [N] of each point, from 0, and whether there are several large parts that were left
+        together because not each of them stands by itself.
+    """
+    config = config or SplitConfig()
+    whole = np.zeros(len(points), dtype=np.int64)
+    if not 200 <= len(points) <= config.most:
+        return whole, False
+    tree = cKDTree(points)
+    concave = _valley(points, camera, tree, config)
+    smooth = np.flatnonzero(~concave)
+    if len(smooth) < 100:
+        return whole, False
+    pairs = cKDTree(points[smooth]).query_pairs(config.gap, output_type="ndarray")
+    shape = (len(smooth), len(smooth))
+    graph = coo_array((np.ones(len(pairs), dtype=np.int8), tuple(pairs.T)), shape)
+    _, label = connected_components(graph, directed=False)
+    sizes = np.bincount(label)
+    large = np.flatnonzero(sizes >= max(60.0, config.share * len(points)))
+    if len(large) < 2:
+        return whole, False
+    standing = [
+        one
+        for one in large
+        if _stands(points[smooth[label == one]], height[smooth[label == one]], config)
+    ]
+    if len(standing) < 2:
+        return whole, True
+    chosen = np.isin(label, standing)
+    _, nearest = cKDTree(points[smooth[chosen]]).query(points)
+    part = np.searchsorted(np.sort(standing), label[chosen][nearest])
+    return part.astype(np.int64), len(standing) < len(large)
+
+
+def _valley(points: Array, camera: Array, tree: cKDTree, config: SplitConfig) -> NDArray[np.bool_]:
+    """Points [N] whose neighbours lie above the tangent plane."""
+    distance, neighbour = tree.query(points, k=48, distance_upper_bound=config.radius)
+    found = np.isfinite(distance)
+    neighbour[~found] = 0
+    weight = found.astype(float)
+    total = weight.sum(axis=1, keepdims=True)
+    near = points[neighbour]
+    centre = (near * weight[..., None]).sum(axis=1) / total
+    away = (near - centre[:, None]) * weight[..., None]
+    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", away, away))
+    normal = axes[:, :, 0]
+    normal = normal * np.where(((camera - points) * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    # The centre of the neighbours is above a valley's bottom and below a ridge's top.
+    rise = ((centre - points) * normal).sum(axis=1)
+    # Smoothed over the neighbours, so that noise does not part surfaces.
+    mean = (rise[neighbour] * weight).sum(axis=1) / total[:, 0]
+    return (mean > config.depth) & (total[:, 0] >= 8)
+
+
+def _stands(points: Array, height: Array, config: SplitConfig) -> bool:
+    """Whether a part [N, 3] would stand on the table without the others."""
+    level = points[:, :2] - points[:, :2].mean(axis=0)
+    _, axes = np.linalg.eigh(level.T @ level)
+    width = np.ptp(level @ axes, axis=0).min()
+    low, high = np.percentile(height, [1, 99])
+    return bool(low < config.foot and high > config.rise and width > config.base)

@@ -1,0 +1,154 @@
+"""A view of a scene from a file: a depth image with its intrinsics, or a cloud."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.depth_cloud import cloud_of_depth
+from pointsdf_cli.camera.intrinsics import read_intrinsics
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, Cloud, read_cloud
+from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES, read_colour, read_depth, read_mask
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SceneFileOptions:
+    """How a file is read. What concerns the other kind of file must be None or its default.
+
+    Attributes:
+        intrinsics: Of a depth image: a file or a camera's name. Of a cloud: those of the image that
+            a mask or a pixel is of.
+        depth_scale: Metres a unit of a depth image; None for 0.001 for whole numbers, 1 for floats.
+        near, far: Readings of a depth image beyond these depths [m] are dropped.
+        colour: Colour image, registered to the depth image.
+        mask: Image of the depth image's size that is not 0 where the object is; `FILE:NUMBER` takes
+            the pixels of that number.
+        unit: Of a cloud.
+        frame: "camera" or "world", whatever a cloud says; None for what it says.
+        drop_invalid: Leave out points of a cloud that are not finite.
+    """
+
+    intrinsics: str | None = None
+    depth_scale: float | None = None
+    near: float = 0.1
+    far: float = 2.5
+    colour: Path | None = None
+    mask: str | None = None
+    unit: str = "m"
+    frame: str | None = None
+    drop_invalid: bool = False
+
+
+def is_depth_image(path: Path, intrinsics: str | None) -> bool:
+    """Whether a file is read as a depth image; an NPY file is if intrinsics are given with it."""
+    suffix = path.suffix.lower()
+    if suffix in CLOUD_SUFFIXES:
+        return suffix in DEPTH_SUFFIXES and intrinsics is not None
+    return suffix in DEPTH_SUFFIXES or suffix in (".jpg", ".jpeg", ".bmp")
+
+
+def read_view(path: Path, options: SceneFileOptions, T_world_camera: Array | None = None) -> Cloud:
+    """Read one view, with the image that it came from where that is known.
+
+    Args:
+        path: A depth image or a cloud.
+        options: How.
+        T_world_camera: [4, 4], whatever a cloud says; None for what it says.
+
+    Raises:
+        InputError: It cannot be read, or an option does not fit it.
+    """
+    if is_depth_image(path, options.intrinsics):
+        return _read_depth_view(path, options, T_world_camera)
+    if options.depth_scale is not None:
+        raise InputError("--depth-scale with a cloud", where=path, allowed="a depth image")
+    cloud = read_cloud(path, options.unit, options.drop_invalid, options.frame, T_world_camera)
+    if options.intrinsics is None:
+        if options.mask is not None:
+            raise InputError(
+                "a mask for a cloud that knows no image",
+                where="--mask",
+                hint="add --intrinsics K.json of the mask's camera",
+            )
+        return cloud
+    return _projected(cloud, options)
+
+
+def masked(cloud: Cloud) -> Cloud:
+    """The points of a cloud that its mask says are the object's; all where it has none."""
+    kept = cloud.mask
+    if kept is None:
+        return cloud
+    return replace(
+        cloud,
+        points=cloud.points[kept],
+        normals=None if cloud.normals is None else cloud.normals[kept],
+        colours=None if cloud.colours is None else cloud.colours[kept],
+        pixels=None if cloud.pixels is None else cloud.pixels[kept],
+        mask=None,
+    )
+
+
+def _read_depth_view(path: Path, options: SceneFileOptions, T_world_camera: Array | None) -> Cloud:
+    if options.intrinsics is None:
+        raise InputError(
+            "is read as a depth image, and nothing says what its camera's intrinsics are",
+            where=path,
+            allowed=f"a depth image with --intrinsics, or a cloud ({', '.join(CLOUD_SUFFIXES)})",
+            hint="add --intrinsics K.json",
+        )
+    if options.frame == "world":
+        raise InputError("--frame world with a depth image", where=path, allowed="--frame camera")
+    if options.unit != "m":
+        raise InputError(
+            "--unit with a depth image", where=path, hint="--depth-scale says what a unit is"
+        )
+    depth = read_depth(path, options.depth_scale)
+    height, width = depth.shape
+    camera = read_intrinsics(options.intrinsics, width, height)
+    colours = None if options.colour is None else read_colour(options.colour)
+    try:
+        cloud = cloud_of_depth(depth, camera, T_world_camera, colours, options.near, options.far)
+    except InputError as error:
+        where = error.where or path
+        raise InputError(error.what, where=where, allowed=error.allowed, hint=error.hint) from error
+    if options.mask is None:
+        return cloud
+    mask = read_mask(options.mask, (height, width))
+    assert cloud.pixels is not None
+    u, v = cloud.pixels.astype(np.int64).T
+    return _with_mask(cloud, mask[v, u], options.mask)
+
+
+def _projected(cloud: Cloud, options: SceneFileOptions) -> Cloud:
+    """A cloud with the pixels that its points are seen at, and the mask's word on each."""
+    points, _ = cloud.in_camera_frame()
+    assert options.intrinsics is not None
+    if options.mask is None:
+        camera = read_intrinsics(options.intrinsics)
+        return replace(cloud, pixels=camera.project(points))
+    mask = read_mask(options.mask)
+    height, width = mask.shape
+    camera = read_intrinsics(options.intrinsics, width, height, "the mask")
+    pixels = camera.project(points)
+    u, v = np.floor(pixels + 0.5).astype(np.int64).T
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    on = np.zeros(len(points), dtype=bool)
+    on[inside] = mask[v[inside], u[inside]]
+    return _with_mask(replace(cloud, pixels=pixels), on, options.mask)
+
+
+def _with_mask(cloud: Cloud, on: NDArray[np.bool_], mask: str) -> Cloud:
+    if not on.any():
+        raise InputError(
+            "no measured point lies under the mask",
+            where=mask,
+            allowed="a mask that is not 0 where the object is, of the depth image's camera",
+        )
+    return replace(cloud, mask=on)

@@ -1,0 +1,200 @@
+"""The table's plane in a view whose camera pose is not known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.segmentation import clusters
+from pointsdf_cli.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SupportPlaneConfig:
+    """How the table is told from floors and walls.
+
+    Attributes:
+        sample: So many points are looked at.
+        planes: Candidates, the largest first.
+        iterations: Random triples for each.
+        band: Points nearer to a plane than this [m] at 1 m from the camera lie on it; it grows
+            with the square of the distance, as the noise of depth does.
+        least_share: A candidate holds at least this share of the points.
+        camera_height: The camera is at least this high [m] above the table.
+        roll: The table's normal and the image's upward direction enclose no more than this [rad].
+        tallest: Things that stand on the table are lower than this [m].
+        cell: The table is one connected region of cells of this size [m].
+    """
+
+    sample: int = 30_000
+    planes: int = 6
+    iterations: int = 400
+    band: float = 0.008
+    least_share: float = 0.02
+    camera_height: float = 0.1
+    roll: float = 1.75
+    tallest: float = 0.45
+    cell: float = 0.03
+
+
+def find_support_plane(points: Array, config: SupportPlaneConfig | None = None) -> Array:
+    """The plane [4] on which things stand, (unit normal, offset): n·x = offset, camera frame.
+
+    Candidates are found one after another by RANSAC (Fischler and Bolles 1981; Open3D's
+    `segment_plane`). The camera looks down on a table, and things near the middle of the image
+    stand on it: that, and not its size, tells it from floors and walls.
+
+    Args:
+        points: [N, 3], camera frame, m, one for each pixel that saw something.
+        config: Thresholds.
+
+    Returns:
+        The normal points from the table to the camera's side.
+
+    Raises:
+        InputError: No plane is seen from above.
+    """
+    config = config or SupportPlaneConfig()
+    rng = np.random.default_rng(0)
+    taken = rng.permutation(len(points))[: config.sample]
+    sample = points[np.sort(taken)]
+    best, plane = 0.0, None
+    rest = sample
+    for _ in range(config.planes):
+        if len(rest) < max(50.0, config.least_share * len(sample)):
+            break
+        found, on_plane = _largest_plane(rest, config)
+        if on_plane.sum() < config.least_share * len(sample):
+            break
+        if _seen_from_above(found, config):
+            found, score = _stood_on(found, sample, config)
+            if score > best:
+                best, plane = score, found
+        rest = rest[~on_plane]
+    if plane is None:
+        raise InputError(
+            "no table: no plane that the camera looks down on",
+            allowed="a table-top view, with the top of the image up",
+            hint="give the camera's pose: --camera-pose X,Y,Z,QW,QX,QY,QZ",
+        )
+    return plane
+
+
+def pose_over_plane(plane: Array) -> Array:
+    """T_world_camera [4, 4] with z = 0 on a plane [4] and the camera over x = y = 0.
+
+    The camera looks along −x, as one that stands opposite a robot at the origin.
+    """
+    up = plane[:3]
+    # Where the camera looks, along the table; where it looks straight down, what is up there.
+    forward = np.array([0.0, 0.0, 1.0]) - up[2] * up
+    if np.linalg.norm(forward) < 0.1:
+        forward = np.array([0.0, -1.0, 0.0]) + up[1] * up
+    x = -forward / np.linalg.norm(forward)
+    rotation = np.stack([x, np.cross(up, x), up])
+    T_world_camera = np.eye(4)
+    T_world_camera[:3, :3] = rotation
+    T_world_camera[2, 3] = -float(plane[3])
+    return T_world_camera
+
+
+def band_at(points: Array, config: SupportPlaneConfig) -> Array:
+    """Half the thickness [N] [m] of a plane at points [N, 3], camera frame."""
+    return config.band * np.clip(points[:, 2] ** 2, 0.6, 6.0)
+
+
+def _largest_plane(points: Array, config: SupportPlaneConfig) -> tuple[Array, NDArray[np.bool_]]:
+    """The plane [4] that most points lie on, its normal towards the camera, and which these are."""
+    import open3d as o3d
+
+    o3d.utility.random.seed(0)
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    equation, _ = cloud.segment_plane(config.band, 3, config.iterations)
+    plane = np.array([*equation[:3], -equation[3]]) / np.linalg.norm(equation[:3])
+    if plane[3] > 0:  # the camera, at the origin, is on the other side
+        plane = -plane
+    return plane, np.abs(points @ plane[:3] - plane[3]) < band_at(points, config)
+
+
+def _seen_from_above(plane: Array, config: SupportPlaneConfig) -> bool:
+    upward = float(plane[:3] @ [0.0, -1.0, 0.0])
+    return -plane[3] > config.camera_height and upward > np.cos(config.roll)
+
+
+def _stood_on(plane: Array, sample: Array, config: SupportPlaneConfig) -> tuple[Array, float]:
+    """The plane [4], fitted to its nearest region, and how much stands there.
+
+    The score is the product of what is seen of the table and of the things that touch it, both
+    weighted towards the middle of the image. A box's side is no table although a table "stands" on
+    it: things count no more than the table itself. A bare table has a small score of its own.
+    """
+    for _ in range(3):
+        height = sample @ plane[:3] - plane[3]
+        flat = np.abs(height) < band_at(sample, config)
+        if flat.sum() < 50:
+            return plane, 0.0
+        plane = _fitted(sample[flat])
+    height = sample @ plane[:3] - plane[3]
+    flat = np.abs(height) < band_at(sample, config)
+    level = (pose_over_plane(plane)[:3, :3] @ sample.T).T[:, :2]
+    region = _main_region(level, flat, config.cell)
+    if region is None:
+        return plane, 0.0
+    above = (height > 1.5 * band_at(sample, config)) & (height < config.tallest) & region(level)
+    table = float(_centrality(sample[flat]).sum())
+    things = 0.001 * table
+    if above.sum() >= 20:
+        label, counts = clusters(sample[above], 0.03)
+        lowest = np.full(len(counts), np.inf)
+        np.minimum.at(lowest, label, height[above])
+        stands = lowest < 0.03 + config.band
+        things += float(_centrality(sample[above])[stands[label]].sum())
+    return plane, table * min(things, table)
+
+
+def _fitted(points: Array) -> Array:
+    """The least-squares plane [4] of points [N, 3], its normal towards the camera."""
+    centre = points.mean(axis=0)
+    away = points - centre
+    _, axes = np.linalg.eigh(away.T @ away)
+    normal = axes[:, 0] * (-1.0 if axes[:, 0] @ centre > 0 else 1.0)
+    return np.array([*normal, float(normal @ centre)])
+
+
+def _main_region(level: Array, flat: NDArray[np.bool_], cell: float):  # type: ignore[no-untyped-def]
+    """Whether places [N, 2] are on the largest connected region of flat points, or beside it."""
+    from scipy import ndimage
+
+    low = level[flat].min(axis=0)
+    cells = np.floor((level[flat] - low) / cell).astype(np.int64)
+    shape = cells.max(axis=0) + 3
+    if shape.prod() > 10_000_000:
+        return None
+    grid = np.zeros(shape, dtype=np.int64)
+    np.add.at(grid, tuple(cells.T + 1), 1)
+    label, _ = ndimage.label(ndimage.binary_dilation(grid > 0))
+    weight = np.bincount(label.ravel(), weights=grid.ravel())
+    weight[0] = 0
+    # What stands on the table hides parts of it.
+    main = ndimage.binary_fill_holes(
+        ndimage.binary_closing(label == weight.argmax(), iterations=3) | (label == weight.argmax())
+    )
+
+    def inside(places: Array) -> NDArray[np.bool_]:
+        at = np.floor((places - low) / cell).astype(np.int64) + 1
+        ok = (at >= 0).all(axis=1) & (at < shape).all(axis=1)
+        found = np.zeros(len(places), dtype=bool)
+        found[ok] = main[tuple(at[ok].T)]
+        return found
+
+    return inside
+
+
+def _centrality(points: Array) -> Array:
+    """1 on the optical axis to 0 far from it, for points [N, 3] of the camera frame."""
+    angle = np.linalg.norm(points[:, :2] / points[:, 2:], axis=1)
+    return np.exp(-((angle / 0.3) ** 2))

@@ -1,0 +1,186 @@
+"""What stands on the table: every point of a view given to one thing, the table, or neither."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from pointsdf_cli.camera.concave_split import SplitConfig, standing_parts
+from pointsdf_cli.camera.segmentation import SegmentationConfig, clusters, find_table
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.box import strictly_inside
+
+Array = NDArray[np.float64]
+
+OUTSIDE, TABLE, LOOSE = -1, -2, -3
+"""Labels of points that belong to no thing: beyond the workspace, on or below the table, and in
+groups too small to be a thing."""
+
+
+@dataclass(frozen=True)
+class ThingsConfig:
+    """What counts as a thing that stands on the table.
+
+    Attributes:
+        segmentation: Workspace, table and gaps.
+        noise_growth: The table's band grows with the square of the distance from the camera, as
+            noise does; at 1 m it is `segmentation.plane_band`.
+        thickest_band: It grows to this [m] at most.
+        floating: A part that starts this high [m] above the table stands on nothing.
+        bridge: It belongs to a thing below or beside it that is nearer than this [m]: the camera
+            did not see what joins them.
+        split: How things that touch are told apart.
+    """
+
+    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+    noise_growth: bool = True
+    thickest_band: float = 0.015
+    floating: float = 0.03
+    bridge: float = 0.05
+    split: SplitConfig = field(default_factory=SplitConfig)
+
+
+@dataclass(frozen=True)
+class Things:
+    """The things on a table, in no order.
+
+    Attributes:
+        label: i8 [N], the thing that each point belongs to, or OUTSIDE, TABLE, LOOSE.
+        plane: [4], (unit normal, offset) of the table in the world; None where none was seen.
+        unsplit: Things that look like several in touch and could not be told apart.
+    """
+
+    label: NDArray[np.int64]
+    plane: Array | None
+    unsplit: frozenset[int] = frozenset()
+
+    def standing(self, points: Array, floating: float = 0.03) -> NDArray[np.bool_]:
+        """Which things [T] begin near the table and over it; all where no table was seen.
+
+        Args:
+            points: [N, 3], world, m.
+            floating: A thing that starts higher than this [m] stands on nothing.
+        """
+        stands = np.ones(self.count, dtype=bool)
+        table = points[self.label == TABLE]
+        if self.plane is None or not len(table):
+            return stands
+        height = points @ self.plane[:3] - self.plane[3]
+        on_table = height[self.label == TABLE] > -0.02
+        if not on_table.any():
+            return stands
+        low, high = np.percentile(table[on_table, :2], [1, 99], axis=0)
+        for one in range(self.count):
+            mine = self.label == one
+            foot = points[mine][height[mine] < height[mine].min() + 0.02, :2]
+            over = ((foot > low - 0.03) & (foot < high + 0.03)).all(axis=1).mean() > 0.5
+            stands[one] = bool(np.percentile(height[mine], 1) < floating and over)
+        return stands
+
+    @property
+    def count(self) -> int:
+        """The number of things."""
+        return int(self.label.max(initial=-1)) + 1
+
+
+def find_things(points: Array, camera: Array, config: ThingsConfig | None = None) -> Things:
+    """Crop to the workspace, remove the table, and group what is left.
+
+    Args:
+        points: [N, 3], world, m, one a voxel of a few millimetres; finite.
+        camera: [3], where it stood in the world, m.
+        config: Thresholds.
+    """
+    config = config or ThingsConfig()
+    usual = config.segmentation
+    label = np.full(len(points), OUTSIDE, dtype=np.int64)
+    index = np.flatnonzero(strictly_inside(points, usual.low, usual.high))
+    inside = points[index]
+    plane = find_table(inside, usual)
+    height = inside[:, 2] if plane is None else inside @ plane[:3] - plane[3]
+    above = np.ones(len(index), dtype=bool)
+    if plane is not None:
+        above = height > _band(inside, camera, config)
+    label[index[~above]] = TABLE
+    index, height = index[above], height[above]
+    if not len(index):
+        return Things(label, plane)
+    own, counts = clusters(points[index], usual.gap)
+    own = _bridged(points[index], height, own, counts, config, plane is not None)
+    big = np.flatnonzero(np.bincount(own, minlength=len(counts)) >= usual.fewest)
+    label[index] = LOOSE
+    unsplit: set[int] = set()
+    count = 0
+    for one in big:
+        mine = np.flatnonzero(own == one)
+        parts, doubtful = standing_parts(points[index[mine]], height[mine], camera, config.split)
+        label[index[mine]] = count + parts
+        if doubtful:
+            unsplit.add(count)
+        count += int(parts.max()) + 1
+    return Things(label, plane, frozenset(unsplit))
+
+
+def masked_thing(points: Array, mask: NDArray[np.bool_], camera: Array, found: Things) -> Things:
+    """The things [N] with one more, the last: what a mask covers above the table.
+
+    Raises:
+        InputError: The mask covers nothing above the table.
+    """
+    label = found.label.copy()
+    chosen = mask & (label != TABLE) & (label != OUTSIDE)
+    if not chosen.any():
+        raise InputError(
+            f"the mask covers no points above the table ({int(mask.sum())} on or outside of it)",
+            where="--mask",
+            allowed="a mask of an object that stands on the table",
+        )
+    count = found.count
+    label[chosen] = count
+    # What the mask took the most of is no thing of its own any more.
+    for one in range(count):
+        before = found.label == one
+        left = before & (label == one)
+        if left.sum() < max(50, 0.2 * before.sum()):
+            label[left] = LOOSE
+    return Things(label, found.plane)
+
+
+def _band(points: Array, camera: Array, config: ThingsConfig) -> Array | float:
+    """Points [N] lower than this [m] above the plane are the table's."""
+    band = config.segmentation.plane_band
+    if not config.noise_growth:
+        return band
+    distance = np.linalg.norm(points - camera, axis=1)
+    return np.clip(band * distance**2, band, max(band, config.thickest_band))
+
+
+def _bridged(
+    points: Array,
+    height: Array,
+    label: NDArray[np.int64],
+    counts: NDArray[np.int64],
+    config: ThingsConfig,
+    on_table: bool,
+) -> NDArray[np.int64]:
+    """Labels [N] in which parts that float belong to what is nearest to them, if it is near."""
+    if not on_table or len(counts) == 1:
+        return label
+    lowest = np.full(len(counts), np.inf)
+    np.minimum.at(lowest, label, height)
+    few = config.segmentation.fewest // 5
+    floats = (lowest > config.floating) & (counts >= few)
+    standing = (lowest <= config.floating) & (counts >= few)
+    if not floats.any() or not standing.any():
+        return label
+    joined = label.copy()
+    base = standing[label]
+    tree, owner = cKDTree(points[base]), label[base]
+    for one in np.flatnonzero(floats):
+        distance, nearest = tree.query(points[label == one])
+        if distance.min() <= config.bridge:
+            joined[label == one] = owner[nearest[distance.argmin()]]
+    return joined

@@ -1,0 +1,48 @@
+"""Clouds thinned to one point a voxel."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+
+
+class Thinned(NamedTuple):
+    """One point for each occupied voxel.
+
+    Attributes:
+        index: i8 [M], the point that stands for each voxel.
+        voxel: i8 [N], the voxel of each point: `index[voxel]` is its representative.
+    """
+
+    index: NDArray[np.int64]
+    voxel: NDArray[np.int64]
+
+
+def thin(points: NDArray[np.float64], side: float) -> Thinned:
+    """Keep the first point of each voxel.
+
+    Args:
+        points: [N, 3], m; finite.
+        side: Of a voxel [m].
+
+    Raises:
+        InputError: The points reach too far for voxels of this size.
+    """
+    if not len(points):
+        return Thinned(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+    cell = np.floor((points - points.min(axis=0)) / side)
+    shape = cell.max(axis=0) + 1
+    if not float(np.prod(shape)) < 2**62:
+        raise InputError(
+            f"a cloud {np.ptp(points, axis=0).max():.3g} m across",
+            allowed="some metres",
+            hint="check the unit (--unit m, cm, mm, inch)",
+        )
+    whole = cell.astype(np.int64)
+    key = (whole[:, 0] * int(shape[1]) + whole[:, 1]) * int(shape[2]) + whole[:, 2]
+    _, index, voxel = np.unique(key, return_index=True, return_inverse=True)
+    return Thinned(index.astype(np.int64), voxel.astype(np.int64))

@@ -1,0 +1,231 @@
+"""Which of the things on the table is meant, and which is taken where nothing was said."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.things import Things
+from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import Kinematics
+
+Array = NDArray[np.float64]
+
+TARGET_REACH = 0.1
+"""--target names the thing whose nearest seen point is no farther than this [m]."""
+
+PIXEL_REACH = 15.0
+"""--target names the thing that was seen no farther than this [px] from a pixel."""
+
+EQUAL = 1.4
+"""Things whose merits differ by less than this factor are equally good to grasp."""
+
+SMALLEST_THING, LARGEST_THING = 0.015, 0.35
+"""Things between these sizes [m] are what one wants to grasp."""
+
+
+class NoObjectError(RgraspError):
+    """The clouds show nothing that could be grasped."""
+
+    exit_code = 3
+
+
+@dataclass(frozen=True)
+class Target:
+    """What the user said about the object that is meant; exactly one is not None.
+
+    Attributes:
+        number: In the list of things, from 1.
+        pixel: (u, v) of the image.
+        place: [3], world, m.
+    """
+
+    number: int | None = None
+    pixel: tuple[float, float] | None = None
+    place: Array | None = None
+
+
+@dataclass(frozen=True)
+class Thing:
+    """One of the things that stand on the table.
+
+    Attributes:
+        number: From 1; 1 is taken where nothing else is said.
+        label: In `Things.label`.
+        centre: [3], of its box, world, m.
+        size: [3], of its box: the longer and the shorter level side, and its height, m.
+        points: How many were seen, thinned.
+        stands: It stands on the table; others come last.
+        unsplit: It looks like several in touch.
+        image: [2], where it is in the image, in units of half the image: (0, 0) is the middle.
+    """
+
+    number: int
+    label: int
+    centre: Array
+    size: Array
+    points: int
+    stands: bool
+    unsplit: bool
+    image: Array
+
+    def describe(self) -> str:
+        """Place and size in words."""
+        x, y, z = self.centre
+        a, b, c = self.size * 100
+        return f"at {x:.2f},{y:.2f},{z:.2f} m, {a:.0f} × {b:.0f} × {c:.0f} cm"
+
+
+def reach_of(robot: RobotDescription) -> tuple[float, float]:
+    """Level distances [m] from the robot's base between which its palm gets near the table."""
+    kinematics = Kinematics(robot)
+    rng = np.random.default_rng(0)
+    low, high = robot.lower[robot.arm], robot.upper[robot.arm]
+    q = np.broadcast_to(robot.home, (2000, len(robot.home))).copy()
+    q[:, robot.arm] = rng.uniform(low, high, (2000, len(low)))
+    with torch.no_grad():
+        palm = kinematics.palm(torch.from_numpy(q)).numpy()[:, :3, 3]
+    near = palm[(palm[:, 2] > 0.0) & (palm[:, 2] < 0.4)]
+    if len(near) < 50:
+        near = palm
+    level = np.linalg.norm(near[:, :2], axis=1)
+    return float(np.percentile(level, 20)), float(np.percentile(level, 90))
+
+
+def numbered(
+    points: Array,
+    image: Array,
+    things: Things,
+    standing: NDArray[np.bool_],
+    reach: tuple[float, float] | None = None,
+) -> list[Thing]:
+    """All things, best to grasp first.
+
+    A thing near the middle of the image, within the robot's reach and of a size to be grasped comes
+    first: what somebody points a camera at is what is meant.
+
+    Args:
+        points: [N, 3], world, m, one a voxel.
+        image: [N, 2], where they are in the image, in units of half its size.
+        things: The thing of each point.
+        standing: bool [T], which of them stand on the table.
+        reach: From `reach_of`; None where the robot's place is not known.
+    """
+    found = []
+    for one in range(things.count):
+        mine = things.label == one
+        if not mine.any():
+            continue
+        seen = points[mine]
+        low, high = np.percentile(seen, [0.5, 99.5], axis=0)
+        thing = Thing(
+            number=0,
+            label=one,
+            centre=(low + high) / 2,
+            size=_sides(seen),
+            points=len(seen),
+            stands=bool(standing[one]),
+            unsplit=one in things.unsplit,
+            image=np.median(image[mine], axis=0),
+        )
+        found.append((_merit(thing, reach), thing))
+    best = max((merit for merit, thing in found if thing.stands), default=1.0)
+    # Of those about as good as the best, the larger.
+    found.sort(
+        key=lambda pair: (
+            not pair[1].stands,
+            int(np.log(max(best / max(pair[0], 1e-9), 1.0)) / np.log(EQUAL)),
+            -pair[1].points,
+        )
+    )
+    return [replace(thing, number=k) for k, (_, thing) in enumerate(found, 1)]
+
+
+def choose(
+    things: list[Thing],
+    target: Target | None,
+    points: Array,
+    label: NDArray[np.int64],
+    pixels: Array | None,
+    where: str,
+) -> Thing:
+    """The thing that is meant; the first where nothing was said.
+
+    Args:
+        things: From `numbered`.
+        target: What the user said.
+        points, label: As for `numbered`.
+        pixels: [N, 2], (u, v) of the points; None where there is no image.
+        where: The cloud's name, for messages.
+
+    Raises:
+        InputError: No such number, or a pixel without an image or outside of it.
+        NoObjectError: Nothing is there.
+    """
+    if not things:
+        raise NoObjectError("nothing stands on the table", where=where)
+    if target is None:
+        return things[0]
+    if target.number is not None:
+        if not 1 <= target.number <= len(things):
+            there = "; ".join(f"{thing.number} {thing.describe()}" for thing in things)
+            raise InputError(
+                f"no object {target.number}", where="--target", allowed=f"of {where}: {there}"
+            )
+        return things[target.number - 1]
+    by_label = {thing.label: thing for thing in things}
+    mine = np.isin(label, list(by_label))
+    if target.pixel is not None:
+        if pixels is None:
+            raise InputError(
+                "a pixel of a cloud that knows no image",
+                where="--target",
+                allowed="a number, or X,Y,Z in the world",
+                hint="add --intrinsics K.json, or give the depth image instead of the cloud",
+            )
+        away = np.linalg.norm(pixels[mine] - np.asarray(target.pixel), axis=1)
+        if away.min() > PIXEL_REACH:
+            raise NoObjectError(
+                f"no object at the pixel {target.pixel[0]:g},{target.pixel[1]:g}: the nearest one "
+                f"is {away.min():.0f} pixels away",
+                where=where,
+                hint=f"rgrasp segment {where} shows what there is",
+            )
+    else:
+        away = np.linalg.norm(points[mine] - target.place, axis=1)
+        if away.min() > TARGET_REACH:
+            raise NoObjectError(
+                f"the object nearest to --target is {away.min():.2f} m away from it",
+                where=where,
+                allowed=f"a place within {TARGET_REACH:g} m of an object, world, m",
+            )
+    return by_label[int(label[mine][away.argmin()])]
+
+
+def _sides(points: Array) -> Array:
+    """Sides [3] of the smallest upright box around points [N, 3], the longer level one first."""
+    angle = np.linspace(0, np.pi / 2, 30, endpoint=False)
+    turn = np.stack([np.cos(angle), np.sin(angle)])
+    along, across = points[:, :2] @ turn, points[:, :2] @ np.stack([-turn[1], turn[0]])
+    extent = [np.ptp(np.percentile(each, [0.5, 99.5], axis=0), axis=0) for each in (along, across)]
+    best = int((extent[0] * extent[1]).argmin())
+    a, b = sorted((float(extent[0][best]), float(extent[1][best])), reverse=True)
+    low, high = np.percentile(points[:, 2], [0.5, 99.5])
+    return np.array([a, b, high - min(low, 0.0) if low < 0.03 else high - low])
+
+
+def _merit(thing: Thing, reach: tuple[float, float] | None) -> float:
+    """How much speaks for a thing: 1 is the most."""
+    centred = float(np.exp(-((np.linalg.norm(thing.image) / 0.6) ** 2)))
+    near = 1.0
+    if reach is not None:
+        level = float(np.linalg.norm(thing.centre[:2]))
+        beyond = max(reach[0] - level, level - reach[1], 0.0)
+        near = float(np.exp(-((beyond / 0.12) ** 2)))
+    longest = float(thing.size.max())
+    fits = 1.0 if SMALLEST_THING < longest < LARGEST_THING else 0.3
+    return centred * near * fits

@@ -1,0 +1,254 @@
+"""One camera's view of a table top with every point sorted: object, other things, table, rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.cleaning import Cleaning, clean, flying_pixels
+from pointsdf_cli.camera.segmentation import SegmentationConfig
+from pointsdf_cli.camera.things import (
+    LOOSE,
+    OUTSIDE,
+    TABLE,
+    Things,
+    ThingsConfig,
+    find_things,
+    masked_thing,
+)
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.voxels import Thinned, thin
+from pointsdf_cli.io.clouds import Cloud, DepthImage
+from pointsdf_cli.planning.choice import Thing, numbered
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+VOXEL = 0.0025
+"""Scenes are thinned to one point a voxel of this side [m] before anything is looked for."""
+
+ROBOT, UNCLEAN = -4, -5
+"""Labels, beside those of `camera/things.py`, of the robot's points and of those that cleaning
+dropped."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One camera's view, thinned to M of its N points.
+
+    Attributes:
+        name: Of the cloud, for messages.
+        all_points: [N, 3], camera frame, m.
+        voxel: i8 [N], the thinned point of each; -1 for those that cleaning dropped.
+        points: [M, 3], camera frame, m.
+        world: [M, 3], world, m.
+        pixels: [M, 2], (u, v); None where no image is known.
+        things: What each thinned point belongs to, or one of the negative labels.
+        listed: The things, best to grasp first.
+        flying: How many of the N points were flying pixels or outliers.
+        T_world_camera: [4, 4].
+        image: The depth image; None where there was none.
+        mask: bool [N], points that the user says are the object's; None where he did not.
+    """
+
+    name: str
+    all_points: Array
+    voxel: NDArray[np.int64]
+    points: Array
+    world: Array
+    pixels: Array | None
+    things: Things
+    listed: list[Thing]
+    flying: Cleaning
+    T_world_camera: Array
+    image: DepthImage | None
+    mask: Mask | None
+
+    @property
+    def label(self) -> NDArray[np.int64]:
+        """The label [N] of every point."""
+        known = self.voxel >= 0
+        label = np.full(len(self.voxel), UNCLEAN, dtype=np.int64)
+        label[known] = self.things.label[self.voxel[known]]
+        return label
+
+    def plane_in_camera(self) -> Array | None:
+        """The table's plane [4], n·x = offset in the camera's frame; None where none was seen."""
+        plane = self.things.plane
+        if plane is None:
+            return None
+        normal = self.T_world_camera[:3, :3].T @ plane[:3]
+        return np.array([*normal, plane[3] - plane[:3] @ self.T_world_camera[:3, 3]])
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """The object as one camera saw it, and everything else that the camera knows.
+
+    Attributes:
+        object_points: [K, 3], cleaned, all of them, camera frame, m.
+        other_points: [L, 3], all other measured points, thinned: table, background, other things;
+            camera frame, m. Points that cleaning dropped are neither.
+        support_plane: [4], (unit normal n that points up, offset d), n·x = d, camera frame; None
+            where no table was seen.
+        T_world_camera: [4, 4].
+        image: The depth image with its intrinsics; None where the input was a cloud.
+        others_in_world: [J, 3], points of other things above the table, thinned, world, m.
+        cleaning: Of the object's points.
+    """
+
+    object_points: Array
+    other_points: Array
+    support_plane: Array | None
+    T_world_camera: Array
+    image: DepthImage | None
+    others_in_world: Array
+    cleaning: Cleaning
+
+
+def sort_scene(
+    cloud: Cloud,
+    name: str,
+    workspace: SegmentationConfig,
+    on_robot: Callable[[Array], Mask] | None = None,
+    reach: tuple[float, float] | None = None,
+    cleaned: bool = True,
+) -> Scene:
+    """Thin and clean a cloud with a pose, and find the things on its table.
+
+    Args:
+        cloud: Of the table top; its pose is known.
+        name: Of the cloud, for messages.
+        workspace: What is looked at.
+        on_robot: Which points [M, 3] of the world are the robot's own.
+        reach: From `choice.reach_of`; None where the robot's place is not known.
+        cleaned: Whether flying pixels and outliers are dropped.
+
+    Raises:
+        InputError: The cloud's frame is not known, or a mask covers nothing above the table.
+    """
+    points, _ = cloud.in_camera_frame()
+    assert cloud.T_world_camera is not None
+    thinned, flying = thin_and_clean(points, cloud, cleaned)
+    few = points[thinned.index]
+    world = apply_transform(cloud.T_world_camera, few)
+    camera = cloud.T_world_camera[:3, 3]
+    own = np.zeros(len(world), dtype=bool) if on_robot is None else on_robot(world)
+    label = np.full(len(world), ROBOT, dtype=np.int64)
+    found = find_things(world[~own], camera, ThingsConfig(workspace))
+    label[~own] = found.label
+    things = Things(label, found.plane, found.unsplit)
+    if cloud.mask is not None:
+        things = masked_thing(world, cloud.mask[thinned.index], camera, things)
+    pixels = None if cloud.pixels is None else cloud.pixels[thinned.index]
+    place = image_place(few, pixels, cloud.image)
+    listed = numbered(world, place, things, things.standing(world), reach)
+    return Scene(
+        name=name,
+        all_points=points,
+        voxel=thinned.voxel,
+        points=few,
+        world=world,
+        pixels=pixels,
+        things=things,
+        listed=listed,
+        flying=flying,
+        T_world_camera=cloud.T_world_camera,
+        image=cloud.image,
+        mask=cloud.mask,
+    )
+
+
+def thin_and_clean(points: Array, cloud: Cloud, cleaned: bool) -> tuple[Thinned, Cleaning]:
+    """One point a voxel of points [N, 3] (camera frame), without those that no surface returned.
+
+    Returns:
+        The thinned points, `voxel` being -1 for those that were dropped, and how many these are.
+    """
+    flying = np.zeros(len(points), dtype=bool)
+    if cleaned and cloud.image is not None and cloud.pixels is not None:
+        u, v = cloud.pixels.astype(np.int64).T
+        flying = flying_pixels(cloud.image.depth, cloud.image.K[0, 0])[v, u]
+        kept = np.flatnonzero(~flying)
+        few = thin(points[kept], VOXEL)
+        voxel = np.full(len(points), -1, dtype=np.int64)
+        voxel[kept] = few.voxel
+        said = Cleaning(~flying, flying=int(flying.sum()))
+        return Thinned(kept[few.index], voxel), said
+    few = thin(points, VOXEL)
+    if not cleaned:
+        return few, Cleaning(~flying)
+    found = clean(points[few.index], specks=False)
+    renumbered = np.where(found.kept, np.cumsum(found.kept) - 1, -1)
+    voxel = renumbered[few.voxel]
+    count = int((voxel < 0).sum())
+    share = found.flying / max(found.dropped, 1)
+    jumps = round(count * share)
+    said = Cleaning(voxel >= 0, flying=jumps, outliers=count - jumps)
+    return Thinned(few.index[found.kept], voxel), said
+
+
+def image_place(points: Array, pixels: Array | None, image: DepthImage | None) -> Array:
+    """Where points [M, 3] are in the image, in units of half of it: (0, 0) is the middle."""
+    if pixels is not None and image is not None:
+        half = np.array(image.depth.shape[::-1]) / 2
+        return np.asarray((pixels - half) / half)
+    direction = points[:, :2] / points[:, 2:]
+    # A cloud does not say how wide the image was: as wide as what was seen.
+    half = np.maximum(np.percentile(np.abs(direction), 99, axis=0), 1e-6)
+    return np.asarray(direction / half)
+
+
+def sighting(scene: Scene, thing: Thing, cleaned: bool = True) -> Sighting:
+    """The thing's points in full, and everything else the camera knows.
+
+    Args:
+        scene: Sorted.
+        thing: Of its list.
+        cleaned: Whether specks and outliers of the object are dropped.
+    """
+    mine = scene.label == thing.label
+    if scene.mask is not None:
+        mine &= scene.mask
+    points = scene.all_points[mine]
+    cleaning = clean(points) if cleaned else Cleaning(np.ones(len(points), dtype=bool))
+    label = scene.things.label
+    above = (label >= 0) | (label == LOOSE)
+    return Sighting(
+        object_points=points[cleaning.kept],
+        other_points=scene.points[label != thing.label],
+        support_plane=scene.plane_in_camera(),
+        T_world_camera=scene.T_world_camera,
+        image=scene.image,
+        others_in_world=scene.world[above & (label != thing.label)],
+        cleaning=cleaning,
+    )
+
+
+def describe(scene: Scene, thing: Thing, seen: Sighting) -> str:
+    """What was kept of the scene and what became of each other point, for the user."""
+    label = scene.label
+    count = {
+        "outside the workspace": OUTSIDE,
+        "on the table": TABLE,
+        "in groups too small to be a thing": LOOSE,
+        "on the robot": ROBOT,
+    }
+    dropped = [f"{n} {words}" for words, k in count.items() if (n := int((label == k).sum()))]
+    kept = len(seen.object_points)
+    others = int((label >= 0).sum()) - kept - seen.cleaning.dropped
+    unclean = int((label == UNCLEAN).sum()) + seen.cleaning.dropped
+    if others:
+        dropped.append(f"{others} on other things")
+    if unclean:
+        dropped.append(f"{unclean} by cleaning")
+    total = sum(other.stands for other in scene.listed)
+    which = "the masked object" if scene.mask is not None else f"object {thing.number} of {total}"
+    said = f"{which}, {thing.describe()}: kept {kept} of {len(label)} points"
+    said += f"; dropped {', '.join(dropped)}" if dropped else ""
+    if thing.unsplit:
+        said += "; it may be several that touch and could not be told apart (--mask can)"
+    return said

@@ -1,0 +1,190 @@
+"""Files and options of a command to clouds with poses: also without a pose, over the table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.scene_file import SceneFileOptions, read_view
+from pointsdf_cli.camera.segmentation import SegmentationConfig
+from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
+from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
+from pointsdf_cli.planning.choice import NoObjectError, Target
+from pointsdf_cli.planning.scene import sort_scene
+from pointsdf_cli.planning.table_top import WORKSPACE, chosen_thing
+
+Array = NDArray[np.float64]
+
+ANYWHERE = SegmentationConfig(low=(-5.0, -5.0, -0.05), high=(5.0, 5.0, 0.6))
+"""What is looked at before it is known where the robot stands."""
+
+
+@dataclass(frozen=True)
+class SceneInput:
+    """What a command is given to work on.
+
+    Attributes:
+        clouds: One a camera.
+        target: The object that is meant; None where nothing was said.
+        notes: Sentences that the user should see.
+    """
+
+    clouds: tuple[Cloud, ...]
+    target: Target | None
+    notes: tuple[str, ...]
+
+
+def parse_target(text: str | None) -> Target | None:
+    """The object that `--target` names: a number, a pixel U,V or a place X,Y,Z.
+
+    Raises:
+        InputError: None of these.
+    """
+    if text is None:
+        return None
+    numbers = target_numbers(text)
+    if len(numbers) == 1:
+        return Target(number=int(numbers[0]))
+    if len(numbers) == 2:
+        return Target(pixel=(float(numbers[0]), float(numbers[1])))
+    return Target(place=numbers)
+
+
+def read_scene(
+    paths: Sequence[Path],
+    poses: Sequence[str],
+    options: Sequence[SceneFileOptions],
+    target: str | None = None,
+    workspace: SegmentationConfig = WORKSPACE,
+    cleaned: bool = True,
+) -> SceneInput:
+    """Read views of one scene.
+
+    Args:
+        paths: Depth images or clouds, one a camera.
+        poses: The cameras in the world as typed, one for each path, or none at all. `table` takes
+            the table that is seen for z = 0 and puts the object in the robot's reach; `table:X,Y`
+            puts it there.
+        options: How each file is read.
+        target: The object that is meant, as typed.
+        workspace, cleaned: As in `look_at_table`, where the pose is `table`.
+
+    Raises:
+        InputError: A file cannot be read, an option does not fit, or no table is seen.
+        NoObjectError: The target is not there, where the pose is `table`.
+    """
+    if poses and len(poses) != len(paths):
+        raise InputError(
+            f"{len(poses)} poses for {len(paths)} clouds",
+            where="--camera-pose",
+            allowed="one for each cloud, in their order",
+        )
+    places = [table_place(text) for text in poses]
+    if len(paths) > 1 and any(place is not None for place in places):
+        raise InputError(
+            "table, with several cameras",
+            where="--camera-pose",
+            allowed="one camera: the table alone does not say how several stand to each other",
+        )
+    wanted = parse_target(target)
+    clouds, notes = [], []
+    for k, (path, option) in enumerate(zip(paths, options, strict=True)):
+        place = places[k] if poses else None
+        pose = camera_pose(poses[k]) if poses and place is None else None
+        cloud = read_view(path, option, pose)
+        notes += [f"{path}: {note}" for note in cloud.notes]
+        if place is not None:
+            cloud, wanted = stand_on_table(cloud, str(path), place, wanted, workspace, cleaned)
+            notes.append(table_note(cloud, place))
+        clouds.append(cloud)
+    return SceneInput(tuple(clouds), wanted, tuple(notes))
+
+
+def table_note(cloud: Cloud, place: tuple[float, float]) -> str:
+    """What to know about a pose that was made from the table."""
+    assert cloud.T_world_camera is not None
+    height = cloud.T_world_camera[2, 3]
+    return (
+        f"camera pose from the table: z = 0 is the table ({height:.2f} m below the camera), the "
+        f"object at {place[0]:g},{place[1]:g}. For trying out: it says nothing of where a robot "
+        "stands"
+    )
+
+
+def stand_on_table(
+    cloud: Cloud,
+    name: str,
+    place: tuple[float, float],
+    target: Target | None = None,
+    workspace: SegmentationConfig = WORKSPACE,
+    cleaned: bool = True,
+) -> tuple[Cloud, Target | None]:
+    """A cloud with a pose in which z = 0 is its table and the object stands at a place.
+
+    Args:
+        cloud: Whose pose is not known.
+        name: Of the cloud, for messages.
+        place: x and y [m] of the object.
+        target: The object that is meant: a number as `segment` lists them, or a pixel.
+        workspace, cleaned: As in `look_at_table`.
+
+    Returns:
+        The cloud, and the place of the object if one was meant.
+
+    Raises:
+        InputError: No table, or a target in a world that is not known yet.
+        NoObjectError: The target is not there.
+    """
+    if target is not None and target.place is not None:
+        raise InputError(
+            "a place in the world, and --camera-pose table only makes that world",
+            where="--target",
+            allowed="an object's number, or a pixel U,V",
+        )
+    cloud = replace(check_scene_cloud(cloud, name), frame="camera", T_world_camera=None)
+    points, _ = cloud.in_camera_frame()
+    try:
+        plane = find_support_plane(points)
+    except InputError as error:
+        raise InputError(error.what, where=name, allowed=error.allowed, hint=error.hint) from error
+    cloud = replace(cloud, T_world_camera=pose_over_plane(plane))
+    try:
+        # What is listed first stands at the place, so that numbers are those of `segment`.
+        cloud = _moved(cloud, _centre(cloud, name, None, ANYWHERE, cleaned), place)
+        if target is not None:
+            chosen = _centre(cloud, name, target, workspace, cleaned)
+            cloud = _moved(cloud, chosen, place)
+            target = Target(place=np.array([*place, chosen[2]]))
+    except NoObjectError:
+        if target is not None:
+            raise
+        # A bare table: its own middle is put there.
+        world = apply_transform(cloud.T_world_camera, points)
+        cloud = _moved(cloud, np.median(world, axis=0), place)
+    return cloud, target
+
+
+def _centre(
+    cloud: Cloud,
+    name: str,
+    target: Target | None,
+    workspace: SegmentationConfig,
+    cleaned: bool,
+) -> Array:
+    """The middle [3] of the object that is meant, in the world of the cloud's pose."""
+    scene = sort_scene(cloud, name, workspace, cleaned=cleaned)
+    return chosen_thing(scene, target, workspace).centre
+
+
+def _moved(cloud: Cloud, centre: Array, place: tuple[float, float]) -> Cloud:
+    assert cloud.T_world_camera is not None
+    pose = cloud.T_world_camera.copy()
+    pose[:2, 3] += np.asarray(place) - centre[:2]
+    return replace(cloud, T_world_camera=pose)
