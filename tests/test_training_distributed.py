@@ -19,6 +19,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import read_train_state
 from pointsdf_cli.io.labels import Labels, write_labels
 from pointsdf_cli.io.views import Views, write_views
+from pointsdf_cli.models.surroundings import Surroundings
 from pointsdf_cli.training import sdf_loop
 from pointsdf_cli.training.distributed import Workers
 from pointsdf_cli.training.sdf_data import Batch
@@ -115,8 +116,10 @@ def test_a_stopped_training_is_not_taken_for_done(
 
 
 def test_shares_make_up_the_batch() -> None:
-    batch = Batch(*(torch.arange(6.0).reshape(6, 1) for _ in range(5)))
+    rows = [torch.arange(6.0).reshape(6, 1) for _ in range(9)]
+    batch = Batch(*rows[:5], around=Surroundings(*rows[5:]))
     shares = [Workers(rank, 3).share(batch) for rank in range(3)]
     assert torch.equal(torch.cat([share.cloud for share in shares]), batch.cloud)
+    assert torch.equal(torch.cat([share.around.plane for share in shares]), batch.around.plane)
     with pytest.raises(InputError, match="shared out"):
         Workers(0, 4).share(batch)

@@ -177,10 +177,10 @@ def _markers_seen(image: NDArray[np.uint8]) -> tuple[str, NDArray[np.int64]]:
     numbers; none for fewer than three."""
     import cv2
 
-    found = {}
+    found: dict[str, NDArray[np.int64]] = {}
     for bits in BITS:  # smaller dictionaries hold the first markers of the largest
         known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{bits}X{bits}_1000"))
         _, ids, _ = cv2.aruco.ArucoDetector(known).detectMarkers(image)
-        found[f"{bits}X{bits}"] = np.zeros(0, np.int64) if ids is None else np.ravel(ids)
+        found[f"{bits}X{bits}"] = np.array([] if ids is None else np.ravel(ids), np.int64)
     best = max(found, key=lambda kind: len(found[kind]))
     return (best, found[best]) if len(found[best]) >= 3 else ("", found[best])

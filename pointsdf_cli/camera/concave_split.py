@@ -45,7 +45,8 @@ def standing_parts(
     """Split a group of points at concave edges into parts that stand by themselves.
 
     Two surfaces that meet in a valley belong to two things as a rule (Stein et al. 2014, "Object
-    partitioning using local convexity"); a handle also meets a mug so, but does not stand by itself.
+    partitioning using local convexity"); a handle also meets a mug so, but does not
+    stand by itself.
 
     Args:
         points: [N, 3], world, m, one a voxel.

@@ -69,7 +69,8 @@ def cloud_of_depth(
         )
     off = abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5)
     note = (
-        f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of the image of "
+        f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of the image "
+        "of "
         f"{camera.width} × {camera.height}: are the intrinsics of another resolution?"
     )
     return Cloud(

@@ -124,7 +124,7 @@ def calibrate_hand_eye(
     rms = seen.rms(poses)
     if np.median(rms) > LARGEST_ERROR or used.sum() < FEWEST_IMAGES:
         raise _does_not_fit(seen, np.stack(alone), float(np.median(rms)), int(used.sum()))
-    position, rotation = _standard_deviations(seen, poses, np.flatnonzero(used))
+    position, rotation = _standard_deviations(seen, poses, np.flatnonzero(used).tolist())
     placed = invert_transform(fixed_moving @ poses.X) @ poses.Z
     refined = np.stack(
         [board_pose(v, corners, camera, T) for v, T in zip(views, placed, strict=True)]
@@ -198,7 +198,7 @@ def _fit(
     poses, count = _start(seen, alone, rng), len(alone)
     used = _agreeing(seen.rms(poses), np.ones(count, bool))
     for _ in range(4):
-        poses = _refine(seen, poses, np.flatnonzero(used))
+        poses = _refine(seen, poses, np.flatnonzero(used).tolist())
         now = _agreeing(seen.rms(poses), used)
         if (now == used).all():
             break
@@ -210,7 +210,7 @@ def _start(seen: _Observations, alone: Array, rng: np.random.Generator) -> HandE
     """The closed form of all images or of three, whichever has the least median error."""
     count = len(alone)
     subsets = [np.arange(count)] + [rng.choice(count, 3, replace=False) for _ in range(SUBSETS)]
-    tried = []
+    tried: list[tuple[float, int, HandEyePoses]] = []
     for subset in subsets:
         if rotation_spread(seen.T_fixed_moving[subset])[1] >= SMALLEST_SPREAD:
             poses = solve_hand_eye(seen.T_fixed_moving[subset], alone[subset])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,8 +78,7 @@ def smooth_noise(shape: tuple[int, ...], window: float, rng: np.random.Generator
         return rng.standard_normal(shape, dtype=np.float32)
     down, across = _splines(shape[-2], window), _splines(shape[-1], window)
     drawn = rng.standard_normal((*shape[:-2], down.shape[1], across.shape[1]), dtype=np.float32)
-    smooth: Image = down @ drawn @ across.T
-    return smooth
+    return np.asarray(down @ drawn @ across.T, dtype=np.float32)
 
 
 def _splines(pixels: int, window: float) -> Image:
@@ -120,7 +120,7 @@ def grown(inverse: Image, radius: float) -> Image:
     return found
 
 
-def _dilated(values: NDArray[np.generic]) -> NDArray[np.generic]:
+def _dilated(values: NDArray[Any]) -> NDArray[Any]:
     """Maximum over each pixel and its four neighbours."""
     found = values.copy()
     for to, of in (
@@ -222,7 +222,7 @@ def nguyen_deviation(
     and tracking", eq. 5; θ is bounded by `STEEPEST`.
     """
     away = depth - np.float32(0.4)
-    deviation: Image = np.float32(floor) + np.float32(by_depth) * away * away
+    deviation: NDArray[Any] = np.float32(floor) + np.float32(by_depth) * away * away
     if by_incidence:
         angle = np.minimum(INCIDENCES, STEEPEST)
         grows = (by_incidence * angle**2 / (np.pi / 2 - angle) ** 2).astype(np.float32)
@@ -241,5 +241,4 @@ def quantised(depth: Image, factor: float, step: float) -> Image:
     """
     scaled = np.float32(factor / step)
     steps = np.rint(scaled / np.maximum(depth, np.float32(1e-3)))
-    found: Image = scaled / np.maximum(steps, np.float32(1))
-    return found
+    return np.asarray(scaled / np.maximum(steps, np.float32(1)), dtype=np.float32)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
@@ -68,9 +68,9 @@ class ViewEvidence:
 
 
 def visibility_image(
-    object_points: ArrayLike,
-    other_points: ArrayLike,
-    support_plane: ArrayLike | None = None,
+    object_points: Array,
+    other_points: Array,
+    support_plane: Array | None = None,
     pitch: float | None = None,
 ) -> VisibilityImage:
     """The visibility around an object.
@@ -83,8 +83,6 @@ def visibility_image(
         support_plane: [4], as in `ViewEvidence`: rays that end on it hold nothing of the object.
         pitch: Distance of neighbouring pixels in tangents (1/f); estimated from the points if None.
     """
-    object_points = np.asarray(object_points, dtype=np.float64).reshape(-1, 3)
-    other_points = np.asarray(other_points, dtype=np.float64).reshape(-1, 3)
     tangents = object_points[:, :2] / object_points[:, 2:]
     low, high = tangents.min(axis=0), tangents.max(axis=0)
     side = WIDTH * max(float((high - low).max()), 1e-4)
@@ -96,8 +94,7 @@ def visibility_image(
     other_points, others = other_points[near], others[near]
     until = other_points[:, 2].copy()
     if support_plane is not None:
-        plane = np.asarray(support_plane, dtype=np.float64)
-        until[other_points @ plane[:3] - plane[3] < PLANE_BAND] = np.inf
+        until[other_points @ support_plane[:3] - support_plane[3] < PLANE_BAND] = np.inf
 
     if pitch is None:
         pitch = _pitch(np.concatenate([tangents, others]))

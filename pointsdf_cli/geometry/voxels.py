@@ -14,11 +14,11 @@ class Thinned(NamedTuple):
     """One point for each occupied voxel.
 
     Attributes:
-        index: i8 [M], the point that stands for each voxel.
-        voxel: i8 [N], the voxel of each point: `index[voxel]` is its representative.
+        first: i8 [M], the point that stands for each voxel.
+        voxel: i8 [N], the voxel of each point: `first[voxel]` is its representative.
     """
 
-    index: NDArray[np.int64]
+    first: NDArray[np.int64]
     voxel: NDArray[np.int64]
 
 

@@ -108,7 +108,7 @@ class Cloud:
                 hint="add --drop-invalid to leave those points out",
             )
         if behind:
-            raise self._behind_camera(behind)
+            raise self._behind_camera(int(behind))
         return points, T_frame_camera
 
     def _behind_camera(self, behind: int) -> InputError:

@@ -84,7 +84,7 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
     if path.suffix.lower() == ".npy":
         values = _array(path)
     else:
-        with _open(path) as image:
+        with open_image(path) as image:
             try:
                 # The numbers of a palette are labels, its colours are not.
                 plain = image.mode if image.mode in ("P", "L", "1", "I", "I;16", "F") else "RGBA"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import Array, rotation_from_wxyz, transform
+from pointsdf_cli.geometry.frames import Array, invert_transform, rotation_from_wxyz, transform
 from pointsdf_cli.io.depth_images import LARGEST_PIXELS
 
 SUFFIXES = (".mcap", ".db3")
@@ -269,7 +269,7 @@ def chain(transforms: dict[tuple[str, str], Array], world: str, camera: str) -> 
     neighbours: dict[str, list[tuple[str, Array]]] = {}
     for (parent, child), pose in transforms.items():
         neighbours.setdefault(parent, []).append((child, pose))
-        neighbours.setdefault(child, []).append((parent, np.linalg.inv(pose)))
+        neighbours.setdefault(child, []).append((parent, invert_transform(pose)))
     reached, waiting = {world: np.eye(4)}, [world]
     while waiting:
         at = waiting.pop(0)

@@ -196,7 +196,7 @@ def choose(
                 hint=f"rgrasp segment {where} shows what there is",
             )
     else:
-        away = np.linalg.norm(points[mine] - target.place, axis=1)
+        away = np.linalg.norm(points[mine] - np.asarray(target.place), axis=1)
         if away.min() > TARGET_REACH:
             raise NoObjectError(
                 f"the object nearest to --target is {away.min():.2f} m away from it",

@@ -133,7 +133,7 @@ def sort_scene(
     points, _ = cloud.in_camera_frame()
     assert cloud.T_world_camera is not None
     thinned, flying = thin_and_clean(points, cloud, cleaned)
-    few = points[thinned.index]
+    few = points[thinned.first]
     world = apply_transform(cloud.T_world_camera, few)
     camera = cloud.T_world_camera[:3, 3]
     own = np.zeros(len(world), dtype=bool) if on_robot is None else on_robot(world)
@@ -142,8 +142,8 @@ def sort_scene(
     label[~own] = found.label
     things = Things(label, found.plane, found.unsplit)
     if cloud.mask is not None:
-        things = masked_thing(world, cloud.mask[thinned.index], camera, things)
-    pixels = None if cloud.pixels is None else cloud.pixels[thinned.index]
+        things = masked_thing(world, cloud.mask[thinned.first], camera, things)
+    pixels = None if cloud.pixels is None else cloud.pixels[thinned.first]
     place = image_place(few, pixels, cloud.image)
     listed = numbered(world, place, things, things.standing(world), reach)
     return Scene(
@@ -177,18 +177,18 @@ def thin_and_clean(points: Array, cloud: Cloud, cleaned: bool) -> tuple[Thinned,
         voxel = np.full(len(points), -1, dtype=np.int64)
         voxel[kept] = few.voxel
         said = Cleaning(~flying, flying=int(flying.sum()))
-        return Thinned(kept[few.index], voxel), said
+        return Thinned(kept[few.first], voxel), said
     few = thin(points, VOXEL)
     if not cleaned:
         return few, Cleaning(~flying)
-    found = clean(points[few.index], specks=False)
+    found = clean(points[few.first], specks=False)
     renumbered = np.where(found.kept, np.cumsum(found.kept) - 1, -1)
     voxel = renumbered[few.voxel]
     count = int((voxel < 0).sum())
     share = found.flying / max(found.dropped, 1)
     jumps = round(count * share)
     said = Cleaning(voxel >= 0, flying=jumps, outliers=count - jumps)
-    return Thinned(few.index[found.kept], voxel), said
+    return Thinned(few.first[found.kept], voxel), said
 
 
 def image_place(points: Array, pixels: Array | None, image: DepthImage | None) -> Array:

@@ -166,7 +166,7 @@ def stand_on_table(
         if target is not None:
             raise
         # A bare table: its own middle is put there.
-        world = apply_transform(cloud.T_world_camera, points)
+        world = apply_transform(np.asarray(cloud.T_world_camera), points)
         cloud = _moved(cloud, np.median(world, axis=0), place)
     return cloud, target
 

@@ -53,11 +53,9 @@ class Batch(NamedTuple):
         return self._each(lambda t: t[first:last])
 
     def _each(self, change: Callable[[Tensor], Tensor]) -> Batch:
-        cloud, camera, neighbours, x, sdf, around = self
-        return Batch(
-            *map(change, (cloud, camera, neighbours, x, sdf)),
-            around=Surroundings(*map(change, around)),
-        )
+        around = Surroundings(*map(change, self.around))
+        changed = {name: change(getattr(self, name)) for name in self._fields if name != "around"}
+        return Batch(**changed, around=around)
 
 
 class Split(NamedTuple):
