@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.camera.cleaning import Cleaning, clean, flying_pixels
 from pointsdf_cli.camera.depth_cloud import cloud_of_depth
 from pointsdf_cli.camera.intrinsics import read_intrinsics
 from pointsdf_cli.errors import InputError
@@ -82,16 +83,35 @@ def read_view(path: Path, options: SceneFileOptions, T_world_camera: Array | Non
 
 def masked(cloud: Cloud) -> Cloud:
     """The points of a cloud that its mask says are the object's; all where it has none."""
-    kept = cloud.mask
-    if kept is None:
-        return cloud
+    return cloud if cloud.mask is None else replace(_kept(cloud, cloud.mask), mask=None)
+
+
+def cleaned_view(cloud: Cloud, whole_scene: bool) -> tuple[Cloud, str]:
+    """A cloud in the camera's frame without points that no surface returned, and what went.
+
+    Args:
+        cloud: Of a depth image.
+        whole_scene: Only flying pixels go; of an object's cloud also outliers and specks.
+    """
+    if not whole_scene:
+        found = clean(cloud.points)
+    elif cloud.image is not None and cloud.pixels is not None:
+        u, v = cloud.pixels.astype(np.int64).T
+        flying = flying_pixels(cloud.image.depth, cloud.image.K[0, 0])[v, u]
+        found = Cleaning(~flying, flying=int(flying.sum()))
+    else:
+        return cloud, ""
+    return _kept(cloud, found.kept), found.report()
+
+
+def _kept(cloud: Cloud, kept: NDArray[np.bool_]) -> Cloud:
     return replace(
         cloud,
         points=cloud.points[kept],
         normals=None if cloud.normals is None else cloud.normals[kept],
         colours=None if cloud.colours is None else cloud.colours[kept],
         pixels=None if cloud.pixels is None else cloud.pixels[kept],
-        mask=None,
+        mask=None if cloud.mask is None else cloud.mask[kept],
     )
 
 

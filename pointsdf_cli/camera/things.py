@@ -124,17 +124,17 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
     return Things(label, plane, frozenset(unsplit))
 
 
-def masked_thing(points: Array, mask: NDArray[np.bool_], camera: Array, found: Things) -> Things:
+def masked_thing(mask: NDArray[np.bool_], found: Things) -> Things:
     """The things [N] with one more, the last: what a mask covers above the table.
 
     Raises:
         InputError: The mask covers nothing above the table.
     """
     label = found.label.copy()
-    chosen = mask & (label != TABLE) & (label != OUTSIDE)
+    chosen = mask & ((label >= 0) | (label == LOOSE))
     if not chosen.any():
         raise InputError(
-            f"the mask covers no points above the table ({int(mask.sum())} on or outside of it)",
+            f"the mask covers no points above the table ({int(mask.sum())} on it or elsewhere)",
             where="--mask",
             allowed="a mask of an object that stands on the table",
         )

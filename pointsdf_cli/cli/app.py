@@ -22,6 +22,7 @@ from pointsdf_cli.cli import (
     render,
     report,
     robot,
+    segment,
     train_gs,
     train_sdf,
     trial,
@@ -63,6 +64,7 @@ app.command("train-sdf")(train_sdf.train_sdf)
 app.command("eval-sdf")(eval_sdf.eval_sdf)
 app.command("calibrate")(calibrate.calibrate)
 app.command("cloud")(cloud.cloud)
+app.command("segment")(segment.segment)
 app.command("mesh")(mesh.mesh)
 app.command("collect-grasps")(collect_grasps.collect_grasps)
 app.command("train-gs")(train_gs.train_gs)

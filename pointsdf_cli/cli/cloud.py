@@ -32,10 +32,8 @@ def cloud(
             "kinect2; a bag has camera_info.",
         ),
     ] = None,
-    pose: Annotated[
-        str | None,
-        typer.Option(metavar="POSE", help="Camera in the world: X,Y,Z,QW,QX,QY,QZ, or a file."),
-    ] = None,
+    camera_pose: common.CameraPose = None,
+    pose: Annotated[str | None, typer.Option("--pose", hidden=True)] = None,
     color: Annotated[
         Path | None, typer.Option(help="Colour image, registered to the depth image.")
     ] = None,
@@ -48,6 +46,8 @@ def cloud(
     ] = None,
     near: Annotated[float, typer.Option(help="Nearer readings are dropped [m].")] = 0.1,
     far: Annotated[float, typer.Option(help="Farther readings are dropped [m].")] = 2.5,
+    mask: common.Mask = None,
+    no_clean: common.NoClean = False,
     out: Annotated[
         Path | None, typer.Option(help="The cloud [default: cloud.ply, here].", show_default=False)
     ] = None,
@@ -77,30 +77,36 @@ def cloud(
 ) -> None:
     """Turn a depth image into a cloud that mesh and plan read.
 
-    Example: rgrasp cloud depth.png --intrinsics K.json --pose T.json --out cloud.ply
+    Example: rgrasp cloud depth.png --intrinsics K.json --camera-pose T.json --out cloud.ply
     Example: rgrasp cloud bag/ --topic /camera/depth/image_rect_raw --world-frame base_link
     """
+    from dataclasses import replace
+
     import numpy as np
 
     from pointsdf_cli.camera.bag_cloud import BagOptions
-    from pointsdf_cli.camera.depth_cloud import cloud_of_depth
-    from pointsdf_cli.camera.intrinsics import read_intrinsics
+    from pointsdf_cli.camera.scene_file import SceneFileOptions, cleaned_view, masked, read_view
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.atomic import require_new
     from pointsdf_cli.io.clouds import write_cloud
-    from pointsdf_cli.io.depth_images import read_colour, read_depth
-    from pointsdf_cli.io.poses import camera_pose
+    from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES
+    from pointsdf_cli.io.poses import camera_pose as parse_pose
+    from pointsdf_cli.io.poses import table_place
     from pointsdf_cli.io.rosbag import is_bag
 
-    out = require_new(out or Path("cloud.ply"), force)
+    out = require_new(out or Path("cloud.ply"), force, [depth])
     if out.suffix.lower() != ".ply":
         raise InputError(f"{out.suffix!r} is not written", where="--out", allowed=".ply")
     bag = BagOptions(topic, info_topic, world_frame, index, time, frames)
+    typed = camera_pose if camera_pose is not None else pose
     if is_bag(depth):
-        if color is not None or depth_scale is not None:
-            what = "--color" if color is not None else "--depth-scale"
-            raise InputError(f"{what} with a bag", where=depth, hint="leave it out")
-        fixed = None if pose is None else camera_pose(pose, "--pose")
+        if color is not None or depth_scale is not None or mask is not None:
+            raise InputError(
+                "--color, --depth-scale and --mask do not go with a bag",
+                where=depth,
+                hint="leave them out",
+            )
+        fixed = None if typed is None else parse_pose(typed)
         _cloud_of_bag(
             common.Reporter(quiet, as_json), depth, bag, intrinsics, fixed, near, far, out
         )
@@ -111,33 +117,49 @@ def cloud(
         raise InputError(
             "a depth image needs its intrinsics", where=depth, hint="add --intrinsics K.json"
         )
-    image = read_depth(depth, depth_scale)
-    height, width = image.shape
-    camera = read_intrinsics(intrinsics, width, height)
-    placed = None if pose is None else camera_pose(pose, "--pose")
-    colours = None if color is None else read_colour(color)
-    try:
-        made = cloud_of_depth(image, camera, placed, colours, near, far)
-    except InputError as error:
-        where = error.where or depth
-        raise InputError(error.what, where=where, allowed=error.allowed, hint=error.hint) from error
-    write_cloud(out, made)
-    dropped = image.size - len(made.points)
-    middle = np.median(made.points[:, 2])
+    if depth.suffix.lower() not in DEPTH_SUFFIXES:
+        raise InputError(
+            f"{depth.suffix!r} is no depth image",
+            where=depth,
+            allowed=", ".join(DEPTH_SUFFIXES),
+        )
+    reporter = common.Reporter(quiet, as_json)
+    place = None if typed is None else table_place(typed)
+    placed = None if typed is None or place is not None else parse_pose(typed)
+    options = SceneFileOptions(intrinsics, depth_scale, near, far, color, mask)
+    made = read_view(depth, options, placed)
+    for note in made.notes:
+        reporter.say(f"{depth}: {note}")
+    if place is not None:
+        from pointsdf_cli.planning.scene_input import stand_on_table, table_note
+
+        made, _ = stand_on_table(made, str(depth), place, cleaned=not no_clean)
+        reporter.say(table_note(made, place))
+    pixels = 0 if made.image is None else made.image.depth.size
+    unseen = pixels - len(made.points)
+    made = masked(made)
+    if not no_clean:
+        made, said = cleaned_view(made, whole_scene=mask is None)
+        if said:
+            reporter.say(said)
+    write_cloud(out, replace(made, pixels=None, image=None))
+    middle = float(np.median(made.points[:, 2]))
     lines = [
         f"{out}: {len(made.points)} points in the camera frame, median depth {middle:.3f} m; "
-        f"{dropped} pixels without a depth between {near:g} and {far:g} m dropped"
+        f"{unseen} pixels without a depth between {near:g} and {far:g} m dropped"
     ]
-    if placed is None:
-        lines.append("no --pose: rgrasp mesh needs none, rgrasp plan will ask for --camera-pose")
-    common.Reporter(quiet, as_json).result(
+    if made.T_world_camera is None:
+        lines.append(
+            "no --camera-pose: rgrasp mesh needs none, rgrasp plan will ask for --camera-pose"
+        )
+    reporter.result(
         {
             "out": out,
             "points": len(made.points),
-            "dropped": dropped,
-            "median_depth": float(middle),
-            "has_pose": placed is not None,
-            "has_colours": colours is not None,
+            "dropped": pixels - len(made.points),
+            "median_depth": middle,
+            "has_pose": made.T_world_camera is not None,
+            "has_colours": made.colours is not None,
         },
         lines,
     )

@@ -39,6 +39,43 @@ Workspace = Annotated[
         show_default=False,
     ),
 ]
+Intrinsics = Annotated[
+    str | None,
+    typer.Option(
+        metavar="K.json",
+        help="Of a depth image: K matrix, ROS camera_info, RealSense or Open3D intrinsics (JSON or "
+        "YAML), or kinect2.",
+        show_default=False,
+    ),
+]
+DepthScale = Annotated[
+    float | None,
+    typer.Option(
+        help="Metres a unit of a depth image [default: 0.001 for whole numbers, 1 for floats].",
+        show_default=False,
+    ),
+]
+Mask = Annotated[
+    str | None,
+    typer.Option(
+        metavar="MASK.png",
+        help="The object's pixels in the depth image, from any segmenter: all that are not 0, "
+        "or of MASK.png:7 those that are 7.",
+        show_default=False,
+    ),
+]
+CameraPose = Annotated[
+    str | None,
+    typer.Option(
+        metavar="POSE",
+        help="Camera in the world: X,Y,Z,QW,QX,QY,QZ, or a file; or table[:X,Y], for trying out: "
+        "z = 0 is the table that is seen, the object at 0.6,0 or X,Y.",
+        show_default=False,
+    ),
+]
+NoClean = Annotated[
+    bool, typer.Option("--no-clean", help="Keep flying pixels, outliers and specks.")
+]
 Shard = Annotated[
     str | None, typer.Option(metavar="i/n", help="Only every n-th file, from the i-th (0-based).")
 ]

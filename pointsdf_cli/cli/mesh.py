@@ -10,10 +10,8 @@ import typer
 from pointsdf_cli.cli import common
 
 if TYPE_CHECKING:
-    from numpy import float64
-    from numpy.typing import NDArray
-
-    from pointsdf_cli.io.clouds import Cloud
+    from pointsdf_cli.camera.scene_file import SceneFileOptions
+    from pointsdf_cli.planning.object_view import ObjectView
 
 FORMATS = ("ply", "obj", "stl", "glb")
 SCENE = 0.7
@@ -21,7 +19,13 @@ SCENE = 0.7
 
 
 def mesh(
-    cloud: Annotated[Path, typer.Argument(help="A partial cloud: PLY, PCD, XYZ, TXT, CSV or NPY.")],
+    cloud: Annotated[
+        Path,
+        typer.Argument(
+            help="A partial cloud (PLY, PCD, XYZ, TXT, CSV or NPY), or a depth image (16-bit PNG, "
+            "TIFF or PGM, or NPY)."
+        ),
+    ],
     out: Annotated[
         Path | None, typer.Option(help="The mesh [default: mesh.ply, here].", show_default=False)
     ] = None,
@@ -41,21 +45,29 @@ def mesh(
     frame: Annotated[
         str | None, typer.Option(help="camera or world [default: as the file says, else camera].")
     ] = None,
-    camera_pose: Annotated[
-        str | None,
-        typer.Option(metavar="POSE", help="Camera in the world: X,Y,Z,QW,QX,QY,QZ, or a file."),
-    ] = None,
+    camera_pose: common.CameraPose = None,
+    intrinsics: common.Intrinsics = None,
+    depth_scale: common.DepthScale = None,
+    mask: common.Mask = None,
+    no_clean: common.NoClean = False,
     drop_invalid: Annotated[
         bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
     ] = False,
     segment: Annotated[
-        str,
-        typer.Option(help="auto: cut the object out of a cloud of a table, which needs its pose."),
-    ] = "none",
+        str | None,
+        typer.Option(
+            help="auto: cut the object out of a view of a table, which needs its pose; none: the "
+            "object is alone [default: auto of a depth image without --mask, or with --camera-pose "
+            "table; else none].",
+            show_default=False,
+        ),
+    ] = None,
     target: Annotated[
         str | None,
         typer.Option(
-            metavar="X,Y,Z", help="With --segment auto: the object here, not the largest [m]."
+            metavar="N|U,V|X,Y,Z",
+            help="With --segment auto: the object's number as `rgrasp segment` lists them, a "
+            "pixel, or a place in the world [m].",
         ),
     ] = None,
     workspace: common.Workspace = None,
@@ -98,47 +110,43 @@ def mesh(
     """Complete one partial cloud of an object to a closed mesh, in the cloud's frame and unit.
 
     Example: rgrasp mesh cloud.ply --out mesh.ply
+    Example: rgrasp mesh depth.png --intrinsics K.json --camera-pose table
     """
+    import os
     import time
 
     import numpy as np
 
+    from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.geometry.frames import apply_transform
     from pointsdf_cli.geometry.isosurface import EmptySurfaceError, IsosurfaceConfig
     from pointsdf_cli.io.atomic import require_new
     from pointsdf_cli.io.checkpoints import read_config
-    from pointsdf_cli.io.clouds import check_object_cloud, read_cloud
     from pointsdf_cli.io.meshes import UNITS, save_mesh
-    from pointsdf_cli.io.poses import camera_pose as parse_pose
 
     reporter = common.Reporter(quiet, as_json)
     if not 0 <= smooth <= 1000:
         raise InputError(f"{smooth} passes", where="--smooth", allowed="0 to 1000")
     IsosurfaceConfig(resolution)  # a wrong resolution is known before anything is read
-    out = require_new(mesh_path(out, form), force, [cloud])
+    typed = [
+        Path(text) for text in (camera_pose, intrinsics, mask) if text and os.path.isfile(text)
+    ]
+    out = require_new(mesh_path(out, form), force, [cloud, *typed])
     common.check_picture(picture, force)
     common.check_seed(seed)
     common.check_device(device)
     if checkpoint is not None:
         read_config(checkpoint)
-    pose = None if camera_pose is None else parse_pose(camera_pose)
-    view = read_cloud(cloud, unit, drop_invalid, frame, pose)
-    if segment == "none":
-        if target is not None:
-            raise InputError("--target without --segment auto", hint="add --segment auto")
-        if robot is not None:
-            raise InputError("--robot without --segment auto", hint="add --segment auto")
-        if workspace is not None:
-            raise InputError("--workspace without --segment auto", hint="add --segment auto")
-        points, T_frame_camera = check_object_cloud(view, cloud).in_camera_frame()
-        if np.ptp(points, axis=0).max() > SCENE:
-            reporter.say(f"{cloud}: wide for one object; of a whole table, add --segment auto")
-    else:
-        points, T_frame_camera, said = _object_of(
-            view, str(cloud), segment, target, robot, workspace
-        )
-        reporter.say(said)
+    files = SceneFileOptions(
+        intrinsics, depth_scale, mask=mask, unit=unit, frame=frame, drop_invalid=drop_invalid
+    )
+    seen = _object_of(cloud, files, camera_pose, segment, target, robot, workspace, not no_clean)
+    points, T_frame_camera = seen.points, seen.T_frame_camera
+    for line in seen.said:
+        reporter.say(line)
+    if seen.alone and np.ptp(points, axis=0).max() > SCENE:
+        reporter.say(f"{cloud}: wide for one object; of a whole table, add --segment auto")
 
     # Seconds of imports: only for a cloud that can be used.
     import torch
@@ -153,7 +161,9 @@ def mesh(
     use_threads(threads or idle_processors())
     model = load_model(checkpoint, device)
     started = time.perf_counter()
-    reconstruction = Reconstruction.from_cloud(model, points, np.zeros(3), seed=seed)
+    reconstruction = Reconstruction.from_cloud(
+        model, points, np.zeros(3), seed=seed, evidence=seen.evidence
+    )
     try:
         made = mesh_reconstruction(
             reconstruction,
@@ -187,7 +197,7 @@ def mesh(
             "faces": len(made.faces),
             "extent": extent,
             "unit": unit,
-            "frame": view.frame,
+            "frame": seen.frame,
             "points": len(points),
             "resolution": resolution,
             "parts_dropped": made.parts_dropped,
@@ -196,7 +206,7 @@ def mesh(
         },
         [
             f"{out}: {len(vertices)} vertices, {len(made.faces)} faces, "
-            f"{' × '.join(f'{side:.4g}' for side in extent)} {unit}, in the {view.frame} frame",
+            f"{' × '.join(f'{side:.4g}' for side in extent)} {unit}, in the {seen.frame} frame",
             f"{made.queries} queries, {seconds:.2f} s at {resolution}³"
             + (f"; {made.parts_dropped} loose parts dropped" if made.parts_dropped else ""),
         ],
@@ -204,33 +214,33 @@ def mesh(
 
 
 def _object_of(
-    view: Cloud,
-    name: str,
-    segment: str,
+    path: Path,
+    files: SceneFileOptions,
+    pose: str | None,
+    segment: str | None,
     target: str | None,
     robot: Path | None,
     workspace: str | None,
-) -> tuple[NDArray[float64], NDArray[float64], str]:
-    """The object's points [N, 3] in the camera's frame, T_frame_camera [4, 4], and what was kept.
+    cleaned: bool,
+) -> ObjectView:
+    """The object's points, from a cloud of it alone or out of a view of a table.
 
     Raises:
         InputError: There is no object, or no pose, or an option says nonsense.
     """
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.poses import box, place
-    from pointsdf_cli.planning.table_top import NoObjectError, look_at_table, workspace_of
-    from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.io.poses import box
+    from pointsdf_cli.planning.object_view import bare_view, is_scene, segmented_view
 
-    described = load_robot(robot)
-    wanted = None if target is None else place(target, "--target")
-    around = workspace_of(None if workspace is None else box(workspace, "--workspace"))
-    try:
-        found = look_at_table([view], [name], described, described.home, segment, wanted, around)
-    except NoObjectError as error:
-        raise InputError(
-            error.what, where=error.where, allowed=error.allowed, hint=error.hint
-        ) from error
-    return found.views[0].points, view.in_camera_frame()[1], found.report[0]
+    if segment is None:
+        segment = "auto" if is_scene(path, files, pose) else "none"
+    if segment == "none":
+        for given, option in ((target, "--target"), (robot, "--robot"), (workspace, "--workspace")):
+            if given is not None:
+                raise InputError(f"{option} without --segment auto", hint="add --segment auto")
+        return bare_view(path, files, pose, cleaned)
+    corners = None if workspace is None else box(workspace, "--workspace")
+    return segmented_view(path, files, pose, segment, target, robot, corners, cleaned)
 
 
 def mesh_path(out: Path | None, form: str | None) -> Path:

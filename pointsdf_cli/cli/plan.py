@@ -12,14 +12,19 @@ import typer
 from pointsdf_cli.cli import common
 
 if TYPE_CHECKING:
+    from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.io.plans import Plan
     from pointsdf_cli.planning.acceptance import AcceptanceConfig
+    from pointsdf_cli.planning.scene_input import SceneInput
 
 
 def plan(
     clouds: Annotated[
         list[Path],
-        typer.Argument(help="Clouds of one scene, one a camera: PLY, PCD, XYZ, TXT, CSV or NPY."),
+        typer.Argument(
+            help="Depth images or clouds of one scene, one a camera: 16-bit PNG, TIFF, PGM or NPY; "
+            "PLY, PCD, XYZ, TXT, CSV or NPY."
+        ),
     ],
     out: Annotated[Path, typer.Option(help="The plan.")] = Path("plan.h5"),
     method: Annotated[str, typer.Option(help="reconstruction or partial-view.")] = "reconstruction",
@@ -29,16 +34,42 @@ def plan(
     ] = "auto",
     target: Annotated[
         str | None,
-        typer.Option(metavar="X,Y,Z", help="Grasp the object at this place of the world [m]."),
+        typer.Option(
+            metavar="N|U,V|X,Y,Z",
+            help="The object: its number as `rgrasp segment` lists them, a pixel, or a place in "
+            "the world [m] [default: the most reachable one near the middle of the image].",
+        ),
     ] = None,
     camera_pose: Annotated[
         list[str] | None,
         typer.Option(
             metavar="POSE",
-            help="Camera in the world: X,Y,Z,QW,QX,QY,QZ, or a file; one for each cloud.",
+            help="Camera in the world: X,Y,Z,QW,QX,QY,QZ, or a file, one for each view; or "
+            "table[:X,Y], for trying out: z = 0 is the table that is seen, the object at 0.6,0 or "
+            "X,Y.",
             show_default=False,
         ),
     ] = None,
+    intrinsics: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="K.json",
+            help="Of depth images, one for all or one for each: K matrix, ROS camera_info, "
+            "RealSense or Open3D intrinsics (JSON or YAML), or kinect2.",
+            show_default=False,
+        ),
+    ] = None,
+    depth_scale: common.DepthScale = None,
+    mask: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="MASK.png",
+            help="The object's pixels in the depth image, from any segmenter, one for each view: "
+            "all that are not 0, or of MASK.png:7 those that are 7.",
+            show_default=False,
+        ),
+    ] = None,
+    no_clean: common.NoClean = False,
     frame: Annotated[
         str | None, typer.Option(help="camera or world [default: as the file says, else camera].")
     ] = None,
@@ -117,13 +148,13 @@ def plan(
 
     Exit code 3 says that no plan was found; the plan file then holds the reason.
 
-    Example: rgrasp plan cloud.ply --camera-pose 1.4,0,0.8,0.24,-0.66,-0.66,0.24
+    Example: rgrasp plan depth.png --intrinsics K.json --camera-pose T.json
     """
     from pointsdf_cli.errors import NoPlanError
     from pointsdf_cli.io.atomic import require_new
     from pointsdf_cli.io.checkpoints import read_config
     from pointsdf_cli.io.plans import OK, write_plan, write_trajectory
-    from pointsdf_cli.io.poses import box, place
+    from pointsdf_cli.io.poses import box
     from pointsdf_cli.planning.choices import check_segment
     from pointsdf_cli.planning.environment import Environment, read_environment
     from pointsdf_cli.planning.scene_inputs import check_scene_inputs
@@ -133,6 +164,7 @@ def plan(
     reporter = common.Reporter(quiet, as_json)
     common.check_seed(seed)
     typed = [text for text in (*(camera_pose or ()), start, target, workspace) if text is not None]
+    typed += [*(intrinsics or ()), *(mask or ())]
     inputs = [*clouds, *(path for path in (environment, robot) if path is not None)]
     inputs += [Path(text) for text in typed if os.path.isfile(text)]
     common.check_suffix(out, "--out", (".h5", ".hdf5"))
@@ -141,7 +173,6 @@ def plan(
     files = {"--out": out, "--picture": picture, "--trajectory": trajectory}
     common.check_picture(picture, force)
     _require_places({k: path for k, path in files.items() if path is not None}, force, inputs)
-    wanted = None if target is None else place(target, "--target")
     looked_at = None if workspace is None else box(workspace, "--workspace")
     _check_choices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
     check_segment(segment, target is not None, workspace is not None)
@@ -151,8 +182,19 @@ def plan(
     for weights in (checkpoint, grasp_checkpoint):
         if weights is not None:
             read_config(weights)
-    views = _read_clouds(clouds, camera_pose or [], frame, unit, drop_invalid)
-    check_scene_inputs(views, [str(path) for path in clouds], segment)
+    options_of_files = _file_options(
+        len(clouds),
+        intrinsics,
+        mask,
+        depth_scale=depth_scale,
+        unit=unit,
+        frame=frame,
+        drop_invalid=drop_invalid,
+    )
+    given = _read_scene(clouds, camera_pose, options_of_files, target, looked_at, no_clean, robot)
+    for note in given.notes:
+        reporter.say(note)
+    check_scene_inputs(given.clouds, [str(path) for path in clouds], segment)
 
     # Seconds of imports: only for clouds and options that can be used.
     from pointsdf_cli.models.registry import use_threads
@@ -188,15 +230,16 @@ def plan(
         common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
     session = plan_on_table(
         planner,
-        views,
+        given.clouds,
         [str(path) for path in clouds],
         around,
         start=start,
         seed=seed,
         segment=segment,
-        target=wanted,
+        target=given.target,
         others=not ignore_others,
         workspace=workspace_of(looked_at),
+        cleaned=not no_clean,
     )
     for line in session.report:
         reporter.say(line)
@@ -210,6 +253,8 @@ def plan(
     }
     asked |= {"environment": environment and str(environment), "ignore_others": ignore_others}
     asked |= {"unit": unit, "frame": frame, "camera_pose": camera_pose}
+    asked |= {"intrinsics": intrinsics, "depth_scale": depth_scale, "mask": mask}
+    asked |= {"clean": not no_clean}
     config = _config(planner.options, clouds, seed) | asked
     for stale in (trajectory, picture):  # a motion to another object must not outlive its plan
         if stale is not None:
@@ -251,29 +296,54 @@ def _require_places(files: dict[str, Path], force: bool, inputs: list[Path]) -> 
         require_folder(require_new(path, force, inputs).parent)
 
 
-def _read_clouds(
-    paths: list[Path], poses: list[str], frame: str | None, unit: str, drop_invalid: bool
-) -> list[Any]:
-    """The clouds, with what the options say about where they lie.
+def _file_options(
+    count: int, intrinsics: list[str] | None, masks: list[str] | None, **same: Any
+) -> list[SceneFileOptions]:
+    """How each of the files is read.
 
     Raises:
-        InputError: A cloud cannot be read, or the options do not fit.
+        InputError: Neither one for all nor one for each.
     """
+    from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.clouds import read_cloud
-    from pointsdf_cli.io.poses import camera_pose
 
-    if poses and len(poses) != len(paths):
-        raise InputError(
-            f"{len(poses)} poses for {len(paths)} clouds",
-            where="--camera-pose",
-            allowed="one for each cloud, in their order",
-        )
-    views = []
-    for k, path in enumerate(paths):
-        pose = camera_pose(poses[k]) if poses else None
-        views.append(read_cloud(path, unit, drop_invalid, frame, pose))
-    return views
+    cameras: list[str | None] = list(intrinsics or [None])
+    if len(cameras) == 1:
+        cameras = cameras * count
+    on: list[str | None] = list(masks or [None] * count)
+    for option, given in (("--intrinsics", cameras), ("--mask", on)):
+        if len(given) != count:
+            raise InputError(
+                f"{len(given)} for {count} views", where=option, allowed="one for each, in order"
+            )
+    return [
+        SceneFileOptions(intrinsics=k, mask=m, **same) for k, m in zip(cameras, on, strict=True)
+    ]
+
+
+def _read_scene(
+    paths: list[Path],
+    poses: list[str] | None,
+    options: list[SceneFileOptions],
+    target: str | None,
+    looked_at: tuple[tuple[float, ...], tuple[float, ...]] | None,
+    no_clean: bool,
+    robot: Path | None,
+) -> SceneInput:
+    """The views with their poses, and the object that is meant."""
+    from pointsdf_cli.planning.scene_input import read_scene
+    from pointsdf_cli.planning.table_top import workspace_of
+    from pointsdf_cli.robot.description import load_robot
+
+    return read_scene(
+        paths,
+        poses or [],
+        options,
+        target,
+        workspace_of(looked_at),
+        not no_clean,
+        load_robot(robot),
+    )
 
 
 def _check_choices(

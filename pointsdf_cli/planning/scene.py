@@ -42,6 +42,7 @@ class Scene:
     Attributes:
         name: Of the cloud, for messages.
         all_points: [N, 3], camera frame, m.
+        all_pixels: [N, 2], (u, v) of each; None where no image is known.
         voxel: i8 [N], the thinned point of each; -1 for those that cleaning dropped.
         points: [M, 3], camera frame, m.
         world: [M, 3], world, m.
@@ -56,6 +57,7 @@ class Scene:
 
     name: str
     all_points: Array
+    all_pixels: Array | None
     voxel: NDArray[np.int64]
     points: Array
     world: Array
@@ -142,13 +144,14 @@ def sort_scene(
     label[~own] = found.label
     things = Things(label, found.plane, found.unsplit)
     if cloud.mask is not None:
-        things = masked_thing(world, cloud.mask[thinned.first], camera, things)
+        things = masked_thing(cloud.mask[thinned.first], things)
     pixels = None if cloud.pixels is None else cloud.pixels[thinned.first]
     place = image_place(few, pixels, cloud.image)
     listed = numbered(world, place, things, things.standing(world), reach)
     return Scene(
         name=name,
         all_points=points,
+        all_pixels=cloud.pixels,
         voxel=thinned.voxel,
         points=few,
         world=world,

@@ -16,9 +16,10 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
-from pointsdf_cli.planning.choice import NoObjectError, Target
+from pointsdf_cli.planning.choice import NoObjectError, Target, reach_of
 from pointsdf_cli.planning.scene import sort_scene
 from pointsdf_cli.planning.table_top import WORKSPACE, chosen_thing
+from pointsdf_cli.robot.description import RobotDescription
 
 Array = NDArray[np.float64]
 
@@ -64,6 +65,7 @@ def read_scene(
     target: str | None = None,
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
+    robot: RobotDescription | None = None,
 ) -> SceneInput:
     """Read views of one scene.
 
@@ -74,7 +76,7 @@ def read_scene(
             puts it there.
         options: How each file is read.
         target: The object that is meant, as typed.
-        workspace, cleaned: As in `look_at_table`, where the pose is `table`.
+        workspace, cleaned, robot: As in `look_at_table`, where the pose is `table`.
 
     Raises:
         InputError: A file cannot be read, an option does not fit, or no table is seen.
@@ -101,7 +103,10 @@ def read_scene(
         cloud = read_view(path, option, pose)
         notes += [f"{path}: {note}" for note in cloud.notes]
         if place is not None:
-            cloud, wanted = stand_on_table(cloud, str(path), place, wanted, workspace, cleaned)
+            reach = None if robot is None or wanted is None else reach_of(robot)
+            cloud, wanted = stand_on_table(
+                cloud, str(path), place, wanted, workspace, cleaned, reach
+            )
             notes.append(table_note(cloud, place))
         clouds.append(cloud)
     return SceneInput(tuple(clouds), wanted, tuple(notes))
@@ -125,6 +130,7 @@ def stand_on_table(
     target: Target | None = None,
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
+    reach: tuple[float, float] | None = None,
 ) -> tuple[Cloud, Target | None]:
     """A cloud with a pose in which z = 0 is its table and the object stands at a place.
 
@@ -134,6 +140,7 @@ def stand_on_table(
         place: x and y [m] of the object.
         target: The object that is meant: a number as `segment` lists them, or a pixel.
         workspace, cleaned: As in `look_at_table`.
+        reach: From `choice.reach_of`: it decides on the numbers.
 
     Returns:
         The cloud, and the place of the object if one was meant.
@@ -157,9 +164,9 @@ def stand_on_table(
     cloud = replace(cloud, T_world_camera=pose_over_plane(plane))
     try:
         # What is listed first stands at the place, so that numbers are those of `segment`.
-        cloud = _moved(cloud, _centre(cloud, name, None, ANYWHERE, cleaned), place)
+        cloud = _moved(cloud, _centre(cloud, name, None, ANYWHERE, cleaned, None), place)
         if target is not None:
-            chosen = _centre(cloud, name, target, workspace, cleaned)
+            chosen = _centre(cloud, name, target, workspace, cleaned, reach)
             cloud = _moved(cloud, chosen, place)
             target = Target(place=np.array([*place, chosen[2]]))
     except NoObjectError:
@@ -177,9 +184,10 @@ def _centre(
     target: Target | None,
     workspace: SegmentationConfig,
     cleaned: bool,
+    reach: tuple[float, float] | None,
 ) -> Array:
     """The middle [3] of the object that is meant, in the world of the cloud's pose."""
-    scene = sort_scene(cloud, name, workspace, cleaned=cleaned)
+    scene = sort_scene(cloud, name, workspace, None, reach, cleaned)
     return chosen_thing(scene, target, workspace).centre
 
 

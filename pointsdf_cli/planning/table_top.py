@@ -105,7 +105,7 @@ def look_at_table(
     problem: NoObjectError | None = None
     first: tuple[Array, Array] | None = None
     for cloud, name in zip(clouds, names, strict=True):
-        _require_pose(cloud, name)
+        require_pose(cloud, name)
         scene = sort_scene(
             check_scene_cloud(cloud, name),
             name,
@@ -207,7 +207,12 @@ def _check_options(segment: str, target: object, workspace: SegmentationConfig) 
         raise InputError("--workspace without --segment auto", hint="leave one of the two out")
 
 
-def _require_pose(cloud: Cloud, name: str) -> None:
+def require_pose(cloud: Cloud, name: str) -> None:
+    """Refuse a cloud whose camera's place is not known.
+
+    Raises:
+        InputError: It is not.
+    """
     if cloud.T_world_camera is None:
         raise InputError(
             "nothing says where the camera stood",
@@ -222,7 +227,7 @@ def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) 
     """Clouds that hold the object alone."""
     views, report = [], []
     for cloud, name in zip(clouds, names, strict=True):
-        _require_pose(cloud, name)
+        require_pose(cloud, name)
         points, said = bare_object(check_object_cloud(cloud, name), cleaned)
         assert cloud.T_world_camera is not None
         views.append(View(points, cloud.T_world_camera))

@@ -1,0 +1,109 @@
+"""`rgrasp segment`: what stands on the table, numbered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+
+def segment(
+    scene: Annotated[
+        Path,
+        typer.Argument(
+            help="A depth image (16-bit PNG, TIFF or PGM, or NPY) or a cloud (PLY, PCD, XYZ, TXT, "
+            "CSV or NPY)."
+        ),
+    ],
+    camera_pose: common.CameraPose = None,
+    intrinsics: common.Intrinsics = None,
+    depth_scale: common.DepthScale = None,
+    color: Annotated[
+        Path | None, typer.Option(help="Colour image to draw on, registered to the depth image.")
+    ] = None,
+    mask: common.Mask = None,
+    frame: Annotated[
+        str | None, typer.Option(help="camera or world [default: as the file says, else camera].")
+    ] = None,
+    unit: Annotated[str, typer.Option(help="Unit of a cloud: m, cm, mm or inch.")] = "m",
+    drop_invalid: Annotated[
+        bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
+    ] = False,
+    workspace: common.Workspace = None,
+    robot: Annotated[
+        Path | None,
+        typer.Option(
+            help="Whose points are left out, at home, and whose reach counts [default: LBR4 + "
+            "Allegro].",
+            show_default=False,
+        ),
+    ] = None,
+    no_clean: common.NoClean = False,
+    picture: Annotated[Path, typer.Option(help="Where the numbered objects are drawn.")] = Path(
+        "segment.png"
+    ),
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """List what stands on the table: number, centre, size, points; and draw it with the numbers.
+
+    `rgrasp mesh` and `rgrasp plan` take a number as --target; 1 is what they take without.
+
+    Example: rgrasp segment depth.png --intrinsics K.json --camera-pose T.json
+    """
+    from pointsdf_cli.camera.scene_file import SceneFileOptions
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.poses import box
+
+    reporter = common.Reporter(quiet, as_json)
+    common.check_picture(picture, force)
+    corners = None if workspace is None else box(workspace, "--workspace")
+    files = SceneFileOptions(
+        intrinsics,
+        depth_scale,
+        colour=color,
+        mask=mask,
+        unit=unit,
+        frame=frame,
+        drop_invalid=drop_invalid,
+    )
+
+    from pointsdf_cli.planning.choice import NoObjectError
+    from pointsdf_cli.planning.list_things import draw_things, list_things
+
+    try:
+        listing = list_things(scene, files, camera_pose, corners, robot, not no_clean)
+    except NoObjectError as error:
+        raise InputError(
+            error.what, where=error.where, allowed=error.allowed, hint=error.hint
+        ) from error
+    for note in listing.notes:
+        reporter.say(note)
+    draw_things(picture, listing, color)
+    lines = [f"{'number':>6}  {'centre [m]':^20}  {'size [cm]':^18}  points"]
+    for thing in listing.things:
+        centre = ", ".join(f"{value:6.3f}" for value in thing.centre)
+        size = " × ".join(f"{100 * value:4.1f}" for value in thing.size)
+        doubt = "  several in touch?" if thing.unsplit else ""
+        lines.append(f"{thing.number:>6}  {centre}  {size}  {listing.points[thing.number]}{doubt}")
+    lines.append(f"{picture}: the picture")
+    reporter.result(
+        {
+            "picture": picture,
+            "objects": [
+                {
+                    "number": thing.number,
+                    "centre": thing.centre,
+                    "size": thing.size,
+                    "points": listing.points[thing.number],
+                    "may_be_several": thing.unsplit,
+                }
+                for thing in listing.things
+            ],
+        },
+        lines,
+    )

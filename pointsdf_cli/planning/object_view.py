@@ -1,0 +1,128 @@
+"""One object's points out of a file: a cloud of it alone, a masked image, or a table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.scene_file import SceneFileOptions, is_depth_image, masked, read_view
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.visibility import ViewEvidence
+from pointsdf_cli.io.clouds import check_object_cloud
+from pointsdf_cli.io.poses import camera_pose, table_place
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ObjectView:
+    """What one view shows of one object.
+
+    Attributes:
+        points: [N, 3], camera frame, m.
+        T_frame_camera: [4, 4], the camera in the file's frame.
+        frame: "camera" or "world": the file's.
+        said: Sentences about what was kept.
+        alone: The file held nothing else.
+        evidence: What the camera saw around the object; None where the object is alone.
+    """
+
+    points: Array
+    T_frame_camera: Array
+    frame: str
+    said: tuple[str, ...] = ()
+    alone: bool = False
+    evidence: ViewEvidence | None = None
+
+
+def is_scene(path: Path, files: SceneFileOptions, pose: str | None) -> bool:
+    """Whether a file shows a table where nothing else was said: a depth image that has a pose or no
+    mask, or one that is to be posed over its table."""
+    if pose is not None and table_place(pose) is not None:
+        return True
+    return is_depth_image(path, files.intrinsics) and (pose is not None or files.mask is None)
+
+
+def bare_view(
+    path: Path, files: SceneFileOptions, pose: str | None, cleaned: bool = True
+) -> ObjectView:
+    """A cloud of an object alone, or the masked part of a view.
+
+    Raises:
+        InputError: It cannot be read, or is no cloud of an object.
+    """
+    from pointsdf_cli.planning.table_top import bare_object
+
+    view = read_view(path, files, None if pose is None else camera_pose(pose))
+    alone = masked(view)
+    _, T_frame_camera = alone.in_camera_frame()
+    if view.mask is None:  # what a mask takes in by mistake may be far away
+        check_object_cloud(alone, path)
+    points, said = bare_object(alone, cleaned)
+    notes = [*view.notes, *([said] if said else [])]
+    return ObjectView(
+        points, T_frame_camera, view.frame, tuple(f"{path}: {note}" for note in notes), True
+    )
+
+
+def segmented_view(
+    path: Path,
+    files: SceneFileOptions,
+    pose: str | None,
+    segment: str,
+    target: str | None,
+    robot: Path | None,
+    workspace: tuple[tuple[float, ...], tuple[float, ...]] | None,
+    cleaned: bool = True,
+) -> ObjectView:
+    """The object cut out of a view of a table.
+
+    Args:
+        path, files: The view and how it is read.
+        pose, target: As typed; see `scene_input.read_scene`.
+        segment: As for `look_at_table`.
+        robot: Its YAML; the bundled one if None.
+        workspace: Corners [m] of what is looked at; the usual ones if None.
+        cleaned: Whether flying pixels, outliers and specks are dropped.
+
+    Raises:
+        InputError: It cannot be read, has no pose, or shows no such object.
+    """
+    from pointsdf_cli.planning.choice import NoObjectError
+    from pointsdf_cli.planning.scene_input import read_scene
+    from pointsdf_cli.planning.table_top import look_at_table, workspace_of
+    from pointsdf_cli.robot.description import load_robot
+
+    around = workspace_of(workspace)
+    described = load_robot(robot)
+    try:
+        given = read_scene(
+            [path], [] if pose is None else [pose], [files], target, around, cleaned, described
+        )
+        found = look_at_table(
+            given.clouds,
+            [str(path)],
+            described,
+            described.home,
+            segment,
+            given.target,
+            around,
+            cleaned,
+        )
+    except NoObjectError as error:
+        raise InputError(
+            error.what, where=error.where, allowed=error.allowed, hint=error.hint
+        ) from error
+    view = found.views[0]
+    cloud = given.clouds[0]
+    return ObjectView(
+        view.points,
+        cloud.in_camera_frame()[1],
+        cloud.frame,
+        (*given.notes, *found.report),
+        False,
+        view.evidence,
+    )

@@ -1,0 +1,93 @@
+"""What stands on a table, numbered in the image that it was seen in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+from scipy import ndimage
+
+from pointsdf_cli.io.atomic import atomic_path
+
+COLOURS = (
+    (230, 25, 75),
+    (60, 180, 75),
+    (0, 130, 200),
+    (245, 130, 48),
+    (145, 30, 180),
+    (70, 200, 220),
+    (240, 50, 230),
+    (120, 110, 0),
+)
+LARGEST = 960
+"""Longer side [px] of the picture of a cloud that knows no image."""
+
+
+def segment_picture(
+    path: Path,
+    pixels: NDArray[np.float64],
+    depth: NDArray[np.float64],
+    number: NDArray[np.int64],
+    labels: Sequence[tuple[int, tuple[float, float]]],
+    size: tuple[int, int] | None = None,
+    background: NDArray[np.uint8] | None = None,
+) -> None:
+    """Draw every thing in a colour of its own with its number on it.
+
+    Args:
+        path: A PNG.
+        pixels: [N, 2], (u, v) of all points; of a cloud without an image any projection.
+        depth: [N], m.
+        number: [N], of the thing that each belongs to; 0 for none.
+        labels: The number of each thing and the pixel that it is written at.
+        size: (width, height) of the image; None fits the picture to the points.
+        background: u1 [height, width, 3] to draw on; None shades the depths.
+    """
+    if size is None:
+        low = pixels.min(axis=0)
+        scale = LARGEST / max(float(np.ptp(pixels, axis=0).max()), 1e-9)
+        pixels = (pixels - low) * scale
+        labels = [(k, tuple((np.asarray(at) - low) * scale)) for k, at in labels]
+        width, height = (int(n) + 1 for n in pixels.max(axis=0))
+    else:
+        width, height = size
+    u, v = np.clip(np.rint(pixels), 0, [width - 1, height - 1]).astype(int).T
+    image = _shaded(u, v, depth, width, height) if background is None else background.copy()
+    on = np.zeros((height, width), dtype=np.int64)
+    on[v, u] = number
+    if size is None:
+        on = ndimage.grey_dilation(on, size=(7, 7))
+    for k, _ in labels:
+        colour = np.array(COLOURS[(k - 1) % len(COLOURS)])
+        mine = on == k
+        edge = mine & ~ndimage.binary_erosion(mine, iterations=2)
+        image[mine] = (0.65 * image[mine] + 0.35 * colour).astype(np.uint8)
+        image[edge] = colour
+    drawing = Image.fromarray(image)
+    _write_numbers(ImageDraw.Draw(drawing), labels)
+    with atomic_path(path) as temporary:
+        drawing.save(temporary, format="PNG")
+
+
+def _write_numbers(
+    draw: ImageDraw.ImageDraw, labels: Sequence[tuple[int, tuple[float, float]]]
+) -> None:
+    font = ImageFont.load_default(22)
+    for k, (u, v) in labels:
+        box = draw.textbbox((u, v), str(k), font=font, anchor="mm")
+        draw.rectangle((box[0] - 4, box[1] - 4, box[2] + 4, box[3] + 4), fill=(255, 255, 255))
+        draw.text((u, v), str(k), font=font, anchor="mm", fill=COLOURS[(k - 1) % len(COLOURS)])
+
+
+def _shaded(
+    u: NDArray[np.int64], v: NDArray[np.int64], depth: NDArray[np.float64], width: int, height: int
+) -> NDArray[np.uint8]:
+    """Depths as shades of grey, near ones light; white where nothing was seen."""
+    near, far = np.percentile(depth, [1, 99])
+    shade = 220 - 160 * np.clip((depth - near) / max(far - near, 1e-6), 0, 1)
+    image = np.full((height, width), 255, dtype=np.uint8)
+    image[v, u] = shade.astype(np.uint8)
+    return np.repeat(image[..., None], 3, axis=2)
