@@ -34,7 +34,12 @@ def cloud(
     ] = None,
     pose: Annotated[
         str | None,
-        typer.Option(metavar="POSE", help="Camera in the world: X,Y,Z,QW,QX,QY,QZ, or a file."),
+        typer.Option(
+            "--camera-pose",
+            "--pose",
+            metavar="POSE",
+            help="Camera in the world: X,Y,Z,QW,QX,QY,QZ, or a file.",
+        ),
     ] = None,
     color: Annotated[
         Path | None, typer.Option(help="Colour image, registered to the depth image.")
@@ -77,7 +82,7 @@ def cloud(
 ) -> None:
     """Turn a depth image into a cloud that mesh and plan read.
 
-    Example: rgrasp cloud depth.png --intrinsics K.json --pose T.json --out cloud.ply
+    Example: rgrasp cloud depth.png --intrinsics K.json --camera-pose T.json --out cloud.ply
     Example: rgrasp cloud bag/ --topic /camera/depth/image_rect_raw --world-frame base_link
     """
     import numpy as np
@@ -100,7 +105,7 @@ def cloud(
         if color is not None or depth_scale is not None:
             what = "--color" if color is not None else "--depth-scale"
             raise InputError(f"{what} with a bag", where=depth, hint="leave it out")
-        fixed = None if pose is None else camera_pose(pose, "--pose")
+        fixed = None if pose is None else camera_pose(pose, "--camera-pose")
         _cloud_of_bag(
             common.Reporter(quiet, as_json), depth, bag, intrinsics, fixed, near, far, out
         )
@@ -114,7 +119,7 @@ def cloud(
     image = read_depth(depth, depth_scale)
     height, width = image.shape
     camera = read_intrinsics(intrinsics, width, height)
-    placed = None if pose is None else camera_pose(pose, "--pose")
+    placed = None if pose is None else camera_pose(pose, "--camera-pose")
     colours = None if color is None else read_colour(color)
     try:
         made = cloud_of_depth(image, camera, placed, colours, near, far)
@@ -129,7 +134,7 @@ def cloud(
         f"{dropped} pixels without a depth between {near:g} and {far:g} m dropped"
     ]
     if placed is None:
-        lines.append("no --pose: rgrasp mesh needs none, rgrasp plan will ask for --camera-pose")
+        lines.append("no --camera-pose: rgrasp mesh needs none, rgrasp plan will ask for it")
     common.Reporter(quiet, as_json).result(
         {
             "out": out,
@@ -163,12 +168,14 @@ def _cloud_of_bag(
     from pointsdf_cli.io.clouds import write_cloud
 
     if pose is not None and options.world_frame is not None:
-        raise InputError("two poses: --world-frame and --pose", where=path, hint="leave one out")
+        raise InputError(
+            "two poses: --world-frame and --camera-pose", where=path, hint="leave one out"
+        )
     made, frames, said = cloud_of_bag(path, options, intrinsics, near, far)
     if pose is not None:
         made = replace(made, T_world_camera=pose)
     elif made.T_world_camera is None:
-        said.append("rgrasp mesh needs no pose, rgrasp plan will ask for --camera-pose")
+        said.append("rgrasp mesh needs no pose, rgrasp plan will ask for it")
     write_cloud(out, made)
     middle = float(np.median(made.points[:, 2]))
     place = f"image {frames.number}" if frames.number >= 0 else f"the image at {options.time:g} s"
