@@ -100,12 +100,10 @@ def cloud(
     bag = BagOptions(topic, info_topic, world_frame, index, time, frames)
     typed = camera_pose if camera_pose is not None else pose
     if is_bag(depth):
-        if color is not None or depth_scale is not None or mask is not None:
-            raise InputError(
-                "--color, --depth-scale and --mask do not go with a bag",
-                where=depth,
-                hint="leave them out",
-            )
+        options_of_images = {"--color": color, "--depth-scale": depth_scale, "--mask": mask}
+        for option, given in options_of_images.items():
+            if given is not None:
+                raise InputError(f"{option} with a bag", where=depth, hint="leave it out")
         fixed = None if typed is None else parse_pose(typed)
         _cloud_of_bag(
             common.Reporter(quiet, as_json), depth, bag, intrinsics, fixed, near, far, out
