@@ -1,0 +1,191 @@
+"""How well objects are completed from real depth, and from exact views whose masks err.
+
+    python benchmarks/real_depth.py CAPTURES MESHES [--checkpoint DIR] [--picture page.png]
+
+CAPTURES holds folders with depth.png (0.1 mm a step), K.json, truth.json and either label.png or
+T_world_camera.json; MESHES the scans that truth.json names. Prints IoU and Chamfer distance of
+
+1. each registered object in each capture, cut out by its label (2 px too small) or by the table's
+   plane: the bare cloud, the cloud cleaned, and the cloud cleaned with its evidence (free space
+   around it and support plane);
+2. exact views of the meshes at 1 m (fx 1067) whose masks are too small by 0, 1, 2 and 4 px, bare
+   and with evidence.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+from pointsdf_cli.camera.cleaning import clean
+from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.geometry.frames import (
+    apply_transform,
+    invert_transform,
+    random_rotation,
+    transform,
+)
+from pointsdf_cli.geometry.isosurface import EmptySurfaceError
+from pointsdf_cli.geometry.metrics import Score, Shape, compare, failure
+from pointsdf_cli.geometry.visibility import PLANE_BAND, ViewEvidence, visibility_image
+from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
+from pointsdf_cli.models.meshing import mesh_reconstruction
+from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.models.registry import load_model
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
+
+Array = NDArray[np.float64]
+SAMPLES = 20_000
+
+
+class Case(NamedTuple):
+    """One object as seen; points in the camera frame, m."""
+
+    name: str
+    points: Array
+    others: Array
+    plane: Array | None
+    mesh: LoadedMesh
+    T_camera_mesh: Array
+
+
+def real_cases(captures: Path, meshes: Path) -> Iterator[Case]:
+    """Every object of the captures whose pose is known."""
+    for truth_file in sorted(captures.glob("*/truth.json")):
+        folder, truth = truth_file.parent, json.loads(truth_file.read_text())
+        depth = np.asarray(Image.open(folder / "depth.png")) * 1e-4
+        K = np.array(json.loads((folder / "K.json").read_text()))
+        height, width = depth.shape
+        camera = Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+        v, u = np.nonzero(depth > 0)
+        points = camera.back_project(u, v, depth[v, u])
+        plane = table_plane(points[points[:, 2] < 1.6])
+        height_above = points @ plane[:3] - plane[3]
+        if "mesh" in truth:
+            T_world_camera = np.array(json.loads((folder / "T_world_camera.json").read_text()))
+            poses = {truth["mesh"]: invert_transform(T_world_camera) @ truth["T_world_mesh"]}
+            near = (height_above > PLANE_BAND) & (height_above < 0.4) & (points[:, 2] < 0.9)
+            masks = {truth["mesh"]: near}
+        else:
+            poses = {name: np.array(pose) for name, pose in truth["T_camera_mesh"].items()}
+            label = np.asarray(Image.open(folder / "label.png"))
+            numbers = {name: int(number) for number, name in truth["labels"].items()}
+            masks = {
+                name: ndimage.binary_erosion(label == numbers[name], iterations=2)[v, u]
+                for name in poses
+            }
+        for name, pose in poses.items():
+            mesh = load_mesh(next(meshes.rglob(f"{name}*.ply")))
+            mine = masks[name]
+            yield Case(f"{folder.name} {name}", points[mine], points[~mine], plane, mesh, pose)
+
+
+def exact_cases(meshes: Path, erosion: int, most: int = 13) -> Iterator[Case]:
+    """One exact view of each of `most` meshes, seen from above before a wall 0.5 m behind."""
+    camera = Camera(640, 480, 1067.0, 1067.0, 319.5, 239.5)
+    rng = np.random.default_rng(0)
+    files = sorted(meshes.glob("*.ply"))
+    for file in files[:: max(1, len(files) // most)][:most]:
+        mesh = load_mesh(file)
+        centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+        rotation = random_rotation(rng)
+        pose = transform(rotation, np.array([0, 0, 1.0]) - rotation @ centre)
+        window = MeshCaster(mesh.vertices, mesh.faces, camera).cast_window(pose, margin=0.45)
+        full = np.isfinite(window.depth)
+        mask = ndimage.binary_erosion(full, iterations=erosion) if erosion else full
+        depth = np.where(full, window.depth, 1.5)
+        rows, columns = np.indices(depth.shape).reshape(2, -1)
+        points = camera.back_project(
+            columns + window.origin[0], rows + window.origin[1], depth.ravel()
+        )
+        inside = mask.ravel()
+        if inside.sum() >= 60:
+            yield Case(file.stem, points[inside], points[~inside], None, mesh, pose)
+
+
+def table_plane(points: Array) -> Array:
+    """The largest plane [4] that faces the camera, its normal towards it (RANSAC, Open3D)."""
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points[::5]))
+    o3d.utility.random.seed(0)
+    (a, b, c, d), _ = cloud.segment_plane(0.005, 3, 1000)
+    plane = np.array([a, b, c, -d])
+    return plane if plane[3] < 0 else -plane
+
+
+def evidence_of(case: Case, points: Array) -> ViewEvidence:
+    """What the view knows around the object."""
+    return ViewEvidence(visibility_image(points, case.others, case.plane), case.plane)
+
+
+def completed(
+    model: ShapeModel, case: Case, points: Array, evidence: ViewEvidence | None, seed: int = 0
+) -> tuple[Score, tuple[Array, NDArray[np.int64]] | None]:
+    """The score of one reconstruction, and its mesh in the camera frame."""
+    rng = np.random.default_rng(1)
+    truth = Shape(
+        apply_transform(case.T_camera_mesh, case.mesh.vertices), case.mesh.faces, rng, SAMPLES
+    )
+    shape = Reconstruction.from_cloud(model, points, np.zeros(3), seed=seed, evidence=evidence)
+    try:
+        made = mesh_reconstruction(shape, 64)
+    except EmptySurfaceError:
+        return failure(truth.diagonal), None
+    prediction = Shape(made.vertices, made.faces, rng, SAMPLES)
+    return compare(prediction, truth, rng, SAMPLES), (made.vertices, made.faces)
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("captures", type=Path)
+    parser.add_argument("meshes", type=Path)
+    parser.add_argument("--checkpoint", type=Path)
+    parser.add_argument("--picture", type=Path)
+    options = parser.parse_args()
+    model = load_model(options.checkpoint)
+
+    print("real depth: IoU (Chamfer mm)   bare | cleaned | cleaned, with evidence")
+    rows, table = [], []
+    for case in real_cases(options.captures, options.meshes):
+        kept = case.points[clean(case.points).kept]
+        found = [
+            completed(model, case, case.points, None),
+            completed(model, case, kept, None),
+            completed(model, case, kept, evidence_of(case, kept)),
+        ]
+        table.append([[score.iou, score.chamfer] for score, _ in found])
+        said = " | ".join(f"{score.iou:.3f} ({1e3 * score.chamfer:.1f})" for score, _ in found)
+        print(f"{case.name:40s} {said}", flush=True)
+        truth = (apply_transform(case.T_camera_mesh, case.mesh.vertices), case.mesh.faces)
+        rows.append(GalleryRow(case.name.replace(" ", "\n"), kept, found[2][1], truth))
+    mean = np.mean(table, axis=0)
+    print(f"{'mean':40s} " + " | ".join(f"{iou:.3f} ({1e3 * cd:.1f})" for iou, cd in mean))
+    if options.picture:
+        draw_gallery(options.picture, rows)
+
+    print("exact views, mask too small by:   bare | with evidence")
+    for erosion in (0, 1, 2, 4):
+        ious = [
+            (
+                completed(model, case, case.points, None)[0].iou,
+                completed(model, case, case.points, evidence_of(case, case.points))[0].iou,
+            )
+            for case in exact_cases(options.meshes, erosion)
+        ]
+        bare, known = np.mean(ious, axis=0)
+        print(f"{erosion} px{'':36s} {bare:.3f} | {known:.3f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
