@@ -60,6 +60,39 @@ def plan() -> Plan:
     )
 
 
+def with_tetrahedron(plan: Plan) -> Plan:
+    vertices = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], np.float32)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
+    return replace(plan, object_vertices=vertices, object_faces=faces)
+
+
+def test_a_plan_keeps_the_completed_object(plan: Plan, tmp_path: Path) -> None:
+    whole = with_tetrahedron(plan)
+    write_plan(tmp_path / "plan.h5", whole, seed=0)
+    back = read_plan(tmp_path / "plan.h5")
+    np.testing.assert_array_equal(back.object_vertices, whole.object_vertices)
+    np.testing.assert_array_equal(back.object_faces, whole.object_faces)
+
+
+def test_a_plan_of_before_has_no_object_and_is_read(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.h5"
+    write_plan(path, with_tetrahedron(plan), seed=0)
+    with h5py.File(path, "a") as file:
+        del file["object_vertices"], file["object_faces"]
+    back = read_plan(path)
+    np.testing.assert_array_equal(back.q, plan.q)
+    assert back.object_vertices.shape == back.object_faces.shape == (0, 3)
+
+
+def test_faces_of_vertices_that_are_not_there_are_refused(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.h5"
+    write_plan(path, with_tetrahedron(plan), seed=0)
+    with h5py.File(path, "a") as file:
+        file["object_faces"][0, 0] = 4
+    with pytest.raises(InputError, match="faces"):
+        read_plan(path)
+
+
 def no_plan(plan: Plan) -> Plan:
     nan = np.full(2, np.nan)
     return replace(

@@ -15,8 +15,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.geometry.fine_cells import FineGrid, refine_cells
@@ -176,6 +174,9 @@ def _keep_large_parts(
     Cavities count by the volume they enclose, like bodies: those kept keep the solid as the field
     says it is, and no body is dropped without its cavities.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     ends = (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())
     links = coo_array((np.ones(len(ends[0]), bool), ends), shape=(len(vertices),) * 2)
     count, part = connected_components(links, directed=False)

@@ -1,0 +1,71 @@
+"""What a command need not import, it does not: mistakes are told before heavy libraries load."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pointsdf_cli.assets import asset_path
+
+TABLE = str(asset_path("clouds/table.ply"))
+HEAVY = ("torch", "open3d", "trimesh", "scipy", "matplotlib", "cvxpy")
+
+RUN = """
+import sys
+from pointsdf_cli.cli.main import main
+sys.argv = ["rgrasp", *sys.argv[1:]]
+try:
+    main()
+except SystemExit as leave:
+    print("code", leave.code)
+print("loaded", *(name for name in {heavy} if name in sys.modules))
+"""
+
+
+def run(code: str, *words: str) -> list[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, check=True
+    )
+    return done.stdout.splitlines()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["plan", TABLE, "--robot", "none.yaml"],
+        ["plan", TABLE, "--start", "1,2,3"],
+        ["plan", TABLE, "--method", "guess"],
+        ["plan", TABLE, "--margin", "1"],
+        ["plan", TABLE, "--checkpoint", "none"],
+        ["plan", TABLE, "--device", "abacus"],
+        ["plan", TABLE, "--environment", "none.yaml"],
+        ["plan", "{}/lost.xyz"],
+        ["plan", "{}/millimetres.xyz", "--camera-pose", "0,0,1,0,1,0,0"],
+        ["mesh", TABLE, "--checkpoint", "none"],
+    ],
+)
+def test_a_mistake_is_told_before_anything_heavy_loads(words: list[str], tmp_path: Path) -> None:
+    places = [(k % 10 / 100, k // 10 / 100, 0.8 + k / 1e4) for k in range(99)]
+    for name, factor in (("lost", 1), ("millimetres", 1000)):
+        lines = [" ".join(f"{factor * value}" for value in place) for place in places]
+        (tmp_path / f"{name}.xyz").write_text("\n".join(lines))
+    out = ["--out", str(tmp_path / ("no.h5" if words[0] == "plan" else "no.ply"))]
+    code = RUN.replace("{heavy}", repr(HEAVY))
+    told = run(code, *(word.format(tmp_path) for word in words), *out)
+    assert told == ["code 2", "loaded"]
+
+
+def test_open3d_loads_without_its_notebooks() -> None:
+    told = run(
+        "import sys\n"
+        "from pointsdf_cli.geometry.open3d_core import o3d\n"
+        "print('open3d' in sys.modules)\n"
+        "print(o3d.t.geometry.RaycastingScene().cast_rays is not None)\n"
+        "print(*(name for name in ('dash', 'plotly', 'IPython') if name in sys.modules))\n"
+        "import open3d\n"
+        "print(open3d.__name__)\n"
+    )
+    assert told == ["False", "True", "", "open3d"]
