@@ -11,7 +11,7 @@ import pytest
 from pointsdf_cli.assets import asset_path
 
 TABLE = str(asset_path("clouds/table.ply"))
-HEAVY = ("torch", "open3d", "trimesh", "scipy", "matplotlib", "cvxpy")
+HEAVY = ("torch", "open3d", "trimesh", "matplotlib", "cvxpy")
 
 RUN = """
 import sys

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.things import Things
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.kinematics import Kinematics
 
 Array = NDArray[np.float64]
 
@@ -82,6 +80,10 @@ class Thing:
 
 def reach_of(robot: RobotDescription) -> tuple[float, float]:
     """Level distances [m] from the robot's base between which its palm gets near the table."""
+    import torch
+
+    from pointsdf_cli.robot.kinematics import Kinematics
+
     kinematics = Kinematics(robot)
     rng = np.random.default_rng(0)
     low, high = robot.lower[robot.arm], robot.upper[robot.arm]

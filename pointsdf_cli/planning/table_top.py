@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import QhullError, cKDTree
 
@@ -157,6 +156,8 @@ def clutter(points: Array, taken: Collection[str] = ()) -> tuple[Obstacle, ...]:
         points: [N, 3], world, m; what one camera saw, or several.
         taken: Names that other obstacles have.
     """
+    import trimesh
+
     names = (name for k in count(1) if (name := f"seen_{k}") not in taken)
     obstacles: list[Obstacle] = []
     if not len(points):

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from pointsdf_cli.geometry.box import strictly_inside
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.kinematics import Kinematics
-from pointsdf_cli.robot.surface import robot_surface
 
 Array = NDArray[np.float64]
 
@@ -20,6 +17,11 @@ ROBOT_MARGIN = 0.03
 
 def robot_points(robot: RobotDescription, q: Array) -> Array:
     """Samples [N, 3] of the robot's surface at a configuration [J], 1 cm apart, world, m."""
+    import torch
+
+    from pointsdf_cli.robot.kinematics import Kinematics
+    from pointsdf_cli.robot.surface import robot_surface
+
     kinematics, surface = Kinematics(robot), robot_surface(robot)
     links = [(link, torch.from_numpy(np.array(points))) for link, points in surface.items()]
     with torch.no_grad():
