@@ -39,9 +39,11 @@ def folder(tmp_path: Path) -> Path:
 
 def test_pixels_land_where_the_pinhole_says(folder: Path, cli: Callable) -> None:
     out = folder / "cloud.ply"
-    done = cli("cloud", folder / "depth.png", "--intrinsics", folder / "K.json", "--out", out)
+    base = ("cloud", folder / "depth.png", "--intrinsics", folder / "K.json", "--out", out)
+    done = cli(*base, "--no-clean")  # three pixels are three outliers
     assert done.code == 0, done.err
     points = read_cloud(out).points
+    assert "--no-clean" in cli(*base, "--force").err
     # The principal point looks straight ahead; two pixels to the right at 2 m are 2/500·2 m;
     # three pixels down at 0.8 m are 3/400·0.8 m.
     assert np.allclose(points, [[0, 0, 1], [0.008, 0, 2], [0, 0.006, 0.8]], atol=1e-6)
@@ -57,6 +59,7 @@ def test_pose_and_colours_travel_with_the_cloud(folder: Path, cli: Callable) -> 
     done = cli(
         "cloud", folder / "depth.png", "--intrinsics", folder / "K.json", "--pose",
         folder / "T.json", "--color", folder / "rgb.png", "--out", folder / "c.ply", "--json",
+        "--no-clean",
     )  # fmt: skip
     assert done.code == 0, done.err
     assert json.loads(done.out)["has_pose"]

@@ -238,7 +238,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     "a time beyond the end": (of(messages(raw(3)), "--time", 9), "after 9 s"),
     "no images asked for": (of(messages(raw()), "--frames", 0), "1 to 100"),
     "nothing but gaps": (
-        of(messages([image(BEGIN, np.zeros((6, 8), np.uint16), "16UC1")])), "none at all",
+        of(messages([image(BEGIN, np.zeros((6, 8), np.uint16), "16UC1")])), "0 everywhere",
     ),
     "a bag of ROS 1": (with_file("a.bag", b"#ROSBAG V2.0\n"), "rosbags-convert"),
     "a file of rubbish": (with_file("a.mcap", b"rubbish" * 100), "no readable ROS 2 bag"),

@@ -78,6 +78,7 @@ def cloud(
     """Turn a depth image into a cloud that mesh and plan read.
 
     Example: rgrasp cloud depth.png --intrinsics K.json --camera-pose T.json --out cloud.ply
+
     Example: rgrasp cloud bag/ --topic /camera/depth/image_rect_raw --world-frame base_link
     """
     from dataclasses import replace
@@ -140,6 +141,8 @@ def cloud(
         made, said = cleaned_view(made, whole_scene=mask is None)
         if said:
             reporter.say(said)
+        if not len(made.points):
+            raise InputError("cleaning left no points", where=depth, hint="add --no-clean")
     write_cloud(out, replace(made, pixels=None, image=None))
     middle = float(np.median(made.points[:, 2]))
     lines = [
