@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.camera.concave_split import SplitConfig, standing_parts
+from pointsdf_cli.camera.hollow import HollowConfig, whole_bowls
 from pointsdf_cli.camera.segmentation import SegmentationConfig, clusters, find_table
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.box import strictly_inside
@@ -32,6 +33,8 @@ class ThingsConfig:
         floating: A part that starts this high [m] above the table stands on nothing.
         bridge: It belongs to a thing below or beside it that is nearer than this [m]: the camera
             did not see what joins them.
+        hollow: How bowls are made whole.
+        flattest: What nowhere rises higher than this [m] is the table's unevenness.
         split: How things that touch are told apart.
     """
 
@@ -40,6 +43,8 @@ class ThingsConfig:
     thickest_band: float = 0.015
     floating: float = 0.03
     bridge: float = 0.05
+    hollow: HollowConfig = field(default_factory=HollowConfig)
+    flattest: float = 0.008
     split: SplitConfig = field(default_factory=SplitConfig)
 
 
@@ -57,12 +62,13 @@ class Things:
     plane: Array | None
     unsplit: frozenset[int] = frozenset()
 
-    def standing(self, points: Array, floating: float = 0.03) -> NDArray[np.bool_]:
+    def standing(self, points: Array, hidden: float = 0.08) -> NDArray[np.bool_]:
         """Which things [T] begin near the table and over it; all where no table was seen.
 
         Args:
             points: [N, 3], world, m.
-            floating: A thing that starts higher than this [m] stands on nothing.
+            hidden: A thing that starts higher than this [m] stands on nothing; what is nearer to
+                the camera may hide the foot of one that starts lower.
         """
         stands = np.ones(self.count, dtype=bool)
         table = points[self.label == TABLE]
@@ -77,7 +83,7 @@ class Things:
             mine = self.label == one
             foot = points[mine][height[mine] < height[mine].min() + 0.02, :2]
             over = ((foot > low - 0.03) & (foot < high + 0.03)).all(axis=1).mean() > 0.5
-            stands[one] = bool(np.percentile(height[mine], 1) < floating and over)
+            stands[one] = bool(np.percentile(height[mine], 1) < hidden and over)
         return stands
 
     @property
@@ -105,10 +111,26 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
     if plane is not None:
         above = height > _band(inside, camera, config)
     label[index[~above]] = TABLE
-    index, height = index[above], height[above]
+    low, index, height = index[~above], index[above], height[above]
     if not len(index):
         return Things(label, plane)
     own, counts = clusters(points[index], usual.gap)
+    bowls: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+    if plane is not None:
+        own, floor = whole_bowls(points[index], own, points[low], camera, config.hollow)
+        # A floor takes part in the grouping from here on as what it is.
+        is_floor = floor >= 0
+        bowls = np.unique(floor[is_floor])
+        index = np.concatenate([index, low[is_floor]])
+        height = np.concatenate([height, points[low[is_floor]] @ plane[:3] - plane[3]])
+        own = np.concatenate([own, floor[is_floor]])
+        counts = np.bincount(own, minlength=len(counts))
+        flat = _flat(height, own, counts, config)
+        label[index[flat]] = TABLE
+        index, height, own = index[~flat], height[~flat], own[~flat]
+        counts = np.bincount(own, minlength=len(counts))
+        if not len(index):
+            return Things(label, plane)
     own = _bridged(points[index], height, own, counts, config, plane is not None)
     big = np.flatnonzero(np.bincount(own, minlength=len(counts)) >= usual.fewest)
     label[index] = LOOSE
@@ -116,7 +138,11 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
     count = 0
     for one in big:
         mine = np.flatnonzero(own == one)
-        parts, doubtful = standing_parts(points[index[mine]], height[mine], camera, config.split)
+        parts, doubtful = np.zeros(len(mine), dtype=np.int64), False
+        if one not in bowls:  # the valley between a bowl's walls parts nothing
+            parts, doubtful = standing_parts(
+                points[index[mine]], height[mine], camera, config.split
+            )
         label[index[mine]] = count + parts
         if doubtful:
             unsplit.add(count)
@@ -156,6 +182,15 @@ def _band(points: Array, camera: Array, config: ThingsConfig) -> Array | float:
         return band
     distance = np.linalg.norm(points - camera, axis=1)
     return np.clip(band * distance**2, band, max(band, config.thickest_band))
+
+
+def _flat(
+    height: Array, group: NDArray[np.int64], counts: NDArray[np.int64], config: ThingsConfig
+) -> NDArray[np.bool_]:
+    """Points [N] of groups that rise above the table no more than its own unevenness."""
+    high = np.zeros(len(counts), dtype=np.int64)
+    np.add.at(high, group, height > config.flattest)
+    return high[group] < 0.02 * counts[group]
 
 
 def _bridged(

@@ -1,0 +1,189 @@
+"""Bowls made whole: a floor as low as the table, and a near wall that stands apart from the far one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class HollowConfig:
+    """What counts as the inside of a bowl.
+
+    Attributes:
+        cell: The image is looked at in cells that are this wide [m] at the group.
+        edge: So many cells beside an island belong to its border: an edge returns no depth.
+        own: A floor's border is the bowl's to this share.
+        both: The walls of one bowl have this share of the border together ...
+        each: ... and this one each, and are no farther apart than `gap` [m].
+        within: This share of the floor is within the walls, seen from above.
+        fewest: Cells of a floor that joins two walls.
+        widest: Wider groups [m] are not looked at.
+    """
+
+    cell: float = 0.0035
+    edge: int = 5
+    own: float = 0.8
+    both: float = 0.9
+    each: float = 0.1
+    gap: float = 0.03
+    within: float = 0.7
+    fewest: int = 20
+    widest: float = 0.45
+
+
+def whole_bowls(
+    points: Array, group: Labels, flat: Array, camera: Array, config: HollowConfig | None = None
+) -> tuple[Labels, Labels]:
+    """Join the walls of a bowl, and give it its floor.
+
+    In the image, the floor of a bowl is an island of what looks like the table, with the far wall
+    behind it and the near rim before it; seen from above it is within the walls. What is seen
+    through the handle of a mug is an island too, and lies outside.
+
+    Args:
+        points: [N, 3], above the table, world, m.
+        group: [N], which of them hang together, from 0.
+        flat: [M, 3], on the table as it seems, world, m.
+        camera: [3], where it stood, m.
+        config: Thresholds.
+
+    Returns:
+        The group [N] of each point, those of one bowl being equal, and the group [M] of each flat
+        point: that of the bowl whose floor it is, or -1.
+    """
+    config = config or HollowConfig()
+    joined = group.copy()
+    floor = np.full(len(flat), -1, dtype=np.int64)
+    if not len(flat) or not len(points):
+        return joined, floor
+    sight, flat_sight = _tangents(points, flat, camera)
+    for one in np.argsort(-np.bincount(group), kind="stable"):
+        mine = joined == one
+        if mine.sum() < 60 or np.ptp(points[mine, :2], axis=0).max() > config.widest:
+            continue
+        size = config.cell / float(np.linalg.norm(np.median(points[mine], axis=0) - camera))
+        islands = _islands(sight, joined, flat_sight, int(one), size, config)
+        for on_island, border in islands:
+            _claim(points, joined, flat, floor, int(one), on_island, border, config)
+    return joined, floor
+
+
+def _claim(
+    points: Array,
+    joined: Labels,
+    flat: Array,
+    floor: Labels,
+    one: int,
+    on_island: Labels,
+    border: Labels,
+    config: HollowConfig,
+) -> None:
+    """Give an island (indices of flat points) to group `one`, with another wall if it has two."""
+    groups, counts = np.unique(border, return_counts=True)
+    share = dict(zip(groups.tolist(), (counts / len(border)).tolist(), strict=True))
+    mine = share.pop(one, 0.0)
+    if mine >= config.own:
+        if _within(flat[on_island], points[joined == one], config):
+            floor[on_island] = one
+        return
+    other = max(share, key=lambda k: share[k], default=-1)
+    if other < 0 or len(on_island) < config.fewest:
+        return
+    if min(mine, share[other]) < config.each or mine + share[other] < config.both:
+        return
+    first, second = points[joined == one], points[joined == other]
+    both = np.concatenate([first, second])
+    if np.ptp(both[:, :2], axis=0).max() > config.widest:
+        return
+    near = cKDTree(first).query(second, distance_upper_bound=config.gap)[0].min() < config.gap
+    if near and _within(flat[on_island], both, config):
+        joined[joined == other] = one
+        floor[floor == other] = one
+        floor[on_island] = one
+
+
+def _tangents(points: Array, flat: Array, camera: Array) -> tuple[Array, Array]:
+    """Where points [N, 3] and flat ones [M, 3] are in an image that looks at the points' middle."""
+    forward = np.median(points, axis=0) - camera
+    forward /= np.linalg.norm(forward)
+    side = np.cross(forward, [0.0, 0.0, 1.0])
+    if np.linalg.norm(side) < 1e-3:
+        side = np.array([1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    down = np.cross(forward, side)
+
+    def seen(places: Array) -> Array:
+        away = places - camera
+        depth = np.maximum(away @ forward, 0.05)
+        return np.stack([away @ side, away @ down], axis=1) / depth[:, None]
+
+    return seen(points), seen(flat)
+
+
+def _islands(
+    sight: Array, group: Labels, flat_sight: Array, one: int, size: float, config: HollowConfig
+) -> list[tuple[Labels, Labels]]:
+    """Islands of flat points in the window of a group.
+
+    Returns:
+        For each the indices of its flat points, and the groups [B] of the cells at its border.
+    """
+    low = sight[group == one].min(axis=0) - 20 * size
+    shape = np.ceil((sight[group == one].max(axis=0) - low) / size).astype(int) + 21
+    if shape.prod() > 4_000_000:
+        return []
+
+    def cells(places: Array) -> tuple[Labels, tuple[Labels, Labels]]:
+        at = np.floor((places - low) / size).astype(np.int64)
+        ok = np.flatnonzero(((at >= 0) & (at < shape)).all(axis=1))
+        return ok, (at[ok, 0], at[ok, 1])
+
+    things = np.full(shape, -1, dtype=np.int64)
+    ok, at = cells(sight)
+    things[at] = group[ok]
+    ok, flat_at = cells(flat_sight)
+    low_cells = np.zeros(shape, dtype=bool)
+    low_cells[flat_at] = True
+    square = np.ones((3, 3))
+    low_cells &= things < 0
+    # A rim returns no depth here and there: a gap of four cells in it lets nothing out.
+    wide_open = ndimage.convolve(low_cells.astype(np.int8), np.ones((5, 5), np.int8)) >= 20
+    label, _ = ndimage.label(low_cells & wide_open, square)
+    for _ in range(2):
+        label = np.where(label > 0, label, ndimage.grey_dilation(label, (3, 3)) * low_cells)
+    found = []
+    for k, box in enumerate(ndimage.find_objects(label), 1):
+        touches = any(s.start == 0 or s.stop == n for s, n in zip(box, shape, strict=True))
+        if touches:
+            continue
+        wide = tuple(
+            slice(max(0, s.start - config.edge), s.stop + config.edge) for s in box
+        )
+        island = label[wide] == k
+        ring = ndimage.binary_dilation(island, square, config.edge) & ~island
+        border = things[wide][ring]
+        # Other flat cells beside it are open ground: what they touch is no island.
+        beside_it = ndimage.binary_dilation(island, square, 2) & ~island
+        open_ground = int((low_cells[wide][beside_it]).sum())
+        border = np.concatenate([border[border >= 0], np.full(open_ground, -2)])
+        if len(border):
+            found.append((ok[label[flat_at] == k], border))
+    return found
+
+
+def _within(flat: Array, walls: Array, config: HollowConfig) -> bool:
+    """Whether most flat points [M, 3] are within the walls [N, 3], seen from above."""
+    try:
+        hull = ConvexHull(walls[:, :2])
+        inside = Delaunay(walls[hull.vertices, :2]).find_simplex(flat[:, :2]) >= 0
+    except QhullError:
+        return False
+    return bool(inside.mean() >= config.within)
