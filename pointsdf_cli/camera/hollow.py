@@ -1,4 +1,4 @@
-"""Bowls made whole: a floor as low as the table, and a near wall that stands apart from the far one."""
+"""Bowls made whole: a floor as low as the table, a near wall that stands apart from the far one."""
 
 from __future__ import annotations
 
