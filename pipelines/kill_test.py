@@ -4,8 +4,10 @@
 
 After each SIGKILL of the whole process group every file with a final name must be readable, and
 every finished view and label file must be byte for byte what it was. In the end the pipeline runs
-through, and with --reference (the folder of a run that nobody killed) its views, labels and grasps
-must equal that run's. Prints one line a kill; exit code 1 if anything was lost.
+through: nothing may be left in the folder of temporary files, and with --reference (the folder of a
+run that nobody killed) views, labels, grasps and the networks' weights must equal that run's, and
+the trials but for the time that planning took. Prints one line a kill and how many kills each step
+had; exit code 1 if anything was lost.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -27,6 +31,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import read_checkpoint, read_train_state
 from pointsdf_cli.io.describe import describe
 from pointsdf_cli.io.grasps import read_grasps
+from pointsdf_cli.io.trials import read_trial, read_trials
 
 SCRIPT = Path(__file__).with_name("paper.sh")
 
@@ -42,13 +47,16 @@ def main() -> None:
     rng, started = random.Random(options.seed), time.monotonic()
     finished: dict[Path, str] = {}
     losses = kills = 0
+    steps_killed: Counter[str] = Counter()
     while kills < options.kills:
         delay = rng.uniform(0.0, options.longest)
         ended = run_for(options.work, delay)
         found = look(options.work, finished)
         losses += len(found)
         steps = len(list((options.work / "done").glob("*")))
-        what = "ended by itself" if ended else f"killed after {delay:.1f} s"
+        at = step_of(log_of(options.work))
+        what = "ended by itself" if ended else f"killed after {delay:.1f} s in {at}"
+        steps_killed[at] += not ended
         print(f"{what}: {steps} steps done, {len(finished)} files, lost: {found or 'nothing'}")
         kills += not ended
         if ended:  # from the beginning of what can be made again, so that later kills count too
@@ -58,7 +66,9 @@ def main() -> None:
     found = look(options.work, finished)
     if options.reference:
         found += differing(options.work, options.reference)
+    found += [f"{left} is left" for left in temporary_of(options.work).iterdir()]
     losses += len(found)
+    print("kills by step:", ", ".join(f"{n} {step}" for step, n in steps_killed.items() if n))
     print(
         f"{kills} kills in {time.monotonic() - started:.0f} s, then run through; "
         f"lost: {losses} {found or ''}"
@@ -68,12 +78,14 @@ def main() -> None:
 
 def run_for(work: Path, seconds: float | None) -> bool:
     """Start the pipeline, kill it and all its children after so long; whether it ended before."""
-    log = work.with_name(work.name + ".log")
+    log = log_of(work)
     log.parent.mkdir(parents=True, exist_ok=True)
+    temporary_of(work).mkdir(exist_ok=True)
+    temporary = str(temporary_of(work).resolve())
     with open(log, "a") as output:
         process = subprocess.Popen(
             ["bash", str(SCRIPT), str(work.resolve())],
-            env={**os.environ, "SCALE": "tiny", "JOBS": "1"},
+            env={**os.environ, "SCALE": "tiny", "JOBS": "1", "TMPDIR": temporary},
             stdout=output, stderr=output, start_new_session=True,
         )  # fmt: skip
         try:
@@ -87,6 +99,21 @@ def run_for(work: Path, seconds: float | None) -> bool:
     return True
 
 
+def log_of(work: Path) -> Path:
+    return work.with_name(work.name + ".log")
+
+
+def temporary_of(work: Path) -> Path:
+    """The folder of temporary files of all runs."""
+    return work.with_name(work.name + ".tmp")
+
+
+def step_of(log: Path) -> str:
+    """The step that was begun last."""
+    begun = [line.split()[1] for line in log.read_text().splitlines() if line.startswith("== ")]
+    return begun[-1].rstrip(":") if begun else "the start"
+
+
 def look(work: Path, finished: dict[Path, str]) -> list[str]:
     """What is damaged or gone; `finished` takes in the sums of what is new."""
     found = []
@@ -94,7 +121,8 @@ def look(work: Path, finished: dict[Path, str]) -> list[str]:
         if path.name.startswith("."):
             continue
         try:
-            read_grasps(path) if "grasps" in path.parts else describe(path)
+            read = {"grasps": read_grasps, "trials": _read_trials}
+            next((read[part] for part in path.parts if part in read), describe)(path)
         except InputError as error:
             found.append(error.message)
         if path.is_relative_to(work / "views") or path.is_relative_to(work / "labels"):
@@ -113,6 +141,10 @@ def look(work: Path, finished: dict[Path, str]) -> list[str]:
     return found
 
 
+def _read_trials(path: Path) -> object:
+    return read_trials(path) if path.name == "trials.h5" else read_trial(path)
+
+
 def differing(work: Path, reference: Path) -> list[str]:
     """Artifacts whose arrays are not those of the uninterrupted run."""
     found = []
@@ -128,7 +160,16 @@ def differing(work: Path, reference: Path) -> list[str]:
                 )
             if not same:
                 found.append(f"{other} differs")
-    return found
+    for one in sorted(reference.glob("*/*/model.safetensors")):
+        other = work / one.relative_to(reference)
+        if not other.exists() or other.read_bytes() != one.read_bytes():
+            found.append(f"{other} differs or is missing")
+    untimed = {"planning_time": 0.0, "planning_cpu": 0.0}
+    rows = [
+        [repr(replace(row, **untimed)) for row in read_trials(folder / "trials" / "trials.h5")]
+        for folder in (reference, work)
+    ]
+    return found + (["the trials differ"] if rows[0] != rows[1] else [])
 
 
 if __name__ == "__main__":

@@ -94,7 +94,7 @@ def test_an_older_version_is_named(artifact: Path) -> None:
 
 def test_a_missing_dataset_is_named(artifact: Path) -> None:
     with pytest.raises(InputError, match="lacks the dataset depth"):
-        read_artifact(artifact, schema="views", version=1, names=["depth"])
+        read_artifact(artifact, schema="views", version=1, names={"depth": "f4 [*]"})
 
 
 @pytest.mark.parametrize("keep", [0, 10, 500, 1500])

@@ -89,7 +89,7 @@ def abandoned_beside(path: Path) -> list[Path]:
     for leftover in path.parent.iterdir():
         if leftover.name.startswith(begin) and leftover.name.endswith(end):
             with suppress(FileNotFoundError):
-                if _is_abandoned(leftover):
+                if is_abandoned(leftover):
                     found.append(leftover)
     return found
 
@@ -110,11 +110,12 @@ def remove_leftovers(folder: Path | str) -> None:
         found += Path(folder).glob(f".*{TEMPORARY_MARK}*")
     for leftover in found:
         with suppress(OSError):  # gone by now, or not ours to remove
-            if leftover.is_file() and _is_abandoned(leftover):
+            if leftover.is_file() and is_abandoned(leftover):
                 leftover.unlink()
 
 
-def _is_abandoned(temporary: Path) -> bool:
+def is_abandoned(temporary: Path) -> bool:
+    """Whether nobody builds any more what `temporary_beside` named."""
     name = _NAME.fullmatch(temporary.name)
     if name is None:  # nobody's who writes like this
         return False

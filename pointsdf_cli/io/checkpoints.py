@@ -28,6 +28,7 @@ from pointsdf_cli.io.atomic import (
     temporary_beside,
     unwritable,
 )
+from pointsdf_cli.io.input_files import open_input, read_input
 from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.io.untrusted import read_json
 
@@ -175,7 +176,7 @@ def read_checkpoint(path: Path | str) -> Checkpoint:
     Raises:
         InputError: No checkpoint is there, a file is damaged, or it is of another version.
     """
-    from safetensors.torch import load_file
+    from safetensors.torch import load
 
     path = Path(path)
     config = read_config(path)
@@ -183,7 +184,7 @@ def read_checkpoint(path: Path | str) -> Checkpoint:
     if not weights_file.exists():
         raise InputError(f"has no {WEIGHTS}", where=path, allowed="a finished checkpoint directory")
     try:
-        weights = load_file(weights_file)
+        weights = load(read_input(weights_file, "checkpoint"))
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(
             f"is no readable safetensors file ({error})", where=weights_file
@@ -239,7 +240,10 @@ def read_train_state(path: Path | str) -> dict[str, Any]:
             f"has no {TRAIN_STATE}, so there is nothing to resume", where=path, hint="drop --resume"
         )
     try:
-        state = torch.load(state_file, map_location="cpu", weights_only=True)
+        with open_input(state_file, "checkpoint") as handle:
+            state = torch.load(handle, map_location="cpu", weights_only=True)
+    except (InputError, MemoryError):
+        raise
     except Exception as error:  # the unpickler raises whatever the bytes provoke
         raise InputError(
             "is damaged, or holds more than plain types and tensors, and is not opened",

@@ -8,12 +8,16 @@ unit length, or a colour where they are whole numbers from 0 to 255. Further col
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
+from io import TextIOWrapper
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.input_files import open_input
 from pointsdf_cli.io.ply import RawCloud
 from pointsdf_cli.io.untrusted import read_npy_array
 
@@ -22,6 +26,8 @@ MOST_COLUMNS = 16
 
 _HEAD_LINES = 100
 """Comments and column titles may take up so many lines."""
+_LONGEST_LINE = 1 << 20
+"""Characters; a row of a depth image, which is told apart, is shorter."""
 
 
 def read_xyz(path: Path) -> RawCloud:
@@ -31,19 +37,19 @@ def read_xyz(path: Path) -> RawCloud:
         InputError: Not text, no numbers, or rows of different lengths.
     """
     try:
-        with open(path, encoding="utf-8-sig") as handle:
-            head = list(itertools.islice(handle, _HEAD_LINES))
+        with TextIOWrapper(open_input(path, "cloud"), encoding="utf-8-sig") as handle:
+            head = list(itertools.islice(_lines(handle, path), _HEAD_LINES))
         first = next((i for i, row in enumerate(head) if _is_numbers(row)), None)
         if first is None:
             raise InputError("holds no rows of numbers", where=path, allowed="x y z in each row")
-        table = np.loadtxt(
-            path,
-            delimiter=next((s for s in ",;" if s in head[first]), None),
-            skiprows=first,
-            ndmin=2,
-            comments=("#", "//"),
-            encoding="utf-8-sig",
-        )
+        with TextIOWrapper(open_input(path, "cloud"), encoding="utf-8-sig") as handle:
+            table = np.loadtxt(
+                _lines(handle, path),
+                delimiter=next((s for s in ",;" if s in head[first]), None),
+                skiprows=first,
+                ndmin=2,
+                comments=("#", "//"),
+            )
     except UnicodeDecodeError as error:
         raise InputError("is not text", where=path, allowed="x y z in each row") from error
     except ValueError as error:
@@ -84,7 +90,7 @@ def read_npy(path: Path) -> RawCloud:
     Raises:
         InputError: Damaged, holds Python objects, or is of another shape or type.
     """
-    array = read_npy_array(path)
+    array = read_npy_array(path, "cloud")
     if array.ndim == 2 and array.shape[1] > MOST_COLUMNS and array.shape[0] in (3, 6):
         raise InputError(
             f"is an array {list(array.shape)}: a point a column",
@@ -108,6 +114,22 @@ def read_npy(path: Path) -> RawCloud:
             allowed="numbers [N, 3], [N, 6] or [height, width, 3]",
         )
     return _from_table(array.reshape(-1, array.shape[-1]).astype(np.float64), {}, path)
+
+
+def _lines(handle: TextIO, path: Path) -> Iterator[str]:
+    """The lines of a text, none of which may take more memory than a row of numbers needs.
+
+    Raises:
+        InputError: A line is longer, as one of binary data may be.
+    """
+    while line := handle.readline(_LONGEST_LINE):
+        if len(line) == _LONGEST_LINE:
+            raise InputError(
+                f"has a line of more than {_LONGEST_LINE} characters",
+                where=path,
+                allowed="text with x y z in each row",
+            )
+        yield line
 
 
 def _words(row: str) -> list[str]:

@@ -23,6 +23,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, is_rigid
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.cloud_text import read_npy, read_xyz
+from pointsdf_cli.io.input_files import check_input
 from pointsdf_cli.io.meshes import UNITS
 from pointsdf_cli.io.pcd import read_pcd
 from pointsdf_cli.io.ply import RawCloud, read_ply, write_ply
@@ -151,26 +152,13 @@ def read_cloud(
         raise InputError(f"unknown unit {unit!r}", where="--unit", allowed=", ".join(UNITS))
     if frame not in (None, *FRAMES):
         raise InputError(f"no frame {frame!r}", where="--frame", allowed=", ".join(FRAMES))
-    if path.is_dir():
-        raise InputError("is a folder, and a point cloud is needed", where=path)
-    if not path.exists():
-        raise InputError("no such file", where=path)
-    if not path.is_file():
-        raise InputError(
-            "is a pipe or a device; clouds are read in more than one go",
-            where=path,
-            allowed="an ordinary file",
-            hint="write it to a file first",
-        )
+    check_input(path, "cloud")
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise InputError(
             f"unknown cloud format {path.suffix!r}", where=path, allowed=", ".join(CLOUD_SUFFIXES)
         )
-    try:
-        raw = reader(path)
-    except PermissionError as error:
-        raise InputError("cannot be read (permission denied)", where=path) from error
+    raw = reader(path)
     if len(raw.points) == 0:
         raise InputError("holds no points", where=path)
     raw = _finite(raw, path, drop_invalid)

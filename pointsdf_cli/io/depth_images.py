@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.io.untrusted import read_npy_array
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy")
@@ -140,7 +142,7 @@ def _image(path: Path) -> NDArray:
 def _as_stored(values: NDArray, path: Path) -> NDArray:
     """The numbers that a PGM file holds: Pillow stretches them so that the header's greatest value
     becomes 255 or 65535, and a depth is what was written."""
-    head = re.sub(rb"#[^\n]*", b" ", path.read_bytes()[:LONGEST_HEAD]).split(maxsplit=4)
+    head = re.sub(rb"#[^\n]*", b" ", read_input(path, "image")[:LONGEST_HEAD]).split(maxsplit=4)
     if len(head) < 4 or not head[3].isdigit():
         raise InputError(
             "has no readable PGM header", where=path, allowed="P5, width, height, greatest value"
@@ -158,10 +160,8 @@ def open_image(path: Path) -> Image.Image:
     Raises:
         InputError: No such file, no image, or one of over `LARGEST_PIXELS` pixels.
     """
-    if not path.is_file():
-        raise InputError("no such image", where=path)
     try:
-        image = Image.open(path)
+        image = Image.open(io.BytesIO(read_input(path, "image")))
     except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
         raise InputError("is no image, or damaged", where=path) from error
     except Image.DecompressionBombError as error:
@@ -173,12 +173,7 @@ def open_image(path: Path) -> Image.Image:
 
 
 def _array(path: Path) -> NDArray:
-    if not path.is_file():
-        raise InputError("no such image", where=path)
-    try:
-        values = read_npy_array(path)
-    except InputError as error:
-        raise InputError("is no NPY array of an image", where=path) from error
+    values = read_npy_array(path, "image")
     if values.size > LARGEST_PIXELS:
         raise InputError(f"has {values.size} pixels", where=path)
     return values

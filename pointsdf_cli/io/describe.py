@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, read_cloud
 from pointsdf_cli.io.hdf5 import open_hdf5, unreadable
+from pointsdf_cli.io.hdf5_objects import datasets_of
 from pointsdf_cli.io.meshes import MESH_SUFFIXES, load_mesh
 from pointsdf_cli.io.ply import ply_has_faces
 
@@ -115,18 +115,15 @@ def _hdf5(path: Path) -> dict[str, Any]:
 def _contents(path: Path) -> dict[str, Any]:
     with open_hdf5(path) as file:
         facts = {name: _plain(value) for name, value in file.attrs.items()}
-        datasets: dict[str, Any] = {}
-
-        def visit(name: str, item: h5py.HLObject) -> None:
-            if isinstance(item, h5py.Dataset):
-                datasets[name] = {
-                    "dtype": str(item.dtype),
-                    "shape": list(item.shape or ()),
-                    "units": str(item.attrs.get("units", "")),
-                    "frame": str(item.attrs.get("frame", "")),
-                }
-
-        file.visititems(visit)
+        datasets = {
+            name: {
+                "dtype": str(item.dtype),
+                "shape": list(item.shape or ()),
+                "units": str(item.attrs.get("units", "")),
+                "frame": str(item.attrs.get("frame", "")),
+            }
+            for name, item in sorted(datasets_of(path, file).items())
+        }
     return {"facts": facts, "datasets": datasets}
 
 

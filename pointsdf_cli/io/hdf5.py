@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +20,8 @@ import numpy as np
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.hdf5_heap import heaps_end
+from pointsdf_cli.io.hdf5_objects import datasets_of
+from pointsdf_cli.io.input_files import check_input
 from pointsdf_cli.io.layout import Layout, check_layout, check_stored
 from pointsdf_cli.io.provenance import created_by, git_commit
 
@@ -112,16 +114,16 @@ def read_artifact(
     *,
     schema: str,
     version: int,
-    names: Iterable[str] | Layout | None = None,
+    names: Layout | None = None,
     oldest: int | None = None,
     optional: Layout | None = None,
 ) -> Artifact:
-    """Read an artifact of the given schema, all of its datasets or those in `names`.
+    """Read an artifact of the given schema, all of its datasets or those of a layout.
 
     Args:
         path: The file.
         schema, version: What it must be.
-        names: The datasets to read; a `Layout` (see `layout.py`) is checked as well.
+        names: The layout (`layout.py`) of the datasets to read; None for all, whatever they are.
         oldest: The oldest version that is read too; `version` alone if None.
         optional: Datasets that are read and checked too where they are there.
 
@@ -143,8 +145,7 @@ def read_artifact(
             )
         there = {name: text for name, text in (optional or {}).items() if name in file}
         wanted += [name for name in there if name not in wanted]
-        if isinstance(names, Mapping):
-            check_layout(path, file, {**names, **there})
+        check_layout(path, file, {**(names or {}), **there})
         for name in wanted:
             check_stored(path, file, name)
         datasets = {name: np.asarray(file[name][()]) for name in wanted}
@@ -175,23 +176,20 @@ def sense_of(path: Path | str) -> Iterator[None]:
 
 @contextmanager
 def open_hdf5(path: Path | str) -> Iterator[h5py.File]:
-    """An HDF5 file open for reading.
+    """An HDF5 file open for reading, all of whose data are its own.
 
     Raises:
-        InputError: No such file, a folder, not HDF5, cut short, or damaged where it is read.
+        InputError: No ordinary file, not HDF5, cut short, damaged where it is read, or it leads to
+            other files (`hdf5_objects.py`).
     """
     path = Path(path)
-    if not path.exists():
-        raise InputError("no such file", where=path)
-    if path.is_dir():
-        raise InputError("is a folder, and an HDF5 file is needed", where=path)
+    check_input(path, "artifact")
     try:
         if not heaps_end(path):
             raise OSError("a damaged heap of strings")
         with h5py.File(path, "r") as file:
+            datasets_of(path, file)
             yield file
-    except PermissionError as error:
-        raise InputError("cannot be read (permission denied)", where=path) from error
     except (OSError, RuntimeError, KeyError, ValueError) as error:
         # The library finds damage where it comes by, in attributes as well as in datasets.
         raise unreadable(path, error) from error

@@ -10,6 +10,8 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
+from pointsdf_cli.io.input_files import open_input
+
 SEARCHED = 1 << 20
 """Bytes at the beginning of a file in which heaps are looked for: attributes come first."""
 _SIGNATURE = b"GCOL\x01\x00\x00\x00"
@@ -18,7 +20,7 @@ _HEAD, _OBJECT = 16, 16
 
 def heaps_end(path: Path) -> bool:
     """Whether a walk through each heap of strings in the file's first part comes to its end."""
-    with open(path, "rb") as handle:
+    with open_input(path, "artifact") as handle:
         data = handle.read(SEARCHED)
     at = data.find(_SIGNATURE)
     while at >= 0:

@@ -12,10 +12,11 @@ from pathlib import Path
 import h5py
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.input_files import largest_input
 
 Layout = Mapping[str, str]
 
-_KINDS = {"f": "f", "i": "iu", "S": "S"}
+_KINDS = {"f": "f", "i": "iu", "S": "S", "b": "b"}
 _MOST_SQUEEZED = 1100
 """gzip shrinks by no more than about 1030: what promises more holds nothing."""
 
@@ -60,6 +61,13 @@ def check_stored(path: Path, file: h5py.File, name: str) -> None:
     promised = (found.size or 0) * found.dtype.itemsize
     if promised > 1 << 20 and promised > _MOST_SQUEEZED * found.id.get_storage_size():
         raise InputError(f"{name} promises {promised} bytes that are not there", where=path)
+    if promised > largest_input("artifact"):
+        raise InputError(
+            f"{name} unpacks to {promised >> 20} MB",
+            where=path,
+            allowed=f"{largest_input('artifact') >> 20} MB",
+            hint="if it is what it should be: rgrasp --largest-input SIZE COMMAND …",
+        )
 
 
 def _array(path: Path, file: h5py.File, name: str) -> h5py.Dataset:

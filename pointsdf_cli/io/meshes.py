@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import logging
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.repair import close_mesh
 from pointsdf_cli.io.atomic import atomic_path
+from pointsdf_cli.io.input_files import check_input, read_input
 from pointsdf_cli.io.provenance import file_sha256
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".dae", ".3mf")
@@ -195,29 +195,27 @@ def centred(mesh: LoadedMesh) -> LoadedMesh:
 
 
 def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    if os.path.isdir(path):
-        raise InputError("is a folder, and a mesh file is needed", where=path)
-    if not os.path.exists(path):  # unlike Path's, it takes names of any length
-        raise InputError("no such file", where=path)
+    check_input(path, "mesh")
     kind = path.suffix.lower()
     if kind not in MESH_SUFFIXES:
         raise InputError(
             f"unknown mesh format {path.suffix!r}", where=path, allowed=", ".join(MESH_SUFFIXES)
         )
+    data = read_input(path, "mesh")
     import trimesh
 
     try:
         # From bytes, and without materials: a mesh file must not make us open other files.
         loaded = trimesh.load_scene(
-            io.BytesIO(path.read_bytes()), file_type=kind[1:], process=False, skip_materials=True
+            io.BytesIO(data), file_type=kind[1:], process=False, skip_materials=True
         )
         mesh = loaded.to_mesh()
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
         if vertices.shape[1:] != (3,):
             raise ValueError(f"vertices of {vertices.shape[1:]} numbers")
-    except PermissionError as error:
-        raise InputError("cannot be read (permission denied)", where=path) from error
+    except MemoryError:
+        raise
     except Exception as error:  # trimesh's readers raise whatever the bytes provoke
         raise InputError(
             f"cannot be read as {kind[1:].upper()}: damaged or cut short "

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pointsdf_cli.io.atomic import atomic_path
+from pointsdf_cli.io.input_files import open_input
 
 MARK = "comment rgrasp_object "
 _LONGEST_HEADER = 1 << 16
@@ -51,7 +52,7 @@ def write_object_mesh(
 
 def read_object_about(path: Path) -> dict[str, Any] | None:
     """The description in a file's header; None if it has none or is shorter than it says."""
-    with open(path, "rb") as file:
+    with open_input(path, "mesh") as file:
         start = file.read(_LONGEST_HEADER)
     header, end, _ = start.partition(b"end_header\n")
     lines = header.decode("ascii", errors="replace").splitlines()

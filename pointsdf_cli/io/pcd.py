@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import rotation_from_wxyz, transform
+from pointsdf_cli.io.input_files import open_input, read_input
 from pointsdf_cli.io.ply import RawCloud, cut_short, stacked
 
 _HEADER_LIMIT = 1 << 14
@@ -39,7 +40,7 @@ def read_pcd(path: Path) -> RawCloud:
     names = header.record.names or ()
     if not {"x", "y", "z"} <= set(names):
         raise InputError(f"the points have no x, y and z, but {', '.join(names)}", where=path)
-    body = path.read_bytes()[header.size :]
+    body = read_input(path, "cloud")[header.size :]
     if header.form == "ascii":
         columns = _ascii_columns(body, header, path)
     elif header.form == "binary":
@@ -98,7 +99,7 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
 
 
 def _read_header(path: Path) -> _Header:
-    with open(path, "rb") as handle:
+    with open_input(path, "cloud") as handle:
         head = handle.read(_HEADER_LIMIT)
     fields: dict[str, list[str]] = {}
     at = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.input_files import open_input
 
 _HEADER_LIMIT = 1 << 16
 _TYPES = {
@@ -148,11 +150,8 @@ def cut_short(path: Path, promised: int) -> InputError:
 
 
 def _read_header(path: Path) -> _Header:
-    try:
-        with open(path, "rb") as handle:
-            head = handle.read(_HEADER_LIMIT)
-    except PermissionError as error:
-        raise InputError("cannot be read (permission denied)", where=path) from error
+    with open_input(path, "cloud") as handle:
+        head = handle.read(_HEADER_LIMIT)
     if not head.startswith(b"ply"):
         raise InputError("is not a PLY file", where=path, allowed="a file that begins with `ply`")
     end = head.find(b"end_header")
@@ -196,9 +195,10 @@ def _read_binary(path: Path, header: _Header, before: list[_Element], vertex: _E
             raise InputError(f"lists (in {element.name}) before the vertices", where=path)
         offset += element.length * sum(np.dtype(kind).itemsize for kind in kinds if kind)
     record = np.dtype([(name, f"{order}{kind}") for name, kind in vertex.properties])
-    if path.stat().st_size < offset + vertex.length * record.itemsize:
-        raise cut_short(path, vertex.length)
-    return np.fromfile(path, record, vertex.length, offset=offset)
+    with open_input(path, "cloud") as handle:
+        if os.fstat(handle.fileno()).st_size < offset + vertex.length * record.itemsize:
+            raise cut_short(path, vertex.length)
+        return np.fromfile(handle, record, vertex.length, offset=offset)
 
 
 def _read_ascii(path: Path, header: _Header, before: list[_Element], vertex: _Element) -> Any:
@@ -209,7 +209,7 @@ def _read_ascii(path: Path, header: _Header, before: list[_Element], vertex: _El
         raise cut_short(path, vertex.length)
     if vertex.length == 0:
         return {name: np.zeros(0) for name in names}
-    with open(path, "rb") as handle:
+    with open_input(path, "cloud") as handle:
         handle.seek(header.size)
         try:
             table = np.loadtxt(

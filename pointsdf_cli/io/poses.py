@@ -12,6 +12,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import is_rigid, rotation_from_wxyz, transform
 from pointsdf_cli.io.atomic import write_text_atomic
 from pointsdf_cli.io.strict_json import to_json
+from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.io.untrusted import read_json, read_npy_array
 
 ALLOWED = (
@@ -122,7 +123,8 @@ def numbers_in(text: str, where: str, allowed: str) -> NDArray[np.float64]:
     """
     path = Path(text)
     try:
-        if os.path.isfile(text):  # unlike Path's, it takes 16 numbers that are too long for a name
+        # Unlike Path's, it takes 16 numbers that are too long for a name. A pipe is no number.
+        if os.path.exists(text):
             numbers = _of_file(path)
         else:
             numbers = _of_text(text)
@@ -140,7 +142,7 @@ def _of_file(path: Path) -> NDArray[np.float64]:
         return read_npy_array(path).astype(np.float64).ravel()
     if path.suffix.lower() == ".json":
         return np.asarray(read_json(path), dtype=np.float64).ravel()
-    return _of_text(path.read_text(encoding="utf-8-sig"))
+    return _of_text(read_input(path, "text").decode("utf-8-sig"))
 
 
 def _of_text(text: str) -> NDArray[np.float64]:

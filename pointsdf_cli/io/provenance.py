@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pointsdf_cli import __version__
+from pointsdf_cli.io.input_files import open_input
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -40,8 +41,12 @@ def git_commit() -> str:
 
 
 def file_sha256(path: Path | str) -> str:
-    """The SHA-256 of a file's bytes, in hexadecimal."""
-    with open(path, "rb") as handle:
+    """The SHA-256 of a file's bytes, in hexadecimal.
+
+    Raises:
+        InputError: No ordinary file, or larger than any input.
+    """
+    with open_input(path, "artifact") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 

@@ -16,6 +16,17 @@ from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifac
 
 SCHEMA, VERSION = "trials", 1
 TRIAL_SCHEMA, TRIAL_VERSION = "trial", 1
+TRIAL_LAYOUT = {
+    "cloud": "f4 [N, 3]",
+    "T_world_camera": "f8 [4, 4]",
+    "vertices": "f4 [V, 3]",
+    "faces": "i4 [F, 3]",
+    "phases": "S [*]",
+    "q": "f8 [M, J]",
+    "T_world_object": "f8 [M, 4, 4]",
+    "trajectory": "f8 [T, J]",
+    "times": "f8 [T]",
+}
 
 Array = NDArray[np.float64]
 
@@ -108,6 +119,10 @@ _UNITS = {
     "final_height": "m",
 }
 _TYPES: dict[str, type] = {"int": np.int64, "float": np.float64, "bool": np.bool_}
+LAYOUT = {
+    field.name: {"str": "S", "int": "i8", "float": "f8", "bool": "b1"}[str(field.type)] + " [R]"
+    for field in fields(TrialRow)
+}
 
 
 def write_trial(
@@ -141,14 +156,32 @@ def read_trial(path: Path | str) -> tuple[TrialRow, Evidence]:
     Raises:
         InputError: Not a trial file of this version.
     """
-    names = [field.name for field in fields(Evidence)]
-    artifact = read_artifact(path, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, names=names)
-    data = artifact.datasets
+    artifact = read_artifact(path, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, names=TRIAL_LAYOUT)
+    data: dict[str, Any] = dict(artifact.datasets)
     with sense_of(path):
-        row = TrialRow(**json.loads(str(artifact.attributes["row_json"])))
-        phases = tuple(name.decode() for name in data["phases"].tolist())
-    arrays: dict[str, Any] = {name: data[name] for name in names if name != "phases"}
-    return row, Evidence(phases=phases, **arrays)
+        row = _row(json.loads(str(artifact.attributes["row_json"])))
+        phases = tuple(name.decode() for name in data.pop("phases").tolist())
+        moments, corners = len(data["q"]), data["faces"]
+        if moments < 1 or len(phases) not in (0, moments):
+            raise ValueError(f"{len(phases)} phases of {moments} moments")
+        if corners.size and not 0 <= corners.min() <= corners.max() < len(data["vertices"]):
+            raise ValueError("faces of vertices that are not there")
+    return row, Evidence(phases=phases, **data)
+
+
+def _row(values: Mapping[str, Any]) -> TrialRow:
+    """A row of values that are of the types they should be.
+
+    Raises:
+        ValueError: One of them is not.
+    """
+    allowed: dict[str, tuple[type, ...]] = {
+        "str": (str,), "int": (int,), "float": (int, float), "bool": (bool,),
+    }  # fmt: skip
+    for field in fields(TrialRow):
+        if type(values[field.name]) not in allowed[str(field.type)]:
+            raise ValueError(f"{field.name} is {values[field.name]!r}")
+    return TrialRow(**values)
 
 
 def write_trials(
@@ -179,8 +212,7 @@ def read_trials(path: Path | str) -> list[TrialRow]:
     Raises:
         InputError: Not a trials file of this version.
     """
-    names = [field.name for field in fields(TrialRow)]
-    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=names)
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT)
     columns = []
     with sense_of(path):
         for field in fields(TrialRow):

@@ -10,7 +10,7 @@ import json
 import tokenize
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, Literal
 from xml.parsers import expat
 
 import numpy as np
@@ -18,11 +18,8 @@ import yaml
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.input_files import open_input, read_input
 
-LARGEST_TEXT = 16 << 20
-"""Bytes of the largest description that is read: meshes and clouds are not text of this kind."""
-LARGEST_YAML = 1 << 20
-"""Bytes; PyYAML takes seconds for a megabyte."""
 MOST_NODES = 100_000
 DEEPEST = 100
 
@@ -37,7 +34,7 @@ def read_yaml(path: Path, first_document: bool = False) -> Any:
     Raises:
         InputError: Not YAML, or more than `MOST_NODES` nodes once its aliases are followed.
     """
-    text = _text(path, LARGEST_YAML, "YAML")
+    text = _text(path, "YAML", "YAML")
     try:
         data = next(yaml.safe_load_all(text), None) if first_document else yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a 13th month
@@ -53,7 +50,7 @@ def read_json(path: Path) -> Any:
         InputError: Not JSON.
     """
     try:
-        return json.loads(_text(path, LARGEST_TEXT, "JSON"))
+        return json.loads(_text(path, "text", "JSON"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"is no readable JSON ({_first_line(error)})", where=path) from error
 
@@ -64,7 +61,7 @@ def read_xml(path: Path) -> ET.Element:
     Raises:
         InputError: Not XML, entities are declared, or elements nest deeper than `DEEPEST`.
     """
-    data = _bytes(path, LARGEST_TEXT)
+    data = read_input(path, "text")
     try:
         _check_xml(data)
         return ET.fromstring(data)
@@ -72,14 +69,19 @@ def read_xml(path: Path) -> ET.Element:
         raise InputError(f"is not XML ({_first_line(error)})", where=path) from error
 
 
-def read_npy_array(path: Path) -> NDArray[Any]:
+def read_npy_array(path: Path, kind: str = "array") -> NDArray[Any]:
     """The array in a .npy file, mapped, not read: what is not stored is not allocated.
+
+    Args:
+        path: The file.
+        kind: Of input, which bounds its size (`input_files.LARGEST`).
 
     Raises:
         InputError: Damaged, cut short, or of Python objects.
     """
     try:
-        return np.lib.format.open_memmap(path, mode="r")
+        with open_input(path, kind) as handle:
+            return _mapped(handle)
     except (
         ValueError, EOFError, OSError, SyntaxError, TypeError, OverflowError, RecursionError,
         MemoryError, tokenize.TokenError,
@@ -88,23 +90,30 @@ def read_npy_array(path: Path) -> NDArray[Any]:
         raise InputError("is not a NumPy array, or is cut short", where=path) from error
 
 
-def _bytes(path: Path, most: int) -> bytes:
-    try:
-        with open(path, "rb") as handle:
-            data = handle.read(most + 1)
-    except OSError as error:
-        told = (error.strerror or type(error).__name__).lower()
-        raise InputError(f"cannot be read ({told})", where=path) from error
-    if len(data) > most:
-        raise InputError(f"is larger than {most >> 20} MB", where=path)
-    return data
+def _mapped(handle: BinaryIO) -> NDArray[Any]:
+    """As `np.lib.format.open_memmap`, of a file that is open."""
+    version = np.lib.format.read_magic(handle)
+    read = (
+        np.lib.format.read_array_header_1_0
+        if version == (1, 0)
+        else (np.lib.format.read_array_header_2_0)
+    )
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"version {version}")
+    shape, by_columns, dtype = read(handle)
+    if dtype.hasobject:
+        raise ValueError("Python objects")
+    order: Literal["F", "C"] = "F" if by_columns else "C"
+    if 0 in shape:
+        return np.zeros(shape, dtype, order)
+    return np.memmap(handle, dtype, "r", handle.tell(), shape, order)
 
 
-def _text(path: Path, most: int, kind: str) -> str:
+def _text(path: Path, kind: str, form: str) -> str:
     try:
-        return _bytes(path, most).decode("utf-8-sig")
+        return read_input(path, kind).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"is not {kind} (no UTF-8 text)", where=path) from error
+        raise InputError(f"is not {form} (no UTF-8 text)", where=path) from error
 
 
 def _check_nodes(data: Any, path: Path) -> None:

@@ -176,7 +176,7 @@ def read_views_header(path: Path | str) -> ViewsHeader:
     Raises:
         InputError: Not a views file of this version.
     """
-    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, oldest=OLDEST, names=[])
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, oldest=OLDEST, names={})
     with sense_of(path):
         return ViewsHeader(
             str(artifact.attributes["mesh_hash"]), str(artifact.config.get("unit", "m"))

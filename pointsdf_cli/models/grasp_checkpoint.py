@@ -6,7 +6,6 @@ its weights. An encoder that was trained along is stored, without the decoder th
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +18,7 @@ from torch import Tensor
 from pointsdf_cli.assets import asset_path, assets_folder
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import WEIGHTS, Checkpoint, read_checkpoint, write_checkpoint
+from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.models.grasp_prior import GraspPrior
 from pointsdf_cli.models.grasp_success import NETWORKS, EmbeddingNet, GeometryNet
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
@@ -221,7 +221,7 @@ def weights_hash(path: Path | str) -> str:
     file = Path(path) / WEIGHTS
     if not file.is_file():
         raise InputError(f"has no {WEIGHTS}", where=path, allowed="a checkpoint directory")
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+    return file_sha256(file)
 
 
 def _reference(path: Path) -> dict[str, str]:

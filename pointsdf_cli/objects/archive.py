@@ -8,6 +8,7 @@ import zlib
 from pathlib import Path, PurePosixPath
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.input_files import open_input
 
 LARGEST_MEMBER = 256 * 1024**2
 MOST_MEMBERS = 10_000
@@ -34,7 +35,7 @@ def extract_mesh(archive: Path, out: Path, largest: int = LARGEST_MEMBER) -> Pat
             or too large members, or no mesh.
     """
     try:
-        with tarfile.open(archive, mode="r:*") as tar:
+        with open_input(archive, "archive") as packed, tarfile.open(fileobj=packed) as tar:
             member = _choose(tar, archive, largest)
             source = tar.extractfile(member)
             if source is None:

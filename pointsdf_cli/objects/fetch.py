@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +14,8 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import require_folder, write_text_atomic
 from pointsdf_cli.io.meshes import load_mesh, save_mesh
 from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.io.scratch import Scratch
+from pointsdf_cli.io.untrusted import read_json
 from pointsdf_cli.objects.archive import extract_mesh
 from pointsdf_cli.objects.download import Patience, download
 from pointsdf_cli.objects.ycb_names import choose_ycb
@@ -98,7 +99,7 @@ def read_lock(out: Path) -> dict[str, LockEntry]:
     if not path.exists():
         return {}
     try:
-        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        document: dict[str, Any] = read_json(path)
         if document["format"] != _LOCK_FORMAT:
             raise ValueError(f"format {document['format']}")
         return {name: LockEntry(**entry) for name, entry in document["objects"].items()}
@@ -140,9 +141,9 @@ def _fetch_one(
                 hint=f"if that is to be trusted, remove {name!r} from {out / LOCK}",
             )
         size = archive.stat().st_size
-        with tempfile.TemporaryDirectory(dir=archive.parent) as scratch:
-            mesh = load_mesh(extract_mesh(archive, Path(scratch) / name))
-            made = Path(scratch) / mesh_path.name
+        with Scratch(archive.parent) as scratch:
+            mesh = load_mesh(extract_mesh(archive, scratch / name))
+            made = scratch / mesh_path.name
             save_mesh(made, mesh.vertices, mesh.faces)
             lock[name] = LockEntry(url, sha256, size, file_sha256(made), mesh.repair)
             # The sum first: a run killed in between fetches a missing mesh again, but would refuse

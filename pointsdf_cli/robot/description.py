@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import rotation_from_wxyz, transform
+from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.io.untrusted import read_yaml
 from pointsdf_cli.robot.urdf import MOVING, Joint, Tree, read_urdf
 
@@ -148,7 +149,7 @@ def robot_digest(path: Path | str | None = None) -> str:
     """
     path = asset_path(BUNDLED) if path is None else Path(path)
     robot = load_robot(path)
-    digest = hashlib.sha256(path.read_bytes() + robot.urdf.read_bytes())
+    digest = hashlib.sha256(read_input(path, "text") + read_input(robot.urdf, "text"))
     for link in robot.tree.links:
         for shape in robot.tree.shapes[link]:
             if shape.vertices is not None:

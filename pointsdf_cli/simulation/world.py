@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pointsdf_cli.io.scratch import Scratch
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.simulation.bullet import import_bullet
@@ -69,8 +69,8 @@ class World:
         self.chain = ArmChain(robot)
         self._bullet = import_bullet()
         self._client = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
-        self._temporary = tempfile.TemporaryDirectory(prefix="rgrasp-world-")  # gone at exit, too
-        self._folder = Path(self._temporary.name)
+        self._scratch = Scratch()
+        self._folder = self._scratch.path
         self._whole = [bullet_urdf(robot, self._folder, self._skin, visible=gui)]
         self._gui = gui
         self._object_file: tuple[Pieces, Path] | None = None
@@ -82,7 +82,7 @@ class World:
         if self._client >= 0:
             self._bullet.disconnect(self._client)
             self._client = -1
-        self._temporary.cleanup()
+        self._scratch.close()
 
     def __enter__(self) -> World:
         return self

@@ -23,6 +23,7 @@ from pointsdf_cli.io.atomic import require_folder
 from pointsdf_cli.io.batch import run_stage
 from pointsdf_cli.io.grasp_evidence import Evidence, join_evidence, read_evidence, write_evidence
 from pointsdf_cli.io.grasps import read_grasps
+from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.models.grasp_checkpoint import weights_hash
 from pointsdf_cli.models.grasp_features import BODY_SIZE, GraspFeatures, object_body
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
@@ -95,7 +96,7 @@ def evidence_of(
     for name, file in zip(data.names, data.files, strict=True):
         decides = [
             RECIPE,
-            hashlib.sha256(file.read_bytes()).hexdigest(),
+            file_sha256(file),
             weights,
             None if sweep is None else asdict(sweep),
             robot_digest(robot),

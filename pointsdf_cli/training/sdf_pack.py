@@ -34,6 +34,7 @@ from pointsdf_cli.io.atomic import (
 )
 from pointsdf_cli.io.hdf5 import artifacts_below
 from pointsdf_cli.io.labels import read_labels
+from pointsdf_cli.io.untrusted import read_json, read_npy_array
 from pointsdf_cli.io.views import read_views
 from pointsdf_cli.models.neighbours import farthest_point_order
 from pointsdf_cli.models.normalise import network_frame
@@ -326,9 +327,9 @@ def _write_array(path: Path, array: NDArray) -> None:
 def _finished(home: Path) -> Pack | None:
     """The pack in a folder, if one was finished there and is whole."""
     try:
-        index = json.loads((home / INDEX).read_text(encoding="utf-8"))
+        index = read_json(home / INDEX)
         return load_pack(home, tuple(index["names"]))
-    except (OSError, EOFError, ValueError, LookupError, TypeError):
+    except (InputError, ValueError, LookupError, TypeError):
         return None
 
 
@@ -347,7 +348,7 @@ def read_pack(folder: Path) -> Pack:
 
 def load_pack(folder: Path, names: tuple[str, ...]) -> Pack:
     """The arrays of a finished pack, mapped into memory."""
-    arrays = {n: np.load(folder / f"{n}.npy", mmap_mode="r") for n in (*ARRAYS, *LABEL_ARRAYS)}
+    arrays = {n: read_npy_array(folder / f"{n}.npy") for n in (*ARRAYS, *LABEL_ARRAYS)}
     return Pack(**arrays, names=names)
 
 

@@ -17,6 +17,7 @@ from torch import Tensor
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.io.checkpoints import CONFIG, WEIGHTS, read_checkpoint
+from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.planning.answer import (
@@ -106,7 +107,7 @@ def weights_of(contender: Contender, options: ContenderOptions) -> str:
         files = [] if folder is None else [folder / WEIGHTS, folder / CONFIG]
         for file in files:
             if file.is_file():
-                total.update(file.read_bytes())
+                total.update(read_input(file, "checkpoint"))
     return total.hexdigest()[:16]
 
 

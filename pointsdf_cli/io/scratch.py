@@ -1,0 +1,63 @@
+"""Folders for files that other libraries want to read from a disk, gone when their process is.
+
+What a killed process left is removed by the next one that needs such a folder, by the same rule as
+outputs under construction (`atomic.py`).
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import tempfile
+import weakref
+from contextlib import suppress
+from pathlib import Path
+
+from pointsdf_cli.io.atomic import TEMPORARY_MARK, is_abandoned, temporary_beside, unwritable
+
+NAME = "rgrasp"
+
+
+class Scratch:
+    """A folder of this process's own, readable by nobody else.
+
+    Args:
+        below: Where; the system's folder of temporary files if None.
+
+    Attributes:
+        path: The folder.
+
+    Raises:
+        UnwritableError: It cannot be made.
+    """
+
+    def __init__(self, below: Path | None = None) -> None:
+        below = Path(tempfile.gettempdir()) if below is None else below
+        remove_abandoned(below)
+        self.path = temporary_beside(below / NAME)
+        try:
+            self.path.mkdir(mode=0o700)
+        except OSError as error:
+            raise unwritable(below, error) from error
+        self._end = weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+    def close(self) -> None:
+        """Remove the folder; so does the process's end."""
+        self._end()
+
+    def __enter__(self) -> Path:
+        return self.path
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def remove_abandoned(below: Path) -> None:
+    """Remove the scratch folders of processes that were killed."""
+    for folder in below.glob(f".{NAME}{TEMPORARY_MARK}*"):
+        with suppress(OSError):  # gone by now, or somebody else's
+            about = folder.lstat()
+            ours = stat.S_ISDIR(about.st_mode) and about.st_uid == os.geteuid()
+            if ours and is_abandoned(folder):
+                shutil.rmtree(folder, ignore_errors=True)
