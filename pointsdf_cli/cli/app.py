@@ -53,8 +53,15 @@ def _root(
             "--version", callback=_print_version, is_eager=True, help="Print the version and leave."
         ),
     ] = False,
+    largest_input: Annotated[
+        str | None,
+        typer.Option(metavar="SIZE", help="Read input files up to this size, such as 20G."),
+    ] = None,
 ) -> None:
-    pass
+    if largest_input is not None:
+        from pointsdf_cli.io.input_files import allow_inputs_of
+
+        allow_inputs_of(largest_input)
 
 
 app.add_typer(objects.app, name="objects")

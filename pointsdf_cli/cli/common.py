@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pointsdf_cli.cli.printable import printable, printable_json
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.strict_json import to_json
 
@@ -245,12 +246,12 @@ class Reporter:
     def say(self, text: str) -> None:
         """One line of progress on stderr."""
         if not self.quiet:
-            print(text, file=sys.stderr, flush=True)
+            print(printable(text), file=sys.stderr, flush=True)
 
     def result(self, values: Mapping[str, Any], lines: list[str] | None = None) -> None:
         """The command's result: `values` as JSON, or `lines` (by default "name: value")."""
         if self.as_json:
-            text = to_json(values)
+            text = printable_json(to_json(values))
             try:
                 text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
             except UnicodeEncodeError:  # then all of it as escapes, which JSON has its own of
@@ -258,7 +259,7 @@ class Reporter:
             print(text)
         else:
             for line in lines if lines is not None else [f"{k}: {v}" for k, v in values.items()]:
-                print(line)
+                print(printable(line))
 
     @contextmanager
     def progress(self, title: str, total: int) -> Iterator[Progress]:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.cli.printable import on_one_line
 
 
 def info(
@@ -34,14 +35,16 @@ def info(
 
 
 def _lines(path: Path, description: dict[str, Any]) -> list[str]:
-    lines = [f"{path}"]
-    lines += [f"  {name}: {value}" for name, value in description["facts"].items()]
+    lines = [on_one_line(f"{path}")]
+    lines += [on_one_line(f"  {name}: {value}") for name, value in description["facts"].items()]
     if description["datasets"]:
         lines.append("  datasets:")
     for name, entry in description["datasets"].items():
         shape = " × ".join(map(str, entry["shape"])) or "scalar"
         meaning = ", ".join(part for part in (entry["units"], entry["frame"]) if part)
         lines.append(
-            f"    {name}: {entry['dtype']} [{shape}]" + (f" ({meaning})" if meaning else "")
+            on_one_line(
+                f"    {name}: {entry['dtype']} [{shape}]" + (f" ({meaning})" if meaning else "")
+            )
         )
     return lines

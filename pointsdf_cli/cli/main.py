@@ -13,7 +13,9 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
-from pointsdf_cli.errors import RgraspError
+from pointsdf_cli.cli.memory import is_lack_of_memory, require_address_space
+from pointsdf_cli.cli.printable import printable
+from pointsdf_cli.errors import InputError, RgraspError
 
 STOPPED = "rgrasp: stopped; what is finished is kept, the same command resumes"
 
@@ -21,22 +23,26 @@ STOPPED = "rgrasp: stopped; what is finished is kept, the same command resumes"
 def main() -> None:
     """Run `rgrasp`.
 
-    Exit codes: 0 done, 1 failed, 2 bad input or usage, 3 no plan exists, 130 stopped by Ctrl-C,
-    141 nobody reads the output any more, 143 a training stopped by SIGTERM.
+    Exit codes: 0 done, 1 failed, 2 bad input or usage, 3 no plan exists, 4 the plan is not likely
+    to hold, 130 stopped by Ctrl-C, 141 nobody reads the output any more, 143 a training stopped by
+    SIGTERM.
     """
+    _open_closed_streams()
     # Imports make hundreds of thousands of objects that stay: looking for garbage among them again
     # and again takes a tenth of the time.
     gc.set_threshold(100_000, 20, 20)
-    from pointsdf_cli.cli.app import app
-
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a sign that the terminal has not is no failure
             stream.reconfigure(errors="backslashreplace")
     try:
+        _refuse_empty(sys.argv[1:])
+        require_address_space()
         with _interruptible_imports():
+            from pointsdf_cli.cli.app import app
+
             app()
     except RgraspError as error:
-        print(f"rgrasp: {error.message}", file=sys.stderr)
+        print(printable(f"rgrasp: {error.message}"), file=sys.stderr)
         sys.exit(error.exit_code)
     except SystemExit as leave:
         # Typer has made exit codes of these.
@@ -52,18 +58,17 @@ def main() -> None:
         except OSError as error:
             _unheard(error)
         raise
-    except MemoryError as error:
-        told = f" ({error})" if str(error) else ""
-        print(f"rgrasp: needs more memory than there is{told}", file=sys.stderr)
-        sys.exit(1)
-    except OSError as error:
-        if error.errno not in _NO_PLACE:
+    except Exception as error:
+        if is_lack_of_memory(error):
+            _too_little_memory(error)
+        if not isinstance(error, OSError) or error.errno not in _NO_PLACE:
             raise
         if error.filename is None:
             _unheard(error)
         from pointsdf_cli.io.atomic import unwritable
 
-        print(f"rgrasp: {unwritable(error.filename, error).message}", file=sys.stderr)
+        told = unwritable(error.filename, error).message
+        print(printable(f"rgrasp: {told}"), file=sys.stderr)
         sys.exit(2)
 
 
@@ -76,6 +81,55 @@ _NO_PLACE = (
     errno.ENAMETOOLONG,
     errno.EFBIG,
 )
+
+
+def _open_closed_streams() -> None:
+    """`rgrasp … >&-`: what is closed is taken for /dev/null.
+
+    Else the next file that is opened, which may be the output, would get the number of the stream,
+    and whatever a library prints would be written into it.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != number:
+                os.dup2(opened, number)
+                os.close(opened)
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w", closefd=False))
+
+
+def _refuse_empty(arguments: list[str]) -> None:
+    """An unset variable of a shell would be taken for the folder where one is.
+
+    Raises:
+        InputError: An argument is empty.
+    """
+    for place, argument in enumerate(arguments):
+        option, equals, value = argument.partition("=")
+        if argument.strip() and not (option.startswith("-") and equals and not value.strip()):
+            continue
+        before = arguments[place - 1] if place else ""
+        where = option if equals else before if before.startswith("-") else "the command line"
+        raise InputError(
+            "an argument is empty",
+            where=where,
+            allowed="a value, or to leave it out",
+            hint="is a variable of your shell unset?",
+        )
+
+
+def _too_little_memory(error: BaseException) -> NoReturn:
+    said = (str(error).splitlines() or [""])[0][:120]
+    print(
+        printable(f"rgrasp: not enough memory{f' ({said})' if said else ''}")
+        + "\n  try: close other programs, raise `ulimit -v`, or ask for less (fewer --jobs, "
+        "a lower --resolution, smaller files)",
+        file=sys.stderr,
+    )
+    sys.exit(1)
 
 
 def _nobody_reads() -> NoReturn:

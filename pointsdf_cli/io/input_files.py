@@ -105,10 +105,14 @@ def read_input(path: Path | str, kind: str) -> bytes:
     most = largest_input(kind)
     with open_input(path, kind) as handle:
         try:
-            data = handle.read(most + 1)
+            # By its size, not by the bound: so much memory would be asked for before any is used.
+            data = handle.read(os.fstat(handle.fileno()).st_size + 1)
+            # It grew, or is of a file system that does not tell sizes.
+            while len(data) <= most and (more := handle.read(MEBIBYTE)):
+                data += more
         except OSError as error:
             raise _cannot_be_opened(path, error, _NEEDED.get(kind, "a file")) from error
-    if len(data) > most:  # it grew, or is of a file system that does not tell sizes
+    if len(data) > most:
         raise _too_large(path, len(data), kind)
     return data
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import tarfile
 from collections.abc import Callable
 from pathlib import Path
@@ -12,25 +13,29 @@ from typing import NamedTuple
 import numpy as np
 import torch
 import trimesh
+from PIL import Image
 
+from pointsdf_cli.assets import asset_path
+from pointsdf_cli.camera.intrinsics import read_intrinsics
 from pointsdf_cli.camera.pinhole import load_camera
 from pointsdf_cli.io.checkpoints import read_train_state, write_checkpoint
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, read_cloud, write_cloud
-from pointsdf_cli.io.describe import describe
-from pointsdf_cli.io.grasps import Grasps, GraspsMeta, read_grasps, write_grasps
-from pointsdf_cli.io.labels import Labels, read_labels, write_labels
+from pointsdf_cli.io.depth_images import read_colour, read_depth
 from pointsdf_cli.io.meshes import load_mesh
 from pointsdf_cli.io.object_mesh import read_object_about, write_object_mesh
-from pointsdf_cli.io.plans import Plan, RejectedSeeds, plan_as_json, read_plan, write_plan
 from pointsdf_cli.io.poses import camera_pose
-from pointsdf_cli.io.views import Views, read_views, read_views_header, write_views
+from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.objects.archive import extract_mesh
+from pointsdf_cli.objects.fetch import read_lock
 from pointsdf_cli.planning.environment import read_environment
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.urdf import read_urdf
+from pointsdf_cli.training.sdf_pack import open_pack, read_pack
 
-ROBOTS = Path(__file__).resolve().parents[1] / "robots"
+from .artifacts import ARTIFACTS, ROBOTS, write_artifacts
+
+PACK = "packs/pack-0123456789abcdef"
 
 
 class Input(NamedTuple):
@@ -52,24 +57,16 @@ def _cloud(path: Path) -> object:
     return cloud.in_camera_frame()
 
 
-def _views(path: Path) -> object:
-    read_views_header(path)
-    views = read_views(path)
-    return describe(path), views.cloud.mean(), views.T_camera_object @ np.eye(4)
+def _train_state(path: Path) -> object:
+    return read_train_state(path.parent)
 
 
-def _labels(path: Path) -> object:
-    labels = read_labels(path)
-    return describe(path), labels.points.mean(axis=1) + labels.sdf
+def _grasp_checkpoint(path: Path) -> object:
+    return read_grasp_checkpoint(path.parent)
 
 
-def _grasps(path: Path) -> object:
-    grasps, _ = read_grasps(path)
-    return describe(path), grasps.count(), grasps.T_world_palm[:, :3, :3], grasps.executed.sum()
-
-
-def _plan(path: Path) -> object:
-    return describe(path), plan_as_json(read_plan(path))
+def _pack(path: Path) -> object:
+    return read_pack(path.parents[1]).names
 
 
 INPUTS = (
@@ -82,10 +79,7 @@ INPUTS = (
     Input("cloud.xyz", _cloud),
     Input("cloud.csv", _cloud),
     Input("cloud.npy", _cloud),
-    Input("views.h5", _views),
-    Input("labels.h5", _labels),
-    Input("grasps.h5", _grasps),
-    Input("plan.h5", _plan),
+    *(Input(name, read) for name, read in ARTIFACTS.items()),
     Input("box.obj", load_mesh, 0.4),
     Input("box.stl", load_mesh, 0.4),
     Input("box.ply", load_mesh, 0.4),
@@ -93,15 +87,31 @@ INPUTS = (
     Input("box.glb", load_mesh, 0.4),
     Input("box.3mf", load_mesh, 0.2),
     Input("made.ply", read_object_about),
+    Input("box.dae", load_mesh, 0.2),
+    Input("box.gltf", load_mesh, 0.2),
+    Input("depth.png", read_depth),
+    Input("depth.tiff", read_depth),
+    Input("depth.pgm", read_depth),
+    Input("depth.npy", read_depth),
+    Input("colour.png", read_colour, 0.5),
+    Input("colour.jpg", read_colour, 0.5),
     Input("camera.json", lambda path: load_camera(str(path))),
     Input("pose.json", lambda path: camera_pose(str(path))),
     Input("pose.npy", lambda path: camera_pose(str(path))),
+    Input("pose.txt", lambda path: camera_pose(str(path))),
+    Input("camera_info.yaml", lambda path: read_intrinsics(str(path), 64, 48)),
+    Input("open3d.json", lambda path: read_intrinsics(str(path), 64, 48)),
     Input("world/environment.yaml", read_environment),
     Input("robot/gripper.yaml", load_robot),
     Input("robot/gripper.urdf", read_urdf),
     Input("config/config.json", lambda path: load_model(path.parent), 0.3),
     Input("weights/model.safetensors", lambda path: load_model(path.parent), 0.3),
-    Input("state/train_state.pt", lambda path: read_train_state(path.parent)),
+    Input("state/train_state.pt", _train_state),
+    Input("success/config.json", _grasp_checkpoint, 0.3),
+    Input("success/model.safetensors", _grasp_checkpoint, 0.3),
+    Input(f"{PACK}/index.json", _pack),
+    Input(f"{PACK}/scale.npy", _pack),
+    Input("ycb.lock.json", lambda path: read_lock(path.parent)),
     Input("archive.tgz", lambda path: extract_mesh(path, path.with_name("extracted"))),
 )
 
@@ -113,9 +123,11 @@ def write_inputs(folder: Path) -> None:
     points = rng.normal(0.0, 0.03, (60, 3)) + [0.0, 0.0, 0.8]
     normals = points / np.linalg.norm(points, axis=1, keepdims=True)
     _write_clouds(folder, points, normals)
-    _write_artifacts(folder, points)
+    write_artifacts(folder, points)
+    _write_images(folder)
+    _write_pack(folder)
     box = trimesh.creation.box((0.08, 0.06, 0.04))
-    for suffix in ("obj", "stl", "ply", "off", "glb", "3mf"):
+    for suffix in ("obj", "stl", "ply", "off", "glb", "3mf", "dae"):
         box.export(folder / f"box.{suffix}")
     write_object_mesh(folder / "made.ply", box.vertices, box.faces, {"family": "box", "size": 0.1})
     camera = {"width": 64, "height": 48, "K": [[60.0, 0, 32], [0, 60.0, 24], [0, 0, 1]]}
@@ -177,27 +189,36 @@ def _write_clouds(folder: Path, points: np.ndarray, normals: np.ndarray) -> None
     np.save(folder / "cloud.npy", rows)
 
 
-def _write_artifacts(folder: Path, points: np.ndarray) -> None:
-    poses = np.tile(np.eye(4), (2, 1, 1))
-    clouds = np.stack([points, points]).astype(np.float32)
-    digest = "0" * 64
-    write_views(
-        folder / "views.h5", Views(clouds, poses, np.eye(3), (64, 48), 0.001, "m", digest), seed=0
+def _write_images(folder: Path) -> None:
+    depth = (800 + np.arange(48 * 64).reshape(48, 64) % 97).astype(np.uint16)
+    for name in ("depth.png", "depth.tiff", "depth.pgm"):
+        Image.fromarray(depth).save(folder / name)
+    np.save(folder / "depth.npy", depth)
+    colour = np.repeat((depth % 256).astype(np.uint8)[..., None], 3, axis=2)
+    for name in ("colour.png", "colour.jpg"):
+        Image.fromarray(colour).save(folder / name)
+    (folder / "pose.txt").write_text("1 0 0 0.1\n0 1 0 0\n0 0 1 0.5\n0 0 0 1\n")
+    (folder / "camera_info.yaml").write_text(
+        "image_width: 64\nimage_height: 48\ndistortion_model: plumb_bob\nd: [0, 0, 0, 0, 0]\n"
+        "k: [60.0, 0.0, 32.0, 0.0, 60.0, 24.0, 0.0, 0.0, 1.0]\n---\n"
     )
-    sdf = np.zeros(60, np.float32)
-    write_labels(folder / "labels.h5", Labels(clouds[0], sdf, "m", digest), seed=0)
-    one, number = np.ones(2, np.int8), np.ones(2, np.int32)
-    grasps = Grasps(
-        clouds, poses, poses, poses, np.zeros((2, 3)), one, one, one,
-        sdf[:2], sdf[:2], number, number,
-    )  # fmt: skip
-    meta = GraspsMeta("m", digest, "train", "arm", ("a", "b", "c"), ("c",))
-    write_grasps(folder / "grasps.h5", grasps, meta, seed=0)
-    plan = Plan(
-        "ok", "", "", ("a", "b"), np.zeros(2), np.zeros((3, 2)), np.arange(3.0), np.eye(4), 0.8,
-        1.0, 4, {"solve": 0.1}, ("arm", "hand"), np.ones(2), np.ones(2), RejectedSeeds.none(2),
-    )  # fmt: skip
-    write_plan(folder / "plan.h5", plan, seed=0)
+    columns = [60.0, 0, 0, 0, 60.0, 0, 32, 24, 1]
+    (folder / "open3d.json").write_text(
+        json.dumps({"width": 64, "height": 48, "intrinsic_matrix": columns})
+    )
+    box = trimesh.creation.box((0.08, 0.06, 0.04))
+    model = trimesh.exchange.gltf.export_gltf(trimesh.Scene(box), embed_buffers=True)
+    (folder / "box.gltf").write_bytes(model["model.gltf"])
+    entry = dict.fromkeys(("url", "sha256", "mesh_sha256", "repair"), "0" * 64) | {"size": 1}
+    (folder / "ycb.lock.json").write_text(json.dumps({"format": 1, "objects": {"a": entry}}))
+
+
+def _write_pack(folder: Path) -> None:
+    """The pack of the views and labels beside it."""
+    pack = open_pack([(folder / "views.h5", folder / "labels.h5")], folder / "built")
+    assert pack.names
+    (folder / PACK).parent.mkdir()
+    next((folder / "built").glob("pack-*")).rename(folder / PACK)
 
 
 def _write_checkpoints(folder: Path) -> None:
@@ -213,6 +234,7 @@ def _write_checkpoints(folder: Path) -> None:
         write_checkpoint(folder / name, config=config, weights=model.state_dict())
     state = {"step": 3, "model": {"weight": torch.zeros(3)}, "history": [{"loss": 0.1}]}
     write_checkpoint(folder / "state", config=config, train_state=state)
+    shutil.copytree(asset_path("weights/grasp_geometry"), folder / "success", dirs_exist_ok=True)
 
 
 def tar_of(members: dict[str, bytes]) -> bytes:

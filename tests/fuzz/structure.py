@@ -21,10 +21,8 @@ def mutate_hdf5(data: bytes, rng: np.random.Generator) -> bytes:
     image = io.BytesIO(data)
     with h5py.File(image, "a") as file:
         for _ in range(rng.integers(1, 4)):
-            if rng.random() < 0.5:
-                _spoil_attribute(file, rng)
-            else:
-                _spoil_dataset(file, rng)
+            spoil = (_spoil_attribute, _spoil_dataset, _spoil_numbers, _lead_elsewhere)
+            spoil[rng.choice(4, p=(0.35, 0.35, 0.2, 0.1))](file, rng)
     return image.getvalue()
 
 
@@ -54,6 +52,50 @@ def _spoil_attribute(file: h5py.File, rng: np.random.Generator) -> None:
         del file.attrs[name]
     elif not isinstance(value, dict):
         file.attrs[name] = value
+
+
+def _spoil_numbers(file: h5py.File, rng: np.random.Generator) -> None:
+    """Numbers that a dataset of that shape and kind can hold, and none that makes sense."""
+    arrays = [name for name in file if isinstance(file.get(name), h5py.Dataset)]
+    arrays = [n for n in arrays if file[n].shape and 0 < file[n].size < 1 << 20]
+    arrays = [n for n in arrays if file[n].dtype.kind in "fiu" and not file[n].external]
+    if not arrays:
+        return
+    name = arrays[rng.integers(len(arrays))]
+    array = file[name][()]
+    floats = (np.nan, np.inf, 0.0, -1.0, 1e30, 1e-30)
+    wholes = (0, -1, 100, 127)
+    value = floats[rng.integers(6)] if array.dtype.kind == "f" else wholes[rng.integers(4)]
+    if rng.random() < 0.5:
+        array[...] = value
+    else:
+        array.flat[rng.integers(array.size)] = value
+    file[name][...] = array
+
+
+def _lead_elsewhere(file: h5py.File, rng: np.random.Generator) -> None:
+    """Links, data in other files, and groups within groups, in place of a dataset or beside it."""
+    names = [*file, "more"]
+    name = names[rng.integers(len(names))]
+    if name in file:
+        del file[name]
+    kind = rng.integers(6)
+    if kind == 0:
+        file[name] = h5py.ExternalLink("/etc/hostname", "/data")
+    elif kind == 1:
+        file.create_dataset(name, (4, 3), "u1", external=[("/etc/passwd", 0, 12)])
+    elif kind == 2:
+        layout = h5py.VirtualLayout((4,), "f4")
+        layout[:] = h5py.VirtualSource("/nowhere.h5", "x", (4,))
+        file.create_virtual_dataset(name, layout)
+    elif kind == 3:
+        group = file
+        for _ in range(int(rng.choice([3, 30, 300]))):
+            group = group.create_group("a")
+    elif kind == 4:
+        file[name] = file["/"]  # the file within itself
+    else:
+        file.attrs.create("much", np.zeros(7000))
 
 
 def _spoil_dataset(file: h5py.File, rng: np.random.Generator) -> None:

@@ -1,0 +1,84 @@
+"""The many ways in which libraries say that there is not enough memory."""
+
+from __future__ import annotations
+
+import errno
+from contextlib import suppress
+from pathlib import Path
+
+from pointsdf_cli.errors import RgraspError
+
+_SAID = (
+    "can't allocate memory",  # torch
+    "cannot allocate memory",  # the system, the dynamic linker
+    "failed to map segment",  # the dynamic linker under a limit of address space
+    "out of memory",
+    "not enough memory",
+    "bad_alloc",
+    "can't start new thread",  # a thread's stack is memory as well
+    "unable to mmap",
+    "unable to allocate",
+    "insufficient memory",
+)
+LEAST = 1 << 30
+"""Bytes of address space: with less the libraries hang or end the process while they are loaded."""
+NEAR = 0.8
+"""Who has had this share of a limit of address space may have met it."""
+
+
+def is_lack_of_memory(error: BaseException) -> bool:
+    """Whether an error, or one that it came of, means that memory ran out.
+
+    Under a limit (`ulimit -v`) that was nearly reached any unexpected error does: libraries that
+    get no memory go on and fail somewhere else, the interpreter's own parser among them.
+    """
+    found: BaseException | None = error
+    while found is not None:
+        if isinstance(found, MemoryError):
+            return True
+        if isinstance(found, OSError) and found.errno == errno.ENOMEM:
+            return True
+        said = str(found).lower()
+        if isinstance(found, (RuntimeError, ImportError, OSError, SystemError)) and any(
+            words in said for words in _SAID
+        ):
+            return True
+        found = found.__cause__ or found.__context__
+    return _limit_was_near()
+
+
+def require_address_space() -> None:
+    """Refuse a limit under which not even the libraries can be loaded.
+
+    Raises:
+        RgraspError: The limit is below `LEAST`.
+    """
+    limit = _limit()
+    if limit is not None and limit < LEAST:
+        raise RgraspError(
+            f"the limit of address space is {limit >> 20} MB, too little to begin",
+            where="ulimit -v",
+            allowed=f"{LEAST >> 20} MB or more; plan and trial need about 2500",
+            hint="ulimit -v unlimited",
+        )
+
+
+def _limit() -> int | None:
+    """The limit of this process's address space in bytes; None without one."""
+    with suppress(ImportError, OSError, ValueError):  # an operating system that has none
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        return None if limit == resource.RLIM_INFINITY else limit
+    return None
+
+
+def _limit_was_near() -> bool:
+    limit = _limit()
+    if limit is None:
+        return False
+    with suppress(OSError, ValueError):  # no Linux: not known
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            if line.startswith("VmPeak:"):
+                return 1024 * int(line.split()[1]) > NEAR * limit
+    return False

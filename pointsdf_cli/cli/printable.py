@@ -1,0 +1,32 @@
+"""Text from files and names as a terminal may show it.
+
+A terminal obeys escape sequences: a file's attribute could clear the screen, rename the window or
+print a line that rgrasp never said. Signs that turn the direction of writing hide what a name is.
+"""
+
+from __future__ import annotations
+
+import re
+
+_CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+_CONTROLS_OF_JSON = re.compile("[\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def printable(text: str) -> str:
+    """`text` with control characters as backslash escapes; tabs and line ends stay."""
+    return _CONTROLS.sub(_escaped, text)
+
+
+def on_one_line(text: str) -> str:
+    """As `printable`, line ends escaped too: for a value that stands in a line of its own."""
+    return printable(text).replace("\n", "\\n")
+
+
+def printable_json(text: str) -> str:
+    """A JSON document with the control characters that JSON allows as escapes of JSON's own."""
+    return _CONTROLS_OF_JSON.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def _escaped(found: re.Match[str]) -> str:
+    number = ord(found[0])
+    return f"\\x{number:02x}" if number < 0x100 else f"\\u{number:04x}"
