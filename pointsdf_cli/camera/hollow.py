@@ -164,9 +164,7 @@ def _islands(
         touches = any(s.start == 0 or s.stop == n for s, n in zip(box, shape, strict=True))
         if touches:
             continue
-        wide = tuple(
-            slice(max(0, s.start - config.edge), s.stop + config.edge) for s in box
-        )
+        wide = tuple(slice(max(0, s.start - config.edge), s.stop + config.edge) for s in box)
         island = label[wide] == k
         ring = ndimage.binary_dilation(island, square, config.edge) & ~island
         border = things[wide][ring]

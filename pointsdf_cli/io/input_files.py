@@ -27,6 +27,7 @@ LARGEST: Mapping[str, int] = {
     "archive": 4096 * MEBIBYTE,
     "checkpoint": 8192 * MEBIBYTE,
     "artifact": 16384 * MEBIBYTE,
+    "bag": 262144 * MEBIBYTE,  # read message by message
 }
 """Bytes of the largest input of each kind, unless `--largest-input` allows more."""
 VARIABLE = "RGRASP_LARGEST_INPUT"

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import is_rigid, rotation_from_wxyz, transform
 from pointsdf_cli.io.atomic import write_text_atomic
-from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.io.input_files import read_input
+from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.io.untrusted import read_json, read_npy_array
 
 ALLOWED = (

@@ -11,6 +11,7 @@ import numpy as np
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import Array, is_rigid, rotation_from_wxyz, transform
+from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.io.meshes import UNITS
 from pointsdf_cli.io.untrusted import read_json
 
@@ -101,8 +102,8 @@ def _label(item: Any) -> str | None:
 
 def _of_csv(path: Path) -> tuple[list[str] | None, list[Any]]:
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_input(path, "text").decode("utf-8-sig")
+    except UnicodeDecodeError as error:
         raise InputError("is no readable text", where=path, allowed=FORMS) from error
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if not lines:

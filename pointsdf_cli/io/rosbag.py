@@ -19,6 +19,7 @@ from PIL import Image
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import Array, invert_transform, rotation_from_wxyz, transform
 from pointsdf_cli.io.depth_images import LARGEST_PIXELS
+from pointsdf_cli.io.input_files import check_input
 
 SUFFIXES = (".mcap", ".db3")
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -240,6 +241,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
     if not path.exists():
         raise InputError("no such bag", where=path)
+    for part in sorted(path.iterdir()) if path.is_dir() else [path]:
+        if not part.is_dir():
+            check_input(part, "bag")
     if path.suffix.lower() == ".bag":
         raise InputError(
             "is a bag of ROS 1",
