@@ -307,10 +307,10 @@ def _file_options(
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.errors import InputError
 
-    cameras: list[str | None] = list(intrinsics or [None])
+    cameras: list[str | None] = [*intrinsics] if intrinsics else [None]
     if len(cameras) == 1:
         cameras = cameras * count
-    on: list[str | None] = list(masks or [None] * count)
+    on: list[str | None] = [*masks] if masks else [None] * count
     for option, given in (("--intrinsics", cameras), ("--mask", on)):
         if len(given) != count:
             raise InputError(
