@@ -9,6 +9,8 @@ import typer
 
 from pointsdf_cli.cli import common
 
+SCENES = ("void", "table")
+
 
 def render(
     meshes: Annotated[Path, typer.Option(help="A folder of meshes, or one mesh.")],
@@ -17,12 +19,25 @@ def render(
     ),
     views: Annotated[int, typer.Option(help="Views per mesh.")] = 200,
     camera: Annotated[
-        str, typer.Option(help="reference, kinect2, or a JSON file with K, width and height.")
+        str,
+        typer.Option(
+            help="reference, kinect2, xtion, realsense, or a JSON file with K, width and height."
+        ),
     ] = "reference",
     distance: Annotated[float, typer.Option(help="Camera to object [m].")] = 1.5,
     noise: Annotated[
         float, typer.Option(help="Deviation of the depth at 1.5 m [m]; grows with its square.")
     ] = 0.001,
+    sensor: Annotated[
+        str, typer.Option(help="Depth sensor: ideal (Gaussian noise), structured-light or stereo.")
+    ] = "ideal",
+    scene: Annotated[
+        str,
+        typer.Option(
+            help="void: the object alone. table: resting on a table with neighbours, at 0.4 to "
+            "1.6 m, segmented with errors of a few pixels."
+        ),
+    ] = "void",
     above: Annotated[
         bool, typer.Option("--above", help="Only from above the horizon, z up as meshes stand.")
     ] = False,
@@ -45,13 +60,28 @@ def render(
     """
     from pointsdf_cli.camera.noise import DepthNoise
     from pointsdf_cli.camera.pinhole import load_camera
+    from pointsdf_cli.camera.scene_views import SceneViewConfig
     from pointsdf_cli.camera.views import ViewConfig, ViewTask, render_file
+    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.atomic import require_folder
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.io.meshes import artifact_path, find_meshes
 
+    if scene not in SCENES:
+        raise InputError(f"no scene {scene!r}", where="--scene", allowed=", ".join(SCENES))
+    if scene == "table" and (keep_depth or above):
+        option = "--keep-depth" if keep_depth else "--above"
+        raise InputError(f"{option} with --scene table", hint="leave one of the two out")
     config = ViewConfig(
-        views, distance, load_camera(camera), DepthNoise(noise), keep_depth, unit, above
+        views,
+        distance,
+        load_camera(camera),
+        DepthNoise(noise),
+        keep_depth,
+        unit,
+        above,
+        scene=SceneViewConfig((sensor,)) if scene == "table" else None,
+        sensor=sensor,
     )
     seed, jobs = common.check_seed(seed), common.job_count(jobs)
     found = shard_of(find_meshes(meshes, pattern), shard)

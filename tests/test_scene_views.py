@@ -1,0 +1,105 @@
+"""Views of table-top scenes: what is taken for the object is the object, up to known errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from pointsdf_cli.camera.pinhole import CAMERAS
+from pointsdf_cli.camera.scene_views import MOST_HIDDEN, SceneViewConfig, SceneViews
+from pointsdf_cli.camera.seen_object import SegmentationErrors
+from pointsdf_cli.camera.table_scene import SceneConfig
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.geometry.signed_distance import SignedDistance
+from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
+from pointsdf_cli.io.views import read_views
+
+EXACT = SegmentationErrors(masked=1.0, offset=(-1.0, 0.0), uneven=0.0, height=0.0, tilt=0.0)
+RESTING = SceneConfig(resting=1.0, neighbours=0, wall=0.0)
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory: pytest.TempPathFactory) -> LoadedMesh:
+    path: Path = tmp_path_factory.mktemp("meshes") / "box.ply"
+    trimesh.creation.box((0.06, 0.09, 0.14)).export(path)
+    return load_mesh(path)
+
+
+def test_points_lie_on_the_object_and_the_object_on_its_plane(box: LoadedMesh) -> None:
+    views = SceneViews(box, CAMERAS["xtion"], SceneViewConfig(("ideal",), RESTING, EXACT))
+    surface = SignedDistance(box.vertices, box.faces)
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        view, _ = views.draw(rng)
+        own = apply_transform(invert_transform(view.T_camera_object), view.points)
+        assert np.median(np.abs(surface(own))) < 0.002
+        plane = view.evidence.support_plane
+        assert plane is not None
+        heights = apply_transform(view.T_camera_object, box.vertices) @ plane[:3] - plane[3]
+        assert heights.min() == pytest.approx(0.0, abs=1e-6)
+
+
+def test_rays_that_are_called_free_do_not_meet_the_object(box: LoadedMesh) -> None:
+    """The three states are true: no corner of the object lies in space that was seen through."""
+    views = SceneViews(box, CAMERAS["xtion"], SceneViewConfig(("structured-light",)))
+    rng = np.random.default_rng(1)
+    wrong = []
+    for _ in range(6):
+        view, _ = views.draw(rng)
+        image = view.evidence.visibility
+        assert image is not None
+        size = image.seen.shape[0]
+        inner = trimesh.sample.volume_mesh(trimesh.Trimesh(box.vertices, box.faces), 2000)
+        points = apply_transform(view.T_camera_object, inner)
+        cell = (points[:, :2] / points[:, 2:] - image.window[:2]) / image.window[2:] * size
+        inside = ((cell >= 0) & (cell < size)).all(axis=1)
+        column, row = cell[inside].astype(int).T
+        wrong.append(float((image.free[row, column] > points[inside, 2] + 0.01).mean()))
+    assert np.mean(wrong) < 0.12  # at the silhouette the sensor displaces edges
+
+
+def test_equal_seeds_give_equal_views(box: LoadedMesh) -> None:
+    config = SceneViewConfig(("structured-light", "stereo"))
+    first, second = (
+        SceneViews(box, CAMERAS["realsense"], config).draw(np.random.default_rng(5))[0]
+        for _ in range(2)
+    )
+    assert np.array_equal(first.points, second.points)
+    assert np.array_equal(first.T_camera_object, second.T_camera_object)
+
+
+def test_a_mask_that_is_too_small_shows_less(box: LoadedMesh) -> None:
+    counts = []
+    for offset in (0.0, -4.0):
+        errors = SegmentationErrors(1.0, (offset, offset), uneven=0.0, height=0.0, tilt=0.0)
+        config = SceneViewConfig(("ideal",), RESTING, errors)
+        view, _ = SceneViews(box, CAMERAS["xtion"], config).draw(np.random.default_rng(2))
+        counts.append(len(view.points))
+    assert counts[1] < 0.95 * counts[0]
+    assert 0 < MOST_HIDDEN < 1
+
+
+def test_render_makes_views_of_scenes_with_their_evidence(cli: Any, tmp_path: Path) -> None:
+    trimesh.creation.box((0.06, 0.09, 0.14)).export(tmp_path / "box.ply")
+    options = ("render", "--meshes", str(tmp_path / "box.ply"), "--views", "3", "--jobs", "1")
+    options += ("--sensor", "stereo", "--out", str(tmp_path / "views"))
+    assert cli(*options, "--scene", "table").code == 0
+    views = read_views(tmp_path / "views" / "box.h5")
+    assert len(views.cloud) == len(views.evidence) == 3
+    image = views.evidence[0].visibility
+    assert image is not None
+    assert image.seen.any()
+    assert (image.free > 0).any()
+    wrong = cli(*options, "--scene", "moon", "--force")
+    assert wrong.code == 2
+    assert "void, table" in wrong.err
+
+
+def test_unknown_sensors_are_refused() -> None:
+    with pytest.raises(InputError, match="lidar"):
+        SceneViewConfig(("lidar",))
