@@ -58,7 +58,11 @@ def _spoil_numbers(file: h5py.File, rng: np.random.Generator) -> None:
     """Numbers that a dataset of that shape and kind can hold, and none that makes sense."""
     arrays = [name for name in file if isinstance(file.get(name), h5py.Dataset)]
     arrays = [n for n in arrays if file[n].shape and 0 < file[n].size < 1 << 20]
-    arrays = [n for n in arrays if file[n].dtype.kind in "fiu" and not file[n].external]
+    arrays = [
+        n
+        for n in arrays
+        if file[n].dtype.kind in "fiu" and not (file[n].external or file[n].is_virtual)
+    ]
     if not arrays:
         return
     name = arrays[rng.integers(len(arrays))]
