@@ -46,6 +46,7 @@ def render(
     from pointsdf_cli.camera.noise import DepthNoise
     from pointsdf_cli.camera.pinhole import load_camera
     from pointsdf_cli.camera.views import ViewConfig, ViewTask, render_file
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.io.meshes import artifact_path, find_meshes
@@ -61,6 +62,7 @@ def render(
         path = artifact_path(mesh, meshes, out)
         name = path.relative_to(out).with_suffix("").as_posix()
         tasks.append((name, ViewTask(name, mesh, path, config, seed, force)))
+    require_apart((task.out for _, task in tasks), [*found, camera])
     reporter = common.Reporter(quiet, as_json)
     with reporter.progress("render", len(tasks)) as progress:
         report = run_stage(

@@ -93,7 +93,7 @@ def _lead_elsewhere(file: h5py.File, rng: np.random.Generator) -> None:
         layout[:] = h5py.VirtualSource("/nowhere.h5", "x", (4,))
         file.create_virtual_dataset(name, layout)
     elif kind == 3:
-        group = file
+        group = file.create_group(name)
         for _ in range(int(rng.choice([3, 30, 300]))):
             group = group.create_group("a")
     elif kind == 4:
