@@ -6,6 +6,9 @@ import contextlib
 import gzip
 import io
 import json
+import os
+import subprocess
+import sys
 import tarfile
 import time
 from pathlib import Path
@@ -18,8 +21,12 @@ from fuzz.inputs import INPUTS, write_inputs
 from fuzz.runner import fuzz
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io import input_files
 from pointsdf_cli.io.checkpoints import read_train_state
+from pointsdf_cli.io.describe import describe
 from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+from pointsdf_cli.io.labels import Labels, read_labels, write_labels
+from pointsdf_cli.io.trials import read_trial
 from pointsdf_cli.io.untrusted import read_json, read_npy_array, read_xml, read_yaml
 from pointsdf_cli.objects.archive import extract_mesh
 
@@ -226,3 +233,170 @@ def test_an_archive_of_zeros_is_not_unpacked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="unpacks to"):
         extract_mesh(archive, tmp_path / "mesh", largest=1 << 20)
     assert [p.name for p in tmp_path.iterdir()] == ["a.tgz"]
+
+
+def test_every_schema_is_fuzzed(tmp_path: Path) -> None:
+    """A new artifact needs a line in tests/fuzz/artifacts.py."""
+    import ast
+
+    import pointsdf_cli
+
+    schemas = set()
+    for module in Path(pointsdf_cli.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Assign):
+                continue
+            for target in node.targets:
+                names = target.elts if isinstance(target, ast.Tuple) else [target]
+                values = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
+                for name, value in zip(names, values, strict=False):
+                    is_schema = isinstance(name, ast.Name) and name.id.endswith("SCHEMA")
+                    if is_schema and isinstance(value, ast.Constant):
+                        schemas.add(value.value)
+    assert {"views", "plan", "trial", "checkpoint"} <= schemas, "else nothing was found"
+    write_inputs(tmp_path)
+    fuzzed = set()
+    for kind in INPUTS:
+        path = tmp_path / kind.name
+        if path.suffix == ".h5":
+            with h5py.File(path) as file:
+                fuzzed.add(file.attrs["schema"])
+        elif path.name == "config.json":
+            fuzzed.add(json.loads(path.read_text())["schema"])
+    assert schemas - fuzzed == set()
+
+
+def test_every_suffix_that_is_read_is_fuzzed() -> None:
+    from pointsdf_cli.io.clouds import CLOUD_SUFFIXES
+    from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES
+    from pointsdf_cli.io.meshes import MESH_SUFFIXES
+
+    same = {".tif": ".tiff", ".txt": ".xyz"}
+    wanted = {same.get(s, s) for s in (*CLOUD_SUFFIXES, *MESH_SUFFIXES, *DEPTH_SUFFIXES)}
+    assert wanted - {Path(kind.name).suffix for kind in INPUTS} == set()
+
+
+def _elsewhere(folder: Path) -> dict[str, object]:
+    """Ways in which an HDF5 file holds what is in another file, as functions on an open file."""
+    secret = folder / "secret.txt"
+    secret.write_bytes(b"secret0123456789secret!!")
+    with h5py.File(folder / "other.h5", "w") as other:
+        other["points"] = np.zeros((2, 3), np.float32)
+
+    def virtual(file: h5py.File) -> None:
+        layout = h5py.VirtualLayout((2, 3), "f4")
+        layout[:] = h5py.VirtualSource(folder / "other.h5", "points", (2, 3))
+        file.create_virtual_dataset("points", layout)
+
+    def below(file: h5py.File) -> None:
+        file["group/points"] = h5py.ExternalLink(str(folder / "other.h5"), "/points")
+
+    return {
+        "external storage": lambda file: file.create_dataset(
+            "points", (2, 3), "f4", external=[(str(secret), 0, 24)]
+        ),
+        "external link": lambda file: file.__setitem__(
+            "points", h5py.ExternalLink(str(folder / "other.h5"), "/points")
+        ),
+        "soft link": lambda file: file.__setitem__("points", h5py.SoftLink("/else/points")),
+        "virtual": virtual,
+        "in a group": below,
+    }
+
+
+@pytest.mark.parametrize(
+    "way", ["external storage", "external link", "soft link", "virtual", "in a group"]
+)
+def test_hdf5_reaches_no_other_file(tmp_path: Path, way: str) -> None:
+    from conftest import run_cli
+
+    path = tmp_path / "a.h5"
+    labels = Labels(np.zeros((2, 3), np.float32), np.zeros(2, np.float32), "m", "0" * 64)
+    write_labels(path, labels, seed=0)
+    with h5py.File(path, "a") as file:
+        del file["points"]
+        _elsewhere(tmp_path)[way](file)  # type: ignore[operator]
+    refused = "is a link|in another file"
+    for read in (read_labels, describe):
+        with pytest.raises(InputError, match=refused):
+            read(path)
+    for command in ("info", "report", "view"):
+        more = ["--export", tmp_path / "page.html"] if command == "view" else []
+        run = run_cli(command, path, *more)
+        assert run.code == 2
+        assert "secret" not in run.out + run.err.replace(str(tmp_path), "")
+        assert not list(tmp_path.glob("*.html"))
+
+
+def test_a_virtual_dataset_of_a_pipe_is_not_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.h5")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.attrs["schema"], file.attrs["schema_version"] = "labels", 1
+        layout = h5py.VirtualLayout((2,), "f4", maxshape=(None,))
+        source = h5py.VirtualSource(tmp_path / "pipe.h5", "x", (2,), maxshape=(None,))
+        layout[: h5py.h5s.UNLIMITED] = source[: h5py.h5s.UNLIMITED]
+        file.create_virtual_dataset("points", layout)
+        file["sdf"] = h5py.ExternalLink(str(tmp_path / "pipe.h5"), "/x")
+    code = f"from pointsdf_cli.io.describe import describe; describe({str(tmp_path / 'a.h5')!r})"
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert "InputError" in run.stderr
+
+
+def test_groups_within_groups_cost_a_message(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "deep.h5", "w") as file:
+        group = file
+        for _ in range(8000):
+            group = group.create_group("a")
+    with h5py.File(tmp_path / "ring.h5", "w") as file:
+        file.create_group("a")["b"] = file["/"]
+    with h5py.File(tmp_path / "many.h5", "w") as file:
+        for number in range(10_001):
+            file.create_group(f"{number}")
+    with h5py.File(tmp_path / "attributes.h5", "w", libver="latest") as file:
+        for number in range(1001):
+            file.attrs[f"{number}"] = 0
+    for name, told in (
+        ("deep", "nest deeper than 8"), ("ring", "holds itself"), ("many", "more than 10000"),
+        ("attributes", "1001 attributes"),
+    ):  # fmt: skip
+        started = time.process_time()
+        with pytest.raises(InputError, match=told):
+            describe(tmp_path / f"{name}.h5")
+        assert time.process_time() - started < 5
+
+
+def test_a_little_gzip_that_unpacks_to_much_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A megabyte of zeros is a kilobyte; what is stored bounds what is read by a thousand only.
+    zeros = Dataset(np.zeros((4, 1000, 500), np.float32), "m", compress=True)
+    write_artifact(tmp_path / "a.h5", schema="s", version=1, datasets={"depth": zeros})
+    monkeypatch.setitem(input_files.LARGEST, "artifact", 1 << 20)  # type: ignore[misc]
+    with pytest.raises(InputError, match="unpacks to 7 MB"):
+        read_artifact(tmp_path / "a.h5", schema="s", version=1)
+
+
+def test_a_trial_that_disagrees_with_itself_is_refused(tmp_path: Path) -> None:
+    write_inputs(tmp_path)
+    path, whole = tmp_path / "trial.h5", (tmp_path / "trial.h5").read_bytes()
+    spoilt = {
+        "q": np.zeros((3, 6)), "q ": np.zeros((0, 6)), "faces": np.full((1, 3), 99, np.int32),
+        "T_world_object": np.zeros((0, 4, 4)), "times": np.zeros(9), "phases": np.array([b"a"] * 5),
+        "cloud": np.zeros((4, 2), np.float32),
+    }  # fmt: skip
+    for name, array in spoilt.items():
+        path.write_bytes(whole)
+        with h5py.File(path, "a") as file:
+            del file[name.strip()]
+            file[name.strip()] = array
+        with pytest.raises(InputError, match=r"trial\.h5"):
+            read_trial(path)
+    for wrong in ({"yaw": "north"}, {"held": 1}, {"object": None}, {"seed": 0.5}):
+        path.write_bytes(whole)
+        with h5py.File(path, "a") as file:
+            row = json.loads(file.attrs["row_json"]) | wrong
+            file.attrs["row_json"] = json.dumps(row)
+        with pytest.raises(InputError, match=str(*wrong)):
+            read_trial(path)

@@ -89,6 +89,7 @@ def calibrate(
     from pointsdf_cli.camera.calibration import calibrate_from_files
     from pointsdf_cli.camera.charuco import CharucoBoard
     from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder, require_new
     from pointsdf_cli.io.board_images import list_images
     from pointsdf_cli.io.poses import camera_pose, write_pose
@@ -110,7 +111,9 @@ def calibrate(
         raise InputError("--at without --eye-in-hand", hint="leave it out: the camera stands still")
     placed = None if at is None else camera_pose(at, "--at")
     name = "T_gripper_camera" if eye_in_hand and placed is None else "T_world_camera"
-    out = require_new(out or Path(f"{name}.json"), force, [robot_poses])
+    out = out or Path(f"{name}.json")
+    require_apart([out], [robot_poses, intrinsics, at, robot])
+    require_new(out, force)
     common.check_suffix(out, "--out", (".json",))
     require_folder(out.parent)
     T_world_base = load_robot(robot).T_world_base

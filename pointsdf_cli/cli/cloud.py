@@ -88,6 +88,7 @@ def cloud(
     from pointsdf_cli.camera.bag_cloud import BagOptions
     from pointsdf_cli.camera.scene_file import SceneFileOptions, cleaned_view, masked, read_view
     from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new
     from pointsdf_cli.io.clouds import write_cloud
     from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES
@@ -95,7 +96,9 @@ def cloud(
     from pointsdf_cli.io.poses import table_place
     from pointsdf_cli.io.rosbag import is_bag
 
-    out = require_new(out or Path("cloud.ply"), force, [depth])
+    out = out or Path("cloud.ply")
+    require_apart([out], [depth, intrinsics, pose, camera_pose, color, mask])
+    require_new(out, force)
     if out.suffix.lower() != ".ply":
         raise InputError(f"{out.suffix!r} is not written", where="--out", allowed=".ply")
     bag = BagOptions(topic, info_topic, world_frame, index, time, frames)

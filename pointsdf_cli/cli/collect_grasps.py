@@ -54,6 +54,7 @@ def collect_grasps(
     from dataclasses import replace
 
     from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder, write_text_atomic
     from pointsdf_cli.io.batch import shard_of
     from pointsdf_cli.io.grasps import read_grasps
@@ -79,6 +80,7 @@ def collect_grasps(
     for mesh in found:
         path = artifact_path(mesh, meshes, out)
         paths[path.relative_to(out).with_suffix("").as_posix()] = (mesh, path)
+    require_apart((path for _, path in paths.values()), [*found, robot])
     splits = split_of(list(paths), seed)
     quotas = first_quotas(splits, count)
     mine = set(shard_of(sorted(paths), shard))

@@ -49,6 +49,7 @@ def eval_gs(
     import numpy as np
 
     from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder, require_new, write_text_atomic
     from pointsdf_cli.io.provenance import git_commit
     from pointsdf_cli.io.strict_json import to_json
@@ -63,6 +64,7 @@ def eval_gs(
 
     seed = common.check_seed(seed)
     common.check_table_name(out, (".png",))
+    require_apart([out, out.with_suffix(".png"), cache], [*checkpoint, grasps, sdf, robot])
     table_path, picture = (require_new(path, force) for path in (out, out.with_suffix(".png")))
     require_folder(out.parent)
     labels = common.labels_of(checkpoint)

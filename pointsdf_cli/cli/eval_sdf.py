@@ -51,6 +51,7 @@ def eval_sdf(
     """
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.geometry.isosurface import IsosurfaceConfig
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder, require_new, write_text_atomic
     from pointsdf_cli.io.batch import run_stage
     from pointsdf_cli.io.provenance import git_commit
@@ -66,6 +67,9 @@ def eval_sdf(
         raise InputError(
             f"no published table {beside!r}", where="--beside", allowed=", ".join(PUBLISHED)
         )
+    require_apart(
+        [out, out.with_suffix(".csv"), out.with_suffix(".png")], [*checkpoint, views, meshes]
+    )
     table_path, csv_path, picture = (
         require_new(path, force) for path in (out, out.with_suffix(".csv"), out.with_suffix(".png"))
     )

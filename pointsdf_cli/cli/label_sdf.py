@@ -28,6 +28,7 @@ def label_sdf(
     Example: rgrasp label-sdf --views views/ --meshes ycb/ --out labels/
     """
     from pointsdf_cli.geometry.sdf_sampling import SamplingConfig
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.objects.labelling import find_label_tasks, label_file
@@ -35,6 +36,7 @@ def label_sdf(
     config = SamplingConfig(points)
     seed, jobs = common.check_seed(seed), common.job_count(jobs)
     found = shard_of(find_label_tasks(views, meshes, out, config, seed, force), shard)
+    require_apart((t.out for t in found), [path for t in found for path in (t.views, t.mesh)])
     out = require_folder(out)
     reporter = common.Reporter(quiet, as_json)
     with reporter.progress("label-sdf", len(found)) as progress:

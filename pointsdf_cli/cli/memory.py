@@ -58,7 +58,7 @@ def require_address_space() -> None:
         raise RgraspError(
             f"the limit of address space is {limit >> 20} MB, too little to begin",
             where="ulimit -v",
-            allowed=f"{LEAST >> 20} MB or more; plan and trial need about 2500",
+            allowed=f"{LEAST >> 20} MB or more",
             hint="ulimit -v unlimited",
         )
 

@@ -112,7 +112,6 @@ def mesh(
     Example: rgrasp mesh cloud.ply --out mesh.ply
     Example: rgrasp mesh depth.png --intrinsics K.json --camera-pose table
     """
-    import os
     import time
 
     import numpy as np
@@ -121,6 +120,7 @@ def mesh(
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.geometry.frames import apply_transform
     from pointsdf_cli.geometry.isosurface import EmptySurfaceError, IsosurfaceConfig
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new
     from pointsdf_cli.io.checkpoints import read_config
     from pointsdf_cli.io.meshes import UNITS, save_mesh
@@ -129,10 +129,9 @@ def mesh(
     if not 0 <= smooth <= 1000:
         raise InputError(f"{smooth} passes", where="--smooth", allowed="0 to 1000")
     IsosurfaceConfig(resolution)  # a wrong resolution is known before anything is read
-    typed = [
-        Path(text) for text in (camera_pose, intrinsics, mask) if text and os.path.isfile(text)
-    ]
-    out = require_new(mesh_path(out, form), force, [cloud, *typed])
+    out = mesh_path(out, form)
+    require_apart([out, picture], [cloud, camera_pose, intrinsics, mask, checkpoint, robot])
+    require_new(out, force)
     common.check_picture(picture, force)
     common.check_seed(seed)
     common.check_device(device)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -151,6 +150,7 @@ def plan(
     Example: rgrasp plan depth.png --intrinsics K.json --camera-pose T.json
     """
     from pointsdf_cli.errors import NoPlanError
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new
     from pointsdf_cli.io.checkpoints import read_config
     from pointsdf_cli.io.plans import OK, write_plan, write_trajectory
@@ -163,16 +163,21 @@ def plan(
 
     reporter = common.Reporter(quiet, as_json)
     common.check_seed(seed)
-    typed = [text for text in (*(camera_pose or ()), start, target, workspace) if text is not None]
-    typed += [*(intrinsics or ()), *(mask or ())]
-    inputs = [*clouds, *(path for path in (environment, robot) if path is not None)]
-    inputs += [Path(text) for text in typed if os.path.isfile(text)]
     common.check_suffix(out, "--out", (".h5", ".hdf5"))
-    require_new(out, force, inputs)
     picture = None if no_picture else picture or out.with_suffix(".png")
+    require_apart(
+        [out, picture, trajectory],
+        [
+            *clouds, *(camera_pose or ()), *(intrinsics or ()), *(mask or ()), environment, robot,
+            start, target, workspace, checkpoint, grasp_checkpoint,
+        ],
+    )  # fmt: skip
+    require_new(out, force)
     files = {"--out": out, "--picture": picture, "--trajectory": trajectory}
     common.check_picture(picture, force)
-    _require_places({k: path for k, path in files.items() if path is not None}, force, inputs)
+    _require_places({k: path for k, path in files.items() if path is not None}, force)
+    if trajectory is not None:
+        common.check_suffix(trajectory, "--trajectory", (".json",))
     looked_at = None if workspace is None else box(workspace, "--workspace")
     _check_choices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
     check_segment(segment, target is not None, workspace is not None)
@@ -279,12 +284,11 @@ def plan(
         raise NoPlanError(f"no plan ({answer.reason}): {answer.sentence.rstrip('.')}", where=out)
 
 
-def _require_places(files: dict[str, Path], force: bool, inputs: list[Path]) -> None:
+def _require_places(files: dict[str, Path], force: bool) -> None:
     """Each file has a place of its own that can be written: known before the planning.
 
     Raises:
-        InputError: Two have one path, one is an input or exists already, or a folder cannot be
-            written.
+        InputError: Two have one path, one exists already, or a folder cannot be written.
     """
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.atomic import require_folder, require_new
@@ -293,7 +297,7 @@ def _require_places(files: dict[str, Path], force: bool, inputs: list[Path]) -> 
     if len(set(places)) < len(places):
         raise InputError("two outputs have one path", where=", ".join(files), allowed="one each")
     for path in files.values():
-        require_folder(require_new(path, force, inputs).parent)
+        require_folder(require_new(path, force).parent)
 
 
 def _file_options(

@@ -91,6 +91,7 @@ def render(
         path = artifact_path(mesh, meshes, out)
         name = path.relative_to(out).with_suffix("").as_posix()
         tasks.append((name, ViewTask(name, mesh, path, config, seed, force)))
+    require_apart((task.out for _, task in tasks), [*found, camera])
     reporter = common.Reporter(quiet, as_json)
     with reporter.progress("render", len(tasks)) as progress:
         report = run_stage(

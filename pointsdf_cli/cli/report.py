@@ -47,6 +47,7 @@ def report(
 
     Example: rgrasp report demo/
     """
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder, require_new, write_text_atomic
     from pointsdf_cli.viz.data_report import data_report, sample_items
     from pointsdf_cli.viz.sheets import save_figure, sdf_slices, views_sheet
@@ -55,6 +56,8 @@ def report(
     page = out or (
         artifacts / "report.html" if artifacts.is_dir() else artifacts.with_suffix(".html")
     )
+    drawn = [] if pictures is None else [pictures / name for name in _PICTURES]
+    require_apart([page, *drawn], [artifacts, robot, meshes])
     made = _content(artifacts, robot, meshes, unit, title)
     if pictures and isinstance(made, str):
         from pointsdf_cli.errors import InputError
@@ -64,9 +67,8 @@ def report(
             where="--pictures",
             hint="leave it out: the page holds its pictures",
         )
-    drawn = [] if pictures is None else [pictures / name for name in _PICTURES]
     for path in (page, *drawn):  # known before anything is written
-        require_folder(require_new(path, force, [artifacts]).parent)
+        require_folder(require_new(path, force).parent)
     text = made if isinstance(made, str) else data_report(made, title)
     write_text_atomic(page, text)
     written = [page]

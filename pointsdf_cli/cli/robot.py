@@ -31,11 +31,13 @@ def check(
     from dataclasses import asdict
 
     from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import atomic_path
     from pointsdf_cli.robot.check import check_robot
     from pointsdf_cli.robot.description import load_robot
 
     reporter = common.Reporter(quiet, as_json)
+    require_apart([picture], [robot])
     common.check_picture(picture, force)
     described = load_robot(robot)
     found = check_robot(described, common.check_seed(seed))

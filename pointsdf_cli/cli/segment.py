@@ -57,9 +57,11 @@ def segment(
     """
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.poses import box
 
     reporter = common.Reporter(quiet, as_json)
+    require_apart([picture], [scene, camera_pose, intrinsics, color, mask, robot])
     common.check_picture(picture, force)
     corners = None if workspace is None else box(workspace, "--workspace")
     files = SceneFileOptions(

@@ -62,6 +62,7 @@ def train_gs(
     Example: rgrasp train-gs --grasps grasps/ --out gs/
     """
     from pointsdf_cli.cli.signals import stop_requests
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.checkpoints import (
         forget_train_state,
         read_config,
@@ -88,6 +89,7 @@ def train_gs(
     config = SuccessTraining(
         seed=common.check_seed(seed), **{k: v for k, v in chosen.items() if v is not None}
     )
+    require_apart([out, cache], [grasps, sdf, robot])
     require_checkpoint_place(out)
     if not resume and not force:
         require_no_run(out)

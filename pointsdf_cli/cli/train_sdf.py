@@ -67,6 +67,7 @@ def train_sdf(
 
     from pointsdf_cli.cli.signals import stop_requests
     from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.checkpoints import (
         forget_train_state,
         require_checkpoint_place,
@@ -103,6 +104,7 @@ def train_sdf(
     if not 0.0 < held_out < 1.0:
         raise InputError(f"{held_out} is no share", where="--held-out", allowed="between 0 and 1")
     common.torch_device(device)
+    require_apart([out, pack], [views, labels, start_from])
     require_checkpoint_place(out)
     if not resume and not force:
         require_no_run(out)

@@ -87,6 +87,7 @@ def trial(
     jobs = common.job_count(jobs)
     reporter = common.Reporter(quiet, as_json)
 
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder, write_text_atomic
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.io.trials import write_trials
@@ -139,6 +140,10 @@ def trial(
         )
         for i, one in enumerate(trials)
     }
+    require_apart(
+        [*(task.out for task in tasks.values()), out / "trials.h5"],
+        [*(one.mesh for one in chosen), checkpoint, grasp_checkpoint, robot],
+    )
     started = time.monotonic()
     mine = shard_of(list(tasks.items()), shard)
     with reporter.progress("trial", len(mine)) as progress:

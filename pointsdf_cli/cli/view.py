@@ -46,6 +46,7 @@ def view(
 
     Example: rgrasp view plan.h5 cloud.ply
     """
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new, write_text_atomic
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.viz.artifact_scene import scenes_of
@@ -54,7 +55,8 @@ def view(
 
     reporter = common.Reporter(quiet, as_json)
     if export:
-        require_new(export, force, artifacts)
+        require_apart([export], [*artifacts, robot, meshes])
+        require_new(export, force)
     options = SceneOptions(load_robot(robot), meshes, most, unit)
     scene = scenes_of(artifacts, options)
     facts = {"title": scene.title, "frames": scene.frames, "parts": len(scene.parts)}

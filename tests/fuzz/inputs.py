@@ -13,17 +13,21 @@ from typing import NamedTuple
 import numpy as np
 import torch
 import trimesh
+from bags import BEGIN, FRAME, TOPIC, camera_info, image, tf, write_bag
 from PIL import Image
 
 from pointsdf_cli.assets import asset_path
+from pointsdf_cli.camera.bag_cloud import BagOptions, cloud_of_bag
 from pointsdf_cli.camera.intrinsics import read_intrinsics
-from pointsdf_cli.camera.pinhole import load_camera
+from pointsdf_cli.camera.pinhole import Camera, load_camera
+from pointsdf_cli.io.board_images import read_grey
 from pointsdf_cli.io.checkpoints import read_train_state, write_checkpoint
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, read_cloud, write_cloud
-from pointsdf_cli.io.depth_images import read_colour, read_depth
+from pointsdf_cli.io.depth_images import read_colour, read_depth, read_mask
 from pointsdf_cli.io.meshes import load_mesh
 from pointsdf_cli.io.object_mesh import read_object_about, write_object_mesh
 from pointsdf_cli.io.poses import camera_pose
+from pointsdf_cli.io.robot_poses import read_robot_poses
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.objects.archive import extract_mesh
@@ -65,6 +69,10 @@ def _grasp_checkpoint(path: Path) -> object:
     return read_grasp_checkpoint(path.parent)
 
 
+def _bag(path: Path) -> object:
+    return cloud_of_bag(path, BagOptions())[0].points.mean()
+
+
 def _pack(path: Path) -> object:
     return read_pack(path.parents[1]).names
 
@@ -95,6 +103,13 @@ INPUTS = (
     Input("depth.npy", read_depth),
     Input("colour.png", read_colour, 0.5),
     Input("colour.jpg", read_colour, 0.5),
+    Input("mask.png", lambda path: read_mask(str(path), (48, 64))),
+    Input("board.png", read_grey, 0.5),
+    Input("robot_poses.json", read_robot_poses),
+    Input("robot_poses.csv", read_robot_poses),
+    Input("mcap/mcap.mcap", _bag),
+    Input("mcap/metadata.yaml", lambda path: _bag(path.parent), 0.5),
+    Input("sqlite3/sqlite3.db3", _bag),
     Input("camera.json", lambda path: load_camera(str(path))),
     Input("pose.json", lambda path: camera_pose(str(path))),
     Input("pose.npy", lambda path: camera_pose(str(path))),
@@ -126,6 +141,7 @@ def write_inputs(folder: Path) -> None:
     write_artifacts(folder, points)
     _write_images(folder)
     _write_pack(folder)
+    _write_bags(folder)
     box = trimesh.creation.box((0.08, 0.06, 0.04))
     for suffix in ("obj", "stl", "ply", "off", "glb", "3mf", "dae"):
         box.export(folder / f"box.{suffix}")
@@ -195,8 +211,14 @@ def _write_images(folder: Path) -> None:
         Image.fromarray(depth).save(folder / name)
     np.save(folder / "depth.npy", depth)
     colour = np.repeat((depth % 256).astype(np.uint8)[..., None], 3, axis=2)
-    for name in ("colour.png", "colour.jpg"):
+    for name in ("colour.png", "colour.jpg", "board.png"):
         Image.fromarray(colour).save(folder / name)
+    Image.fromarray(np.where(depth > 850, 255, 0).astype(np.uint8)).save(folder / "mask.png")
+    poses = {f"image{k}.png": np.eye(4).tolist() for k in range(3)}
+    (folder / "robot_poses.json").write_text(json.dumps(poses))
+    (folder / "robot_poses.csv").write_text(
+        "name,x,y,z,qw,qx,qy,qz\nimage0.png,0.1,0.2,0.3,1,0,0,0\nimage1.png,0.1,0.2,0.4,1,0,0,0\n"
+    )
     (folder / "pose.txt").write_text("1 0 0 0.1\n0 1 0 0\n0 0 1 0.5\n0 0 0 1\n")
     (folder / "camera_info.yaml").write_text(
         "image_width: 64\nimage_height: 48\ndistortion_model: plumb_bob\nd: [0, 0, 0, 0, 0]\n"
@@ -211,6 +233,18 @@ def _write_images(folder: Path) -> None:
     (folder / "box.gltf").write_bytes(model["model.gltf"])
     entry = dict.fromkeys(("url", "sha256", "mesh_sha256", "repair"), "0" * 64) | {"size": 1}
     (folder / "ycb.lock.json").write_text(json.dumps({"format": 1, "objects": {"a": entry}}))
+
+
+def _write_bags(folder: Path) -> None:
+    depth = (800 + np.arange(48 * 64).reshape(48, 64) % 97).astype(np.uint16)
+    camera = Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
+    messages = [
+        (TOPIC, BEGIN, image(BEGIN, depth, "16UC1")),
+        ("/camera/depth/camera_info", BEGIN, camera_info(BEGIN, camera)),
+        ("/tf_static", BEGIN, tf(BEGIN, {("world", FRAME): np.eye(4)})),
+    ]
+    for storage in ("mcap", "sqlite3"):
+        write_bag(folder / storage, messages, storage)
 
 
 def _write_pack(folder: Path) -> None:

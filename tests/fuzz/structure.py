@@ -58,7 +58,11 @@ def _spoil_numbers(file: h5py.File, rng: np.random.Generator) -> None:
     """Numbers that a dataset of that shape and kind can hold, and none that makes sense."""
     arrays = [name for name in file if isinstance(file.get(name), h5py.Dataset)]
     arrays = [n for n in arrays if file[n].shape and 0 < file[n].size < 1 << 20]
-    arrays = [n for n in arrays if file[n].dtype.kind in "fiu" and not file[n].external]
+    arrays = [
+        n
+        for n in arrays
+        if file[n].dtype.kind in "fiu" and not (file[n].external or file[n].is_virtual)
+    ]
     if not arrays:
         return
     name = arrays[rng.integers(len(arrays))]
@@ -89,7 +93,7 @@ def _lead_elsewhere(file: h5py.File, rng: np.random.Generator) -> None:
         layout[:] = h5py.VirtualSource("/nowhere.h5", "x", (4,))
         file.create_virtual_dataset(name, layout)
     elif kind == 3:
-        group = file
+        group = file.create_group(name)
         for _ in range(int(rng.choice([3, 30, 300]))):
             group = group.create_group("a")
     elif kind == 4:

@@ -1,0 +1,60 @@
+"""Outputs that are inputs are refused, whatever --force says: by what a file is, not by its name.
+
+A link, another spelling of a path or a second name of the same file do not hide what would be lost.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.meshes import MESH_SUFFIXES
+
+CHECKPOINT = ("config.json", "model.safetensors", "train_state.pt")
+READ = (".h5", ".hdf5", ".urdf", ".yaml", *MESH_SUFFIXES)
+"""Suffixes of what is read of an input folder; tables and pages may be written there."""
+
+
+def require_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | str | None]) -> None:
+    """Refuse an output that is an input, or a file in an input folder that is read.
+
+    Args:
+        outputs: Files and folders to be written; None is passed over.
+        inputs: Files and folders to be read, or what a user typed in place of a file; None and
+            what is no file are passed over.
+
+    Raises:
+        InputError: One of them is.
+    """
+    there = [path for path in outputs if path is not None and path.exists()]
+    if not there:
+        return
+    read = {_identity(file) for source in inputs for file in _files_of(source)}
+    for path in there:
+        if _identity(path) in read:
+            raise InputError(
+                "is an input, which the output would replace",
+                where=path,
+                allowed="a place of its own for what is written, with --force too",
+                hint="choose another name",
+            )
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    about = path.stat()
+    return about.st_dev, about.st_ino
+
+
+def _files_of(source: Path | str | None) -> Iterator[Path]:
+    """A file with what it may name beside it, or a folder with what is read of it."""
+    if source is None or not os.path.exists(source):  # unlike Path's, it takes names of any length
+        return
+    source = Path(source)
+    yield source
+    if source.suffix.lower() in (".yaml", ".yml"):  # of a robot, perhaps, which lies beside it
+        yield from source.parent.glob("*.urdf")
+    for path in source.rglob("*") if source.is_dir() else ():
+        if (path.suffix.lower() in READ or path.name in CHECKPOINT) and path.is_file():
+            yield path
