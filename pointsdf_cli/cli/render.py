@@ -63,6 +63,7 @@ def render(
     from pointsdf_cli.camera.scene_views import SceneViewConfig
     from pointsdf_cli.camera.views import ViewConfig, ViewTask, render_file
     from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.io.meshes import artifact_path, find_meshes
