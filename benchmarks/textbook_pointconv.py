@@ -108,7 +108,9 @@ class TextbookPointSDF(PointSDF):
             )
         )
 
-    def encode(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Encoding:
+    def encode(
+        self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None, **evidence: object
+    ) -> Encoding:
         xyz, features = cloud, None
         for layer in self.layers:
             xyz, features = layer(xyz, features)

@@ -34,7 +34,7 @@ class Ball(ShapeModel):
     def config(self) -> dict[str, Any]:
         return {}
 
-    def encode(self, cloud: Tensor, camera: Tensor) -> Encoding:
+    def encode(self, cloud: Tensor, camera: Tensor, **evidence: Any) -> Encoding:
         return Encoding(torch.zeros(len(cloud), self.embedding_size), {})
 
     def decode(self, encoding: Encoding, x: Tensor) -> Tensor:

@@ -155,7 +155,7 @@ def test_make_reports_and_draws_a_sheet(tmp_path: Path, cli: Callable) -> None: 
         (["--count", "0"], "0 objects"),
         (["--count", "10000000000"], "1 to 10000000"),
         (["--count", "3", "--families", "bowll"], "--families bowl"),
-        (["--count", "3", "--families", ""], "no family"),
+        (["--count", "3", "--families", ""], "--families: an argument is empty"),
         (["--count", "3", "--seed", "-4"], "--seed"),
         (["--count", "3", "--jobs", "-2"], "--jobs"),
         (["--count", "3", "--shard", "2/2"], "--shard"),

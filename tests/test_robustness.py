@@ -57,7 +57,7 @@ SLOW = {
     "train-gs", "eval-gs", "plan", "trial",
 }  # fmt: skip
 WRITES_NOTHING = {"info", "doctor"}
-OTHERS = {"objects fetch", "view", "cloud", "robot check", "robot init"}
+OTHERS = {"objects fetch", "view", "cloud", "segment", "calibrate", "robot check", "robot init"}
 """Tested beside what they do: tests/test_objects_fetch.py, tests/test_cli_*.py."""
 
 
