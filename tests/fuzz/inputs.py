@@ -207,8 +207,11 @@ def _write_clouds(folder: Path, points: np.ndarray, normals: np.ndarray) -> None
 
 def _write_images(folder: Path) -> None:
     depth = (800 + np.arange(48 * 64).reshape(48, 64) % 97).astype(np.uint16)
-    for name in ("depth.png", "depth.tiff", "depth.pgm"):
+    for name in ("depth.png", "depth.tiff"):
         Image.fromarray(depth).save(folder / name)
+    # Older versions of Pillow cannot write a PGM of 16 bits.
+    head = f"P5 {depth.shape[1]} {depth.shape[0]} 65535\n".encode()
+    (folder / "depth.pgm").write_bytes(head + depth.astype(">u2").tobytes())
     np.save(folder / "depth.npy", depth)
     colour = np.repeat((depth % 256).astype(np.uint8)[..., None], 3, axis=2)
     for name in ("colour.png", "colour.jpg", "board.png"):
