@@ -199,14 +199,20 @@ class DepthSensor:
             measured[seen] = self.noise.apply(depth[seen], rng)
             return measured
         inverse = effects.inverse_depth(depth)
+        slopes = effects.gradient(inverse)
         if cos_incidence is None:
-            cosine = effects.cos_incidence(inverse, camera, origin)
+            cosine = effects.cos_incidence(inverse, slopes, camera, origin)
         else:
             cosine = np.asarray(cos_incidence, dtype=np.float32)
-        return self._measure(inverse, cosine, camera, rng)
+        return self._measure(inverse, slopes, cosine, camera, rng)
 
     def _measure(
-        self, inverse: Image, cosine: Image, camera: Camera, rng: np.random.Generator
+        self,
+        inverse: Image,
+        slopes: tuple[Image, Image],
+        cosine: Image,
+        camera: Camera,
+        rng: np.random.Generator,
     ) -> Image:
         """Measured depths [m] of inverse depths [1/m] that are seen at these cosines."""
         scale = camera.fx / self.focal
@@ -216,14 +222,15 @@ class DepthSensor:
                 lit &= ~effects.shadow(inverse, width * camera.fx, side)
         if self.fattening:
             inverse = effects.grown(inverse, self.fattening * scale)
+            slopes = effects.gradient(inverse)
         if self.displacement or self.registration:
-            shift = scale * self.displacement * effects.smooth_noise(
-                (2, *inverse.shape), scale * self.displacement_window, rng
-            ) + scale * self.registration * effects.smooth_noise(
-                (2, *inverse.shape), scale * self.registration_window, rng
-            )
-            at = effects.displaced(inverse.shape, shift)
-            inverse, cosine, lit = inverse.take(at), cosine.take(at), lit.take(at)
+            shape = (2, *inverse.shape)
+            fine = effects.smooth_noise(shape, scale * self.displacement_window, rng)
+            coarse = effects.smooth_noise(shape, scale * self.registration_window, rng)
+            fine *= np.float32(scale * self.displacement)
+            coarse *= np.float32(scale * self.registration)
+            inverse, at = effects.displaced(inverse, slopes, fine, coarse)
+            cosine, lit = cosine.take(at), lit.take(at)
         edges = effects.depth_edges(inverse, self.edge_slope / camera.fx)
         seen = lit & ~self._missing(edges, cosine, scale, rng)
         if self.flying:
@@ -293,24 +300,25 @@ SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
                 baseline=0.075,
                 shadow_left=0.045,
                 shadow_right=0.03,
-                displacement=1.0,
-                displacement_window=3.5,
+                displacement=0.87,
+                displacement_window=5.0,
                 registration=1.5,
                 missing_at_edge=0.38,
-                missing_reach=1.0,
+                missing_reach=1.35,
                 missing_patches=0.013,
                 patch_window=20.0,
-                missing_grazing=0.3,
-                missing_angle=1.3,
-                missing_window=4.0,
-                flying=0.2,
+                missing_grazing=0.17,
+                missing_angle=1.4,
+                missing_window=2.5,
+                flying=0.18,
                 quantisation=1 / 24,
-                axial_floor=0.0005,
-                axial_depth=0.0006,
-                axial_incidence=1e-05,
+                axial_floor=0.0006,
+                axial_depth=0.0009,
+                axial_incidence=5e-05,
                 noise_window=1.5,
-                bias=0.001,
-                edge_slope=7.0,
+                bias=0.0007,
+                edge_slope=8.0,
+                registration_window=58.0,
             ),
             # Intel RealSense D415, D435.
             DepthSensor(

@@ -34,20 +34,26 @@ def inverse_depth(depth: Image) -> Image:
     return inverse
 
 
-def cos_incidence(inverse: Image, camera: Camera, origin: tuple[int, int] = (0, 0)) -> Image:
-    """Cosine of the angle between ray and surface normal.
+def gradient(inverse: Image) -> tuple[Image, Image]:
+    """Slopes of w along columns and rows [1/(m·px)].
 
-    On a plane n·p = c, w = (n/c)·(x, y, 1) with x, y the ray's slopes, so the gradient of w is
-    the normal. Of the differences to either side the smaller is taken: it does not cross an edge.
+    Of the differences to either side the smaller is taken: it does not cross an edge.
+    """
+    return _smaller_difference(inverse), _smaller_difference(inverse.T).T
 
-    Returns:
-        f4 [h, w]; 1 where there is nothing.
+
+def cos_incidence(
+    inverse: Image, slopes: tuple[Image, Image], camera: Camera, origin: tuple[int, int] = (0, 0)
+) -> Image:
+    """Cosine of the angle between ray and surface normal; 1 where there is nothing.
+
+    On a plane n·p = c, w = (n/c)·(x, y, 1) with x, y the ray's slopes, so that the gradient of w
+    over x and y gives the normal.
     """
     rows, columns = inverse.shape
     x = ((np.arange(columns) + origin[0] - camera.cx) / camera.fx).astype(np.float32)
     y = ((np.arange(rows) + origin[1] - camera.cy) / camera.fy).astype(np.float32)[:, None]
-    along_x = _smaller_difference(inverse) * np.float32(camera.fx)
-    along_y = _smaller_difference(inverse.T).T * np.float32(camera.fy)
+    along_x, along_y = slopes[0] * np.float32(camera.fx), slopes[1] * np.float32(camera.fy)
     along_z = inverse - along_x * x - along_y * y
     length = (along_x * along_x + along_y * along_y + along_z * along_z) * (x * x + y * y + 1)
     cosine = np.ones_like(inverse)
@@ -99,17 +105,32 @@ def _spline_table(pixels: int, window: float) -> Image:
     return found
 
 
-def displaced(shape: tuple[int, ...], shift: Image) -> NDArray[np.int32]:
-    """Flat indices [h, w] of the pixels looked up at a displacement (u, v) [2, h, w] [px]."""
-    rows, columns = shape
-    shift = np.rint(shift).astype(np.int32)
+def displaced(
+    inverse: Image, slopes: tuple[Image, Image], edges: Image, whole: Image
+) -> tuple[Image, NDArray[np.int32]]:
+    """Inverse depths that were displaced.
+
+    Args:
+        inverse: Inverse depths.
+        slopes: Their gradient.
+        edges: Displacement (u, v) [2, h, w] of edges alone [px]: the surface at the displaced pixel
+            is continued as a plane to the pixel itself.
+        whole: Displacement (u, v) [2, h, w] of surfaces and edges [px].
+
+    Returns:
+        Inverse depths, and the flat index of the pixel that each came from.
+    """
+    rows, columns = inverse.shape
+    shift = np.rint(edges + whole).astype(np.int32)
     u = np.arange(columns, dtype=np.int32) + shift[0]
     v = np.arange(rows, dtype=np.int32)[:, None] + shift[1]
     np.clip(u, 0, columns - 1, out=u)
     np.clip(v, 0, rows - 1, out=v)
-    v *= np.int32(columns)
-    v += u
-    return v
+    at = v * np.int32(columns) + u
+    taken = inverse.take(at)
+    found = taken - slopes[0].take(at) * edges[0] - slopes[1].take(at) * edges[1]
+    # No plane is continued to where it is half as near or as far again.
+    return np.clip(found, taken / np.float32(1.5), taken * np.float32(1.5)), at
 
 
 def grown(inverse: Image, radius: float) -> Image:
