@@ -133,11 +133,12 @@ def displaced(
     return np.clip(found, taken / np.float32(1.5), taken * np.float32(1.5)), at
 
 
-def grown(inverse: Image, radius: float) -> Image:
-    """Near surfaces grown over far ones by about `radius` pixels."""
+def grown(inverse: Image, radius: float, relative: float) -> Image:
+    """Near surfaces grown by `radius` pixels over what is farther by `relative` of its depth."""
     found = inverse
     for _ in range(round(radius)):
-        found = _dilated(found)
+        near = _dilated(found)
+        found = np.where(near > found * np.float32(1 + relative), near, found)
     return found
 
 
