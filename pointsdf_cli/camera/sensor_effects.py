@@ -22,6 +22,9 @@ Mask = NDArray[np.bool_]
 INCIDENCES = np.arccos((np.arange(64) + 0.5) / 64)
 """Angles of incidence [rad] that stand for 64 equal steps of the cosine."""
 
+_ROUNDING = 0.01
+"""Columns [px] that are no farther apart than this are the same one."""
+
 STEEPEST = 1.4
 """Incidence [rad] beyond which the axial noise grows no more: there it would have no bound."""
 
@@ -170,8 +173,7 @@ def shadow(inverse: Image, factor: float, side: str) -> Mask:
     ordered = inverse[:, ::step]
     other = np.arange(inverse.shape[1], dtype=np.float32) + np.float32(factor) * ordered
     farthest = np.maximum.accumulate(other, axis=1)
-    # Half a pixel is what a column covers itself.
-    return ((other < farthest - 0.5) & (ordered > 0))[:, ::step]
+    return ((other < farthest - _ROUNDING) & (ordered > 0))[:, ::step]
 
 
 def depth_edges(inverse: Image, relative: float) -> Mask:
