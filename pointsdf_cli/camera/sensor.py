@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -146,6 +146,10 @@ class DepthSensor:
             )
         )
 
+    def with_noise(self, noise: DepthNoise) -> DepthSensor:
+        """The ideal camera with another noise; a real one has its own and stays as it is."""
+        return replace(self, noise=noise) if self.is_ideal else self
+
     def deviation(self, depth: float) -> float:
         """σ [m] of the white noise of a surface seen face on at `depth` [m]."""
         parts = [
@@ -199,32 +203,39 @@ class DepthSensor:
             measured[seen] = self.noise.apply(depth[seen], rng)
             return measured
         inverse = effects.inverse_depth(depth)
+        slopes = effects.gradient(inverse)
         if cos_incidence is None:
-            cosine = effects.cos_incidence(inverse, camera, origin)
+            cosine = effects.cos_incidence(inverse, slopes, camera, origin)
         else:
             cosine = np.asarray(cos_incidence, dtype=np.float32)
-        return self._measure(inverse, cosine, camera, rng)
+        return self._measure(inverse, slopes, cosine, camera, rng)
 
     def _measure(
-        self, inverse: Image, cosine: Image, camera: Camera, rng: np.random.Generator
+        self,
+        inverse: Image,
+        slopes: tuple[Image, Image],
+        cosine: Image,
+        camera: Camera,
+        rng: np.random.Generator,
     ) -> Image:
         """Measured depths [m] of inverse depths [1/m] that are seen at these cosines."""
-        scale = camera.fx / self.focal
+        scale, jump = camera.fx / self.focal, self.edge_slope / camera.fx
         lit = inverse > 0
         for width, side in ((self.shadow_left, "left"), (self.shadow_right, "right")):
             if width:
                 lit &= ~effects.shadow(inverse, width * camera.fx, side)
         if self.fattening:
-            inverse = effects.grown(inverse, self.fattening * scale)
+            inverse = effects.grown(inverse, self.fattening * scale, jump)
+            slopes = effects.gradient(inverse)
         if self.displacement or self.registration:
-            shift = scale * self.displacement * effects.smooth_noise(
-                (2, *inverse.shape), scale * self.displacement_window, rng
-            ) + scale * self.registration * effects.smooth_noise(
-                (2, *inverse.shape), scale * self.registration_window, rng
-            )
-            at = effects.displaced(inverse.shape, shift)
-            inverse, cosine, lit = inverse.take(at), cosine.take(at), lit.take(at)
-        edges = effects.depth_edges(inverse, self.edge_slope / camera.fx)
+            shape = (2, *inverse.shape)
+            fine = effects.smooth_noise(shape, scale * self.displacement_window, rng)
+            coarse = effects.smooth_noise(shape, scale * self.registration_window, rng)
+            fine *= np.float32(scale * self.displacement)
+            coarse *= np.float32(scale * self.registration)
+            inverse, at = effects.displaced(inverse, slopes, fine, coarse)
+            cosine, lit = cosine.take(at), lit.take(at)
+        edges = effects.depth_edges(inverse, jump)
         seen = lit & ~self._missing(edges, cosine, scale, rng)
         if self.flying:
             inverse = effects.flying_pixels(inverse, edges, self.flying, rng)
@@ -286,33 +297,35 @@ SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
         for sensor in (
             # The paper's: Gaussian noise of 1 mm at 1.5 m.
             DepthSensor("ideal", noise=DepthNoise()),
-            # Asus Xtion, Kinect 1.
+            # Asus Xtion, Kinect 1; shares fitted by benchmarks/bench_sensor.py.
             DepthSensor(
                 "structured-light",
                 focal=575.0,
                 baseline=0.075,
+                # Registered to a colour camera that stands between imager and projector.
                 shadow_left=0.045,
                 shadow_right=0.03,
-                displacement=1.0,
-                displacement_window=3.5,
+                displacement=0.87,
+                displacement_window=5.0,
                 registration=1.5,
-                missing_at_edge=0.38,
-                missing_reach=1.0,
-                missing_patches=0.013,
+                registration_window=58.0,
+                edge_slope=8.0,
+                missing_at_edge=0.33,
+                missing_reach=1.35,
+                missing_patches=0.004,
                 patch_window=20.0,
-                missing_grazing=0.3,
-                missing_angle=1.3,
-                missing_window=4.0,
-                flying=0.2,
+                missing_grazing=0.17,
+                missing_angle=1.4,
+                missing_window=2.5,
+                flying=0.18,
                 quantisation=1 / 24,
-                axial_floor=0.0005,
-                axial_depth=0.0006,
-                axial_incidence=1e-05,
+                axial_floor=0.0006,
+                axial_depth=0.0009,
+                axial_incidence=4e-5,
                 noise_window=1.5,
-                bias=0.001,
-                edge_slope=7.0,
+                bias=0.0007,
             ),
-            # Intel RealSense D415, D435.
+            # Intel RealSense D415, D435, registered to the colour camera.
             DepthSensor(
                 "stereo",
                 focal=615.0,
@@ -320,25 +333,36 @@ SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
                 shadow_left=0.065,
                 displacement=1.2,
                 displacement_window=6.0,
+                registration=0.7,
+                registration_window=60.0,
                 fattening=1.0,
-                missing_at_edge=0.15,
+                missing_at_edge=0.2,
                 missing_reach=1.0,
                 missing_patches=0.002,
                 patch_window=10.0,
-                missing_grazing=0.4,
+                missing_grazing=0.5,
                 missing_angle=1.35,
                 missing_window=2.0,
                 flying=0.3,
                 quantisation=1 / 32,
+                axial_incidence=7e-5,
                 disparity_noise=0.1,
                 noise_window=2.0,
-                bias=0.002,
-                registration=0.7,
-                registration_window=60.0,
+                bias=0.0025,
             ),
         )
     }
 )
+
+
+def without_ideal(config: dict[str, Any]) -> dict[str, Any]:
+    """Settings for `config_json` with the parameters of their `sensor` instead of its name.
+
+    The ideal sensor is left out: files of earlier versions, which had no other, stay valid.
+    """
+    known = dict(config)
+    sensor = load_sensor(known.pop("sensor"))
+    return known if sensor.is_ideal else known | {"sensor": sensor.as_dict()}
 
 
 def load_sensor(name: str) -> DepthSensor:

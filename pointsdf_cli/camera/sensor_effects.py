@@ -22,6 +22,9 @@ Mask = NDArray[np.bool_]
 INCIDENCES = np.arccos((np.arange(64) + 0.5) / 64)
 """Angles of incidence [rad] that stand for 64 equal steps of the cosine."""
 
+_ROUNDING = 0.01
+"""Columns [px] that are no farther apart than this are the same one."""
+
 STEEPEST = 1.4
 """Incidence [rad] beyond which the axial noise grows no more: there it would have no bound."""
 
@@ -34,20 +37,26 @@ def inverse_depth(depth: Image) -> Image:
     return inverse
 
 
-def cos_incidence(inverse: Image, camera: Camera, origin: tuple[int, int] = (0, 0)) -> Image:
-    """Cosine of the angle between ray and surface normal.
+def gradient(inverse: Image) -> tuple[Image, Image]:
+    """Slopes of w along columns and rows [1/(m·px)].
 
-    On a plane n·p = c, w = (n/c)·(x, y, 1) with x, y the ray's slopes, so the gradient of w is
-    the normal. Of the differences to either side the smaller is taken: it does not cross an edge.
+    Of the differences to either side the smaller is taken: it does not cross an edge.
+    """
+    return _smaller_difference(inverse), _smaller_difference(inverse.T).T
 
-    Returns:
-        f4 [h, w]; 1 where there is nothing.
+
+def cos_incidence(
+    inverse: Image, slopes: tuple[Image, Image], camera: Camera, origin: tuple[int, int] = (0, 0)
+) -> Image:
+    """Cosine of the angle between ray and surface normal; 1 where there is nothing.
+
+    On a plane n·p = c, w = (n/c)·(x, y, 1) with x, y the ray's slopes, so that the gradient of w
+    over x and y gives the normal.
     """
     rows, columns = inverse.shape
     x = ((np.arange(columns) + origin[0] - camera.cx) / camera.fx).astype(np.float32)
     y = ((np.arange(rows) + origin[1] - camera.cy) / camera.fy).astype(np.float32)[:, None]
-    along_x = _smaller_difference(inverse) * np.float32(camera.fx)
-    along_y = _smaller_difference(inverse.T).T * np.float32(camera.fy)
+    along_x, along_y = slopes[0] * np.float32(camera.fx), slopes[1] * np.float32(camera.fy)
     along_z = inverse - along_x * x - along_y * y
     length = (along_x * along_x + along_y * along_y + along_z * along_z) * (x * x + y * y + 1)
     cosine = np.ones_like(inverse)
@@ -99,24 +108,40 @@ def _spline_table(pixels: int, window: float) -> Image:
     return found
 
 
-def displaced(shape: tuple[int, ...], shift: Image) -> NDArray[np.int32]:
-    """Flat indices [h, w] of the pixels looked up at a displacement (u, v) [2, h, w] [px]."""
-    rows, columns = shape
-    shift = np.rint(shift).astype(np.int32)
+def displaced(
+    inverse: Image, slopes: tuple[Image, Image], edges: Image, whole: Image
+) -> tuple[Image, NDArray[np.int32]]:
+    """Inverse depths that were displaced.
+
+    Args:
+        inverse: Inverse depths.
+        slopes: Their gradient.
+        edges: Displacement (u, v) [2, h, w] of edges alone [px]: the surface at the displaced pixel
+            is continued as a plane to the pixel itself.
+        whole: Displacement (u, v) [2, h, w] of surfaces and edges [px].
+
+    Returns:
+        Inverse depths, and the flat index of the pixel that each came from.
+    """
+    rows, columns = inverse.shape
+    shift = np.rint(edges + whole).astype(np.int32)
     u = np.arange(columns, dtype=np.int32) + shift[0]
     v = np.arange(rows, dtype=np.int32)[:, None] + shift[1]
     np.clip(u, 0, columns - 1, out=u)
     np.clip(v, 0, rows - 1, out=v)
-    v *= np.int32(columns)
-    v += u
-    return v
+    at = v * np.int32(columns) + u
+    taken = inverse.take(at)
+    found = taken - slopes[0].take(at) * edges[0] - slopes[1].take(at) * edges[1]
+    # No plane is continued to where it is half as near or as far again.
+    return np.clip(found, taken / np.float32(1.5), taken * np.float32(1.5)), at
 
 
-def grown(inverse: Image, radius: float) -> Image:
-    """Near surfaces grown over far ones by about `radius` pixels."""
+def grown(inverse: Image, radius: float, relative: float) -> Image:
+    """Near surfaces grown by `radius` pixels over what is farther by `relative` of its depth."""
     found = inverse
     for _ in range(round(radius)):
-        found = _dilated(found)
+        near = _dilated(found)
+        found = np.where(near > found * np.float32(1 + relative), near, found)
     return found
 
 
@@ -148,8 +173,7 @@ def shadow(inverse: Image, factor: float, side: str) -> Mask:
     ordered = inverse[:, ::step]
     other = np.arange(inverse.shape[1], dtype=np.float32) + np.float32(factor) * ordered
     farthest = np.maximum.accumulate(other, axis=1)
-    # Half a pixel is what a column covers itself.
-    return ((other < farthest - 0.5) & (ordered > 0))[:, ::step]
+    return ((other < farthest - _ROUNDING) & (ordered > 0))[:, ::step]
 
 
 def depth_edges(inverse: Image, relative: float) -> Mask:

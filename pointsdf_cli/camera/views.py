@@ -14,7 +14,7 @@ from pointsdf_cli.camera.noise import REFERENCE_DEPTH, DepthNoise
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.camera.raycast import DepthPatch, MeshCaster, depth_image, depth_window
 from pointsdf_cli.camera.scene_views import SceneViewConfig, SceneViews
-from pointsdf_cli.camera.sensor import DepthSensor, load_sensor
+from pointsdf_cli.camera.sensor import DepthSensor, load_sensor, without_ideal
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import random_rotation, transform
 from pointsdf_cli.io.batch import task_seed
@@ -79,8 +79,7 @@ class ViewConfig:
     @property
     def measures(self) -> DepthSensor:
         """What measures the depth."""
-        sensor = load_sensor(self.sensor)
-        return replace(sensor, noise=self.noise) if sensor.is_ideal else sensor
+        return load_sensor(self.sensor).with_noise(self.noise)
 
     def as_dict(self) -> dict[str, Any]:
         """For `config_json`; what files of earlier versions could not say is left out."""
@@ -89,11 +88,7 @@ class ViewConfig:
             del known["above"]
         if self.scene is None:
             del known["scene"]
-        if self.measures.is_ideal:
-            del known["sensor"]
-        else:
-            known["sensor"] = self.measures.as_dict()
-        return known
+        return without_ideal(known)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ def collect_grasps(
         int, typer.Option(help="Executed grasps in all, a fifth of them of held-out objects.")
     ] = 9111,
     robot: common.Robot = None,
+    sensor: common.Sensor = "ideal",
     shake: Annotated[
         float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
     ] = 0.0,
@@ -67,10 +68,11 @@ def collect_grasps(
         require_same_options,
         split_of,
     )
+    from pointsdf_cli.simulation.observe import CameraPlacement
     from pointsdf_cli.simulation.world import try_robot
     from pointsdf_cli.viz.grasp_report import grasp_report, share
 
-    config = AttemptConfig()
+    config = AttemptConfig(placement=CameraPlacement(sensor=sensor))
     config = replace(config, execution=replace(config.execution, shake=shake))
     seed, jobs = common.check_seed(seed), common.job_count(jobs)
     try_robot(load_robot(robot))  # a wrong robot is said once and first, not by every worker

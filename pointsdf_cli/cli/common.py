@@ -28,6 +28,13 @@ Robot = Annotated[
     Path | None, typer.Option(help="A robot's YAML.  [default: LBR4 with Allegro hand]")
 ]
 Device = Annotated[str, typer.Option(help="cpu, cuda or cuda:N.")]
+Sensor = Annotated[
+    str,
+    typer.Option(
+        metavar="ideal|structured-light|stereo",
+        help="The depth camera whose errors are simulated.",
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")]
 Json = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
 Force = Annotated[bool, typer.Option("--force", help="Make anew what is there already.")]

@@ -25,12 +25,15 @@ def render(
         ),
     ] = "reference",
     distance: Annotated[float, typer.Option(help="Camera to object [m].")] = 1.5,
+    sensor: common.Sensor = "ideal",
     noise: Annotated[
-        float, typer.Option(help="Deviation of the depth at 1.5 m [m]; grows with its square.")
-    ] = 0.001,
-    sensor: Annotated[
-        str, typer.Option(help="Depth sensor: ideal (Gaussian noise), structured-light or stereo.")
-    ] = "ideal",
+        float | None,
+        typer.Option(
+            help="With --sensor ideal: deviation of the depth at 1.5 m [m]; grows with its "
+            "square.  [default: 0.001]",
+            show_default=False,
+        ),
+    ] = None,
     scene: Annotated[
         str,
         typer.Option(
@@ -77,7 +80,7 @@ def render(
         views,
         distance,
         load_camera(camera),
-        DepthNoise(noise),
+        DepthNoise() if noise is None else DepthNoise(noise),
         keep_depth,
         unit,
         above,

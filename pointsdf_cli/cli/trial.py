@@ -61,6 +61,7 @@ def trial(
     robot: Annotated[
         Path | None, typer.Option(help="Robot YAML.", show_default="LBR4 + Allegro")
     ] = None,
+    sensor: common.Sensor = "ideal",
     shake: Annotated[
         float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
     ] = 0.0,
@@ -119,6 +120,7 @@ def trial(
             margin=margin,
         ),
         execution=ExecutorConfig(shake=shake),
+        sensor=sensor,
     )
     common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
     chosen = choose_objects(meshes, objects, pattern)

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.camera.sensor import without_ideal
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, transform
 from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose
@@ -70,8 +71,9 @@ class AttemptConfig:
         return replace(self, hand_alone=False, physics=PhysicsConfig())
 
     def as_dict(self) -> dict[str, Any]:
-        """For `config_json`."""
-        return asdict(self)
+        """For `config_json`; what files of earlier versions could not say is left out."""
+        plain = asdict(self)
+        return plain | {"placement": without_ideal(plain["placement"])}
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What a depth camera over the table sees: object, table and robot, with the sensor's noise."""
+"""What a depth camera over the table sees: object, table and robot, with the sensor's errors."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.camera.noise import DepthNoise
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
-from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.camera.raycast import MeshCaster, depth_image
 from pointsdf_cli.camera.segmentation import SegmentationConfig, segment_object
+from pointsdf_cli.camera.sensor import DepthSensor, load_sensor
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.robot.description import RobotDescription
@@ -30,6 +31,7 @@ class CameraPlacement:
     Attributes:
         camera: Intrinsics.
         noise: Of the depth.
+        sensor: Name in `SENSORS` of what measures the depth; only the ideal one uses `noise`.
         azimuth: Directions [rad] from the object to the camera, 0 away from the robot.
         elevation: Angles [rad] above the table.
         distance: To the object [m].
@@ -40,6 +42,15 @@ class CameraPlacement:
     azimuth: tuple[float, float] = (-1.0, 1.0)
     elevation: tuple[float, float] = (0.45, 0.95)
     distance: tuple[float, float] = (0.9, 1.2)
+    sensor: str = "ideal"
+
+    def __post_init__(self) -> None:
+        load_sensor(self.sensor)
+
+    @property
+    def measures(self) -> DepthSensor:
+        """What measures the depth."""
+        return load_sensor(self.sensor).with_noise(self.noise)
 
     def draw(self, target: Array, rng: np.random.Generator) -> Array:
         """T_world_camera [4, 4] of a camera that looks at `target` [3]."""
@@ -88,8 +99,9 @@ class Observer:
         faces = np.concatenate([f + start for (_, f), start in zip(parts, starts, strict=True)])
         camera = self.placement.camera
         patch = MeshCaster(vertices, faces, camera).cast(invert_transform(T_world_camera))
-        depth = self.placement.noise.apply(patch.depth, rng)
-        return camera.back_project(patch.u, patch.v, depth)
+        depth = self.placement.measures.observe(depth_image(patch, camera), camera, rng)
+        v, u = np.nonzero(depth)
+        return camera.back_project(u, v, depth[v, u])
 
     def object_cloud(
         self,

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from pointsdf_cli.camera.sensor import load_sensor, without_ideal
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.hdf5 import is_complete
@@ -33,7 +34,7 @@ from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.description import load_robot, robot_digest
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.executor import ExecutorConfig
-from pointsdf_cli.simulation.observe import Observer
+from pointsdf_cli.simulation.observe import CameraPlacement, Observer
 from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.record import Recorder
 from pointsdf_cli.simulation.sim_object import SimObject
@@ -59,16 +60,24 @@ SHOWN_FACES = 4000
 
 @dataclass(frozen=True)
 class TrialConfig:
-    """Everything that decides outcomes but the trial itself."""
+    """Everything that decides outcomes but the trial itself.
+
+    Attributes:
+        sensor: Name in `SENSORS` of what measures the depth.
+    """
 
     contenders: ContenderOptions = field(default_factory=ContenderOptions)
     scene: SceneConfig = field(default_factory=SceneConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
+    sensor: str = "ideal"
+
+    def __post_init__(self) -> None:
+        load_sensor(self.sensor)
 
     def as_dict(self) -> dict[str, Any]:
-        """For `config_json`."""
-        plain: dict[str, Any] = asdict(self)
+        """For `config_json`; what files of earlier versions could not say is left out."""
+        plain: dict[str, Any] = without_ideal(asdict(self))
         options = plain["contenders"]
         for name in ("robot", "checkpoint", "grasp_checkpoint"):
             options[name] = None if options[name] is None else str(options[name])
@@ -108,7 +117,7 @@ class TrialRunner:
         self._world = World(self.robot, config.physics)
         self._kinematics = Kinematics(self.robot)
         self._geometry = RobotGeometry(self._kinematics)
-        self._observer = Observer(self.robot)
+        self._observer = Observer(self.robot, CameraPlacement(sensor=config.sensor))
         self._grasps = grasps
         self._minds: dict[Contender, Mind] = {}
         self._object: tuple[TrialObject, SimObject] | None = None
