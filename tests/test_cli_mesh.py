@@ -144,7 +144,7 @@ def test_normals_colours_and_many_points_do_not_disturb(full: Path, tmp_path: Pa
     code, out, _ = mesh(cloud, full, "--out", tmp_path / "mesh.stl", "--json")
     told = json.loads(out)
     assert code == 0
-    assert told["points"] == len(many)
+    assert 250 <= told["points"] <= 300  # of one place one point is enough
     box = box_about(POINTS)
     assert np.array(told["extent"]) == pytest.approx(box[1] - box[0], rel=0.05)
     assert told["queries"] > 0

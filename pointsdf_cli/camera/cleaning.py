@@ -135,7 +135,7 @@ def flying_pixels(depth: NDArray[np.floating], focal: float) -> Mask:
         focal: Focal length [px].
 
     Returns:
-        bool [height, width], False where nothing returned.
+        bool [height, width], False where nothing returned, and everywhere in a sparse image.
     """
     z = np.pad(np.asarray(depth, dtype=np.float32), 1)
     middle = z[1:-1, 1:-1]
@@ -148,7 +148,10 @@ def flying_pixels(depth: NDArray[np.floating], focal: float) -> Mask:
             if (down, right) != (1, 1):
                 beside = z[down : down + height, right : right + width]
                 count += np.abs(beside - middle) <= step
-    return (middle > 0) & (count < 3)
+    seen = middle > 0
+    flying: Mask = seen & (count < 3)
+    # Where hardly any pixel has neighbours the image is sparse, and that says nothing.
+    return flying if 2 * flying.sum() < seen.sum() else np.zeros_like(flying)
 
 
 def small_regions(mask: Mask, fewest: int) -> Mask:

@@ -19,8 +19,9 @@ class SplitConfig:
 
     Attributes:
         radius: Neighbourhood [m] in which a surface is called concave.
-        depth: Mean height [m] of the neighbours above the tangent plane in a valley. A right-angled
-            one has about 3 mm, the inside of a mug 1 mm.
+        depth: Mean height [m] of the neighbours above the tangent plane, averaged over them, in a
+            valley: about 1 mm where two boxes touch. That much is noise's too; the parts' size and
+            stand decide.
         gap: Points of one part are nearer to each other than this [m].
         share: A part holds at least this share of the points.
         foot: A part stands by itself if it begins lower than this [m] above the table ...
@@ -30,8 +31,8 @@ class SplitConfig:
     """
 
     radius: float = 0.012
-    depth: float = 0.0018
-    gap: float = 0.006
+    depth: float = 0.0002
+    gap: float = 0.0045
     share: float = 0.12
     foot: float = 0.025
     rise: float = 0.03

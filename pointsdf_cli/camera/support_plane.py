@@ -27,6 +27,7 @@ class SupportPlaneConfig:
         camera_height: The camera is at least this high [m] above the table.
         roll: The table's normal and the image's upward direction enclose no more than this [rad].
         tallest: Things that stand on the table are lower than this [m].
+        flatness: Of the points within three bands this share lies within one.
         cell: The table is one connected region of cells of this size [m].
     """
 
@@ -38,6 +39,7 @@ class SupportPlaneConfig:
     camera_height: float = 0.1
     roll: float = 1.75
     tallest: float = 0.45
+    flatness: float = 0.5
     cell: float = 0.03
 
 
@@ -140,6 +142,9 @@ def _stood_on(plane: Array, sample: Array, config: SupportPlaneConfig) -> tuple[
         plane = _fitted(sample[flat])
     height = sample @ plane[:3] - plane[3]
     flat = np.abs(height) < band_at(sample, config)
+    about = np.abs(height) < 3 * band_at(sample, config)
+    if flat.sum() < config.flatness * about.sum():
+        return plane, 0.0
     level = (pose_over_plane(plane)[:3, :3] @ sample.T).T[:, :2]
     region = _main_region(level, flat, config.cell)
     if region is None:

@@ -81,6 +81,8 @@ class Things:
         low, high = np.percentile(table[on_table, :2], [1, 99], axis=0)
         for one in range(self.count):
             mine = self.label == one
+            if not mine.any():  # a mask took all of it
+                continue
             foot = points[mine][height[mine] < height[mine].min() + 0.02, :2]
             over = ((foot > low - 0.03) & (foot < high + 0.03)).all(axis=1).mean() > 0.5
             stands[one] = bool(np.percentile(height[mine], 1) < hidden and over)

@@ -17,11 +17,14 @@ from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
 from pointsdf_cli.planning.choice import NoObjectError, Target, reach_of
-from pointsdf_cli.planning.scene import sort_scene
+from pointsdf_cli.planning.scene import VOXEL, sort_scene
 from pointsdf_cli.planning.table_top import WORKSPACE, chosen_thing
 from pointsdf_cli.robot.description import RobotDescription
 
 Array = NDArray[np.float64]
+
+MANY = 400_000
+"""Scenes of more points take seconds: it is said that something is done."""
 
 ANYWHERE = SegmentationConfig(low=(-5.0, -5.0, -0.05), high=(5.0, 5.0, 0.6))
 """What is looked at before it is known where the robot stands."""
@@ -102,6 +105,9 @@ def read_scene(
         pose = camera_pose(poses[k]) if poses and place is None else None
         cloud = read_view(path, option, pose)
         notes += [f"{path}: {note}" for note in cloud.notes]
+        if len(cloud.points) > MANY:
+            side = f"{VOXEL * 1000:g} mm"
+            notes.append(f"{path}: {len(cloud.points)} points, thinned to voxels of {side}")
         if place is not None:
             reach = None if robot is None or wanted is None else reach_of(robot)
             cloud, wanted = stand_on_table(
@@ -161,7 +167,8 @@ def stand_on_table(
         plane = find_support_plane(points)
     except InputError as error:
         raise InputError(error.what, where=name, allowed=error.allowed, hint=error.hint) from error
-    cloud = replace(cloud, T_world_camera=pose_over_plane(plane))
+    above = pose_over_plane(plane)
+    cloud = replace(cloud, T_world_camera=above)
     try:
         # What is listed first stands at the place, so that numbers are those of `segment`.
         cloud = _moved(cloud, _centre(cloud, name, None, ANYWHERE, cleaned, None), place)

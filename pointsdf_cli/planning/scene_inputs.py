@@ -25,7 +25,7 @@ def check_scene_inputs(clouds: Sequence[Cloud], names: Sequence[str], segment: s
                 "nothing says where the camera stood",
                 where=name,
                 allowed="a header comment `T_world_camera` with 16 numbers, row by row",
-                hint="add --camera-pose X,Y,Z,QW,QX,QY,QZ",
+                hint="add --camera-pose X,Y,Z,QW,QX,QY,QZ, or --camera-pose table to try it out",
             )
         check = check_object_cloud if segment == "none" else check_scene_cloud
         check(cloud, name)

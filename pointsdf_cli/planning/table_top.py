@@ -21,10 +21,11 @@ from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
+from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
 from pointsdf_cli.planning.choice import NoObjectError, Target, Thing, choose, reach_of
 from pointsdf_cli.planning.environment import Obstacle
-from pointsdf_cli.planning.scene import Scene, Sighting, describe, sighting, sort_scene
+from pointsdf_cli.planning.scene import VOXEL, Scene, Sighting, describe, sighting, sort_scene
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 
@@ -44,6 +45,12 @@ def workspace_of(corners: tuple[tuple[float, ...], tuple[float, ...]] | None) ->
     (x0, y0, z0), (x1, y1, z1) = corners
     return replace(WORKSPACE, low=(x0, y0, z0), high=(x1, y1, z1))
 
+
+DENSE = 100_000
+"""A cloud of one object with more points is thinned: it shows no more and takes longer."""
+
+WIDEST = 0.6
+"""What is wider than this [m] in every level direction is not looked at any closer."""
 
 SAME_THING = 0.03
 """What another camera sees of the object is no farther [m] from what the first one saw of it."""
@@ -119,6 +126,13 @@ def look_at_table(
             in_world = apply_transform(found.T_world_camera, found.object_points)
             if first is not None:
                 _require_same(in_world, first, name)
+            elif (width := level_width(in_world)) > WIDEST:
+                raise NoObjectError(
+                    f"what is seen there is {width:.2f} m wide or more in every direction: no hand "
+                    "reaches around that",
+                    where=name,
+                    hint="--target names another object, --mask a part of it",
+                )
         except NoObjectError as error:
             problem = problem or error
             report.append(f"{name}: the object is not seen")
@@ -179,6 +193,13 @@ def clutter(points: Array, taken: Collection[str] = ()) -> tuple[Obstacle, ...]:
     return tuple(obstacles)
 
 
+def level_width(points: Array) -> float:
+    """The least width [m] of points [N, 3] of the world in any level direction."""
+    angle = np.linspace(0, np.pi, 18, endpoint=False)
+    level = points[:, :2] @ np.stack([np.cos(angle), np.sin(angle)])
+    return float(np.ptp(level, axis=0).min())
+
+
 def _require_same(points: Array, first: tuple[Array, Array], name: str) -> None:
     """A neighbour that stands before the object is not the object.
 
@@ -229,8 +250,17 @@ def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) 
     views, report = [], []
     for cloud, name in zip(clouds, names, strict=True):
         require_pose(cloud, name)
-        points, said = bare_object(check_object_cloud(cloud, name), cleaned)
         assert cloud.T_world_camera is not None
+        points, said = bare_object(check_object_cloud(cloud, name), cleaned)
+        width = level_width(apply_transform(cloud.T_world_camera, points))
+        if width > WIDEST:
+            raise InputError(
+                f"the cloud is {width:.2f} m wide or more in every direction: no hand reaches "
+                "around that, and it is more often a whole table than one object",
+                where=name,
+                allowed=f"one object, less than {WIDEST:g} m wide in some direction",
+                hint="leave --segment none out",
+            )
         views.append(View(points, cloud.T_world_camera))
         report.append(f"{name}: {said or f'all {len(points)} points are the object'}")
     return TableTop(tuple(views), np.zeros((0, 3)), tuple(report), None)
@@ -240,13 +270,19 @@ def bare_object(cloud: Cloud, cleaned: bool = True) -> tuple[Array, str]:
     """The points [N, 3] (camera frame, m) of a cloud that holds one object alone.
 
     Returns:
-        The points, and what cleaning dropped; nothing is said where nothing was dropped.
+        The points, and what was dropped; nothing is said where nothing was.
     """
     points, _ = cloud.in_camera_frame()
-    if not cleaned:
-        return points, ""
-    found = clean(points)
-    return points[found.kept], found.report()
+    said = []
+    if len(points) > DENSE:
+        few = points[thin(points, VOXEL).first]
+        said.append(f"{len(points)} points thinned to {len(few)}")
+        points = few
+    if cleaned:
+        found = clean(points)
+        points = points[found.kept]
+        said += [found.report()] if found.dropped else []
+    return points, "; ".join(said)
 
 
 def chosen_thing(

@@ -1,0 +1,225 @@
+"""Depth images go straight into segment, mesh and plan; bad ones get one message and code 2."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pointsdf_cli.camera.scene_file import SceneFileOptions
+from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
+from pointsdf_cli.io.depth_images import read_mask
+from pointsdf_cli.planning.object_view import bare_view, segmented_view
+from tests import scenes
+
+CAN, BOX = (0.6, -0.12), (0.62, 0.12)
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> list[Any]:
+    depth = scenes.seen(
+        scenes.table(), scenes.can(0.035, 0.12, CAN), scenes.box((0.06, 0.08, 0.1), BOX)
+    )
+    return scenes.write_scene(tmp_path, depth)
+
+
+def listed(cli: Callable, scene: list[Any], *more: Any) -> list[dict[str, Any]]:
+    picture = scene[0].parent / "s.png"
+    done = cli("segment", *scene, *more, "--picture", picture, "--json", "--force")
+    assert done.code == 0, done.err
+    assert Image.open(picture).size == (640, 480)
+    return list(json.loads(done.out)["objects"])
+
+
+def options(scene: list[Any], **more: Any) -> SceneFileOptions:
+    return SceneFileOptions(str(scene[2]), 1e-4, **more)
+
+
+def test_segment_lists_what_stands_there(cli: Callable, scene: list[Any]) -> None:
+    found = listed(cli, scene, "--camera-pose", scene[0].parent / "T.json")
+    assert [one["number"] for one in found] == [1, 2]
+    centres = sorted(one["centre"][1] for one in found)
+    assert centres == pytest.approx([CAN[1], BOX[1]], abs=0.012)
+    assert all(one["points"] > 1000 for one in found)
+
+
+def test_a_pose_from_the_table_puts_the_object_in_reach(cli: Callable, scene: list[Any]) -> None:
+    found = listed(cli, scene, "--camera-pose", "table:0.5,0.1")
+    assert found[0]["centre"][:2] == pytest.approx([0.5, 0.1], abs=0.003)
+    # How the things stand to each other does not change: they are 0.24 m apart.
+    apart = np.subtract(found[0]["centre"], found[1]["centre"])[:2]
+    assert np.linalg.norm(apart) == pytest.approx(0.24, abs=0.02)
+    done = cli("segment", *scene, "--camera-pose", "table", "--picture", scene[0].parent / "t.png")
+    assert "For trying out" in done.err
+
+
+@pytest.mark.parametrize("pose", ["table", "T.json"])
+def test_a_number_a_pixel_and_a_mask_name_the_same_object(
+    cli: Callable, scene: list[Any], pose: str
+) -> None:
+    folder = scene[0].parent
+    pose = pose if pose == "table" else str(folder / pose)
+    found = listed(cli, scene, "--camera-pose", pose)
+    sizes = {one["number"]: one["size"][2] for one in found}
+    can = min(sizes, key=lambda k: abs(sizes[k] - 0.12))
+    middle = np.linalg.inv(scenes.POSE) @ [*CAN, 0.1, 1.0]
+    u, v = scenes.CAMERA.project(middle[:3])
+    mask = np.zeros((480, 640), np.uint8)
+    depth = scenes.seen(scenes.can(0.035, 0.12, CAN))
+    mask[depth > 0] = 7
+    Image.fromarray(mask).save(folder / "mask.png")
+    views = [
+        segmented_view(scene[0], options(scene), pose, "auto", str(can), None, None),
+        segmented_view(scene[0], options(scene), pose, "auto", f"{u:.0f},{v:.0f}", None, None),
+        segmented_view(
+            scene[0],
+            options(scene, mask=f"{folder / 'mask.png'}:7"),
+            pose,
+            "auto",
+            None,
+            None,
+            None,
+        ),
+        bare_view(scene[0], options(scene, mask=str(folder / "mask.png")), None),
+    ]
+    top = np.linalg.inv(scenes.POSE) @ [*CAN, 0.06, 1.0]
+    for view in views:
+        away = np.median(view.points, axis=0) - top[:3]
+        assert np.linalg.norm(away) < 0.04
+        assert np.ptp(view.points, axis=0).max() < 0.14
+
+
+def test_cloud_and_depth_image_show_the_same_object(cli: Callable, scene: list[Any]) -> None:
+    folder = scene[0].parent
+    out = folder / "c.ply"
+    done = cli("cloud", *scene, "--camera-pose", "table", "--out", out)
+    assert done.code == 0, done.err
+    assert read_cloud(out).T_world_camera is not None
+    first = segmented_view(scene[0], options(scene), "table", "auto", None, None, None).points
+    second = segmented_view(out, SceneFileOptions(), None, "auto", None, None, None).points
+    assert np.median(first, axis=0) == pytest.approx(np.median(second, axis=0), abs=0.003)
+    old = cli("cloud", *scene, "--pose", folder / "T.json", "--out", out, "--force")
+    assert old.code == 0
+    assert np.allclose(read_cloud(out).T_world_camera, scenes.POSE)
+
+
+def test_mesh_of_a_depth_image(cli: Callable, scene: list[Any]) -> None:
+    out = scene[0].parent / "m.ply"
+    # 32 cells along the box are enough to see that it is made.
+    done = cli("mesh", *scene, "--camera-pose", "table", "--out", out, "--resolution", 32)
+    assert done.code == 0, done.err
+    assert out.exists()
+    assert "object 1 of 2" in done.err
+
+
+def bad(folder: Path) -> dict[str, tuple[list[Any], str]]:
+    """Arguments after the command, and what the message says."""
+    K, T, good = folder / "K.json", folder / "T.json", folder / "depth.png"
+    Image.fromarray(np.zeros((480, 640), np.uint16)).save(folder / "zero.png")
+    Image.fromarray(np.full((480, 640), 90, np.uint8)).save(folder / "eight.png")
+    Image.new("RGB", (640, 480), (9, 9, 9)).save(folder / "colour.png")
+    Image.new("RGB", (640, 480), (9, 9, 9)).save(folder / "colour.jpg")
+    Image.fromarray(np.ones((240, 320), np.uint8)).save(folder / "small.png")
+    Image.fromarray(np.zeros((480, 640), np.uint8)).save(folder / "none.png")
+    corner = np.zeros((480, 640), np.uint8)
+    corner[440:, :40] = 3
+    Image.fromarray(corner).save(folder / "corner.png")
+    (folder / "K2.json").write_text(
+        json.dumps({"K": scenes.CAMERA.K.tolist(), "width": 1280, "height": 720})
+    )
+    scale, pose = ["--depth-scale", 0.0001], ["--camera-pose", T]
+    given = [good, "--intrinsics", K, *scale]
+    return {
+        "zero": ([folder / "zero.png", "--intrinsics", K, *pose], "0 everywhere"),
+        "8 bit": ([folder / "eight.png", "--intrinsics", K, *pose], "picture of depths"),
+        "colour": ([folder / "colour.png", "--intrinsics", K, *pose], "colour picture"),
+        "jpeg": ([folder / "colour.jpg", "--intrinsics", K, *pose], "unknown format"),
+        "no K": ([good, *scale, *pose], "add --intrinsics"),
+        "other K": ([good, "--intrinsics", folder / "K2.json", *pose], "1280 × 720"),
+        "no pose": (given, "--camera-pose table"),
+        "mask size": ([*given, *pose, "--mask", folder / "small.png"], "320 × 240"),
+        "empty mask": ([*given, *pose, "--mask", folder / "none.png"], "0 everywhere"),
+        "no number": ([*given, *pose, "--mask", f"{folder / 'corner.png'}:4"], "numbers in it"),
+        "table mask": ([*given, *pose, "--mask", folder / "corner.png"], "above the table"),
+        "bad place": ([*given, "--camera-pose", "table:1"], "table:X,Y"),
+        "scale of a cloud": ([folder / "c.ply", *scale, *pose], "--depth-scale"),
+        "mask of a cloud": ([folder / "c.ply", "--mask", folder / "none.png", *pose], "intrinsics"),
+    }
+
+
+TARGETS = {
+    "number": ("9", "no object 9"),
+    "pixel": ("5,470", "no object at the pixel"),
+    "far": ("9,9,9", "away from it"),
+    "word": ("can", "neither numbers"),
+    "four": ("1,2,3,4", "an object's number"),
+}
+
+
+def test_bad_input_is_one_message(cli: Callable, scene: list[Any]) -> None:
+    folder = scene[0].parent
+    write_cloud(folder / "c.ply", Cloud(np.random.default_rng(0).uniform(0.5, 1, (99, 3))))
+    for name, (arguments, said) in bad(folder).items():
+        for command in ("segment", "mesh", "plan"):
+            if command == "mesh" and name == "table mask":
+                continue
+            out = ["--picture", folder / "x.png"] if command == "segment" else []
+            done = cli(command, *arguments, *out)
+            assert done.code == 2, (name, command, done.err)
+            assert said in done.err, (name, command, done.err)
+            assert "Traceback" not in done.err
+    assert not (folder / "x.png").exists()
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_bad_target_is_one_message(cli: Callable, scene: list[Any], name: str) -> None:
+    target, said = TARGETS[name]
+    for pose in ("table", scene[0].parent / "T.json"):
+        done = cli("mesh", *scene, "--camera-pose", pose, "--target", target)
+        assert done.code == 2, done.err
+        # The pose from the table makes the world in which a place could be meant.
+        expected = "a place in the world" if (pose, name) == ("table", "far") else said
+        assert expected in done.err
+
+
+def test_intrinsics_far_from_the_middle_are_doubted(cli: Callable, scene: list[Any]) -> None:
+    folder = scene[0].parent
+    half = scenes.CAMERA.K / 2
+    half[2, 2] = 1
+    (folder / "half.json").write_text(json.dumps(half.tolist()))
+    done = cli("cloud", *scene, "--intrinsics", folder / "half.json", "--out", folder / "h.ply")
+    assert "another resolution" in done.err
+
+
+def test_a_viewpoint_that_contradicts_the_points_is_not_used(tmp_path: Path) -> None:
+    rows = np.random.default_rng(0).uniform((-0.1, -0.1, 0.6), (0.1, 0.1, 0.7), (100, 3))
+    head = (
+        "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 100\nHEIGHT 1\n"
+        "VIEWPOINT 0 0 0 0 1 0 0\nPOINTS 100\nDATA ascii\n"
+    )
+    path = tmp_path / "c.pcd"
+    path.write_text(head + "\n".join(" ".join(f"{x:.5f}" for x in row) for row in rows))
+    cloud = read_cloud(path)
+    assert cloud.frame == "camera"
+    assert cloud.T_world_camera is None
+    assert "VIEWPOINT" in cloud.notes[0]
+    # Who insists on the header gets a message with what works.
+    with pytest.raises(Exception, match="--frame camera"):
+        read_cloud(path, frame="world").in_camera_frame()
+
+
+def test_a_mask_may_be_an_image_of_labels_or_of_colours(tmp_path: Path) -> None:
+    labels = np.array([[0, 1], [2, 2]], np.uint8)
+    Image.fromarray(labels).save(tmp_path / "l.png")
+    assert read_mask(str(tmp_path / "l.png")).tolist() == [[False, True], [True, True]]
+    assert read_mask(f"{tmp_path / 'l.png'}:2").tolist() == [[False, False], [True, True]]
+    colours = np.zeros((2, 2, 4), np.uint8)
+    colours[0, 0] = (0, 0, 9, 255)
+    colours[1, 1] = (9, 9, 9, 0)  # transparent
+    Image.fromarray(colours).save(tmp_path / "c.png")
+    assert read_mask(str(tmp_path / "c.png")).tolist() == [[True, False], [False, False]]

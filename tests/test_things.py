@@ -1,0 +1,193 @@
+"""What stands on a table is found, each thing once and whole."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pointsdf_cli.camera.segmentation import SegmentationConfig
+from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.voxels import thin
+from pointsdf_cli.planning.choice import NoObjectError, Target, Thing, choose, numbered, reach_of
+from pointsdf_cli.planning.scene import Scene, describe, sighting, sort_scene
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.viz.shading import look_at
+from tests import scenes
+
+WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
+
+
+def sorted_scene(*things: object, **options: object) -> Scene:
+    return sort_scene(scenes.cloud(scenes.seen(scenes.table(), *things)), "a", WORKSPACE, **options)
+
+
+def centres(scene: Scene) -> np.ndarray:
+    return np.array([thing.centre[:2] for thing in scene.listed if thing.stands])
+
+
+def test_two_things_have_their_places_and_sizes() -> None:
+    scene = sorted_scene(
+        scenes.box((0.06, 0.08, 0.12), (0.6, 0.1)), scenes.can(0.035, 0.1, (0.55, -0.15))
+    )
+    assert len(scene.listed) == 2
+    found = {round(float(thing.centre[1]), 1): thing for thing in scene.listed}
+    # Of the box at least its top is seen, which has its full size.
+    assert found[0.1].size == pytest.approx([0.08, 0.06, 0.12], abs=0.008)
+    assert found[0.1].centre[:2] == pytest.approx([0.6, 0.1], abs=0.008)
+    assert found[-0.1 if -0.1 in found else -0.2].size[2] == pytest.approx(0.1, abs=0.006)
+    assert [thing.number for thing in scene.listed] == [1, 2]
+
+
+def test_the_parts_of_the_report_add_up() -> None:
+    scene = sorted_scene(
+        scenes.box((0.06, 0.08, 0.12), (0.6, 0.1)), scenes.can(0.035, 0.1, (0.55, -0.15))
+    )
+    first = scene.listed[0]
+    said = describe(scene, first, sighting(scene, first))
+    assert "object 1 of 2" in said
+    kept = int(said.split("kept ")[1].split()[0])
+    total = int(said.split(" of ")[2].split()[0])
+    dropped = [int(part.split()[0]) for part in said.split("dropped ")[1].split(", ")]
+    assert kept + sum(dropped) == total == len(scene.all_points)
+
+
+def test_the_middle_of_the_image_is_meant_and_not_the_largest() -> None:
+    large = scenes.box((0.12, 0.12, 0.2), (0.6, 0.3))
+    scene = sorted_scene(large, scenes.can(0.03, 0.08, (0.6, 0.0)))
+    assert scene.listed[0].centre[1] == pytest.approx(0.0, abs=0.01)
+    assert scene.listed[0].points < scene.listed[1].points
+
+
+def test_what_the_robot_reaches_is_meant() -> None:
+    near, far = reach_of(load_robot())
+    assert 0.1 < near < 0.6 < far < 1.3
+    beyond, reached = scenes.can(0.03, 0.1, (1.15, 0.0)), scenes.can(0.03, 0.1, (0.6, 0.12))
+    pose = look_at((1.6, 0.0, 0.8), (1.1, 0.0, 0.0))
+    view = scenes.cloud(scenes.seen(scenes.table(), beyond, reached, pose=pose), pose)
+    middle = sort_scene(view, "a", WORKSPACE).listed[0]
+    assert middle.centre[0] == pytest.approx(1.15, abs=0.02)
+    arm = sort_scene(view, "a", WORKSPACE, reach=(0.3, 0.75)).listed[0]
+    assert arm.centre[0] == pytest.approx(0.6, abs=0.02)
+
+
+def test_a_bowl_is_one_thing_with_its_floor() -> None:
+    scene = sorted_scene(scenes.bowl((0.6, 0.0)))
+    assert len(scene.listed) == 1
+    seen = sighting(scene, scene.listed[0])
+    world = (scene.T_world_camera[:3, :3] @ seen.object_points.T).T + scene.T_world_camera[:3, 3]
+    from_axis = np.linalg.norm(world[:, :2] - (0.6, 0.0), axis=1)
+    # The floor is 3 mm high, below the band in which points are the table's.
+    assert ((from_axis < 0.03) & (world[:, 2] < 0.005)).sum() > 100
+    assert from_axis.max() < 0.085
+
+
+def test_the_table_seen_through_a_handle_is_no_floor() -> None:
+    handle = scenes.trimesh.creation.torus(0.03, 0.005)
+    turn = scenes.trimesh.transformations.rotation_matrix
+    handle.apply_transform(turn(np.pi / 2, (1, 0, 0)))
+    handle.apply_transform(turn(np.pi / 2, (0, 0, 1)))
+    handle.apply_translation((0.6, 0.05, 0.05))
+    scene = sorted_scene(scenes.can(0.042, 0.1, (0.6, 0.0)), handle)
+    assert len(scene.listed) == 1
+    seen = sighting(scene, scene.listed[0])
+    world = (scene.T_world_camera[:3, :3] @ seen.object_points.T).T + scene.T_world_camera[:3, 3]
+    low = world[:, 2] < 0.004
+    assert not (low & (np.linalg.norm(world[:, :2] - (0.6, 0.0), axis=1) > 0.047)).any()
+    assert (world[:, 1] > 0.07).sum() > 100  # the handle itself
+
+
+def test_touching_cans_are_told_apart() -> None:
+    scene = sorted_scene(scenes.can(0.035, 0.1, (0.6, -0.035)), scenes.can(0.04, 0.14, (0.6, 0.04)))
+    assert len(scene.listed) == 2
+    sides = sorted(float(thing.centre[1]) for thing in scene.listed)
+    assert sides == pytest.approx([-0.035, 0.04], abs=0.01)
+
+
+def test_one_thing_on_another_is_left_together_and_said_so() -> None:
+    upper = scenes.box((0.08, 0.06, 0.05), (0.58, 0.0))
+    upper.apply_translation((0, 0, 0.06))
+    scene = sorted_scene(scenes.box((0.12, 0.16, 0.06), (0.6, 0.0)), upper)
+    assert len(scene.listed) == 1
+    (thing,) = scene.listed
+    assert thing.unsplit
+    assert "could not be told apart" in describe(scene, thing, sighting(scene, thing))
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.3])
+def test_the_table_is_found_without_a_pose(roll: float) -> None:
+    # A floor and a wall are larger than the table, and the object stands on the table.
+    floor = scenes.trimesh.creation.box((8, 8, 0.02))
+    floor.apply_translation((0, 0, -0.7))
+    wall = scenes.trimesh.creation.box((0.02, 6, 4))
+    wall.apply_translation((-0.6, 0, 0))
+    small = scenes.trimesh.creation.box((0.5, 0.5, 0.02))
+    small.apply_translation((0.6, 0, -0.01))
+    turn = scenes.trimesh.transformations.rotation_matrix(roll, (0, 0, 1))
+    pose = scenes.POSE @ turn
+    depth = scenes.seen(small, floor, wall, scenes.can(0.035, 0.12, (0.6, 0.0)), pose=pose)
+    plane = find_support_plane(scenes.cloud(depth, None).points)
+    found = pose_over_plane(plane)
+    assert found[2, 3] == pytest.approx(pose[2, 3], abs=0.003)
+    assert np.degrees(np.arccos(min(1.0, found[2, :3] @ pose[2, :3]))) < 0.3
+    assert np.allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_no_table_is_said_so() -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError, match="no table"):
+        find_support_plane(rng.uniform((-1, -1, 0.5), (1, 1, 2.5), (20_000, 3)))
+
+
+def _two() -> Scene:
+    return sorted_scene(
+        scenes.box((0.06, 0.06, 0.1), (0.6, 0.1)), scenes.can(0.03, 0.1, (0.6, -0.1))
+    )
+
+
+def _chosen(scene: Scene, target: Target) -> Thing:
+    return choose(scene.listed, target, scene.world, scene.things.label, scene.pixels, "a")
+
+
+def test_a_number_a_pixel_and_a_place_name_the_same_thing() -> None:
+    scene = _two()
+    right = next(thing for thing in scene.listed if thing.centre[1] < 0)
+    inside = np.linalg.inv(scenes.POSE) @ [0.6, -0.1, 0.09, 1.0]
+    pixel = scenes.CAMERA.project(inside[:3])
+    for target in (
+        Target(number=right.number),
+        Target(pixel=(float(pixel[0]), float(pixel[1]))),
+        Target(place=np.array([0.6, -0.12, 0.05])),
+    ):
+        assert _chosen(scene, target) == right
+
+
+def test_a_target_that_is_not_there_is_told() -> None:
+    scene = _two()
+    with pytest.raises(InputError, match="no object 3") as caught:
+        _chosen(scene, Target(number=3))
+    assert "1 at" in str(caught.value)
+    assert "2 at" in str(caught.value)
+    with pytest.raises(NoObjectError, match="pixel"):
+        _chosen(scene, Target(pixel=(5.0, 400.0)))
+    with pytest.raises(InputError, match="knows no image"):
+        choose(scene.listed, Target(pixel=(1, 1)), scene.world, scene.things.label, None, "a")
+
+
+def test_thinning_keeps_one_point_a_voxel() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0, 0.1, (5000, 3))
+    first, voxel = thin(points, 0.02)
+    assert len(first) == 125
+    cell = np.floor((points - points.min(axis=0)) / 0.02)
+    assert np.array_equal(cell[first][voxel], cell)
+    with pytest.raises(InputError, match="unit"):
+        thin(np.array([[0, 0, 0], [1e9, 1e9, 1e9]]), 1e-3)
+
+
+def test_numbers_begin_with_one() -> None:
+    scene = _two()
+    listed = numbered(
+        scene.world, np.zeros((len(scene.world), 2)), scene.things, np.array([True, True])
+    )
+    assert [thing.number for thing in listed] == [1, 2]
