@@ -48,6 +48,8 @@ def test_a_usual_scene_is_believed() -> None:
     assert doubts([view(BOX)]) == []
     assert table_elsewhere(np.concatenate([TABLE, THINGS])) is None
     assert table_elsewhere(BOX) is None  # a cloud that was cut out
+    chest = sheet((0.75, 0.0, 0.2), (0.175, 0.25, 0.2))  # its top is as wide as a table
+    assert table_elsewhere(chest[chest[:, 2] > 0.001]) is None
     require_table_at_zero([np.concatenate([TABLE, THINGS])], ["a"])
 
 

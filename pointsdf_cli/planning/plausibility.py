@@ -66,9 +66,20 @@ def table_elsewhere(world: Array) -> float | None:
         middle = (edges[k] + edges[k + 1]) / 2
         # The share of what is near it that lies on it: an object's side does not.
         plane = find_table(world - [0, 0, middle], replace(config, plane_share=0.6))
-        if plane is not None:
+        if plane is not None and not _is_top_of_a_body(world, float(middle + plane[3])):
             return float(middle + plane[3])
     return None
+
+
+def _is_top_of_a_body(world: Array, height: float) -> bool:
+    """Whether sides are seen right below a level plane: below a table nothing is seen."""
+    above = world[:, 2] - height
+    level = world[np.abs(above) < 0.01]
+    if not len(level):
+        return True
+    low, high = level[:, :2].min(axis=0) - 0.02, level[:, :2].max(axis=0) + 0.02
+    beneath = (above < -0.03) & ((world[:, :2] > low) & (world[:, :2] < high)).all(axis=1)
+    return bool(beneath.sum() > 0.1 * len(level))
 
 
 def doubts(views: Sequence[View], table: float | None = 0.0) -> list[str]:
