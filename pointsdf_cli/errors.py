@@ -61,6 +61,12 @@ class NoPlanError(RgraspError):
     exit_code = 3
 
 
+class UnlikelyPlanError(RgraspError):
+    """There is a plan, and it is not likely to hold (exit code 4)."""
+
+    exit_code = 4
+
+
 def _rebuild(
     cls: type[RgraspError], what: str, where: str | None, allowed: str | None, hint: str | None
 ) -> RgraspError:

@@ -400,3 +400,38 @@ def test_a_trial_that_disagrees_with_itself_is_refused(tmp_path: Path) -> None:
             file.attrs["row_json"] = json.dumps(row)
         with pytest.raises(InputError, match=str(*wrong)):
             read_trial(path)
+
+
+def test_an_obstacle_beyond_all_measure_does_not_crash(tmp_path: Path) -> None:
+    from pointsdf_cli.planning.environment import read_environment
+
+    write_inputs(tmp_path)
+    for scale in ("1e308", "1e-300", "1e6"):
+        (tmp_path / "world" / "environment.yaml").write_text(
+            f"obstacles: [{{mesh: box.stl, scale: {scale}}}]"
+        )
+        with pytest.raises(InputError, match="m across"):
+            read_environment(tmp_path / "world" / "environment.yaml")
+
+
+def test_grasps_of_other_joints_than_they_name_are_refused(tmp_path: Path) -> None:
+    from pointsdf_cli.io.grasps import read_grasps
+
+    write_inputs(tmp_path)
+    with h5py.File(tmp_path / "grasps.h5", "a") as file:
+        q = file["q"][:, :2]
+        del file["q"]
+        file["q"] = q
+    with pytest.raises(InputError, match="6 joints, q of 2"):
+        read_grasps(tmp_path / "grasps.h5")
+
+
+def test_rows_of_commas_are_no_poses(tmp_path: Path) -> None:
+    from pointsdf_cli.io.robot_poses import read_robot_poses
+
+    path = tmp_path / "poses.csv"
+    path.write_text(",,,\n")
+    with pytest.raises(InputError, match="no poses"):
+        read_robot_poses(path)
+    path.write_text("a.png,0.1,0.2,0.3,1,0,0,0\n,,,,,,,\n")
+    assert read_robot_poses(path).names == ("a.png",)

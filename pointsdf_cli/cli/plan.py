@@ -113,6 +113,10 @@ def plan(
             show_default=False,
         ),
     ] = None,
+    accept_unlikely: Annotated[
+        bool,
+        typer.Option("--accept-unlikely", help="Exit 0, not 4, if no grasp is likely to hold."),
+    ] = False,
     start: Annotated[
         str | None,
         typer.Option(metavar="Q", help="Where the robot is [rad], or a file [default: its home]."),
@@ -145,11 +149,12 @@ def plan(
 ) -> None:
     """Plan a grasp of an object that nobody has modelled: configuration, motion, scores.
 
-    Exit code 3 says that no plan was found; the plan file then holds the reason.
+    Exit code 3: no plan was found; the plan file holds the reason. Exit code 4: a plan was found,
+    written, and is not likely to hold (see --min-success and --accept-unlikely).
 
     Example: rgrasp plan depth.png --intrinsics K.json --camera-pose T.json
     """
-    from pointsdf_cli.errors import NoPlanError
+    from pointsdf_cli.errors import NoPlanError, UnlikelyPlanError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new
     from pointsdf_cli.io.checkpoints import read_config
@@ -245,6 +250,7 @@ def plan(
         others=not ignore_others,
         workspace=workspace_of(looked_at),
         cleaned=not no_clean,
+        warn=lambda sentence: reporter.say(f"warning: {sentence}"),
     )
     for line in session.report:
         reporter.say(line)
@@ -277,11 +283,21 @@ def plan(
         from pointsdf_cli.viz.plan_picture import plan_picture
         from pointsdf_cli.viz.robot_picture import RobotMeshes
 
-        title, below = _headline(answer), "; ".join(session.report)
+        title = _headline(answer)
+        below = "; ".join((*session.report, *session.warnings))
         q = answer.q if found else session.start
         plan_picture(picture, RobotMeshes(planner.robot), q, session.scene(), title, below)
     if not found:
         raise NoPlanError(f"no plan ({answer.reason}): {answer.sentence.rstrip('.')}", where=out)
+    least = options.synthesis.acceptance.least
+    if answer.success_probability < least and not accept_unlikely:
+        raise UnlikelyPlanError(
+            f"the plan is not likely to hold: probability {answer.success_probability:.2f}, below "
+            f"{least:g}",
+            where=out,
+            hint="--accept-unlikely takes it all the same (exit code 0); or turn the object, or "
+            "look at it from another side",
+        )
 
 
 def _require_places(files: dict[str, Path], force: bool) -> None:

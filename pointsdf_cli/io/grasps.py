@@ -194,6 +194,8 @@ def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:
             preshape_joints=tuple(str(name) for name in attributes["preshape_joints"]),
             complete=bool(attributes["complete"]),
         )
+        if len(meta.joint_names) != grasps.q.shape[1]:
+            raise ValueError(f"{len(meta.joint_names)} joints, q of {grasps.q.shape[1]}")
     return grasps, meta
 
 

@@ -21,6 +21,9 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 SMALLEST, LARGEST = 0.005, 2.0
 """Bounds [m] of the longest side of a thing to grasp: beyond them the unit is wrong."""
 
+NARROWEST, FARTHEST = 1e-5, 1e4
+"""Bounds [m] of a body that stands in the way."""
+
 # trimesh warns on its logger of what the checks below say better. It is imported where a mesh is
 # read or written: a third of a second that a cloud's reader need not wait.
 logging.getLogger("trimesh").setLevel(logging.ERROR)
@@ -142,9 +145,22 @@ def load_body(path: Path | str, scale: float = 1.0) -> LoadedMesh:
     Args:
         path: The file.
         scale: Metres for each of its numbers.
+
+    Raises:
+        InputError: As `load_mesh`, but for sizes from a hundredth of a millimetre to kilometres.
     """
     path = Path(path)
     vertices, faces = _surface(path)
+    used = vertices[np.unique(faces)]
+    with np.errstate(over="ignore"):
+        farthest = float(np.abs(used).max()) * scale
+        size = float(np.ptp(used, axis=0).max()) * scale
+    if not (farthest < FARTHEST and size > NARROWEST):  # libraries crash on such numbers
+        raise InputError(
+            f"is {size:.3g} m across and up to {farthest:.3g} m away, scaled by {scale:g}",
+            where=path,
+            allowed=f"{NARROWEST:g} to {FARTHEST:g} m",
+        )
     return _closed(path, vertices * scale, faces)
 
 

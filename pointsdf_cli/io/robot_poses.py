@@ -109,6 +109,9 @@ def _of_csv(path: Path) -> tuple[list[str] | None, list[Any]]:
     if not lines:
         return None, []
     rows = [[word.strip() for word in row if word.strip()] for row in csv.reader(lines)]
+    rows = [row for row in rows if row]  # a spreadsheet may end in rows of commas
+    if not rows:
+        return None, []
     if len(rows[0]) == 1:  # blanks in place of commas
         rows = [line.split() for line in lines]
     head = [word.lower() for word in rows[0]]

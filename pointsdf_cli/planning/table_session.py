@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,8 @@ from pointsdf_cli.planning.choice import NoObjectError, Target
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
-from pointsdf_cli.planning.table_top import WORKSPACE, clutter, look_at_table
+from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
+from pointsdf_cli.planning.table_top import WORKSPACE, TableTop, clutter, look_at_table
 from pointsdf_cli.planning.target import surface_of
 from pointsdf_cli.robot.start import start_configuration
 from pointsdf_cli.viz.plan_picture import PlanScene
@@ -36,6 +37,7 @@ class TableSession:
     Attributes:
         answer: Of the planner.
         report: Sentences about what was seen.
+        warnings: Sentences about what cannot be as it was given.
         start: [J], where the robot is.
         points: [N, 3], the object's seen points, world, m.
         camera: [3], the first camera's place.
@@ -48,6 +50,7 @@ class TableSession:
     points: Array
     camera: Array
     obstacles: tuple[Obstacle, ...]
+    warnings: tuple[str, ...] = ()
 
     def scene(self) -> PlanScene:
         """For the picture."""
@@ -73,6 +76,7 @@ def plan_on_table(
     others: bool = True,
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
+    warn: Callable[[str], None] | None = None,
 ) -> TableSession:
     """Find the object in the clouds and plan a grasp of it.
 
@@ -88,12 +92,15 @@ def plan_on_table(
         others: Whether other things that are seen are obstacles.
         workspace: What is looked at of the world.
         cleaned: Whether flying pixels, outliers and specks are dropped.
+        warn: Told what cannot be as it was given, before the planning.
 
     Raises:
-        InputError: The clouds or the start cannot be used.
+        InputError: The clouds or the start cannot be used, or show a table far from z = 0.
     """
     environment = environment or Environment()
     q = start_configuration(start, planner.robot)
+    if segment == "auto" and environment.table:
+        require_table_at_zero([_in_world(cloud) for cloud in clouds], names)
     try:
         seen = look_at_table(clouds, names, planner.robot, q, segment, target, workspace, cleaned)
     except NoObjectError as error:
@@ -103,9 +110,9 @@ def plan_on_table(
         said = (f"{error.where}: {error.what}",)
         return TableSession(answer, said, q, world, camera, environment.obstacles)
     report = list(seen.report)
-    doubt = table_doubt(seen.table_height, clouds) if segment == "auto" else ""
-    if doubt:
-        report.append(doubt)
+    warnings = _warnings(seen, clouds, segment, environment.table)
+    for sentence in warnings if warn is not None else ():
+        warn(sentence)
     if others and len(seen.others):
         beside = clutter(seen.others, [one.name for one in environment.obstacles])
         if beside:
@@ -113,12 +120,21 @@ def plan_on_table(
         environment = replace(environment, obstacles=(*environment.obstacles, *beside))
     answer = planner.plan(seen.views, environment, q, seed)
     answer = replace(answer, plan=_with_surface(answer))
-    if doubt:
-        sentence = f"{answer.plan.sentence} {doubt[0].upper()}{doubt[1:]}.".strip()
+    if warnings:
+        more = " ".join(f"{each[0].upper()}{each[1:].rstrip('.?')}." for each in warnings)
+        sentence = f"{answer.plan.sentence} {more}".strip()
         answer = replace(answer, plan=replace(answer.plan, sentence=sentence))
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
-    return TableSession(answer, tuple(report), q, points, camera, environment.obstacles)
+    return TableSession(
+        answer, tuple(report), q, points, camera, environment.obstacles, tuple(warnings)
+    )
+
+
+def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: bool) -> list[str]:
+    off = table_doubt(seen.table_height, clouds) if segment == "auto" and has_table else ""
+    height = (seen.table_height or 0.0) if has_table else None
+    return [off] * bool(off) + doubts(seen.views, height)
 
 
 def _with_surface(answer: Answer) -> Plan:

@@ -1,0 +1,177 @@
+"""What a person would doubt at a glance at the scene, before any grasp is looked for.
+
+A wrong camera pose, a wrong option or a wrong cloud gives a scene that cannot be: a camera that
+looks up through the table, an object in the air. The planner would answer all the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.camera.segmentation import SegmentationConfig, clusters, find_table
+from pointsdf_cli.camera.view import View
+from pointsdf_cli.errors import InputError
+
+Array = NDArray[np.float64]
+
+ABOVE = 0.08
+"""An object whose lowest seen point is higher than this [m] above the table may hang in the air."""
+STEEP = np.deg2rad(60)
+"""A camera that looks down more steeply than this may not see an object's foot."""
+APART = 0.05
+"""Points of one object that a camera sees are not parted by more than about this [m]."""
+PART, FEWEST = 0.1, 50
+"""A part of a cloud has this share of its points, and so many."""
+ROUND = 0.03
+"""A sphere fits points that are nearer to it than this share of its radius, as a rule."""
+OTHER_TABLE = 0.6
+"""A table is looked for within this height [m] of z = 0 where none is seen there."""
+
+
+def require_table_at_zero(worlds: Sequence[Array], names: Sequence[str]) -> None:
+    """Refuse views of a table that is far from z = 0, where plans take it to be.
+
+    Args:
+        worlds: Of each view, points [N, 3] in the world, m.
+        names: Of the views, for messages.
+
+    Raises:
+        InputError: A view shows a table at another height, and none at z = 0.
+    """
+    for world, name in zip(worlds, names, strict=True):
+        height = table_elsewhere(world)
+        if height is not None:
+            raise InputError(
+                f"a table is seen at z = {1000 * height:.0f} mm, and plans take it to be at z = 0: "
+                "the camera's pose is off by as much",
+                where=name,
+                hint="correct --camera-pose; --camera-pose table takes the table that is seen for "
+                "z = 0. If there is no table: --environment with `table: false`",
+            )
+
+
+def table_elsewhere(world: Array) -> float | None:
+    """The height [m] of a table that is not near z = 0; None if there is one, or none at all."""
+    world = world[:: max(1, len(world) // 20_000)]
+    config = SegmentationConfig()
+    near = np.abs(world[:, 2]) < OTHER_TABLE
+    if not near.any() or find_table(world, config) is not None:
+        return None
+    counts, edges = np.histogram(world[near, 2], np.arange(-OTHER_TABLE, OTHER_TABLE, 0.01))
+    for k in np.argsort(-counts)[:5]:
+        middle = (edges[k] + edges[k + 1]) / 2
+        # The share of what is near it that lies on it: an object's side does not.
+        plane = find_table(world - [0, 0, middle], replace(config, plane_share=0.6))
+        if plane is not None and not _is_top_of_a_body(world, float(middle + plane[3])):
+            return float(middle + plane[3])
+    return None
+
+
+def _is_top_of_a_body(world: Array, height: float) -> bool:
+    """Whether sides are seen right below a level plane: below a table nothing is seen."""
+    above = world[:, 2] - height
+    level = world[np.abs(above) < 0.01]
+    if not len(level):
+        return True
+    low, high = level[:, :2].min(axis=0) - 0.02, level[:, :2].max(axis=0) + 0.02
+    beneath = (above < -0.03) & ((world[:, :2] > low) & (world[:, :2] < high)).all(axis=1)
+    return bool(beneath.sum() > 0.1 * len(level))
+
+
+def doubts(views: Sequence[View], table: float | None = 0.0) -> list[str]:
+    """Sentences about views of one object that a person would not believe.
+
+    Args:
+        views: The object as each camera saw it.
+        table: The height of its table [m]; None where there is none.
+    """
+    said = []
+    world = np.concatenate([view.in_world for view in views])
+    if table is not None:
+        said += [below_table(view, table) for view in views]
+        said.append(in_the_air(views, table))
+    said += [from_inside(view) for view in views]
+    said.append(in_parts(world))
+    return list(dict.fromkeys(sentence for sentence in said if sentence))
+
+
+def below_table(view: View, table: float) -> str:
+    """Says that the camera stands below the table that it looks at."""
+    height = float(view.T_world_camera[2, 3]) - table
+    if height >= 0:
+        return ""
+    return (
+        f"the camera stands {-100 * height:.0f} cm below the table and looks up through it: check "
+        "its pose (--camera-pose is the camera in the world, not the world in the camera)"
+    )
+
+
+def in_the_air(views: Sequence[View], table: float) -> str:
+    """Says that nothing is seen between the object and the table."""
+    world = np.concatenate([view.in_world for view in views])
+    gap = float(np.percentile(world[:, 2], 1)) - table
+    centre = world.mean(axis=0)
+    ways = [view.T_world_camera[:3, 3] - centre for view in views]
+    level = [way for way in ways if np.arctan2(way[2], np.linalg.norm(way[:2])) < STEEP]
+    if gap < ABOVE or not level:
+        return ""
+    return (
+        f"the object's lowest seen point is {100 * gap:.0f} cm above the table: does it float, "
+        "does something hide its foot, or is the camera's pose wrong?"
+    )
+
+
+def from_inside(view: View) -> str:
+    """Says that the camera sees the inner side of something round, or stands in the object."""
+    points = view.points
+    centre = points.mean(axis=0)
+    if np.linalg.norm(centre) < np.ptp(points, axis=0).max() / 2:
+        return "the camera stands within the object: check the cloud's frame and the camera's pose"
+    ball = _ball(points)
+    if ball is None:
+        return ""
+    middle, radius = ball
+    cap = ((points - middle) / radius).mean(axis=0)
+    # Near 1 for a flat patch, half for a hemisphere; a bowl that stands is open upward.
+    size = float(np.linalg.norm(cap))
+    opens_up = float(-cap @ view.T_world_camera[2, :3]) / max(size, 1e-9)
+    if size > 0.8 or cap @ centre < 0 or opens_up > 0.5:
+        return ""
+    return (
+        "the seen points bulge away from the camera: this is the inside of something hollow that "
+        "lies on its side, or the cloud or its pose is wrong"
+    )
+
+
+def in_parts(world: Array) -> str:
+    """Says that the points of one object lie in several places."""
+    label, counts = clusters(world, APART)
+    large = np.flatnonzero(counts >= max(FEWEST, PART * len(world)))
+    if len(large) < 2:
+        return ""
+    centres = np.stack([world[label == k].mean(axis=0) for k in large])
+    away = max(float(np.linalg.norm(a - b)) for a in centres for b in centres)
+    return (
+        f"the object's points lie in {len(large)} parts up to {100 * away:.0f} cm apart: with "
+        "--segment none they are taken for one object; --segment auto takes one of them"
+    )
+
+
+def _ball(points: Array) -> tuple[Array, float] | None:
+    """Centre and radius of the sphere that points lie on; None if they do not."""
+    origin = points.mean(axis=0)
+    away = points - origin
+    system = np.column_stack([2 * away, np.ones(len(away))])
+    solution, _, rank, _ = np.linalg.lstsq(system, (away**2).sum(axis=1), rcond=None)
+    squared = solution[3] + solution[:3] @ solution[:3]
+    if rank < 4 or squared <= 0:
+        return None
+    radius = float(np.sqrt(squared))
+    off = np.abs(np.linalg.norm(away - solution[:3], axis=1) - radius)
+    if radius > 0.5 or float(np.percentile(off, 90)) > ROUND * radius:
+        return None
+    return origin + solution[:3], radius

@@ -1,0 +1,117 @@
+"""Scenes that cannot be: what a person would say about them at a glance."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_planning_table_top import POSE, TABLE, THINGS, cloud, sheet
+
+from pointsdf_cli.camera.view import View
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.io.clouds import write_cloud
+from pointsdf_cli.planning.plausibility import (
+    below_table,
+    doubts,
+    from_inside,
+    in_parts,
+    in_the_air,
+    require_table_at_zero,
+    table_elsewhere,
+)
+from pointsdf_cli.viz.shading import look_at
+
+BOX = sheet((0.6, 0.0, 0.05), (0.04, 0.04, 0.05))
+
+
+def view(world: np.ndarray, T_world_camera: np.ndarray = POSE) -> View:
+    return View(apply_transform(invert_transform(T_world_camera), world), T_world_camera)
+
+
+def ball(centre: np.ndarray, radius: float, eye: np.ndarray, inner: bool) -> np.ndarray:
+    """The half of a sphere that is turned to the eye, or the half behind it, seen from inside."""
+    k = np.arange(2000) + 0.5
+    polar, turn = np.arccos(1 - k / 1000), np.pi * (1 + 5**0.5) * k
+    normals = np.stack(
+        [np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1
+    )
+    towards = normals @ (eye - centre) > 0
+    return centre + radius * normals[towards != inner]
+
+
+def test_a_usual_scene_is_believed() -> None:
+    assert doubts([view(BOX)]) == []
+    assert table_elsewhere(np.concatenate([TABLE, THINGS])) is None
+    assert table_elsewhere(BOX) is None  # a cloud that was cut out
+    chest = sheet((0.75, 0.0, 0.2), (0.175, 0.25, 0.2))  # its top is as wide as a table
+    assert table_elsewhere(chest[chest[:, 2] > 0.001]) is None
+    require_table_at_zero([np.concatenate([TABLE, THINGS])], ["a"])
+
+
+def test_a_camera_below_the_table_is_doubted() -> None:
+    up = look_at((1.2, 0.0, -0.5), (0.6, 0.0, 0.05))
+    said = below_table(view(BOX, up), 0.0)
+    assert "50 cm below the table" in said
+    assert said in doubts([view(BOX), view(BOX, up)])
+    assert doubts([view(BOX, up)], table=None) == []  # without a table there is none to be below
+    assert below_table(view(BOX), 0.0) == ""
+
+
+def test_an_object_in_the_air_is_doubted() -> None:
+    assert "40 cm above the table" in in_the_air([view(BOX + [0, 0, 0.4])], 0.0)
+    assert in_the_air([view(BOX + [0, 0, 0.4])], 0.4) == ""
+    # Of a tall thing a camera straight above sees the top alone.
+    top = BOX[BOX[:, 2] > 0.099] + [0, 0, 0.2]
+    overhead = look_at((0.6, 0.001, 1.2), (0.6, 0.0, 0.0))
+    assert in_the_air([view(top, overhead)], 0.0) == ""
+    assert in_the_air([view(top), view(top, overhead)], 0.0) != ""
+
+
+def test_the_inside_of_a_ball_is_doubted_and_its_outside_is_not() -> None:
+    centre, eye = np.array([0.6, 0.0, 0.05]), POSE[:3, 3]
+    assert from_inside(view(ball(centre, 0.05, eye, inner=False))) == ""
+    level = look_at((1.5, 0.0, 0.1), centre)
+    inside = ball(centre, 0.05, level[:3, 3], inner=True)
+    assert "bulge away from the camera" in from_inside(view(inside, level))
+    # The same shape seen from above is a bowl.
+    above = look_at((0.65, 0.0, 0.9), centre)
+    assert from_inside(view(ball(centre, 0.05, above[:3, 3], inner=True), above)) == ""
+    assert from_inside(view(BOX)) == ""
+    within = look_at(centre, centre + [0.1, 0, 0])
+    half = ball(centre, 0.05, centre + [1.0, 0, 0], inner=False)
+    assert "stands within the object" in from_inside(view(half, within))
+
+
+def test_three_things_are_not_one_object() -> None:
+    three = np.concatenate([BOX + [0, y, 0] for y in (-0.25, 0.0, 0.25)])
+    assert "3 parts up to 50 cm apart" in in_parts(three)
+    assert "--segment auto" in in_parts(three)
+    assert in_parts(BOX) == ""
+    handle = BOX[:60] + [0, 0.1, 0]  # as large as a speck: nothing to speak of
+    assert in_parts(np.concatenate([np.repeat(BOX, 3, axis=0), handle])) == ""
+
+
+@pytest.mark.parametrize("height", [-0.3, 0.1, 0.4])
+def test_a_table_at_another_height_names_the_pose(height: float) -> None:
+    scene = np.concatenate([TABLE, THINGS]) + [0.0, 0.0, height]
+    assert table_elsewhere(scene) == pytest.approx(height, abs=0.002)
+    with pytest.raises(InputError, match=f"z = {1000 * height:.0f} mm(.|\n)*--camera-pose"):
+        require_table_at_zero([scene], ["a"])
+
+
+def test_a_table_at_another_height_is_said_before_the_planning(
+    cli: Callable[..., Any], tmp_path: Path
+) -> None:
+    scene = cloud(np.concatenate([TABLE, THINGS]) + [0.0, 0.0, 0.1])
+    write_cloud(tmp_path / "a.ply", scene)
+    began = time.process_time()
+    run = cli("plan", tmp_path / "a.ply", "--out", tmp_path / "p.h5", "--no-picture")
+    assert run.code == 2
+    assert "a table is seen at z = 100 mm" in run.err
+    assert time.process_time() - began < 10
+    assert not (tmp_path / "p.h5").exists()
