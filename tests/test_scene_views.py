@@ -84,6 +84,28 @@ def test_a_mask_that_is_too_small_shows_less(box: LoadedMesh) -> None:
     assert 0 < MOST_HIDDEN < 1
 
 
+def test_exact_views_show_exactly_the_object(box: LoadedMesh) -> None:
+    config = SceneViewConfig(("structured-light",), RESTING, exact=1.0)
+    views = SceneViews(box, CAMERAS["xtion"], config)
+    for seed in range(3):
+        view, _ = views.draw(np.random.default_rng(seed))
+        inside = apply_transform(invert_transform(view.T_camera_object), view.points)
+        low, high = box.vertices.min(0), box.vertices.max(0)
+        # 1 mm of noise at 1.5 m, five deviations of the farthest scene.
+        assert (inside > low - 0.006).all()
+        assert (inside < high + 0.006).all()
+
+
+def test_several_sensors_and_exact_views_need_a_table(cli: Any, tmp_path: Path) -> None:
+    trimesh.creation.box((0.06, 0.09, 0.14)).export(tmp_path / "box.ply")
+    options = ("render", "--meshes", str(tmp_path / "box.ply"), "--views", "2", "--jobs", "1")
+    options += ("--out", str(tmp_path / "views"))
+    assert cli(*options, "--sensor", "stereo,ideal").code == 2
+    assert cli(*options, "--exact", "0.5").code == 2
+    several = cli(*options, "--sensor", "stereo,ideal", "--exact", "0.5", "--scene", "table")
+    assert several.code == 0, several.err
+
+
 def test_render_makes_views_of_scenes_with_their_evidence(cli: Any, tmp_path: Path) -> None:
     trimesh.creation.box((0.06, 0.09, 0.14)).export(tmp_path / "box.ply")
     options = ("render", "--meshes", str(tmp_path / "box.ply"), "--views", "3", "--jobs", "1")

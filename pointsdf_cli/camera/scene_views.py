@@ -7,7 +7,7 @@ time. The cloud, the free space around it and the support plane are stored.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import trimesh
@@ -29,6 +29,12 @@ FEWEST_POINTS = 60
 MOST_HIDDEN = 0.45
 """A view in which more of the object's pixels are hidden is drawn again."""
 REDRAWS = 30
+ALONE_RESTING = 0.6
+"""Share of the exact views in which the object rests on a table; in the others it is turned at
+random."""
+NO_ERRORS = SegmentationErrors(
+    masked=1.0, offset=(0.0, 0.0), uneven=0.0, ragged=0.0, height=0.0, tilt=0.0
+)
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,8 @@ class SceneViewConfig:
         sensors: Names in `SENSORS`; each view is measured by one of them.
         scene: What stands where.
         errors: How far off the segmentation is.
+        exact: Share of views that the ideal sensor measures, of the object alone with exactly its
+            pixels: shapes are learned from these, errors from the others.
 
     Raises:
         InputError: No sensor, or one that does not exist.
@@ -47,8 +55,11 @@ class SceneViewConfig:
     sensors: tuple[str, ...] = ("structured-light", "stereo")
     scene: SceneConfig = field(default_factory=SceneConfig)
     errors: SegmentationErrors = field(default_factory=SegmentationErrors)
+    exact: float = 0.0
 
     def __post_init__(self) -> None:
+        if not 0 <= self.exact <= 1:
+            raise InputError(f"exact = {self.exact}", allowed="a share from 0 to 1")
         if not self.sensors:
             raise InputError("no sensor", where="--sensor", allowed=", ".join(SENSORS))
         for name in self.sensors:
@@ -84,6 +95,9 @@ class SceneViews:
     ) -> None:
         self._camera, self._config = camera, config or SceneViewConfig()
         self._sensors = [load_sensor(name) for name in self._config.sensors]
+        self._ideal = load_sensor("ideal")
+        scene = self._config.scene
+        self._alone = replace(scene, neighbours=0, resting=min(scene.resting, ALONE_RESTING))
         self._vertices = mesh.vertices
         self._caster = MeshCaster(mesh.vertices, mesh.faces, camera)
         self._poses = _resting(mesh)
@@ -95,14 +109,18 @@ class SceneViews:
             InputError: The object is never seen well enough.
         """
         config, camera = self._config, self._camera
+        exact = rng.random() < config.exact
+        content = self._alone if exact else config.scene
+        errors = NO_ERRORS if exact else config.errors
         for vain in range(REDRAWS):
-            scene = draw_scene(self._caster, self._vertices, self._poses, camera, config.scene, rng)
+            scene = draw_scene(self._caster, self._vertices, self._poses, camera, content, rng)
             if _hidden(scene) > MOST_HIDDEN:
                 continue
-            sensor = self._sensors[rng.integers(len(self._sensors))]
+            drawn = self._sensors[rng.integers(len(self._sensors))]
+            sensor = self._ideal if exact else drawn
             window = scene.window
             measured = sensor.observe(window.depth, camera, rng, window.origin, window.cosine)
-            seen = segment_scene(scene, measured, camera, config.errors, rng)
+            seen = segment_scene(scene, measured, camera, errors, rng)
             if len(seen.points) < FEWEST_POINTS:
                 continue
             kept = clean(seen.points).kept

@@ -38,6 +38,7 @@ class SegmentationErrors:
             were enlarged.
         sensor_focal: [px].
         uneven: Standard deviation of the offset along the silhouette, as a share of it.
+        ragged: The same, whatever the offset [sensor px].
         height: Standard deviation of the error of the plane's height [m].
         tilt: Of its direction [rad].
     """
@@ -46,6 +47,7 @@ class SegmentationErrors:
     offset: tuple[float, float] = (-4.0, 2.0)
     sensor_focal: float = 570.0
     uneven: float = 0.4
+    ragged: float = 0.5
     height: float = 0.001
     tilt: float = 0.004
 
@@ -136,7 +138,7 @@ def _erring_mask(
     depth_inside = ndimage.distance_transform_edt(visible)
     offset = max(offset, -0.6 * float(depth_inside.max()))
     signed = depth_inside - ndimage.distance_transform_edt(~visible)
-    coarse = rng.normal(0.0, errors.uneven * abs(offset) + 0.5 * sensor_pixel, (8, 8))
+    coarse = rng.normal(0.0, errors.uneven * abs(offset) + errors.ragged * sensor_pixel, (8, 8))
     zoom = np.array(visible.shape) / 8
     uneven = ndimage.zoom(coarse, zoom, order=1, grid_mode=True, mode="nearest")
     uneven = uneven[: visible.shape[0], : visible.shape[1]]

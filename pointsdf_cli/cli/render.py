@@ -25,7 +25,20 @@ def render(
         ),
     ] = "reference",
     distance: Annotated[float, typer.Option(help="Camera to object [m].")] = 1.5,
-    sensor: common.Sensor = "ideal",
+    sensor: Annotated[
+        str,
+        typer.Option(
+            metavar="ideal|structured-light|stereo",
+            help="The depth camera whose errors are simulated. With --scene table several, with "
+            "commas between: each view is measured by one of them.",
+        ),
+    ] = "ideal",
+    exact: Annotated[
+        float,
+        typer.Option(
+            help="With --scene table: share of views of the object alone, without any error."
+        ),
+    ] = 0.0,
     noise: Annotated[
         float | None,
         typer.Option(
@@ -76,6 +89,10 @@ def render(
     if scene == "table" and (keep_depth or above):
         option = "--keep-depth" if keep_depth else "--above"
         raise InputError(f"{option} with --scene table", hint="leave one of the two out")
+    sensors = tuple(name.strip() for name in sensor.split(","))
+    if scene == "void" and (len(sensors) > 1 or exact):
+        option = f"--sensor {sensor}" if len(sensors) > 1 else f"--exact {exact:g}"
+        raise InputError("is for --scene table", where=option, hint="add --scene table")
     config = ViewConfig(
         views,
         distance,
@@ -84,8 +101,8 @@ def render(
         keep_depth,
         unit,
         above,
-        scene=SceneViewConfig((sensor,)) if scene == "table" else None,
-        sensor=sensor,
+        scene=SceneViewConfig(sensors, exact=exact) if scene == "table" else None,
+        sensor=sensors[0],
     )
     seed, jobs = common.check_seed(seed), common.job_count(jobs)
     found = shard_of(find_meshes(meshes, pattern), shard)
