@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from inspect import signature
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from safetensors.torch import load_file, save_file
 
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.pinhole import CAMERAS
@@ -228,3 +230,26 @@ def test_a_cloud_without_a_pose_is_refused(cli: Callable, tmp_path: Path) -> Non
 def test_the_commands_margin_is_the_planners(command: Callable[..., object]) -> None:
     # Commands state it themselves: importing the planner would make --help slow.
     assert signature(command).parameters["margin"].default == MARGIN
+
+
+def test_a_plan_that_is_not_likely_to_hold_has_a_code_of_its_own(
+    cli: Callable, tmp_path: Path
+) -> None:
+    # The bundled success network, made as doubtful as one of a difficult object.
+    doubtful = tmp_path / "doubtful"
+    shutil.copytree(asset_path("weights/grasp_geometry"), doubtful)
+    weights = load_file(doubtful / "model.safetensors")
+    weights["network.calibration.shift"] = weights["network.calibration.shift"] - 5.5
+    save_file(weights, doubtful / "model.safetensors")
+    out = tmp_path / "plan.h5"
+    words = ("plan", asset_path("clouds/mug.ply"), "--grasp-checkpoint", doubtful, "--out", out)
+    words += ("--no-picture", "--force", "--threads", 1, "-q")
+    codes = {}
+    for more in ((), ("--accept-unlikely",)):
+        run = cli(*words, *more)
+        codes[more] = run.code
+        if not more:
+            assert "not likely to hold: probability 0.0" in run.err
+            assert "--accept-unlikely" in run.err
+            assert 0.03 < read_plan(out).success_probability < 0.1  # written all the same
+    assert list(codes.values()) == [4, 0]

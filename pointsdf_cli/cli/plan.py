@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pointsdf_cli.io.plans import Plan
     from pointsdf_cli.planning.acceptance import AcceptanceConfig
     from pointsdf_cli.planning.scene_input import SceneInput
+    from pointsdf_cli.planning.table_session import TableSession
 
 
 def plan(
@@ -277,7 +278,7 @@ def plan(
     stale_picture = out.with_suffix(".png")
     if no_picture and stale_picture.exists():
         reporter.say(f"{stale_picture} was there before and does not show this plan")
-    _report(reporter, answer, session.report, out, picture, trajectory if found else None)
+    _report(reporter, answer, session, out, picture, trajectory if found else None)
     if picture is not None:
         sys.stdout.flush()  # the plan is on disk: who reads this need not wait for the picture
         from pointsdf_cli.viz.plan_picture import plan_picture
@@ -428,19 +429,24 @@ def _headline(plan: Plan) -> str:
 def _report(
     reporter: common.Reporter,
     plan: Plan,
-    report: tuple[str, ...],
+    session: TableSession,
     out: Path,
     picture: Path | None,
     trajectory: Path | None,
 ) -> None:
     from pointsdf_cli.io.plans import plan_as_json
+    from pointsdf_cli.planning.table_session import as_sentences
+
+    warnings = session.warnings
 
     files = {"out": out, "picture": picture, "trajectory_file": trajectory}
     lines = []  # why there is no plan is the message with which the command fails
     if not plan.reason:
         lines.append(f"{out}: {_headline(plan)}")
-        if plan.sentence:
-            reporter.say(f"warning: {plan.sentence}")
+        # What was said before the planning is not said again.
+        doubt = plan.sentence.removesuffix(as_sentences(warnings)).strip()
+        if doubt:
+            reporter.say(f"warning: {doubt}")
         near = float(plan.link_clearance_object.min()) * 1000
         lines.append(
             f"configuration in {plan.timings['configuration']:.2f} s from {plan.seeds_tried} seeds "
@@ -452,4 +458,7 @@ def _report(
         for what, path in (("the picture", picture), ("the motion", trajectory))
         if path
     ]
-    reporter.result({**plan_as_json(plan), "clouds": list(report), **files}, lines)
+    reporter.result(
+        {**plan_as_json(plan), "clouds": list(session.report), "warnings": list(warnings), **files},
+        lines,
+    )

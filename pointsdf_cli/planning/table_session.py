@@ -121,13 +121,19 @@ def plan_on_table(
     answer = planner.plan(seen.views, environment, q, seed)
     answer = replace(answer, plan=_with_surface(answer))
     if warnings:
-        more = " ".join(f"{each[0].upper()}{each[1:].rstrip('.?')}." for each in warnings)
-        sentence = f"{answer.plan.sentence} {more}".strip()
+        sentence = f"{answer.plan.sentence} {as_sentences(warnings)}".strip()
         answer = replace(answer, plan=replace(answer.plan, sentence=sentence))
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
     return TableSession(
         answer, tuple(report), q, points, camera, environment.obstacles, tuple(warnings)
+    )
+
+
+def as_sentences(warnings: Sequence[str]) -> str:
+    """Warnings as a plan keeps them."""
+    return " ".join(
+        f"{each[0].upper()}{each[1:]}{'' if each[-1] in '.?' else '.'}" for each in warnings
     )
 
 

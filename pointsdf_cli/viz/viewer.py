@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import socket
 import time
 from contextlib import redirect_stdout
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.geometry.frames import wxyz_from_rotation
 from pointsdf_cli.viz.scene import WORLD, Part, Scene
+from pointsdf_cli.viz.viewer_access import free_port, guarded
 
 
 class Viewer:
@@ -36,21 +36,16 @@ class Viewer:
         viser = _import_viser()
         if not 1 <= port <= 65535:
             raise InputError(f"port {port}", where="--port", allowed="1 to 65535")
-        try:
-            # viser binds in a thread of its own, and waits for ever if that fails.
-            kind, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-            with socket.socket(kind) as probe:
-                probe.bind(address)
-            with redirect_stdout(io.StringIO()):  # it prints a banner, and stdout is for results
-                self._server = viser.ViserServer(
-                    host=host, port=port, label=scene.title, verbose=False
-                )
-        except (OSError, UnicodeError) as error:
-            raise InputError(
-                f"cannot listen there ({getattr(error, 'strerror', None) or error})",
-                where=f"--host {host} --port {port}",
-                allowed="an address of this machine, such as 127.0.0.1 or 0.0.0.0",
-            ) from error
+        port = free_port(host, port)
+        # It prints a banner, and stdout is for results.
+        with guarded(host) as started, redirect_stdout(io.StringIO()):
+            self._server = viser.ViserServer(host=host, port=port, label=scene.title, verbose=False)
+        if not started:
+            self._server.stop()
+            raise RgraspError(
+                "this version of viser serves in a way that cannot be guarded",
+                hint="pip install -c constraints.txt '.[view]', or --export page.html",
+            )
         self.port = int(self._server.get_port())
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
         self._server.scene.set_up_direction("+z")
