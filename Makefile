@@ -1,5 +1,5 @@
 # Two commands: `make demo` and `make test`. Both set up what is missing.
-.PHONY: demo test pages lint bench smoke setup clean
+.PHONY: demo test pages lint bench smoke setup browser clean
 
 SHELL := /bin/bash
 RUN := .venv/bin
@@ -24,6 +24,10 @@ lint: setup
 	$(RUN)/ruff check pointsdf_cli tests benchmarks
 	$(RUN)/ruff format --check pointsdf_cli tests benchmarks
 	$(RUN)/mypy
+
+# Without a browser the tests of the viewer's pages are skipped.
+browser:
+	@bash pipelines/browser.sh
 
 smoke: setup
 	PATH="$(CURDIR)/$(RUN):$$PATH" bash pipelines/smoke.sh
