@@ -157,7 +157,7 @@ def test_the_hand_that_waits_over_the_table_is_not_taken_for_the_object(
     # The waiting hand is in the view, and larger than the box.
     everything = apply_transform(camera, observer.depth_cloud(item, stands, camera, rng))
     hand = (everything[:, 2] > 0.3) & (np.abs(everything[:, 0] - 0.45) < 0.15)
-    found = apply_transform(camera, observer.object_cloud(item, stands, camera, rng))
+    found = observer.object_view(item, stands, camera, rng).in_world
     assert hand.sum() > len(found) > 100
     assert (np.abs(found - stands[:3, 3]) < 0.045).all()
 

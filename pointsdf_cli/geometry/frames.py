@@ -39,6 +39,12 @@ def apply_transform(matrix: ArrayLike, points: ArrayLike) -> Array:
     return moved
 
 
+def plane_in_camera(plane: ArrayLike, T_world_camera: ArrayLike) -> Array:
+    """A plane (normal n, offset d; n·x = d) [4] of the world in the camera's frame."""
+    plane, pose = np.asarray(plane, np.float64), np.asarray(T_world_camera, np.float64)
+    return np.array([*(pose[:3, :3].T @ plane[:3]), plane[3] - plane[:3] @ pose[:3, 3]])
+
+
 def is_rigid(matrix: ArrayLike, tolerance: float = 1e-4) -> bool:
     """Whether a 4×4 matrix is a rotation and a translation: no scale, shear, mirror or NaN."""
     matrix = np.asarray(matrix, dtype=np.float64)

@@ -19,7 +19,7 @@ from pointsdf_cli.camera.things import (
     find_things,
     masked_thing,
 )
-from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.frames import apply_transform, plane_in_camera
 from pointsdf_cli.geometry.voxels import Thinned, thin
 from pointsdf_cli.io.clouds import Cloud, DepthImage
 from pointsdf_cli.planning.choice import Thing, numbered
@@ -80,10 +80,7 @@ class Scene:
     def plane_in_camera(self) -> Array | None:
         """The table's plane [4], n·x = offset in the camera's frame; None where none was seen."""
         plane = self.things.plane
-        if plane is None:
-            return None
-        normal = self.T_world_camera[:3, :3].T @ plane[:3]
-        return np.array([*normal, plane[3] - plane[:3] @ self.T_world_camera[:3, 3]])
+        return None if plane is None else plane_in_camera(plane, self.T_world_camera)
 
 
 @dataclass(frozen=True)

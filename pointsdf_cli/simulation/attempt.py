@@ -261,13 +261,13 @@ class Attempter:
                 continue
             pose = placed(resting, item, float(yaw), place)
             try:
-                cloud = self._observer.object_cloud(item, pose, T_world_camera, rng)
+                view = self._observer.object_view(item, pose, T_world_camera, rng)
             except InputError as error:
                 problem = InputError(
                     f"is not seen by the camera: {error.what}", where=item.mesh.name
                 )
                 continue
-            return Scene(pose, T_world_camera, cloud)
+            return Scene(pose, T_world_camera, view.points)
         raise problem
 
     def _resting(self, item: SimObject, which: int) -> Array | None:

@@ -7,13 +7,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.noise import DepthNoise
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.camera.raycast import MeshCaster, depth_image
 from pointsdf_cli.camera.segmentation import SegmentationConfig, segment_object
 from pointsdf_cli.camera.sensor import DepthSensor, load_sensor
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform, plane_in_camera
+from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 from pointsdf_cli.simulation.sim_object import SimObject
@@ -103,14 +106,14 @@ class Observer:
         v, u = np.nonzero(depth)
         return camera.back_project(u, v, depth[v, u])
 
-    def object_cloud(
+    def object_view(
         self,
         item: SimObject,
         T_world_object: Array,
         T_world_camera: Array,
         rng: np.random.Generator,
-    ) -> Array:
-        """The object's points [N, 3] found in a view of the scene, camera frame, m.
+    ) -> View:
+        """The object found in a view of the scene, cleaned, with what else the camera knows.
 
         Raises:
             InputError: The camera sees no object: it is hidden, or too flat to tell from the
@@ -120,8 +123,13 @@ class Observer:
         world = apply_transform(T_world_camera, cloud)
         # An arm that waits over the table is more points than the object under it.
         free = np.flatnonzero(off_robot(world, self._own))
-        kept = segment_object(np.take(world, free, axis=0), self._segmentation).kept
-        return np.take(cloud, free[kept], axis=0)
+        found = segment_object(np.take(world, free, axis=0), self._segmentation)
+        mine = free[found.kept]
+        mine = mine[clean(cloud[mine]).kept]
+        points, others = cloud[mine], np.delete(cloud, mine, axis=0)
+        plane = None if found.plane is None else plane_in_camera(found.plane, T_world_camera)
+        image = visibility_image(points, others, plane, 1.0 / self.placement.camera.fx)
+        return View(points, T_world_camera, ViewEvidence(image, plane))
 
 
 def resample(points: Array, count: int, rng: np.random.Generator) -> NDArray[np.float32]:

@@ -166,14 +166,11 @@ class Mind:
         else:
             self._planner = GraspPlanner(asked, grasps)
 
-    def plan(
-        self, points: Array, T_world_camera: Array, truth: Callable[[], Surface], seed: int
-    ) -> Answer:
-        """A plan for a cloud.
+    def plan(self, view: View, truth: Callable[[], Surface], seed: int) -> Answer:
+        """A plan for what one camera saw of the object.
 
         Args:
-            points: [N, 3], the segmented object, camera frame, m.
-            T_world_camera: [4, 4].
+            view: The segmented object.
             truth: The object's true surface in the world; only the oracle asks.
             seed: Of all draws.
         """
@@ -186,7 +183,7 @@ class Mind:
             field = MeshField(*surface)
         planner = self._planner
         try:
-            sight = planner.see([View(points, T_world_camera)], seed, field)
+            sight = planner.see([view], seed, field)
         except EmptyFieldError as error:
             return planner.nothing(error.what)
         if isinstance(planner, RehearsedPlanner):

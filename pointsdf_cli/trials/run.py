@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.sensor import load_sensor, without_ideal
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.hdf5 import is_complete
@@ -141,14 +142,14 @@ class TrialRunner:
         mind = self._mind(trial.contender)
         began = time.perf_counter(), time.process_time()
         try:
-            cloud = self._observer.object_cloud(item, T_world_object, T_world_camera, rng)
+            view = self._observer.object_view(item, T_world_object, T_world_camera, rng)
         except InputError:
-            cloud = np.zeros((0, 3))
+            view = View(np.zeros((0, 3)), T_world_camera)
         answer = None
-        if len(cloud):
+        if len(view.points):
             began = time.perf_counter(), time.process_time()
             seed = int(trial.rng("view").integers(2**31))
-            answer = mind.plan(cloud, T_world_camera, lambda: truth, seed)
+            answer = mind.plan(view, lambda: truth, seed)
         spent = time.perf_counter() - began[0], time.process_time() - began[1]
         plan = None if answer is None else answer.plan
         executed = None
@@ -163,7 +164,7 @@ class TrialRunner:
                 recorder,
             )
         row = self._row(trial, yaw, plan, answer, executed, spent, truth)
-        world_cloud = apply_transform(T_world_camera, cloud)
+        world_cloud = view.in_world
         believed = None
         if answer is not None and answer.target is not None:
             believed = mind.believed(answer, world_cloud)
