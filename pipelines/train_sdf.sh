@@ -1,35 +1,49 @@
 #!/usr/bin/env bash
-# The recipe of the bundled reconstruction weights, from meshes to checkpoints. Every stage resumes.
+# The recipe of the bundled reconstruction weights, from meshes to a checkpoint. Every stage resumes.
 #   pipelines/train_sdf.sh WORK [MESHES]
-# WORK    folder for data and checkpoints (about 8 GB)
+# WORK    folder for data and checkpoints (about 12 GB)
 # MESHES  folder of free real meshes to add to the generated ones (may be left out)
-# MODEL (pointsdf-ray), MINUTES (150), THREADS (0: those that idle) and OBJECTS (4400) may be set.
+# MODEL (pointsdf-ray), MINUTES of each stage (240), THREADS (0: those that idle), OBJECTS (6000) and
+# SEED (0) may be set. The checkpoint is WORK/MODEL.
 set -euo pipefail
 work=${1:?usage: pipelines/train_sdf.sh WORK [MESHES]}
 real=${2:-}
 model=${MODEL:-pointsdf-ray}
-objects=${OBJECTS:-4400}
-
+objects=${OBJECTS:-6000}
+seed=${SEED:-0}
 mkdir -p "$work"
-# Two halves of the generated objects at two distances, so that scale and perspective vary. They stand,
-# and are seen from above the horizon, so that what is seen from below is believed closed.
-for half in far:1.5:0 near:0.9:1; do
-    IFS=: read -r name distance seed <<<"$half"
-    rgrasp objects make --out "$work/meshes/$name" --count $((objects / 2)) --seed "$seed"
-    rgrasp render --meshes "$work/meshes/$name" --out "$work/views/$name" --views 16 --distance "$distance" --above
-    rgrasp label-sdf --views "$work/views/$name" --meshes "$work/meshes/$name" \
-        --out "$work/labels/$name" --points 16000
+
+# A focal length of 1067 px, as colour cameras have that depth is registered to.
+echo '{"width": 640, "height": 480, "K": [[1067, 0, 319.5], [0, 1067, 239.5], [0, 0, 1]]}' >"$work/colour.json"
+exact() { # views of the object alone, without errors: shapes are learned from these
+    rgrasp render --meshes "$1" --out "$work/exact/$2" --views "$3" --distance "$4" --skip-bad --seed "$seed"
+}
+scenes() { # views of tables by cameras that err, a quarter of them exact
+    rgrasp render --meshes "$1" --out "$work/scenes/$2" --views "$3" --camera "$4" --scene table \
+        --sensor structured-light,stereo --exact 0.25 --skip-bad --seed "$seed"
+}
+labels() {
+    rgrasp label-sdf --views "$work/exact/$2" --meshes "$1" --out "$work/labels/$2" --points "$3" --skip-bad
+}
+for half in "far 1.5 xtion 0" "near 0.9 $work/colour.json 1"; do
+    read -r name distance camera more <<<"$half"
+    rgrasp objects make --out "$work/meshes/$name" --count $((objects / 2)) --seed $((2 * seed + more))
+    exact "$work/meshes/$name" "$name" 8 "$distance"
+    labels "$work/meshes/$name" "$name" 16000
+    scenes "$work/meshes/$name" "$name" 5 "$camera"
 done
-# Half as many views of each generated object as there are, all of the real ones: of what the network
-# is to see in the end, the real ones are nearer.
-limits=(--views-per-object 8)
 if [ -n "$real" ]; then
-    rgrasp render --meshes "$real" --out "$work/views/real" --views 60 --skip-bad
-    rgrasp label-sdf --views "$work/views/real" --meshes "$real" --out "$work/labels/real" \
-        --points 24000 --skip-bad
-    limits+=(--views-per-object real=60)
+    exact "$real" real 60 1.5
+    labels "$real" real 24000
+    scenes "$real" real 30 realsense
 fi
-resume=()
-[ -f "$work/$model/train_state.pt" ] && resume=(--resume)
-rgrasp train-sdf --views "$work/views" --labels "$work/labels" --out "$work/$model" --model "$model" \
-    "${limits[@]}" --minutes "${MINUTES:-150}" --threads "${THREADS:-0}" --held-out 0.03 --seed 0 "${resume[@]}"
+
+train() { # VIEWS OUT [options]
+    local views=$1 out=$2 resume=()
+    shift 2
+    [ -f "$out/train_state.pt" ] && resume=(--resume)
+    rgrasp train-sdf --views "$views" --labels "$work/labels" --out "$out" --model "$model" \
+        --minutes "${MINUTES:-240}" --threads "${THREADS:-0}" --held-out 0.02 --seed "$seed" "$@" "${resume[@]}"
+}
+train "$work/exact" "$work/$model-exact"
+train "$work/scenes" "$work/$model" --start-from "$work/$model-exact" --learning-rate 0.0008

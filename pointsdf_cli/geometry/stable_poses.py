@@ -76,9 +76,10 @@ def stable_poses(
                 "has its centre of mass outside of itself",
                 allowed="a surface that does not cross itself",
             )
-        transforms, probabilities = trimesh.poses.compute_stable_poses(
-            hull, center_mass=centre_of_mass, sigma=0.0, n_samples=1, threshold=0.0
-        )
+        with np.errstate(invalid="ignore"):  # faces that are triangles no longer
+            transforms, probabilities = trimesh.poses.compute_stable_poses(
+                hull, center_mass=centre_of_mass, sigma=0.0, n_samples=1, threshold=0.0
+            )
     except (QhullError, ValueError, IndexError) as error:
         raise InputError(f"has no stable pose ({type(error).__name__})") from error
     if not len(transforms):
