@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 ABOVE = 0.08
 """An object whose lowest seen point is higher than this [m] above the table may hang in the air."""
+BELOW = 0.01
+"""A camera that is lower than the table by more than this [m] looks up through it."""
 STEEP = np.deg2rad(60)
 """A camera that looks down more steeply than this may not see an object's foot."""
 APART = 0.05
@@ -102,7 +104,7 @@ def doubts(views: Sequence[View], table: float | None = 0.0) -> list[str]:
 def below_table(view: View, table: float) -> str:
     """Says that the camera stands below the table that it looks at."""
     height = float(view.T_world_camera[2, 3]) - table
-    if height >= 0:
+    if height > -BELOW:
         return ""
     return (
         f"the camera stands {-100 * height:.0f} cm below the table and looks up through it: check "
