@@ -1,3 +1,60 @@
-"""rgrasp: from one partial point cloud to a grasp of an object that nobody has modelled."""
+"""rgrasp: from one partial point cloud to a grasp of an object that nobody has modelled.
+
+The public functions, each loaded when it is first asked for:
+
+    from pointsdf_cli import complete, read_cloud
+    cloud = read_cloud("assets/clouds/mug.ply")
+    shape = complete(cloud.points)      # vertices, faces, sdf(x), gradient(x)
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pointsdf_cli.camera.view import View as View
+    from pointsdf_cli.errors import InputError as InputError
+    from pointsdf_cli.errors import RgraspError as RgraspError
+    from pointsdf_cli.io.clouds import Cloud as Cloud
+    from pointsdf_cli.io.clouds import read_cloud as read_cloud
+    from pointsdf_cli.io.clouds import write_cloud as write_cloud
+    from pointsdf_cli.io.plans import read_plan as read_plan
+    from pointsdf_cli.models.completion import Completion as Completion
+    from pointsdf_cli.models.completion import complete as complete
+    from pointsdf_cli.models.reconstruction import Reconstruction as Reconstruction
+    from pointsdf_cli.models.registry import load_model as load_model
+    from pointsdf_cli.planning.answer import GraspPlanner as GraspPlanner
+    from pointsdf_cli.planning.answer import PlanOptions as PlanOptions
+    from pointsdf_cli.planning.environment import Environment as Environment
+    from pointsdf_cli.planning.table_session import plan_on_table as plan_on_table
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "View": "camera.view",
+    "InputError": "errors",
+    "RgraspError": "errors",
+    "Cloud": "io.clouds",
+    "read_cloud": "io.clouds",
+    "write_cloud": "io.clouds",
+    "read_plan": "io.plans",
+    "Completion": "models.completion",
+    "complete": "models.completion",
+    "Reconstruction": "models.reconstruction",
+    "load_model": "models.registry",
+    "GraspPlanner": "planning.answer",
+    "PlanOptions": "planning.answer",
+    "Environment": "planning.environment",
+    "plan_on_table": "planning.table_session",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

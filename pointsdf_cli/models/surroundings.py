@@ -122,6 +122,13 @@ def forgotten(
     )
 
 
+def lowered(surroundings: Surroundings, by: Tensor) -> Surroundings:
+    """The same views with their support planes lower by `by` [B], network units."""
+    by = by.to(surroundings.plane.dtype) * surroundings.known[:, 1]
+    plane = torch.cat([surroundings.plane[:, :3], (surroundings.plane[:, 3] - by)[:, None]], dim=-1)
+    return surroundings._replace(plane=plane)
+
+
 def transformed(
     surroundings: Surroundings, turn: Tensor, centre: Tensor, scale: Tensor
 ) -> Surroundings:

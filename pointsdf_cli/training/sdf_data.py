@@ -18,11 +18,14 @@ from torch import Tensor
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.normalise import MARGIN
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.models.surroundings import Surroundings, forgotten, transformed
+from pointsdf_cli.models.surroundings import Surroundings, forgotten, lowered, transformed
 from pointsdf_cli.training.sdf_pack import SURROUNDINGS, Pack
 
 FORGET_IMAGE, FORGET_ALL = 0.2, 0.15
 """Share of training views that keep no visibility image, and of those that keep no plane either."""
+RAISED, HIGHEST = 0.2, 1.0
+"""Share of training views whose support plane lies lower by up to so much [network units]: the
+object may rest on another one."""
 
 
 class Batch(NamedTuple):
@@ -167,6 +170,8 @@ def augment(batch: Batch, rng: np.random.Generator) -> Batch:
     around = transformed(batch.around, torch.from_numpy(turn), centre[:, 0], scale[:, 0, 0])
     lost = torch.from_numpy(rng.random(count))
     around = forgotten(around, lost > FORGET_IMAGE, lost > FORGET_ALL)
+    raised = np.where(rng.random(count) < RAISED, rng.uniform(0.0, HIGHEST, count), 0.0)
+    around = lowered(around, torch.from_numpy(raised))
     return batch._replace(
         around=around,
         cloud=(cloud - centre) * scale,
