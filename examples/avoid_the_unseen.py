@@ -1,4 +1,7 @@
-"""How far a body stays from the whole object, seen and unseen: python examples/avoid_the_unseen.py"""
+"""Clearance of a body from the whole object, seen and unseen.
+
+python examples/avoid_the_unseen.py
+"""
 
 import numpy as np
 

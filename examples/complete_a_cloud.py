@@ -13,7 +13,9 @@ points, T_frame_camera = cloud.in_camera_frame()  # m; x right, y down, z forwar
 shape = complete(points)
 
 mesh = trimesh.Trimesh(shape.vertices, shape.faces)
-print(f"{len(points)} points: a closed mesh of {len(mesh.faces)} faces, {mesh.volume * 1e6:.0f} cm³")
+print(
+    f"{len(points)} points: a closed mesh of {len(mesh.faces)} faces, {mesh.volume * 1e6:.0f} cm³"
+)
 middle = mesh.bounds.mean(axis=0)
 print(f"signed distance at the middle of its box: {1000 * shape.sdf(middle):.1f} mm")
 print("gradient there:", np.round(shape.gradient(middle), 2))

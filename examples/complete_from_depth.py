@@ -20,7 +20,7 @@ v, u = np.nonzero(depth)
 points = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(len(u))], axis=1)
 points *= depth[v, u, None]
 # Your segmentation goes here; this box in the image holds the bottle.
-mask = (u > 270) & (u < 370) & (v > 150) & (v < 330) & (depth[v, u] < 0.9)
+mask = (u > 340) & (u < 520) & (v < 330) & (depth[v, u] < 0.48)
 mine = points[mask][clean(points[mask]).kept]
 around = visibility_image(mine, points[~mask], None, 1 / K[0, 0])
 shape = complete(mine, evidence=ViewEvidence(around, None))

@@ -31,9 +31,12 @@ TERMINAL = {"typer", "rich", "click"}
 
 
 def modules() -> dict[str, Path]:
+    """All but the package's own `__init__`, which names functions of every floor and imports none
+    before they are asked for."""
     return {
         ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path
         for path in PACKAGE.rglob("*.py")
+        if path != PACKAGE / "__init__.py"
     }
 
 

@@ -12,6 +12,7 @@ from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.ray_evidence import image_coordinates
 from pointsdf_cli.models.surroundings import (
     forgotten,
+    lowered,
     no_surroundings,
     plane_evidence,
     surroundings_of,
@@ -150,3 +151,18 @@ def test_new_inputs_change_nothing_before_they_are_trained() -> None:
         before = old.decode(old.encode(cloud, camera), x)
         after = new.decode(new.encode(cloud, camera, surroundings=around), x)
     assert torch.allclose(before, after, atol=1e-6)
+
+
+def test_a_lower_support_plane_is_lower_by_as_much() -> None:
+    around = no_surroundings(2, torch.device("cpu"))
+    around = around._replace(
+        plane=torch.tensor([[0.0, -1.0, 0.0, -0.3], [0.0, -1.0, 0.0, -0.3]]),
+        known=torch.tensor([[0.0, 1.0], [0.0, 0.0]]),
+    )
+    down = lowered(around, torch.tensor([0.2, 0.2]))
+    # n points up and n·x = d, so a lower plane has a smaller d; one that is not known stays.
+    assert torch.allclose(down.plane[:, 3], torch.tensor([-0.5, -0.3]))
+    x = torch.tensor([[[0.0, 0.1, 0.0]]])
+    cloud = torch.tensor([[[0.0, 0.0, 0.0], [0.0, 0.3, 0.0]]])
+    first = down._replace(**{name: value[:1] for name, value in down._asdict().items()})
+    assert plane_evidence(x, cloud, first)[0, 0, 0].item() == pytest.approx(0.4)

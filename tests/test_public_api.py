@@ -1,0 +1,53 @@
+"""The names that `pointsdf_cli` offers, and the examples that use them."""
+
+from __future__ import annotations
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pointsdf_cli
+from pointsdf_cli.assets import asset_path
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+
+
+def test_every_name_leads_somewhere() -> None:
+    for name in pointsdf_cli._HOMES:
+        assert getattr(pointsdf_cli, name).__name__ == name
+    with pytest.raises(AttributeError, match="no attribute 'grasp'"):
+        pointsdf_cli.grasp  # noqa: B018
+
+
+def test_importing_the_package_loads_nothing_else() -> None:
+    heavy = "{'torch', 'numpy', 'open3d', 'trimesh'}"
+    code = f"import sys, pointsdf_cli; print(sorted({heavy} & set(sys.modules)))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
+
+
+def test_a_completed_cloud_is_closed_and_signed() -> None:
+    cloud = pointsdf_cli.read_cloud(asset_path("clouds/mug.ply"))
+    points, T_frame_camera = cloud.in_camera_frame()
+    shape = pointsdf_cli.complete(points, T_frame_camera, resolution=64)
+    edges = np.sort(shape.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    counts = np.unique(edges, axis=0, return_counts=True)[1]
+    assert (counts == 2).all()  # each edge has a face on either side
+    far = shape.vertices.max(axis=0) + 0.05
+    assert shape.sdf(far) > 0.02
+    assert abs(shape.sdf(shape.vertices[::50])).mean() < 0.003
+    assert shape.gradient(far[None]).shape == (1, 3)
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
+def test_examples_run(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(EXAMPLES.parent)
+    monkeypatch.setattr(sys, "argv", [name])
+    runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+    assert len(capsys.readouterr().out.splitlines()) >= 1
