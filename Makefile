@@ -21,8 +21,8 @@ pages: setup
 	$(PYTEST) -m pages $(PYTEST_ARGS)
 
 lint: setup
-	$(RUN)/ruff check pointsdf_cli tests benchmarks
-	$(RUN)/ruff format --check pointsdf_cli tests benchmarks
+	$(RUN)/ruff check pointsdf_cli tests benchmarks examples pipelines
+	$(RUN)/ruff format --check pointsdf_cli tests benchmarks examples pipelines
 	$(RUN)/mypy
 
 # Without a browser the tests of the viewer's pages are skipped.
