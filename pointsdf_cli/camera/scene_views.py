@@ -29,9 +29,6 @@ FEWEST_POINTS = 60
 MOST_HIDDEN = 0.45
 """A view in which more of the object's pixels are hidden is drawn again."""
 REDRAWS = 30
-ALONE_RESTING = 0.6
-"""Share of the exact views in which the object rests on a table; in the others it is turned at
-random."""
 NO_ERRORS = SegmentationErrors(
     masked=1.0, offset=(0.0, 0.0), uneven=0.0, ragged=0.0, height=0.0, tilt=0.0
 )
@@ -47,6 +44,8 @@ class SceneViewConfig:
         errors: How far off the segmentation is.
         exact: Share of views that the ideal sensor measures, of the object alone with exactly its
             pixels: shapes are learned from these, errors from the others.
+        exact_resting: Share of these in which the object rests on a table; in the others it is
+            turned at random.
 
     Raises:
         InputError: No sensor, or one that does not exist.
@@ -56,6 +55,7 @@ class SceneViewConfig:
     scene: SceneConfig = field(default_factory=SceneConfig)
     errors: SegmentationErrors = field(default_factory=SegmentationErrors)
     exact: float = 0.0
+    exact_resting: float = 0.6
 
     def __post_init__(self) -> None:
         if not 0 <= self.exact <= 1:
@@ -97,7 +97,7 @@ class SceneViews:
         self._sensors = [load_sensor(name) for name in self._config.sensors]
         self._ideal = load_sensor("ideal")
         scene = self._config.scene
-        self._alone = replace(scene, neighbours=0, resting=min(scene.resting, ALONE_RESTING))
+        self._alone = replace(scene, neighbours=0, resting=self._config.exact_resting)
         self._vertices = mesh.vertices
         self._caster = MeshCaster(mesh.vertices, mesh.faces, camera)
         self._poses = _resting(mesh)
