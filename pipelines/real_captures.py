@@ -27,7 +27,7 @@ from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
-from pointsdf_cli.planning.answer import GraspPlanner
+from pointsdf_cli.planning.grasp_planner import GraspPlanner
 from pointsdf_cli.planning.list_things import draw_things, list_things
 from pointsdf_cli.planning.object_view import ObjectView, bare_view, segmented_view
 from pointsdf_cli.planning.scene_input import read_scene

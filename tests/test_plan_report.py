@@ -10,7 +10,7 @@ from plan_files import turning_plan, turning_plan_file
 from test_viz_scene import write_two_grasps
 
 from pointsdf_cli.io.plans import write_plan
-from pointsdf_cli.planning.record import no_plan
+from pointsdf_cli.planning.plan_artifact import no_plan
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.plan_report import plan_report
 

@@ -24,9 +24,9 @@ from pointsdf_cli.simulation.collect import (
     next_quotas,
     split_of,
 )
+from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.heuristic import SIDE, draw_preshape, hand_of
 from pointsdf_cli.simulation.reach import interpolate
-from pointsdf_cli.simulation.record import Recorder
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 
 pytest.importorskip("pybullet")

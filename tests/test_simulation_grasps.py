@@ -15,7 +15,7 @@ from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
 from pointsdf_cli.simulation.executor import ExecutorConfig
-from pointsdf_cli.simulation.record import Recorder
+from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.world import World
 

@@ -9,7 +9,14 @@ from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.voxels import thin
-from pointsdf_cli.planning.choice import NoObjectError, Target, Thing, choose, numbered, reach_of
+from pointsdf_cli.planning.object_choice import (
+    NoObjectError,
+    Target,
+    Thing,
+    choose,
+    numbered,
+    reach_of,
+)
 from pointsdf_cli.planning.scene import Scene, describe, sighting, sort_scene
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.shading import look_at

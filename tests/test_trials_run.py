@@ -11,7 +11,7 @@ import trimesh
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
-from pointsdf_cli.planning.answer import PlanOptions
+from pointsdf_cli.planning.grasp_planner import PlanOptions
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.trials.protocol import (

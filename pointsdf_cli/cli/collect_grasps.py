@@ -230,7 +230,7 @@ def _films(
     """Pictures for the report, and GIF films of the first `record` of the same attempts."""
     if not (pictures or record):
         return []
-    from pointsdf_cli.simulation.films import film_of, pick_attempts
+    from pointsdf_cli.simulation.replay import film_of, pick_attempts
     from pointsdf_cli.viz.grasp_report import film_strip, write_gif
     from pointsdf_cli.viz.robot_picture import RobotMeshes
 

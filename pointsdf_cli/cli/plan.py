@@ -161,9 +161,9 @@ def plan(
     from pointsdf_cli.io.checkpoints import read_config
     from pointsdf_cli.io.plans import OK, write_plan, write_trajectory
     from pointsdf_cli.io.poses import box
-    from pointsdf_cli.planning.choices import check_segment
+    from pointsdf_cli.planning.cloud_checks import check_scene_inputs
     from pointsdf_cli.planning.environment import Environment, read_environment
-    from pointsdf_cli.planning.scene_inputs import check_scene_inputs
+    from pointsdf_cli.planning.option_checks import check_segment
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
 
@@ -209,7 +209,7 @@ def plan(
 
     # Seconds of imports: only for clouds and options that can be used.
     from pointsdf_cli.models.registry import use_threads
-    from pointsdf_cli.planning.answer import RECONSTRUCTION, GraspPlanner, PlanOptions
+    from pointsdf_cli.planning.grasp_planner import RECONSTRUCTION, GraspPlanner, PlanOptions
     from pointsdf_cli.planning.grasp_problem import Clearances
     from pointsdf_cli.planning.synthesis import SynthesisConfig
     from pointsdf_cli.planning.table_session import plan_on_table
@@ -383,16 +383,16 @@ def _check_choices(
         InputError: A name that is none, or a number out of its range.
     """
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.planning import choices
+    from pointsdf_cli.planning import option_checks
 
-    choices.check_method(method)
-    choices.check_solver(solver)
-    choices.check_kind(kind)
-    choices.check_speed(speed)
-    choices.check_distance("margin", margin)
+    option_checks.check_method(method)
+    option_checks.check_solver(solver)
+    option_checks.check_kind(kind)
+    option_checks.check_speed(speed)
+    option_checks.check_distance("margin", margin)
     if clearance is not None:
-        choices.check_distance("clearance", clearance)
-    choices.check_min_success(min_success)
+        option_checks.check_distance("clearance", clearance)
+    option_checks.check_min_success(min_success)
     if rehearse < 0:
         raise InputError(f"{rehearse} grasps", where="--rehearse", allowed="0 or more")
 

@@ -74,8 +74,8 @@ def segment(
         drop_invalid=drop_invalid,
     )
 
-    from pointsdf_cli.planning.choice import NoObjectError
     from pointsdf_cli.planning.list_things import draw_things, list_things
+    from pointsdf_cli.planning.object_choice import NoObjectError
 
     try:
         listing = list_things(scene, files, camera_pose, corners, robot, not no_clean)

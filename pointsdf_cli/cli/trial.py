@@ -95,7 +95,7 @@ def trial(
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.simulation.executor import ExecutorConfig
     from pointsdf_cli.simulation.world import try_robot
-    from pointsdf_cli.trials.contenders import ContenderOptions, check_contender
+    from pointsdf_cli.trials.planner_variants import ContenderOptions, check_contender
     from pointsdf_cli.trials.protocol import choose_objects, make_trials
     from pointsdf_cli.trials.report import html_report, markdown_report, percent
     from pointsdf_cli.trials.run import (

@@ -31,7 +31,7 @@ RIDGE = 1e-3
 """Keeps the axis of a cylinder from sliding along itself and of a plane from being anywhere."""
 SIDEWAYS = 1e-3
 """How much worse (mean square of what the normals pass it by, network units) an axis across the
-viewing direction may fit than one along it (`pipelines/twin_distance.py --sideways`)."""
+viewing direction may fit than one along it (`pipelines/symmetric_point_distance.py --sideways`)."""
 NEARNESS = 0.15
 """Weight of nearness in space where a twin's azimuth is chosen: of two points seen at the same
 height and distance from the axis, the one that lies nearer to the query."""

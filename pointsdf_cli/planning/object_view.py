@@ -91,7 +91,7 @@ def segmented_view(
     Raises:
         InputError: It cannot be read, has no pose, or shows no such object.
     """
-    from pointsdf_cli.planning.choice import NoObjectError
+    from pointsdf_cli.planning.object_choice import NoObjectError
     from pointsdf_cli.planning.scene_input import read_scene
     from pointsdf_cli.planning.table_top import look_at_table, workspace_of
     from pointsdf_cli.robot.description import load_robot

@@ -11,7 +11,6 @@ import numpy as np
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.planning.choices import check_distance, check_solver
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import Field, RefinedField
@@ -20,9 +19,10 @@ from pointsdf_cli.planning.grid import GridConfig, GridField
 from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion
 from pointsdf_cli.planning.nonlinear import Solver
 from pointsdf_cli.planning.objective import ObjectiveConfig
+from pointsdf_cli.planning.option_checks import check_distance, check_solver
 from pointsdf_cli.planning.path_check import PathChecker
+from pointsdf_cli.planning.plan_artifact import plan_of
 from pointsdf_cli.planning.reasons import explain, warning
-from pointsdf_cli.planning.record import plan_of
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.slsqp import Slsqp
 from pointsdf_cli.planning.sqp import Sqp, SqpConfig

@@ -22,7 +22,7 @@ from pointsdf_cli.camera.things import (
 from pointsdf_cli.geometry.frames import apply_transform, plane_in_camera
 from pointsdf_cli.geometry.voxels import Thinned, thin
 from pointsdf_cli.io.clouds import Cloud, DepthImage
-from pointsdf_cli.planning.choice import Thing, numbered
+from pointsdf_cli.planning.object_choice import Thing, numbered
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -123,7 +123,7 @@ def sort_scene(
         name: Of the cloud, for messages.
         workspace: What is looked at.
         on_robot: Which points [M, 3] of the world are the robot's own.
-        reach: From `choice.reach_of`; None where the robot's place is not known.
+        reach: From `object_choice.reach_of`; None where the robot's place is not known.
         cleaned: Whether flying pixels and outliers are dropped.
 
     Raises:

@@ -16,7 +16,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
-from pointsdf_cli.planning.choice import NoObjectError, Target, reach_of
+from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
 from pointsdf_cli.planning.scene import VOXEL, sort_scene
 from pointsdf_cli.planning.table_top import WORKSPACE, chosen_thing
 from pointsdf_cli.robot.description import RobotDescription
@@ -146,7 +146,7 @@ def stand_on_table(
         place: x and y [m] of the object.
         target: The object that is meant: a number as `segment` lists them, or a pixel.
         workspace, cleaned: As in `look_at_table`.
-        reach: From `choice.reach_of`: it decides on the numbers.
+        reach: From `object_choice.reach_of`: it decides on the numbers.
 
     Returns:
         The cloud, and the place of the object if one was meant.

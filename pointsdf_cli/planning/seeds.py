@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.choices import KINDS
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.grasp_problem import GraspProblem
+from pointsdf_cli.planning.option_checks import KINDS
 from pointsdf_cli.planning.reasons import Drawn
 from pointsdf_cli.planning.screen import depth_in, lifted
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics

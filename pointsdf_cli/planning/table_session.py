@@ -12,10 +12,10 @@ from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import Plan
-from pointsdf_cli.planning.answer import Answer, GraspPlanner
-from pointsdf_cli.planning.choice import NoObjectError, Target
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.grasp_planner import Answer, GraspPlanner
+from pointsdf_cli.planning.object_choice import NoObjectError, Target
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
 from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
 from pointsdf_cli.planning.table_top import WORKSPACE, TableTop, clutter, look_at_table

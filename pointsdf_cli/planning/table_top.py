@@ -23,8 +23,8 @@ from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
-from pointsdf_cli.planning.choice import NoObjectError, Target, Thing, choose, reach_of
 from pointsdf_cli.planning.environment import Obstacle
+from pointsdf_cli.planning.object_choice import NoObjectError, Target, Thing, choose, reach_of
 from pointsdf_cli.planning.scene import VOXEL, Scene, Sighting, describe, sighting, sort_scene
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points

@@ -16,7 +16,7 @@ from pointsdf_cli.simulation.executor import (
     ExecutorConfig,
     Outcome,
 )
-from pointsdf_cli.simulation.record import Moment
+from pointsdf_cli.simulation.film import Moment
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
 

@@ -11,7 +11,7 @@ from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.io.trials import Evidence, TrialRow
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.simulation.record import Moment
+from pointsdf_cli.simulation.film import Moment
 from pointsdf_cli.viz.grasp_report import OBJECT_COLOUR, Film, write_gif
 from pointsdf_cli.viz.robot_picture import RobotMeshes
 from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh

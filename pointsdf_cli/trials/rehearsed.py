@@ -20,7 +20,9 @@ from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.planning.answer import (
+from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.fields import Field
+from pointsdf_cli.planning.grasp_planner import (
     RECONSTRUCTION,
     Answer,
     GraspModel,
@@ -28,10 +30,8 @@ from pointsdf_cli.planning.answer import (
     PlanOptions,
     Sight,
 )
-from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.planner import Rank
-from pointsdf_cli.planning.redraws import Redraws
+from pointsdf_cli.planning.resampled_views import Redraws
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import Satisfied, SynthesisConfig
 from pointsdf_cli.simulation.executor import ExecutorConfig

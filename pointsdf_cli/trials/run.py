@@ -27,22 +27,22 @@ from pointsdf_cli.io.trials import (
     read_trial,
     write_trial,
 )
-from pointsdf_cli.planning.answer import Answer, GraspModel
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.fields import MeshField
+from pointsdf_cli.planning.grasp_planner import Answer, GraspModel
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.description import load_robot, robot_digest
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.executor import ExecutorConfig
+from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.observe import CameraPlacement, Observer
 from pointsdf_cli.simulation.physics import PhysicsConfig
-from pointsdf_cli.simulation.record import Recorder
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
-from pointsdf_cli.trials.contenders import ContenderOptions, Mind, rehearsal_of, weights_of
 from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
 from pointsdf_cli.trials.pictures import write_film
+from pointsdf_cli.trials.planner_variants import ContenderOptions, Mind, rehearsal_of, weights_of
 from pointsdf_cli.trials.protocol import Contender, Trial, TrialObject
 from pointsdf_cli.trials.rehearsed import RehearsedAnswer, Surface
 from pointsdf_cli.trials.scenes import (

@@ -16,7 +16,6 @@ from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.plans import OK
-from pointsdf_cli.planning.answer import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.fields import (
     Field,
     MeanField,
@@ -25,6 +24,7 @@ from pointsdf_cli.planning.fields import (
     SeenField,
     UnionField,
 )
+from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import EmptyFieldError, Target, given_object, surface_of

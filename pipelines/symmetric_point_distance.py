@@ -1,6 +1,6 @@
 """How far is what a view hides from what it shows, before and after turning about the axis found?
 
-    python pipelines/twin_distance.py PACK [--pattern train/*cup*] [--views 10] [--sideways 0.001]
+    python pipelines/symmetric_point_distance.py PACK [--pattern GLOB] [--views N] [--sideways WEIGHT]
 
 PACK is what `train-sdf` packed. For label points at most 2 mm inside each object's surface: the
 distance to the nearest observed point, and that of the point's twin (`models/revolution.py`).

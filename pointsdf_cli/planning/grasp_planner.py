@@ -27,14 +27,6 @@ from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.planning.choices import METHODS as METHODS
-from pointsdf_cli.planning.choices import (
-    PARTIAL_VIEW,
-    RECONSTRUCTION,
-    check_kind,
-    check_method,
-    check_speed,
-)
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import Field
@@ -42,9 +34,17 @@ from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.grid import GridConfig
 from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.objective import GraspScore
+from pointsdf_cli.planning.option_checks import METHODS as METHODS
+from pointsdf_cli.planning.option_checks import (
+    PARTIAL_VIEW,
+    RECONSTRUCTION,
+    check_kind,
+    check_method,
+    check_speed,
+)
+from pointsdf_cli.planning.plan_artifact import no_plan
 from pointsdf_cli.planning.planner import HALVINGS, MARGIN, Planner, PlannerConfig, Rank
 from pointsdf_cli.planning.reasons import too_large
-from pointsdf_cli.planning.record import no_plan
 from pointsdf_cli.planning.screen import narrowest
 from pointsdf_cli.planning.seeds import EITHER, GraspPrior
 from pointsdf_cli.planning.support import hidden_below, stands

@@ -7,9 +7,9 @@ import pytest
 from planning_worlds import SphereField
 
 from pointsdf_cli.camera.view import View
-from pointsdf_cli.planning.answer import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.contacts import link_poses
-from pointsdf_cli.planning.redraws import Redraws
+from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
+from pointsdf_cli.planning.resampled_views import Redraws
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.kinematics import Kinematics

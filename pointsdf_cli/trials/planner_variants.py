@@ -20,14 +20,14 @@ from pointsdf_cli.io.checkpoints import CONFIG, WEIGHTS, read_checkpoint
 from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_score import load_grasp_model
-from pointsdf_cli.planning.answer import (
+from pointsdf_cli.planning.fields import Field, MeshField
+from pointsdf_cli.planning.grasp_planner import (
     Answer,
     GraspModel,
     GraspPlanner,
     ObjectGrasps,
     PlanOptions,
 )
-from pointsdf_cli.planning.fields import Field, MeshField
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.partial_view import partial_mesh
 from pointsdf_cli.planning.planner import MARGIN, PlannerConfig

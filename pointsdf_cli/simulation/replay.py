@@ -13,7 +13,7 @@ from pointsdf_cli.io.meshes import load_mesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import Attempter
 from pointsdf_cli.simulation.collect import CollectTask
-from pointsdf_cli.simulation.record import Recorder
+from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.sim_object import prepare_object
 from pointsdf_cli.viz.grasp_report import Film
 
