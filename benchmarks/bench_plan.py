@@ -68,7 +68,7 @@ class Judge:
         return max(0.0, float(over.max()))
 
 
-def least_room(planner: GraspPlanner, answer: Answer) -> float:
+def least_slack(planner: GraspPlanner, answer: Answer) -> float:
     """The least distance less clearance [m] on the trajectory, at steps of 1 mm, by a field that is
     exact wherever anything is near; no proof is used, every step is looked at."""
     target, clearances = answer.target, planner.options.clearances
@@ -80,7 +80,7 @@ def least_room(planner: GraspPlanner, answer: Answer) -> float:
     for a, b in pairwise(path):
         steps = max(1, int(np.ceil(float(checker.motion(a, b).max()) / 0.001)))
         share = np.linspace(0, 1, steps, endpoint=False)[:, None]
-        least = min(least, float(checker.room((1 - share) * a + share * b).min()))
+        least = min(least, float(checker.slack((1 - share) * a + share * b).min()))
     return least
 
 
@@ -116,7 +116,7 @@ def run(
             row["depth"], row["table"] = judge.depths(plan, scene)
             row["limits"] = judge.beyond_limits(plan)
             if k < walk:
-                row["room"] = least_room(planner, answer)
+                row["slack"] = least_slack(planner, answer)
         rows.append(row)
         words = " ".join(f"{v:.4f}" if isinstance(v, float) else str(v) for v in row.values())
         print("  " + words, flush=True)
@@ -156,11 +156,9 @@ def summary(rows: list[dict[str, object]]) -> None:
         )
         print(f"  in the table     {int((of('table') > 0).sum())}")
         print(f"  beyond limits    {int((of('limits') > 1e-9).sum())}")
-        room = of("room")
-        if len(room):
-            print(
-                f"  trajectories     least room {room.min() * 1000:.2f} mm in {len(room)} of them"
-            )
+        slack = of("slack")
+        if len(slack):
+            print(f"  trajectories     least slack {slack.min() * 1000:.2f} mm in {len(slack)}")
 
 
 def main() -> None:

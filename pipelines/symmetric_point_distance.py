@@ -1,12 +1,12 @@
-"""How far is what a view hides from what it shows, before and after turning about the axis found?
+"""Distances of hidden surface to observed points, before and after turning about the found axis.
 
-    python pipelines/symmetric_point_distance.py PACK [--pattern GLOB] [--views N] [--sideways WEIGHT]
+    python pipelines/symmetric_point_distance.py PACK [--pattern GLOB] [--views N] [--sideways W]
 
 PACK is what `train-sdf` packed. For label points at most 2 mm inside each object's surface: the
-distance to the nearest observed point, and that of the point's twin (`models/revolution.py`).
-Printed in mm by object, medians and 80% quantiles over its views; and of the places that are
-farther than 0.08 network units from what was seen, the share whose twins are within 0.05 of it and
-truly on the surface (right), and within 0.05 but not on it (wrong). 0.5 s an object.
+distance to the nearest observed point, and that of its symmetric point (`models/revolution.py`).
+Printed in mm by object, medians and 80% quantiles over its views. Then, among points farther than
+0.08 network units from every observed point: the share whose symmetric points are within 0.05 of
+one and truly on the surface (right), or within 0.05 but not on it (wrong). 0.5 s an object.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ from pointsdf_cli.models.revolution import (
     places,
     revolution_axis,
     surface_normals,
-    twins,
+    symmetric_points,
 )
 from pointsdf_cli.training.sdf_pack import read_pack
 
 INSIDE = 0.002
 POINTS = 400
 HIDDEN, NEAR, ON = 0.08, 0.05, 0.02
-"""Network units: from what was seen; of a twin to it; of a twin to the true surface."""
+"""Distances in network units: query to observed points, symmetric point to observed points, and
+symmetric point to the true surface."""
 
 
 def main() -> None:
@@ -62,13 +63,13 @@ def main() -> None:
         points = cloud[:, : neighbours.shape[1]]
         normals = surface_normals(points, neighbours, cloud, camera)
         axis = revolution_axis(points, normals, camera, options.sideways)
-        twin, _ = twins(x, axis, cloud, places(cloud, axis))
-        before, after = (torch.cdist(p, cloud).amin(-1).numpy() for p in (x, twin))
-        at_twin = np.stack(
+        symmetric, _ = symmetric_points(x, axis, cloud, places(cloud, axis))
+        before, after = (torch.cdist(p, cloud).amin(-1).numpy() for p in (x, symmetric))
+        at_symmetric = np.stack(
             [
                 sdf[cKDTree(known).query(there)[1]] * scale
                 for known, there, scale in zip(
-                    everywhere, twin.numpy(), pack.scale[views], strict=True
+                    everywhere, symmetric.numpy(), pack.scale[views], strict=True
                 )
             ]
         )
@@ -76,7 +77,7 @@ def main() -> None:
         if not hidden.any():
             continue
         near = after[hidden] < NEAR
-        on = np.abs(at_twin[hidden]) < ON
+        on = np.abs(at_symmetric[hidden]) < ON
         mm = 1000.0 / pack.scale[views][:, None]
         row = [float(np.quantile(d * mm, q)) for d in (before, after) for q in (0.5, 0.8)]
         rows.append(row + [float((near & on).mean()), float((near & ~on).mean())])

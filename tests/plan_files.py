@@ -37,7 +37,7 @@ def turning_plan(robot: RobotDescription, steps: int = 11, turn: float = 1.0) ->
             reasons=("object_collision", "motion"),
             success_probability=np.array([0.7, 0.65]),
             objective=np.array([2.0, 3.0]),
-            room=np.array([[-0.004, 0.1, np.inf, 0.02], [0.001, 0.1, np.inf, 0.02]]),
+            slack=np.array([[-0.004, 0.1, np.inf, 0.02], [0.001, 0.1, np.inf, 0.02]]),
         ),
         kind="side",
     )

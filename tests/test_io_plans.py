@@ -30,7 +30,7 @@ def plan() -> Plan:
         reasons=("object_collision",),
         success_probability=np.array([0.7]),
         objective=np.array([4.0]),
-        room=np.array([[-0.003, 0.02, np.inf, 0.004]]),
+        slack=np.array([[-0.003, 0.02, np.inf, 0.004]]),
     )
     return Plan(
         status="ok",
@@ -130,7 +130,7 @@ def test_what_is_written_is_read(tmp_path: Path, plan: Plan, found: bool) -> Non
     np.testing.assert_array_equal(back.accepted.q, plan.accepted.q)
     np.testing.assert_array_equal(back.accepted.objective, plan.accepted.objective)
     assert back.rejected.reasons == plan.rejected.reasons
-    np.testing.assert_array_equal(back.rejected.room, plan.rejected.room)
+    np.testing.assert_array_equal(back.rejected.slack, plan.rejected.slack)
 
 
 def test_the_file_says_what_the_contract_names(tmp_path: Path, plan: Plan) -> None:

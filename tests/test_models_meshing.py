@@ -141,16 +141,16 @@ def test_no_query_is_answered_by_nothing(mug: Reconstruction) -> None:
     assert gradients.shape == (2, 0, 3)
 
 
-def test_lowered_tables_change_what_autocast_computes_by_rounding_only(mug: Reconstruction) -> None:
+def test_reduced_tables_change_what_autocast_computes_by_rounding_only(mug: Reconstruction) -> None:
     x = torch.rand(1, 500, 3, generator=torch.Generator().manual_seed(0)) - 0.5
-    lowered = mug.model.lowered(mug.encoding, torch.bfloat16)
-    halved = {k for k, v in lowered.evidence.items() if v.dtype == torch.bfloat16}
+    reduced = mug.model.in_precision(mug.encoding, torch.bfloat16)
+    halved = {k for k, v in reduced.evidence.items() if v.dtype == torch.bfloat16}
     assert halved == {"fine", "coarse", "image", "keys", "values"}
-    assert lowered.evidence["cloud"].dtype == torch.float32  # places keep their millimetres
+    assert reduced.evidence["cloud"].dtype == torch.float32  # places keep their millimetres
     with torch.no_grad():
         full = mug.model.decode(mug.encoding, x)
         with torch.autocast("cpu", torch.bfloat16):
             auto = mug.model.decode(mug.encoding, x)
-            low = mug.model.decode(lowered, x)
+            low = mug.model.decode(reduced, x)
     assert (low - full).abs().mean() < 1.5 * (auto - full).abs().mean()
     assert (low - full).abs().mean() < 2e-3

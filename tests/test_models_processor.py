@@ -38,13 +38,13 @@ def test_every_part_is_answered_in_order_by_more_than_one_thread() -> None:
     assert torch.get_num_threads() == 2
 
 
-@pytest.mark.parametrize("lowered", [False, True])
+@pytest.mark.parametrize("reduced", [False, True])
 @pytest.mark.parametrize("gradients", [False, True])
-def test_the_callers_autocast_and_gradient_mode_hold(lowered: bool, gradients: bool) -> None:
+def test_the_callers_autocast_and_gradient_mode_hold(reduced: bool, gradients: bool) -> None:
     weight = torch.ones(1, 1, requires_grad=True)
-    with torch.set_grad_enabled(gradients), torch.autocast("cpu", torch.bfloat16, enabled=lowered):
+    with torch.set_grad_enabled(gradients), torch.autocast("cpu", torch.bfloat16, enabled=reduced):
         answers = side_by_side(lambda part: part @ weight, PARTS)
-    assert {a.dtype for a in answers} == {torch.bfloat16 if lowered else torch.float32}
+    assert {a.dtype for a in answers} == {torch.bfloat16 if reduced else torch.float32}
     assert {a.requires_grad for a in answers} == {gradients}
 
 

@@ -1,4 +1,4 @@
-"""The axis of a partial cloud against shapes whose axis is known, and the twins of its queries."""
+"""Axes of partial clouds against shapes with a known axis, and symmetric points of queries."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pointsdf_cli.models.revolution import (
     places,
     revolution_axis,
     surface_normals,
-    twins,
+    symmetric_points,
 )
 
 CAMERA = torch.tensor([[0.0, 0.0, -10.0]], dtype=torch.float64)
@@ -88,9 +88,9 @@ def test_of_the_axes_of_a_ball_one_across_the_view_is_wanted() -> None:
     assert abs(float((axis.direction * view).sum())) < 0.1
     # Turned about it, the far side has been seen.
     far = torch.tensor([[[0.1, 0.0, 0.6]]], dtype=cloud.dtype)
-    twin, _ = twins(far, axis, cloud, places(cloud, axis))
+    symmetric, _ = symmetric_points(far, axis, cloud, places(cloud, axis))
     assert float(torch.cdist(far, cloud).min()) > 0.3
-    assert float(torch.cdist(twin, cloud).min()) < 0.03
+    assert float(torch.cdist(symmetric, cloud).min()) < 0.03
 
 
 @pytest.mark.parametrize("away", [0.2, 0.6, 1.5])
@@ -123,7 +123,7 @@ def test_normals_of_a_slab_seen_from_an_edge_miss_the_axis_of_any_turning() -> N
     assert float(axis.miss[0]) > 3 * float(_axis(_half_vase(0.003)).miss[0])
 
 
-def test_the_twin_of_a_point_on_the_hidden_side_lies_on_the_seen_side() -> None:
+def test_the_symmetric_point_of_a_point_on_the_hidden_side_lies_on_the_seen_side() -> None:
     cloud = _half_vase(0.0)
     axis = _axis(cloud)
     rng = np.random.default_rng(3)
@@ -131,25 +131,27 @@ def test_the_twin_of_a_point_on_the_hidden_side_lies_on_the_seen_side() -> None:
     surface = _turned(heights, 0.3 + 0.1 * np.sin(4 * heights), angles)
     outwards = _turned(np.zeros(400), np.ones(400), angles) - POINT
     hidden = torch.from_numpy(surface[outwards[:, 2] > 0.3])[None]
-    twin, trust = twins(hidden, axis, cloud, places(cloud, axis))
+    symmetric, trust = symmetric_points(hidden, axis, cloud, places(cloud, axis))
     before = torch.cdist(hidden, cloud).amin(-1)
-    after = torch.cdist(twin, cloud).amin(-1)
+    after = torch.cdist(symmetric, cloud).amin(-1)
     assert float(before.median()) > 0.3
     assert float(after.quantile(0.9)) < 0.03
     # The cosine of the turn.
     assert float(trust[0, :, 3].median()) < 0.5
 
 
-def test_a_seen_point_is_its_own_twin() -> None:
+def test_a_seen_point_is_its_own_symmetric_point() -> None:
     cloud = _half_vase(0.0)
     axis = _axis(cloud)
-    twin, trust = twins(cloud, axis, cloud, places(cloud, axis))
-    torch.testing.assert_close(twin, cloud, atol=1e-6, rtol=0.0)
+    symmetric, trust = symmetric_points(cloud, axis, cloud, places(cloud, axis))
+    torch.testing.assert_close(symmetric, cloud, atol=1e-6, rtol=0.0)
     assert float(trust[0, :, 3].min()) > 0.999
 
 
 @torch.no_grad()
-def test_a_decoder_that_learns_of_twins_begins_as_the_one_that_did_not_know_them() -> None:
+def test_a_decoder_that_learns_of_symmetric_points_begins_as_the_one_that_did_not_know_them() -> (
+    None
+):
     cloud = _half_vase(0.003).float()
     x = torch.rand(1, 50, 3, generator=torch.Generator().manual_seed(0)) - 0.5
     known = build_model("pointsdf-ray", {"revolution": False}, seed=3)

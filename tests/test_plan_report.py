@@ -44,7 +44,7 @@ def test_far_distances_are_words_and_near_ones_millimetres() -> None:
     page = plan_report(plan, ROBOT, "p")
     first = 1e3 * plan.link_clearance_object[0]
     assert f'<td class="number">{first:.4g}</td>' in page
-    assert np.isinf(plan.rejected.room[0, 2])
+    assert np.isinf(plan.rejected.slack[0, 2])
     assert "<td>far</td>" in page
 
 

@@ -153,7 +153,7 @@ def test_two_views_are_the_mean_of_both_and_what_they_saw(planner: GraspPlanner)
     other = can_view(2.0)
     first, second = (planner.see([view]) for view in (VIEW, other))
     joint = planner.see([VIEW, other])
-    completed = [ReconstructionField(sight.reconstruction) for sight in (first, second)]
+    completed = [ReconstructionField(perceived.reconstruction) for perceived in (first, second)]
     both = UnionField(MeanField(completed), SeenField(joint.points))
     points = np.random.default_rng(0).uniform(-0.08, 0.08, (50, 3)) + CAN
     np.testing.assert_allclose(joint.target.field(points), both(points), atol=1e-6)
@@ -177,16 +177,18 @@ def test_the_hand_keeps_off_what_was_seen_where_the_network_saw_nothing(
     wire = np.array(CAN) + np.column_stack([np.zeros((8, 2)), HEIGHT / 2 + 0.004 * np.arange(8)])
     T = VIEW.T_world_camera
     seen = np.concatenate([VIEW.points, (wire - T[:3, 3]) @ T[:3, :3]])
-    sight = planner.see([View(seen, T)])
+    perceived = planner.see([View(seen, T)])
     beside = wire[-1:] + [0.0, 0.01, 0.0]
-    assert ReconstructionField(sight.reconstruction)(beside)[0] > 0.012
-    for field in (sight.target.field, sight.target.kept):
+    assert ReconstructionField(perceived.reconstruction)(beside)[0] > 0.012
+    for field in (perceived.target.field, perceived.target.kept):
         value = field.with_gradient(beside)[0]
         assert value[0] < 0.012
         np.testing.assert_allclose(field(beside), value)
-    np.testing.assert_allclose(sight.target.field.with_gradient(beside)[1], [[0, 1, 0]], atol=1e-6)
-    assert isinstance(sight.target.score, CanGrasps)
-    assert sight.target.score.field(beside)[0] > 0.012
+    np.testing.assert_allclose(
+        perceived.target.field.with_gradient(beside)[1], [[0, 1, 0]], atol=1e-6
+    )
+    assert isinstance(perceived.target.score, CanGrasps)
+    assert perceived.target.score.field(beside)[0] > 0.012
 
 
 def test_the_mean_has_the_mean_gradient() -> None:

@@ -54,7 +54,7 @@ def test_the_lower_of_two_fields_keeps_the_bound_of_the_first(points) -> None:
     ball, other = SphereField(0.05), SeenField(seen)
     grid = GridField(ball, LOW, HIGH, GridConfig(step=0.004))
     kept = grid(points)
-    joint = grid.lowered(other)
+    joint = grid.minimum_with(other)
     value, bound = joint.with_bound(points)
     both = UnionField(ball, other)
     assert (np.abs(value - both(points)) <= bound + 1e-12).all()

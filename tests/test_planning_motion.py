@@ -35,8 +35,8 @@ def grasp(distance: float = 0.075, start: int = 0) -> np.ndarray:
     found = IK.solve(palm)
     arms = found.arm[0][found.reached[0]]
     q = np.array([ROBOT.configuration(arm, np.array([0.0] * 6 + [1.3, 0.5])) for arm in arms])
-    room = PathChecker(GEOMETRY, FIELD).room(q)
-    return q[np.argsort(-room)[start]]
+    slack = PathChecker(GEOMETRY, FIELD).slack(q)
+    return q[np.argsort(-slack)[start]]
 
 
 def test_no_point_moves_farther_than_the_bound_says() -> None:
@@ -66,7 +66,7 @@ def test_a_thin_wall_between_two_free_ends_is_not_jumped() -> None:
     checker = PathChecker(GEOMETRY, far, Environment((wire,)))
     ends = np.stack([q, q])
     ends[1, 0] += 0.9
-    assert (checker.room(ends) > 0).all()
+    assert (checker.slack(ends) > 0).all()
     assert not checker.is_free(ends)
     assert PathChecker(GEOMETRY, far).is_free(ends)
 
@@ -74,7 +74,7 @@ def test_a_thin_wall_between_two_free_ends_is_not_jumped() -> None:
 def test_the_retreat_is_straight_and_keeps_turn_and_hand() -> None:
     q = grasp()
     checker = PathChecker(GEOMETRY, FIELD)
-    assert checker.room(q[None])[0] >= 0
+    assert checker.slack(q[None])[0] >= 0
     config = ApproachConfig(length=0.06, step=0.01)
     path = retreat(checker, IK.chain, q, config)
     assert path is not None
@@ -102,7 +102,7 @@ def test_a_motion_ends_in_the_grasp_and_is_free_at_every_millimetre() -> None:
     assert ((trajectory.positions <= ROBOT.upper + 1e-9).all(axis=0)).all()
     # An independent look: dense samples, every distance, no shortcuts by bounds.
     dense = trajectory.at(np.linspace(0, trajectory.times[-1], 600))
-    assert checker.room(dense).min() >= -5e-4
+    assert checker.slack(dense).min() >= -5e-4
     # The preshape is taken first and kept.
     after = motion.corners[1:, 7:]
     np.testing.assert_array_equal(after, np.tile(q[7:], (len(after), 1)))
@@ -118,7 +118,7 @@ def test_a_wall_is_driven_around_and_equal_seeds_give_equal_motions() -> None:
     motions = []
     for _ in range(2):
         checker = PathChecker(GEOMETRY, FIELD, Environment((wall,)))
-        if checker.room(q[None])[0] < 0:
+        if checker.slack(q[None])[0] < 0:
             pytest.fail("the grasp itself must be free of the wall")
         assert not checker.is_free(np.stack([start, q]))
         motions.append(plan_motion(checker, IK, start, q, seed=1))
@@ -143,7 +143,7 @@ def test_times_keep_speed_limits_and_the_path() -> None:
     rng = np.random.default_rng(0)
     path = np.cumsum(rng.normal(0, 0.4, (8, 5)), axis=0)
     velocity = rng.uniform(0.5, 2.0, 5)
-    config = TimingConfig(share=0.8)
+    config = TimingConfig(speed=0.8)
     trajectory = time_path(path, velocity, config)
     speed = np.diff(trajectory.positions, axis=0) / np.diff(trajectory.times)[:, None]
     assert (np.abs(speed) <= 0.8 * velocity + 1e-9).all()
@@ -156,7 +156,7 @@ def test_times_keep_speed_limits_and_the_path() -> None:
 
 def test_one_joint_over_a_long_way_takes_as_long_as_a_ramp_says() -> None:
     # 1 rad/s, ramp 0.5 s up and down, 4 rad: 4 s at full speed plus half a ramp at each end.
-    config = TimingConfig(share=1.0, ramp=0.5, step=0.001)
+    config = TimingConfig(speed=1.0, ramp=0.5, step=0.001)
     trajectory = time_path(np.array([[0.0], [4.0]]), np.array([1.0]), config)
     assert trajectory.times[-1] == pytest.approx(4.5, abs=0.01)
     assert time_path(np.array([[1.0], [1.0]]), np.array([1.0])).times.tolist() == [0.0]

@@ -91,7 +91,7 @@ def test_every_millimetre_of_the_trajectory_is_free(planner: Planner, plan: Plan
     for a, b in pairwise(plan.trajectory):
         steps = max(1, int(np.ceil(float(checker.motion(a, b).max()) / 0.001)))
         share = np.linspace(0, 1, steps, endpoint=False)[:, None]
-        assert checker.room((1 - share) * a + share * b).min() >= 0
+        assert checker.slack((1 - share) * a + share * b).min() >= 0
 
 
 def test_plan_and_motion_keep_the_margin_where_they_can(planner: Planner, plan: Plan) -> None:
@@ -101,7 +101,7 @@ def test_plan_and_motion_keep_the_margin_where_they_can(planner: Planner, plan: 
     # It is what was asked of the checker: the can is no nearer, and no farther, than it is.
     near = PathChecker(planner.geometry, target().field).keeping(0.0)
     where = plan.q[None]
-    assert near.room(where)[0] >= wide.room(where)[0]
+    assert near.slack(where)[0] >= wide.slack(where)[0]
 
 
 def test_where_nothing_is_good_the_best_that_is_free_comes_with_a_warning() -> None:
@@ -219,7 +219,7 @@ def test_a_grasp_below_a_shelf_is_no_grasp_to_lift_from(planner: Planner) -> Non
             "board", "box", (0.5, 0.6, 0.02), transform(np.eye(3), [0.75, 0, top + above])
         )
         checker = PathChecker(planner.geometry, target().field, Environment((board,)))
-        assert checker.beside_object().room(good.q[None])[0] > 0
+        assert checker.beside_object().slack(good.q[None])[0] > 0
         best, motion, rest = planner._with_motion(checker, alone, planner.robot.home, 0)
         assert best is good
         assert motion is not None

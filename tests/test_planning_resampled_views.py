@@ -9,7 +9,7 @@ from planning_worlds import SphereField
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
-from pointsdf_cli.planning.resampled_views import Redraws
+from pointsdf_cli.planning.resampled_views import ResampledViewCheck
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -45,12 +45,15 @@ def test_a_draw_that_comes_nearer_than_the_clearance_contradicts(
     leaning = upright.copy()
     leaning[1] += 0.5  # the shoulder: the hand leaves the ball
     both = np.stack([upright, leaning])
-    assert list(Redraws(geometry, ()).contradicted(both, CLEARANCE)) == [False, False]
-    assert list(Redraws(geometry, (roomy,)).contradicted(both, CLEARANCE)) == [False, False]
+    assert list(ResampledViewCheck(geometry, ()).contradicted(both, CLEARANCE)) == [False, False]
+    assert list(ResampledViewCheck(geometry, (roomy,)).contradicted(both, CLEARANCE)) == [
+        False,
+        False,
+    ]
     for near in (close, deep):
         # One witness is enough, whatever the others say.
-        redraws = Redraws(geometry, (roomy, near))
-        assert list(redraws.contradicted(both, CLEARANCE)) == [True, False]
+        resampled = ResampledViewCheck(geometry, (roomy, near))
+        assert list(resampled.contradicted(both, CLEARANCE)) == [True, False]
 
 
 def test_as_many_draws_are_completed_as_are_asked_for_and_they_differ() -> None:
@@ -60,13 +63,13 @@ def test_as_many_draws_are_completed_as_are_asked_for_and_they_differ() -> None:
     points = 0.04 * outwards[outwards[:, 2] < 0] + [0.0, 0.0, 0.8]
     pose = np.eye(4)
     pose[:3, 3] = [0.6, 0.0, -0.7]
-    planner = GraspPlanner(PlanOptions(redraws=2))
-    sight = planner.see([View(points, pose)], seed=5)
+    planner = GraspPlanner(PlanOptions(resampled_views=2))
+    perceived = planner.see([View(points, pose)], seed=5)
     behind = np.array([[0.6, 0.0, 0.8 - 0.7 + z] for z in (0.01, 0.03, 0.05)])
-    first, second = (field(behind) for field in sight.redrawn)
+    first, second = (field(behind) for field in perceived.resampled)
     assert np.abs(first - second).max() > 1e-6
-    assert np.abs(first - sight.target.field(behind)).max() > 1e-6
+    assert np.abs(first - perceived.target.field(behind)).max() > 1e-6
     again = planner.see([View(points, pose)], seed=5)
-    np.testing.assert_array_equal(again.redrawn[0](behind), first)
+    np.testing.assert_array_equal(again.resampled[0](behind), first)
     # The truth, or nothing, in place of what was completed: nothing is left to be contradicted.
-    assert planner.see([View(points, pose)], seed=5, field="none").redrawn == ()
+    assert planner.see([View(points, pose)], seed=5, field="none").resampled == ()

@@ -164,7 +164,7 @@ def test_halving_ends_the_worse_starts_and_leaves_the_best_alone() -> None:
     starts = rng.uniform(-1.5, 1.5, (8, 2))
     exact = {"iterations": 100, "tolerance": 1e-8, "smallest_radius": 1e-6}
     every = Sqp(SqpConfig(**exact)).solve(problem, starts)
-    halved = Sqp(SqpConfig(halvings=(3, 6), **exact)).solve(problem, starts)
+    halved = Sqp(SqpConfig(successive_halving=(3, 6), **exact)).solve(problem, starts)
     assert halved.evaluations < every.evaluations
     best = halved.objective.argmin()
     np.testing.assert_allclose(halved.x[best], problem.optimum, atol=2e-3)

@@ -14,7 +14,7 @@ from pointsdf_cli.planning.fields import Field, MeshField, RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.grid import GridConfig, GridField
 from pointsdf_cli.planning.objective import GraspScore
-from pointsdf_cli.planning.reasons import Drawn, explain, is_hemmed_in, why_none
+from pointsdf_cli.planning.reasons import SeedStatistics, explain, is_hemmed_in, why_none
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.seeds import SeedConfig, Seeds, draw_seeds
 from pointsdf_cli.planning.sqp import Sqp
@@ -85,8 +85,8 @@ def test_a_can_in_reach_is_planned_and_touches_nothing(can_plan: Synthesis) -> N
     assert result.reason == ""
     assert result.best.success > 0.6
     assert result.best.objective < 5
-    assert result.best.worst_room >= 0
-    assert result.best.limit_room >= 0
+    assert result.best.worst_slack >= 0
+    assert result.best.limit_slack >= 0
     # The same from a mesh of the can, at surface points of the robot.
     can = trimesh.creation.cylinder(RADIUS, 0.24, sections=96)
     can.apply_translation(CAN)
@@ -113,18 +113,18 @@ def test_the_margin_to_the_object_yields_from_round_to_round(can_plan: Synthesis
     rounds = [Problems(wanted, exact, wanted).in_round(k, 0.0015) for k in range(4)]
     assert can_plan.best is not None
     x = can_plan.best.x[None]
-    rooms = [float(one.quick.residuals(x).object[0]) for one in rounds]
+    slacks = [float(one.quick.residuals(x).object[0]) for one in rounds]
     # What is kept beyond 1.5 mm: 4 mm, 2 mm, nothing; the room is larger by what is asked less.
-    np.testing.assert_allclose(np.diff(rooms), [0.002, 0.002, 0.0], atol=1e-12)
+    np.testing.assert_allclose(np.diff(slacks), [0.002, 0.002, 0.0], atol=1e-12)
     assert all(one.exact is exact and one.polish is one.quick for one in rounds)
     assert exact.clearances.object == Clearances().object
 
 
-def test_what_is_free_in_a_narrow_place_is_no_spare_grasp() -> None:
-    shelf = Drawn(drawn=100, above_table=100, reached=100, free=3, table=30, obstacle=67)
-    flat = Drawn(drawn=100, above_table=100, reached=100, free=3, table=67, obstacle=30)
-    roomy = Drawn(drawn=100, above_table=100, reached=100, free=30, obstacle=70)
-    assert [is_hemmed_in(drawn) for drawn in (shelf, flat, roomy)] == [True, False, False]
+def test_what_is_free_in_a_narrow_place_is_no_fallback() -> None:
+    shelf = SeedStatistics(drawn=100, above_table=100, reached=100, free=3, table=30, obstacle=67)
+    flat = SeedStatistics(drawn=100, above_table=100, reached=100, free=3, table=67, obstacle=30)
+    roomy = SeedStatistics(drawn=100, above_table=100, reached=100, free=30, obstacle=70)
+    assert [is_hemmed_in(statistics) for statistics in (shelf, flat, roomy)] == [True, False, False]
 
 
 def test_out_of_reach_is_said_to_be_so() -> None:
@@ -148,7 +148,7 @@ def test_in_a_narrow_bin_there_is_no_plan() -> None:
     result = plan(field, CAN, 0.05, bin_, width=0.02)
     assert result.best is None
     assert result.reason in ("table_collision", "object_collision", "low_success_probability")
-    assert all(c.worst_room < 0 or c.success <= 0.6 for c in result.rejected)
+    assert all(c.worst_slack < 0 or c.success <= 0.6 for c in result.rejected)
     assert result.rejected
 
 
@@ -172,7 +172,7 @@ def test_seeds_are_the_best_of_what_is_reached() -> None:
     few, many = draw(2), draw(16)
     assert len(few.x) == 2
     np.testing.assert_array_equal(few.x, many.x[:2])
-    assert few.drawn.reached <= few.drawn.above_table <= few.drawn.drawn
+    assert few.statistics.reached <= few.statistics.above_table <= few.statistics.drawn
     with pytest.raises(InputError, match="side, top, either"):
         draw_seeds(problem, prior, IK, "below", np.random.default_rng(1))
 
@@ -194,7 +194,7 @@ def test_a_prior_that_knows_one_kind_is_asked_for_that() -> None:
     assert set(either.kinds) == {"side"}
     none = draw_seeds(problem, prior, IK, "top", np.random.default_rng(1), few)
     assert len(none.x) == 0
-    assert "other --kind" in why_none(none.drawn, [], 0)[1]
+    assert "other --kind" in why_none(none.statistics, [], 0)[1]
 
 
 def test_every_reason_is_told_apart(can_plan: Synthesis) -> None:

@@ -14,18 +14,18 @@ from pointsdf_cli.objects.stand_ins import STAND_INS, make_stand_in
 from pointsdf_cli.trials.protocol import (
     CAMERAS,
     METHODS,
-    Contender,
+    PlannerVariant,
     choose_objects,
     make_trials,
 )
 
-BOTH = [Contender(method) for method in METHODS]
+BOTH = [PlannerVariant(method) for method in METHODS]
 
 
 def test_the_paper_makes_96_trials() -> None:
     trials = make_trials(choose_objects(None), BOTH)
     assert len(trials) == len({trial.name for trial in trials}) == 96
-    counts = Counter((trial.object.name, trial.camera, trial.contender.method) for trial in trials)
+    counts = Counter((trial.object.name, trial.camera, trial.variant.method) for trial in trials)
     assert set(counts.values()) == {3}
     assert CAMERAS["high"] - CAMERAS["low"] == pytest.approx(0.45)
 
@@ -97,7 +97,7 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="yaws"):
         make_trials(choose_objects(None), BOTH, yaws=0)
     with pytest.raises(InputError, match="no ablation 'orakel'"):
-        Contender("reconstruction", "orakel")
+        PlannerVariant("reconstruction", "orakel")
     with pytest.raises(InputError, match="each once"):
         make_trials(choose_objects(None), BOTH[:1] * 2)
 

@@ -8,9 +8,9 @@ from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.trials.rehearsed import promising_first
 
 
-def grasp(success: float, room: float, objective: float = 0.0) -> Candidate:
+def grasp(success: float, slack: float, objective: float = 0.0) -> Candidate:
     none = np.zeros(0)
-    return Candidate(none, none, success, 0.0, objective, room, 1.0, 1.0, 1.0, 1.0, "")
+    return Candidate(none, none, success, 0.0, objective, slack, 1.0, 1.0, 1.0, 1.0, "")
 
 
 def test_of_good_grasps_those_with_room_come_first() -> None:

@@ -18,7 +18,7 @@ from pointsdf_cli.trials.protocol import (
     CAMERAS,
     NO_SUCCESS,
     ORACLE,
-    Contender,
+    PlannerVariant,
     Trial,
     TrialObject,
     make_trials,
@@ -46,7 +46,7 @@ def can(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TrialObject]:
 
 
 def one_trial(can: TrialObject, method: str, ablation: str = "", camera: str = "high") -> Trial:
-    (trial,) = make_trials([can], [Contender(method, ablation)], yaws=1, cameras=(camera,))
+    (trial,) = make_trials([can], [PlannerVariant(method, ablation)], yaws=1, cameras=(camera,))
     return trial
 
 
@@ -91,7 +91,7 @@ def test_contenders_of_a_pair_see_the_same_points(runner: TrialRunner, can: Tria
 
 def test_grasps_that_will_be_shaken_are_rehearsed_so() -> None:
     shaken = TrialRunner(TrialConfig(execution=ExecutorConfig(shake=3.0)))
-    planner = shaken._mind(Contender("reconstruction"))._planner
+    planner = shaken._planner(PlannerVariant("reconstruction"))._planner
     shaken.close()
     assert isinstance(planner, RehearsedPlanner)
     assert planner._rehearsal._execution.shake == 3.0

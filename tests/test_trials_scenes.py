@@ -15,7 +15,7 @@ from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.protocol import (
     METHODS,
-    Contender,
+    PlannerVariant,
     TrialObject,
     choose_objects,
     make_trials,
@@ -55,7 +55,7 @@ def transform(place: list[float]) -> np.ndarray:
 
 @pytest.mark.parametrize(("name", "height"), [("pringles", 0.247), ("max_gel", 0.185)])
 def test_what_can_stand_stands_in_every_yaw(world: World, name: str, height: float) -> None:
-    trials = make_trials(choose_objects(None, name), [Contender(METHODS[0])])
+    trials = make_trials(choose_objects(None, name), [PlannerVariant(METHODS[0])])
     item = load_object(trials[0].object, SceneConfig())
     yaws, axes = [], []
     for trial in trials:
@@ -82,7 +82,9 @@ def test_a_ball_is_no_larger_for_having_a_foot(world: World, tmp_path: Path) -> 
     # A ball rests on any side; flattened for each of them it would grow by a tenth.
     ball = trimesh.creation.icosphere(4, 0.04)
     ball.export(tmp_path / "ball.ply")
-    trial = make_trials([TrialObject("ball", tmp_path / "ball.ply")], [Contender(METHODS[0])])[0]
+    trial = make_trials([TrialObject("ball", tmp_path / "ball.ply")], [PlannerVariant(METHODS[0])])[
+        0
+    ]
     item = load_object(trial.object, SceneConfig())
     standing, pose, _ = place_object(world, item, trial, SceneConfig())
     corners = np.concatenate([corners for corners, _ in standing.pieces])
@@ -104,7 +106,7 @@ def test_a_can_whose_scanned_bottom_is_round_stands_upright(world: World, tmp_pa
     can.vertices[middle, 2] -= 0.0015
     can.export(tmp_path / "can.ply")
     stands = TrialObject("pringles", tmp_path / "can.ply", upright=True)
-    trials = make_trials([stands], [Contender(METHODS[0])])
+    trials = make_trials([stands], [PlannerVariant(METHODS[0])])
     item = load_object(stands, SceneConfig())
     for trial in trials[:2]:
         _, pose, _ = place_object(world, item, trial, SceneConfig())

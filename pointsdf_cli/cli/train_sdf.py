@@ -32,7 +32,7 @@ def train_sdf(
         float | None, typer.Option(help="Loss: distances below it count in full (network units).")
     ] = None,
     sign_weight: Annotated[float | None, typer.Option(help="Loss: weight of the sign.")] = None,
-    sign_scale: Annotated[
+    temperature: Annotated[
         float | None, typer.Option(help="Loss: distance at which a sign is sure (network units).")
     ] = None,
     quantile: Annotated[
@@ -97,7 +97,7 @@ def train_sdf(
     config = replace(
         config, seed=common.check_seed(seed), **{k: v for k, v in chosen.items() if v is not None}
     )
-    shape_of_loss = {"near": near, "sign_weight": sign_weight, "temperature": sign_scale}
+    shape_of_loss = {"near": near, "sign_weight": sign_weight, "temperature": temperature}
     shape_of_loss["quantile"] = quantile
     changes: dict[str, Any] = {k: v for k, v in shape_of_loss.items() if v is not None}
     config = replace(config, loss=replace(config.loss, **changes))

@@ -13,7 +13,7 @@ from pointsdf_cli.errors import InputError
 
 if TYPE_CHECKING:
     from pointsdf_cli.io.trials import TrialRow
-    from pointsdf_cli.trials.protocol import Contender
+    from pointsdf_cli.trials.protocol import PlannerVariant
     from pointsdf_cli.trials.run import TrialTask
 
 
@@ -95,7 +95,7 @@ def trial(
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.simulation.executor import ExecutorConfig
     from pointsdf_cli.simulation.world import try_robot
-    from pointsdf_cli.trials.planner_variants import ContenderOptions, check_contender
+    from pointsdf_cli.trials.planner_variants import VariantOptions, check_variant
     from pointsdf_cli.trials.protocol import choose_objects, make_trials
     from pointsdf_cli.trials.report import html_report, markdown_report, percent
     from pointsdf_cli.trials.run import (
@@ -108,9 +108,9 @@ def trial(
     from pointsdf_cli.trials.summary import summarise
 
     try_robot(load_robot(robot))  # a wrong robot is said once and first, not by every worker
-    contenders = _contenders(method, ablation or [])
+    variants = _variants(method, ablation or [])
     config = TrialConfig(
-        contenders=ContenderOptions(
+        variants=VariantOptions(
             solver,
             robot,
             checkpoint,
@@ -125,10 +125,10 @@ def trial(
     common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
     chosen = choose_objects(meshes, objects, pattern)
     trials = make_trials(
-        chosen, contenders, yaws, [c for c in cameras.split(",") if c], repeats, seed
+        chosen, variants, yaws, [c for c in cameras.split(",") if c], repeats, seed
     )
-    for contender in contenders:
-        check_contender(contender, config.contenders)
+    for variant in variants:
+        check_variant(variant, config.variants)
     out = require_folder(out)
     folder = require_folder(out / "trials")
     filmed = {round(i * len(trials) / record) for i in range(record)} if record > 0 else set()
@@ -193,16 +193,16 @@ def trial(
     )
 
 
-def _contenders(method: str, ablations: list[str]) -> list[Contender]:
-    from pointsdf_cli.trials.protocol import ABLATIONS, METHODS, RECONSTRUCTION, Contender
+def _variants(method: str, ablations: list[str]) -> list[PlannerVariant]:
+    from pointsdf_cli.trials.protocol import ABLATIONS, METHODS, RECONSTRUCTION, PlannerVariant
 
     if method not in ("both", *METHODS):
         raise InputError(
             f"no method {method!r}", where="--method", allowed="both, " + ", ".join(METHODS)
         )
-    contenders = [Contender(one) for one in METHODS if method in ("both", one)]
+    variants = [PlannerVariant(one) for one in METHODS if method in ("both", one)]
     wanted = [one for name in ablations for one in (ABLATIONS if name == "all" else (name,))]
-    return contenders + [Contender(RECONSTRUCTION, one) for one in wanted]
+    return variants + [PlannerVariant(RECONSTRUCTION, one) for one in wanted]
 
 
 def _failures(tasks: list[TrialTask], most: int) -> list[tuple[str, bytes]]:
@@ -224,7 +224,7 @@ def _failures(tasks: list[TrialTask], most: int) -> list[tuple[str, bytes]]:
     robot = None
     strips = []
     for _, task, row, evidence in failed[:most]:
-        robot = robot or RobotMeshes(load_robot(task.config.contenders.robot), sections=20)
+        robot = robot or RobotMeshes(load_robot(task.config.variants.robot), sections=20)
         mesh = object_mesh(task.trial.object)
         strips.append((caption(row), png_bytes(trial_strip(robot, mesh, evidence))))
     return strips

@@ -39,7 +39,7 @@ LAYOUT = {
 OPTIONAL = {"object_vertices": "f4 [V, 3]", "object_faces": "i4 [F, 3]"}
 """Not in files of before they were added."""
 OK, NO_PLAN = "ok", "no_plan"
-ROOMS = ("object", "table", "obstacles", "self")
+SLACKS = ("object", "table", "obstacles", "self")
 
 Array = NDArray[np.float64]
 
@@ -53,19 +53,19 @@ class RejectedSeeds:
         reasons: [R], reason codes.
         success_probability: f8 [R].
         objective: f8 [R].
-        room: f8 [R, 4], distances less the clearances to `ROOMS` [m]: negative is too near.
+        slack: f8 [R, 4], distances less the clearances to `SLACKS` [m]: negative is too near.
     """
 
     q: Array
     reasons: tuple[str, ...]
     success_probability: Array
     objective: Array
-    room: Array
+    slack: Array
 
     @classmethod
     def none(cls, joints: int) -> RejectedSeeds:
         """No seed was rejected."""
-        return cls(np.zeros((0, joints)), (), np.zeros(0), np.zeros(0), np.zeros((0, len(ROOMS))))
+        return cls(np.zeros((0, joints)), (), np.zeros(0), np.zeros(0), np.zeros((0, len(SLACKS))))
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def write_plan(
             "rejected_reason": Dataset(_bytes(rejected.reasons)),
             "rejected_success_probability": Dataset(rejected.success_probability),
             "rejected_objective": Dataset(rejected.objective),
-            "rejected_room": Dataset(rejected.room, "m"),
+            "rejected_room": Dataset(rejected.slack, "m"),
         },
         attributes={
             "status": plan.status,
@@ -200,7 +200,7 @@ def write_plan(
             "objective": plan.objective,
             "seeds_tried": plan.seeds_tried,
             "timings_json": json.dumps(dict(plan.timings), sort_keys=True),
-            "rejected_room_columns": ",".join(ROOMS),
+            "rejected_room_columns": ",".join(SLACKS),
         },
         seed=seed,
         config=config,
@@ -238,7 +238,7 @@ def read_plan(path: Path | str) -> Plan:
                 reasons=_strings(data["rejected_reason"]),
                 success_probability=data["rejected_success_probability"],
                 objective=data["rejected_objective"],
-                room=data["rejected_room"],
+                slack=data["rejected_room"],
             ),
             kind=str(facts["kind"]),
             accepted=AcceptedGrasps(
@@ -291,7 +291,7 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
                 "objective": _number(rejected.objective[k]),
                 "room": {
                     name: _number(value)
-                    for name, value in zip(ROOMS, rejected.room[k], strict=True)
+                    for name, value in zip(SLACKS, rejected.slack[k], strict=True)
                 },
                 "q": rejected.q[k].tolist(),
             }

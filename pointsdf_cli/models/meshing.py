@@ -96,8 +96,8 @@ def mesh_reconstruction(
         smallest_part=smallest_part,
     )
     if low_precision is not None:
-        lowered = model.lowered(reconstruction.encoding, low_precision)
-        reconstruction = replace(reconstruction, encoding=lowered)
+        reduced = model.in_precision(reconstruction.encoding, low_precision)
+        reconstruction = replace(reconstruction, encoding=reduced)
     device = reconstruction.encoding.embedding.device.type
     with torch.autocast(device, low_precision, enabled=low_precision is not None):
         surface = extract_isosurface(network_field(reconstruction, field), config)

@@ -6,8 +6,8 @@ for everything. Here the embedding is kept (the grasp network reads it), and eac
 1. the ray evidence (`ray_evidence.py`): where it lies relative to the seen surface and silhouette;
 2. local PointConv features of the centres around it, in space and in the image;
 3. attention over the coarse centres, for what the rest of the object says about this place;
-4. the same evidence at its twin (`revolution.py`): the query turned about the axis that the cloud
-   turns about, if it does, to where something was seen;
+4. the same evidence at its symmetric point (`revolution.py`): the query turned about the cloud's
+   axis of revolution, if it has one, to an observed azimuth;
 5. what the view knows of the space around the object (`surroundings.py`).
 
 Everything is normalised per sample (LayerNorm), so a value never depends on the batch.
@@ -36,7 +36,7 @@ from pointsdf_cli.models.revolution import (
     places,
     revolution_axis,
     surface_normals,
-    twins,
+    symmetric_points,
 )
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 from pointsdf_cli.models.surroundings import (
@@ -68,12 +68,12 @@ class PointSDFRay(ShapeModel):
         local: Width of each local feature.
         heads: Heads of the attention over the third layer's centres; 0 leaves it out.
         search: How neighbours are chosen: `exact`, or `subsets`, which is faster and about as good.
-        revolution: Whether the decoder reads the evidence at a query's twin too.
+        revolution: Whether the decoder reads the evidence at a query's symmetric point too.
         sideways: Of its axis, see `revolution_axis`.
         box: Whether the decoder also reads where a query lies in the box around the cloud (with
             `revolution` only).
         surroundings: Whether the decoder also reads what the view knows of the space around the
-            object (`surroundings.py`), at the query and, with `revolution`, at its twin.
+            object (`surroundings.py`), at the query and, with `revolution`, at its symmetric point.
     """
 
     architecture = "pointsdf-ray"
@@ -238,7 +238,7 @@ class PointSDFRay(ShapeModel):
                     evidence |= {f"box_{name}": value for name, value in box._asdict().items()}
         return Encoding(self.to_embedding(features.flatten(1)), evidence)
 
-    def lowered(self, encoding: Encoding, dtype: torch.dtype) -> Encoding:
+    def in_precision(self, encoding: Encoding, dtype: torch.dtype) -> Encoding:
         known = encoding.evidence
         tables = [name for name in ("fine", "coarse", "image", "keys", "values") if name in known]
         return encoding._replace(evidence=known | {name: known[name].to(dtype) for name in tables})
@@ -265,8 +265,10 @@ class PointSDFRay(ShapeModel):
         ]
         if self.revolution:
             with torch.autocast(x.device.type, enabled=False):
-                twin, trust = twins(x, _axis(known), known["cloud"], known["places"], self.search)
-            inputs += [trust, *self._twin_evidence(known, twin)]
+                symmetric, trust = symmetric_points(
+                    x, _axis(known), known["cloud"], known["places"], self.search
+                )
+            inputs += [trust, *self._symmetric_evidence(known, symmetric)]
         if self.has_box:
             box = BoxFrame(*(known[f"box_{name}"] for name in BoxFrame._fields))
             with torch.autocast(x.device.type, enabled=False):
@@ -277,8 +279,8 @@ class PointSDFRay(ShapeModel):
                 inputs.append(visibility_evidence(x_image, camera, around))
                 inputs.append(plane_evidence(x, known["cloud"], around))
                 if self.revolution:
-                    twin_image = image_coordinates(twin, camera)
-                    inputs.append(visibility_evidence(twin_image, camera, around))
+                    symmetric_image = image_coordinates(symmetric, camera)
+                    inputs.append(visibility_evidence(symmetric_image, camera, around))
         h = self.enter(torch.cat(inputs, dim=-1))
         h = h + self.embed_first(encoding.embedding).unsqueeze(1)
         for step, block in enumerate(self.trunk):
@@ -293,11 +295,11 @@ class PointSDFRay(ShapeModel):
         cloud, image, plane = known["cloud"], known["cloud_image"], known["cloud_plane"]
         return ray_evidence(x, cloud, known["camera"], image, plane, self.search)
 
-    def _twin_evidence(self, known: dict[str, Tensor], twin: Tensor) -> list[Tensor]:
-        with torch.autocast(twin.device.type, enabled=False):
-            seen = self._ray_evidence(known, twin)
-        near = SEARCHES[self.search](twin, known["fine_at"], 8)
-        return [seen, self.local_fine(twin, known["fine"], near).to(twin.dtype)]
+    def _symmetric_evidence(self, known: dict[str, Tensor], symmetric: Tensor) -> list[Tensor]:
+        with torch.autocast(symmetric.device.type, enabled=False):
+            seen = self._ray_evidence(known, symmetric)
+        near = SEARCHES[self.search](symmetric, known["fine_at"], 8)
+        return [seen, self.local_fine(symmetric, known["fine"], near).to(symmetric.dtype)]
 
 
 def _axis(known: dict[str, Tensor]) -> Axis:

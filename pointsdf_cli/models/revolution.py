@@ -1,17 +1,18 @@
-"""The axis that a partial cloud turns about, and where a query has been seen on the way round.
+"""Axis of revolution of a partial cloud, and the symmetric point of a query about it.
 
-Half of what stands on a table is turned on a wheel: cups, bowls, cans, bottles, balls, fruit. One
-view of such a thing shows nearly all of it, once the view is turned about its axis. Two steps:
+Half of all tabletop objects are surfaces of revolution: cups, bowls, cans, bottles, balls, fruit.
+One view of such an object shows nearly all of it, once the view is turned about its axis. Two
+steps:
 
 **The axis.** The normals of a surface of revolution all meet its axis. The line through p along n
 meets the line through c along a where n·ā + (p × n)·a = 0 with the moment ā = c × a, which is
 linear in (a, ā): the axis is the eigenvector of a 3 × 3 matrix (ā eliminated), found with
 reweighting, so that handles and spouts do not count (Pottmann and Wallner, Computational Line
-Geometry, 2001, chapter 3). How far the normals pass the axis tells a cup from a box.
+Geometry, 2001, chapter 3). The distance by which the normals miss the axis tells a cup from a box.
 
-**The twin of a query** is the query turned about that axis to where something was seen: the same
-height and distance from the axis, at the azimuth of the observed point that is nearest in height
-and distance. What the view says about the twin is said about the query too, if the axis is true.
+**The symmetric point of a query** is the query turned about that axis to an observed azimuth: the
+same height and distance from the axis, at the azimuth of the observed point that is nearest in
+height and distance. If the axis is right, evidence about the symmetric point holds for the query.
 """
 
 from __future__ import annotations
@@ -24,20 +25,21 @@ from torch import Tensor
 from pointsdf_cli.models.neighbours import SEARCHES, gather
 
 ROUNDS = 5
-"""Of reweighting."""
+"""Rounds of reweighting."""
 TOLERANCE = 0.03
 """Distance (network units) by which a normal may pass the axis before it counts half."""
 RIDGE = 1e-3
 """Keeps the axis of a cylinder from sliding along itself and of a plane from being anywhere."""
 SIDEWAYS = 1e-3
-"""How much worse (mean square of what the normals pass it by, network units) an axis across the
-viewing direction may fit than one along it (`pipelines/symmetric_point_distance.py --sideways`)."""
+"""Preference for an axis across the viewing direction over one along it, as a mean square of the
+distance between normals and axis, network units (`pipelines/symmetric_point_distance.py
+--sideways`)."""
 NEARNESS = 0.15
-"""Weight of nearness in space where a twin's azimuth is chosen: of two points seen at the same
-height and distance from the axis, the one that lies nearer to the query."""
+"""Weight of the distance in space when a symmetric point's azimuth is chosen: among points observed
+at the same height and radius, the one nearest to the query wins."""
 
 TRUST_SIZE = 8
-"""Numbers that say how far a twin can be trusted."""
+"""Length of the vector that says how far a symmetric point can be trusted."""
 
 
 class Axis(NamedTuple):
@@ -47,7 +49,7 @@ class Axis(NamedTuple):
         direction: [B, 3], of unit length, pointing to the camera's side.
         point: [B, 3], on the line, nearest to the origin.
         miss: [B], median distance by which the cloud's normals pass the line.
-        spread: [B], how much worse the second best direction fits, 0 (as well) to 1.
+        spread: [B], relative gap to the second best direction: 0 (fits as well) to 1.
     """
 
     direction: Tensor
@@ -81,15 +83,16 @@ def surface_normals(points: Tensor, neighbours: Tensor, cloud: Tensor, camera: T
 def revolution_axis(points: Tensor, normals: Tensor, camera: Tensor, sideways: float = 0.0) -> Axis:
     """The line that most normals meet.
 
-    A ball turns about every line through its centre, and many things about more than one. About the
-    one that points to the camera nothing unseen turns to where something was seen, about one across
-    everything does: of axes that fit nearly equally well the one across is wanted.
+    A ball has an axis through its centre in every direction, and many shapes have more than one.
+    Turning about an axis that points to the camera maps hidden surface to hidden surface; turning
+    about an axis across the view maps it to observed surface. Among axes that fit nearly equally
+    well, the one across the view is preferred.
 
     Args:
         points: [B, M, 3], float32.
         normals: [B, M, 3], of unit length.
         camera: [B, 3].
-        sideways: How much worse an axis across the viewing direction may fit, see `SIDEWAYS`.
+        sideways: Preference for an axis across the viewing direction, see `SIDEWAYS`.
     """
     moment = torch.cross(points, normals, dim=-1)
     weight = torch.ones_like(points[..., 0])
@@ -131,26 +134,26 @@ def cylindrical(x: Tensor, axis: Axis) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def places(x: Tensor, axis: Axis) -> Tensor:
-    """[B, N, 5]: where twins are looked for, distances first in the profile, then in space."""
+    """Search keys [B, N, 5] for symmetric points: radius, height and weighted position."""
     radius, height, _ = cylindrical(x, axis)
     return torch.cat([radius, height, NEARNESS * x], dim=-1)
 
 
-def twins(
+def symmetric_points(
     x: Tensor, axis: Axis, cloud: Tensor, cloud_places: Tensor, search: str = "exact"
 ) -> tuple[Tensor, Tensor]:
-    """Queries turned about the axis to where something was seen.
+    """Queries turned about the axis to an observed azimuth.
 
     Args:
         x: [B, Q, 3].
-        axis: Of each cloud.
+        axis: Axis of each cloud.
         cloud: [B, P, 3].
         cloud_places: [B, P, 5], `places` of the cloud.
         search: A key of `SEARCHES`.
 
     Returns:
-        The twins [B, Q, 3], and what tells how far to trust them [B, Q, TRUST_SIZE]; both
-        differentiable in x wherever the observed point does not change.
+        Symmetric points [B, Q, 3] and their trust features [B, Q, TRUST_SIZE]. Both are
+        differentiable in x while the nearest observed point stays the same.
     """
     radius, height, radial = cylindrical(x, axis)
     wanted = torch.cat([radius, height, NEARNESS * x], dim=-1)
@@ -163,7 +166,7 @@ def twins(
     seen = gather(cloud, nearest.squeeze(-1))
     seen_radius, seen_height, seen_radial = cylindrical(seen, axis)
     direction = axis.direction.unsqueeze(1)
-    twin = axis.point.unsqueeze(1) + height * direction + radius * seen_radial
+    symmetric = axis.point.unsqueeze(1) + height * direction + radius * seen_radial
     turned = (radial * seen_radial).sum(-1, keepdim=True)
     whole = torch.stack([axis.miss / 0.01, axis.miss / 0.05], dim=-1).unsqueeze(1)
     trust = torch.cat(
@@ -178,4 +181,4 @@ def twins(
         ],
         dim=-1,
     )
-    return twin, trust
+    return symmetric, trust

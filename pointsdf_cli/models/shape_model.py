@@ -88,7 +88,7 @@ class ShapeModel(nn.Module, ABC):
                 that read it; nothing where None.
         """
 
-    def lowered(self, encoding: Encoding, dtype: torch.dtype) -> Encoding:
+    def in_precision(self, encoding: Encoding, dtype: torch.dtype) -> Encoding:
         """The encoding with those tables in `dtype` that the decoder's products take in it anyway
         where autocast computes in it; geometry stays as it is."""
         return encoding

@@ -50,13 +50,13 @@ class Candidate:
 
     Attributes:
         x: [n], decision variables.
-        q: [J], the configuration that they stand for.
+        q: [J], their configuration.
         success: h.
         log_prior: log g.
         objective: max(s − β, 0)².
-        object_room, table_room, obstacle_room, self_room: Smallest distances less the clearances
+        object_slack, table_slack, obstacle_slack, self_slack: Smallest distance less the clearance
             [m]; negative is too near, infinite where there is nothing to touch.
-        limit_room: Smallest distance to a joint limit; negative is beyond.
+        limit_slack: Smallest distance to a joint limit; negative is beyond.
         reason: One of `reasons.REASONS`, or empty where the solution is accepted.
         kind: Of the seed that it came from, "side" or "top".
     """
@@ -66,23 +66,23 @@ class Candidate:
     success: float
     log_prior: float
     objective: float
-    object_room: float
-    table_room: float
-    obstacle_room: float
-    self_room: float
-    limit_room: float
+    object_slack: float
+    table_slack: float
+    obstacle_slack: float
+    self_slack: float
+    limit_slack: float
     reason: str
     kind: str = ""
 
-    def is_spare(self, config: AcceptanceConfig) -> bool:
+    def is_fallback(self, config: AcceptanceConfig) -> bool:
         """Whether it meets all constraints and is merely not promising."""
         poor = self.reason in ("low_success_probability", "objective")
         return poor and self.success > min(config.floor, config.least)
 
     @property
-    def worst_room(self) -> float:
-        """The smallest room of all distances [m]."""
-        return min(self.object_room, self.table_room, self.obstacle_room, self.self_room)
+    def worst_slack(self) -> float:
+        """The smallest slack of all distances [m]."""
+        return min(self.object_slack, self.table_slack, self.obstacle_slack, self.self_slack)
 
 
 def judge(
@@ -102,15 +102,15 @@ def judge(
     config = config or AcceptanceConfig()
     if not len(x):
         return []
-    cost, room = problem.cost(x), problem.residuals(x)
+    cost, slack = problem.cost(x), problem.residuals(x)
     limit = np.minimum(x - problem.lower, problem.upper - x).min(axis=1)
     candidates = []
     for b in range(len(x)):
         success = float(np.exp(cost.log_success[b]))
         distances = {
-            "object_collision": float(room.object[b]),
-            "table_collision": float(min(room.table[b], room.obstacles[b])),
-            "self_collision": float(room.self_collision[b]),
+            "object_collision": float(slack.object[b]),
+            "table_collision": float(min(slack.table[b], slack.obstacles[b])),
+            "self_collision": float(slack.self_collision[b]),
         }
         worst = min(distances, key=lambda key: distances[key])
         reason = ""
@@ -129,11 +129,11 @@ def judge(
                 success=success,
                 log_prior=float(cost.log_prior[b]),
                 objective=float(cost.value[b]),
-                object_room=float(room.object[b]),
-                table_room=float(room.table[b]),
-                obstacle_room=float(room.obstacles[b]),
-                self_room=float(room.self_collision[b]),
-                limit_room=float(limit[b]),
+                object_slack=float(slack.object[b]),
+                table_slack=float(slack.table[b]),
+                obstacle_slack=float(slack.obstacles[b]),
+                self_slack=float(slack.self_collision[b]),
+                limit_slack=float(limit[b]),
                 reason=reason,
                 kind=kinds[b] if kinds else "",
             )

@@ -43,12 +43,12 @@ from pointsdf_cli.planning.option_checks import (
     check_speed,
 )
 from pointsdf_cli.planning.plan_artifact import no_plan
-from pointsdf_cli.planning.planner import HALVINGS, MARGIN, Planner, PlannerConfig, Rank
+from pointsdf_cli.planning.planner import MARGIN, SUCCESSIVE_HALVING, Planner, PlannerConfig, Rank
 from pointsdf_cli.planning.reasons import too_large
 from pointsdf_cli.planning.screen import narrowest
 from pointsdf_cli.planning.seeds import EITHER, GraspPrior
 from pointsdf_cli.planning.support import hidden_below, stands
-from pointsdf_cli.planning.synthesis import Satisfied, SynthesisConfig
+from pointsdf_cli.planning.synthesis import StopCondition, SynthesisConfig
 from pointsdf_cli.planning.target import (
     EmptyFieldError,
     ObjectField,
@@ -98,11 +98,12 @@ class PlanOptions:
         grasp_checkpoint: Of the success network; the method's bundled one if None.
         clearances: Least distances.
         margin: Distance to the object that is kept where it can be [m].
-        halvings: When the solver gives half of its seeds up; never if empty.
+        successive_halving: Iterations after which the worse half of the seeds stops.
         device: Where the networks are.
         synthesis: How long to look, and what is good enough.
         speed: Share of the joints' speed limits that the motion uses.
-        redraws: Other draws of a cloud's points that are completed too, to be asked about grasps.
+        resampled_views: Further samples of the cloud's points to complete, for the resampled-view
+            check.
     """
 
     method: str = RECONSTRUCTION
@@ -113,11 +114,11 @@ class PlanOptions:
     grasp_checkpoint: Path | None = None
     clearances: Clearances = field(default_factory=Clearances)
     margin: float = MARGIN
-    halvings: tuple[int, ...] = HALVINGS
+    successive_halving: tuple[int, ...] = SUCCESSIVE_HALVING
     device: str = "cpu"
     synthesis: SynthesisConfig = field(default_factory=SynthesisConfig)
     speed: float = 0.5
-    redraws: int = 0
+    resampled_views: int = 0
 
     def __post_init__(self) -> None:
         check_method(self.method)
@@ -126,7 +127,7 @@ class PlanOptions:
 
 
 @dataclass(frozen=True)
-class Sight:
+class PerceivedObject:
     """What is made of a cloud before anything is planned.
 
     Attributes:
@@ -134,7 +135,7 @@ class Sight:
         points: [N, 3], all views in the world, m.
         reconstruction: Of the first view; None in partial-view grasping.
         timings: Seconds by stage.
-        redrawn: What other draws of the points say, as many as the options ask for.
+        resampled: Fields completed from further samples of the points, `resampled_views` of them.
         fused: What several views say together; None of one view.
     """
 
@@ -142,7 +143,7 @@ class Sight:
     points: Array
     reconstruction: Reconstruction | None
     timings: dict[str, float]
-    redrawn: tuple[Field, ...] = ()
+    resampled: tuple[Field, ...] = ()
     fused: Field | None = None
 
 
@@ -189,9 +190,9 @@ class GraspPlanner:
                 solver=options.solver,
                 clearances=options.clearances,
                 margin=options.margin,
-                halvings=options.halvings,
+                successive_halving=options.successive_halving,
                 synthesis=options.synthesis,
-                motion=MotionConfig(timing=TimingConfig(share=options.speed)),
+                motion=MotionConfig(timing=TimingConfig(speed=options.speed)),
             ),
         )
         self._reconstructs = options.method == RECONSTRUCTION
@@ -204,7 +205,7 @@ class GraspPlanner:
         seed: int = 0,
         field: Field | Literal["none"] | None = None,
         table: bool = True,
-    ) -> Sight:
+    ) -> PerceivedObject:
         """Complete the object, keep its field on a grid, and ready the score.
 
         Args:
@@ -223,14 +224,14 @@ class GraspPlanner:
         grid = grid_for(narrowest(world))
         began = time.perf_counter()
         made: list[Reconstruction] = []
-        redrawn: tuple[Field, ...] = ()
+        resampled: tuple[Field, ...] = ()
         if self._shape is not None:
             made = _completed(self._shape, views, seed)
             own = reconstructed_object(made, grid, world)
             if field is None:
-                others = range(1, 1 + self.options.redraws)
+                others = range(1, 1 + self.options.resampled_views)
                 again = [_completed(self._shape, views, (seed, draw)) for draw in others]
-                redrawn = tuple(completed_field(each) for each in again)
+                resampled = tuple(completed_field(each) for each in again)
         else:
             own = seen_object(world, grid)
         timings = {"reconstruction": time.perf_counter() - began}
@@ -252,7 +253,7 @@ class GraspPlanner:
         reconstruction = made[0] if made else None
         target = Target.of(constraint, grasps, grasps)
         fused = own.field if len(made) > 1 else None
-        return Sight(target, world, reconstruction, timings, redrawn, fused)
+        return PerceivedObject(target, world, reconstruction, timings, resampled, fused)
 
     def plan(
         self,
@@ -278,29 +279,33 @@ class GraspPlanner:
         """
         try:
             table = environment is None or environment.table
-            sight = self.see(views, seed, field, table)
+            perceived = self.see(views, seed, field, table)
         except EmptyFieldError as error:
             return self.nothing(error.what)
-        return self.plan_seen(sight, environment, start, seed, rank)
+        return self.plan_seen(perceived, environment, start, seed, rank)
 
     def plan_seen(
         self,
-        sight: Sight,
+        perceived: PerceivedObject,
         environment: Environment | None = None,
         start: Array | None = None,
         seed: int = 0,
         rank: Rank | None = None,
-        satisfied: Satisfied | None = None,
+        stop: StopCondition | None = None,
     ) -> Answer:
-        """As `plan`, for what `see` made: `rank` and `satisfied` may then know the target."""
-        search = self.search(sight.points)
-        plan = self.planner.plan(sight.target, environment, start, seed, search, rank, satisfied)
-        timings = {**sight.timings, **plan.timings}
-        timings["configuration"] += sum(sight.timings.values())
-        if plan.reason not in ("", "inverse_kinematics", "motion") and self.too_large(sight.points):
-            reason, sentence = too_large(narrowest(sight.points), self.planner.geometry.hand.span)
+        """As `plan`, for what `see` made: `rank` and `stop` may then know the target."""
+        search = self.search(perceived.points)
+        plan = self.planner.plan(perceived.target, environment, start, seed, search, rank, stop)
+        timings = {**perceived.timings, **plan.timings}
+        timings["configuration"] += sum(perceived.timings.values())
+        if plan.reason not in ("", "inverse_kinematics", "motion") and self.too_large(
+            perceived.points
+        ):
+            reason, sentence = too_large(
+                narrowest(perceived.points), self.planner.geometry.hand.span
+            )
             plan = replace(plan, reason=reason, sentence=sentence)
-        return Answer(replace(plan, timings=timings), sight.target, sight.reconstruction)
+        return Answer(replace(plan, timings=timings), perceived.target, perceived.reconstruction)
 
     def too_large(self, points: Array) -> bool:
         """Whether an object seen at points [N, 3] is wider all round than the hand opens."""

@@ -148,11 +148,11 @@ class GraspProblem:
     def residuals(self, x: Array) -> Residuals:
         """How far x [B, n] is from violating each kind of constraint."""
         _, contacts = self.contacts(x, gradients=False)
-        room = contacts.distance - self._margin
+        slack = contacts.distance - self._margin
         relevant, fixed = self._relevant, ~(self.is_object | self.is_table | self._is_self)
         return Residuals(
             *(
-                room[:, kind & relevant].min(axis=1, initial=np.inf)
+                slack[:, kind & relevant].min(axis=1, initial=np.inf)
                 for kind in (self.is_object, self.is_table, fixed, self._is_self)
             )
         )
@@ -160,24 +160,24 @@ class GraspProblem:
     def evaluate(self, x: Array) -> Evaluation:
         """The `critical` constraints that are nearest to being violated, each point its own."""
         poses, contacts = self.contacts(x)
-        room = np.where(self._relevant, contacts.distance - self._margin, np.inf)
-        chosen = np.argpartition(room, self._critical - 1, axis=1)[:, : self._critical]
-        return self._evaluation(x, poses, contacts, room, np.sort(chosen, axis=1))
+        slack = np.where(self._relevant, contacts.distance - self._margin, np.inf)
+        chosen = np.argpartition(slack, self._critical - 1, axis=1)[:, : self._critical]
+        return self._evaluation(x, poses, contacts, slack, np.sort(chosen, axis=1))
 
     def evaluate_grouped(self, x: Array) -> Evaluation:
         """The paper's constraints: for each link the minimum to the object, to each obstacle, to
         the robot itself."""
         poses, contacts = self.contacts(x)
-        room = np.where(self._relevant, contacts.distance - self._margin, np.inf)
-        chosen = np.stack([group[room[:, group].argmin(axis=1)] for group in self._groups], axis=1)
-        return self._evaluation(x, poses, contacts, room, chosen)
+        slack = np.where(self._relevant, contacts.distance - self._margin, np.inf)
+        chosen = np.stack([group[slack[:, group].argmin(axis=1)] for group in self._groups], axis=1)
+        return self._evaluation(x, poses, contacts, slack, chosen)
 
     def _evaluation(
         self,
         x: Array,
         poses: Poses,
         contacts: Contacts,
-        room: Array,
+        slack: Array,
         chosen: NDArray[np.int64],
     ) -> Evaluation:
         cost = self.objective(x)
@@ -186,7 +186,7 @@ class GraspProblem:
             cost.value,
             cost.gradient,
             2 * slope[:, :, None] * slope[:, None, :],
-            np.take_along_axis(room, chosen, axis=1),
+            np.take_along_axis(slack, chosen, axis=1),
             self.variables.of(self._jacobian(poses, contacts, chosen)),
         )
 

@@ -103,7 +103,7 @@ class GridField:
         value, _, bound = self._look_up(points, bound=True)
         return value, bound
 
-    def lowered(self, seen: SeenField) -> GridField:
+    def minimum_with(self, seen: SeenField) -> GridField:
         """A grid of the lower of this field and the distance to seen points, taken at every node.
 
         At a node the lower of two values is off by no more than this field's own is, so the bounds

@@ -88,7 +88,7 @@ def plan_motion(
     robot = checker.kinematics.robot
     if ((start < robot.hard_lower - 1e-6) | (start > robot.hard_upper + 1e-6)).any():
         raise InputError("the start is outside of the joint limits", where="--start")
-    if checker.room(start[None])[0] < 0:
+    if checker.slack(start[None])[0] < 0:
         return _failed("the robot touches something where it starts", 0)
     back = retreat(checker, kinematics.chain, goal, config.approach)
     if back is None:
@@ -143,7 +143,7 @@ def _connect(
     moving = np.zeros(len(start), dtype=bool)
     moving[arm] = True
     information.setStateValidityChecker(
-        lambda state: bool(checker.room(whole(state)[None], moving)[0] >= 0)
+        lambda state: bool(checker.slack(whole(state)[None], moving)[0] >= 0)
     )
     information.setMotionValidator(_Validator(information, checker, whole))
     information.setup()

@@ -2,7 +2,7 @@
 
 Between two configurations two bodies move by no more than M = Σ_j |Δq_j| R_j against each other:
 the sum is over the joints between them, and R_j is the farthest that the outer body can be from
-joint j's axis. Their distance changes no faster, so with rooms r_a, r_b at the ends, the straight
+joint j's axis. Their distance changes no faster, so with slacks r_a, r_b at the ends, the straight
 joint-space way between them is free for this pair if r_a + r_b ≥ M. Ways that are not shown free
 for all pairs are halved, down to a resolution finer than the thinnest link.
 """
@@ -98,14 +98,14 @@ class PathChecker:
         other._with_object = False
         return other
 
-    def room(self, q: Array, moving: NDArray[np.bool_] | None = None) -> Array:
+    def slack(self, q: Array, moving: NDArray[np.bool_] | None = None) -> Array:
         """Smallest distance less clearance [B] at configurations q [B, J].
 
         Args:
             moving: bool [J]; distances that these joints cannot change are left out.
         """
-        rooms: Array = self._rooms(q, self._columns(moving)).min(axis=1, initial=np.inf)
-        return rooms
+        slacks: Array = self._slacks(q, self._columns(moving)).min(axis=1, initial=np.inf)
+        return slacks
 
     def motion(self, a: Array, b: Array) -> Array:
         """M [..., C]: how far the bodies of each pair move against each other, at most [m]."""
@@ -120,48 +120,48 @@ class PathChecker:
             counts &= (self._reach[:, moving] > 0).any(axis=1)
         return counts
 
-    def _rooms(self, q: Array, columns: NDArray[np.bool_]) -> Array:
+    def _slacks(self, q: Array, columns: NDArray[np.bool_]) -> Array:
         """Distances less clearances [B, C]; infinity in the columns that are not wanted."""
-        rooms = np.full((len(q), len(columns)), np.inf)
+        slacks = np.full((len(q), len(columns)), np.inf)
         patches, pairs = columns[: self._object_columns], columns[self._object_columns :]
         for begin in range(0, len(q), self.config.batch):
             rows = slice(begin, begin + self.config.batch)
             poses = link_poses(self.kinematics, q[rows])
             if patches.any():
                 near = self._object(poses, gradients=False).distance - self._object_margin
-                rooms[rows, : len(patches)] = np.where(patches, near, np.inf)
+                slacks[rows, : len(patches)] = np.where(patches, near, np.inf)
             bodies = self._bodies(poses, pairs).distance - self._body_margin
-            rooms[rows, len(patches) :] = np.where(pairs, bodies, np.inf)
+            slacks[rows, len(patches) :] = np.where(pairs, bodies, np.inf)
         self.looked_at += len(q)
-        return rooms
+        return slacks
 
     def is_free(self, path: Array) -> bool:
         """Whether the polyline path [T, J] in joint space is free all along."""
-        return self.least_room(path) >= 0
+        return self.least_slack(path) >= 0
 
-    def least_room(self, path: Array) -> float:
-        """The smallest room met on the path [m]; the search stops at the first negative one.
+    def least_slack(self, path: Array) -> float:
+        """The smallest slack met on the path [m]; the search stops at the first negative one.
 
         Between the configurations that were looked at there may be less, but never so little that
         anything touches unseen.
         """
         path = np.asarray(path, dtype=np.float64)
         if len(path) == 1:
-            return float(self.room(path)[0])
+            return float(self.slack(path)[0])
         columns = self._columns(np.ptp(path, axis=0) > 0)
-        rooms = self._rooms(path, columns)
-        least = float(rooms.min(initial=np.inf))
-        a, b, room_a, room_b = path[:-1], path[1:], rooms[:-1], rooms[1:]
+        slacks = self._slacks(path, columns)
+        least = float(slacks.min(initial=np.inf))
+        a, b, slack_a, slack_b = path[:-1], path[1:], slacks[:-1], slacks[1:]
         while least >= 0:
             motion = self.motion(a, b)
-            in_doubt = (room_a + room_b < motion) & (motion > self.config.resolution)
+            in_doubt = (slack_a + slack_b < motion) & (motion > self.config.resolution)
             open_ = in_doubt.any(axis=1)
             if not open_.any():
                 break
-            a, b, room_a, room_b = a[open_], b[open_], room_a[open_], room_b[open_]
+            a, b, slack_a, slack_b = a[open_], b[open_], slack_a[open_], slack_b[open_]
             middle = (a + b) / 2
-            room = self._rooms(middle, columns)
-            least = min(least, float(room.min()))
+            slack = self._slacks(middle, columns)
+            least = min(least, float(slack.min()))
             a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
-            room_a, room_b = np.concatenate([room_a, room]), np.concatenate([room, room_b])
+            slack_a, slack_b = np.concatenate([slack_a, slack]), np.concatenate([slack, slack_b])
         return least

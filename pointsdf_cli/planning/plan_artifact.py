@@ -134,7 +134,7 @@ def _rejected(joints: int, candidates: list[Candidate]) -> RejectedSeeds:
         reasons=tuple(c.reason for c in candidates),
         success_probability=np.array([c.success for c in candidates]),
         objective=np.array([c.objective for c in candidates]),
-        room=np.array(
-            [[c.object_room, c.table_room, c.obstacle_room, c.self_room] for c in candidates]
+        slack=np.array(
+            [[c.object_slack, c.table_slack, c.obstacle_slack, c.self_slack] for c in candidates]
         ),
     )

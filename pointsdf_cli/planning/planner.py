@@ -29,7 +29,7 @@ from pointsdf_cli.planning.sqp import Sqp, SqpConfig
 from pointsdf_cli.planning.synthesis import (
     SOLVER_MARGIN,
     Problems,
-    Satisfied,
+    StopCondition,
     Synthesis,
     SynthesisConfig,
     synthesise,
@@ -43,7 +43,7 @@ from pointsdf_cli.robot.lift import lift_path
 Rank = Callable[[list[Candidate]], list[Candidate]]
 """Puts accepted candidates in the order in which motions are looked for, and may leave some out."""
 
-HALVINGS = (6, 11)
+SUCCESSIVE_HALVING = (6, 11)
 """Iterations of `sqp` after which half of the seeds are left where they are: what costs three times
 as much as the best after six iterations does not catch up."""
 
@@ -51,7 +51,7 @@ MARGIN = 0.004
 """What plans keep away from the object where they can [m]: what a reconstruction is off by on the
 side that was not seen, and by how much arms lag behind, are a few millimetres."""
 
-ROOM = 0.006
+PREFERRED_SLACK = 0.006
 """Up to here [m] a candidate's distance to the object is exact, whatever the clearance; rehearsal
 prefers grasps with so much."""
 
@@ -67,14 +67,14 @@ BRIEFLY = 3
 class PlannerConfig:
     """Everything that is decided before an object is seen.
 
-    Attributes:
-        solver: One of `choices.SOLVERS`. `slsqp` asks the exact field throughout, as the paper
+    Attributes: solver: One of `option_checks.SOLVERS`. `slsqp` asks the exact field throughout, as
+        the paper
             does.
         clearances: Least distances.
         margin: Distance to the object that solver and motion keep wherever they can [m]; what
             comes nearer, down to the clearance, is taken all the same.
         grid: How the object's field is kept for `sqp`.
-        halvings: When `sqp` gives half of its seeds up; never if empty.
+        successive_halving: Iterations of `sqp` after which the worse half of the seeds stops.
         lift_height: A grasp that the arm can raise so far [m] goes before one that it cannot; at 0
             none is asked to.
         beyond: Where the kept field less its bound exceeds the clearance by less than this [m],
@@ -86,7 +86,7 @@ class PlannerConfig:
     clearances: Clearances = field(default_factory=Clearances)
     margin: float = MARGIN
     grid: GridConfig = KEPT_GRID
-    halvings: tuple[int, ...] = HALVINGS
+    successive_halving: tuple[int, ...] = SUCCESSIVE_HALVING
     lift_height: float = 0.15
     beyond: float = 0.0025
     objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
@@ -112,7 +112,7 @@ class Planner:
         self.kinematics = Kinematics(robot)
         self.geometry = RobotGeometry(self.kinematics)
         self.inverse = InverseKinematics(robot)
-        sqp = Sqp(SqpConfig(halvings=self.config.halvings))
+        sqp = Sqp(SqpConfig(successive_halving=self.config.successive_halving))
         self.solver: Solver = sqp if self.config.solver == "sqp" else Slsqp()
 
     def problems(self, target: Target, environment: Environment) -> Problems:
@@ -138,7 +138,9 @@ class Planner:
             )
 
         # Only what is too near decides; a network need not be asked about the rest.
-        exact = problem(target.field, asked, max(asked.object + 0.005, config.margin, ROOM))
+        exact = problem(
+            target.field, asked, max(asked.object + 0.005, config.margin, PREFERRED_SLACK)
+        )
         searched = problem(quick, inside, 0.05)
         if polish is quick:
             return Problems(searched, exact, searched)
@@ -152,7 +154,7 @@ class Planner:
         seed: int = 0,
         search: SynthesisConfig | None = None,
         rank: Rank | None = None,
-        satisfied: Satisfied | None = None,
+        stop: StopCondition | None = None,
     ) -> Plan:
         """Configuration and motion, or the reason why there is none.
 
@@ -163,7 +165,7 @@ class Planner:
             seed: Equal seeds give equal plans.
             search: How long to look and for what; as configured if None.
             rank: Applied to the accepted candidates before motions are looked for.
-            satisfied: As in `synthesise`.
+            stop: As in `synthesise`.
 
         Raises:
             InputError: The start is no configuration within the joint limits.
@@ -181,10 +183,10 @@ class Planner:
         field_time = time.perf_counter() - began
         rng = np.random.default_rng(seed)
         asked = search or self.config.synthesis
-        found = synthesise(problems, target.prior, self.inverse, self.solver, rng, asked, satisfied)
+        found = synthesise(problems, target.prior, self.inverse, self.solver, rng, asked, stop)
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began
-        if rank is not None and (found.accepted or found.spares):
+        if rank is not None and (found.accepted or found.fallbacks):
             began = time.perf_counter()
             found = _ranked(found, rank)
             timings["rank"] = time.perf_counter() - began
@@ -207,7 +209,7 @@ class Planner:
         soon found; else, and in a thorough search, one that keeps the clearance."""
         config, least = self.config.motion, self.config.clearances.object
         quick = replace(config, attempts=1, looks=QUICK_LOOKS)
-        kept = min(self.config.margin, least + candidate.object_room) - SOLVER_MARGIN
+        kept = min(self.config.margin, least + candidate.object_slack) - SOLVER_MARGIN
         if kept > least and not thorough:
             wide = checker.keeping(kept)
             motion = plan_motion(wide, self.inverse, start, candidate.q, seed, quick)
@@ -223,13 +225,13 @@ class Planner:
         start: Array,
         seed: int,
     ) -> tuple[Candidate | None, Motion | None, Synthesis]:
-        """The best accepted candidate that a motion leads to, or for want of one a spare.
+        """The best accepted candidate that a motion leads to, or failing that, a fallback.
 
         The best few are looked at briefly before any is looked at thoroughly: where the way to one
         is narrow, the next is hardly worse and often reached at once. One that the arm cannot lift
         from is taken only where no motion leads to another.
         """
-        best = [*found.accepted, *found.spares]
+        best = [*found.accepted, *found.fallbacks]
         turns = [(k, candidate, False) for k, candidate in enumerate(best[:BRIEFLY])]
         turns += [(k, candidate, True) for k, candidate in enumerate(best)]
         failure = ""
@@ -297,8 +299,7 @@ def _taken(found: Synthesis, best: list[Candidate], k: int, stuck: Container[int
 
 
 def _passed(candidates: list[Candidate], stuck: Container[int]) -> list[Candidate]:
-    """Those to which no motion leads, or no lift from; spares have another reason already and are
-    among the rejected."""
+    """Candidates without a motion or a lift; fallbacks are among the rejected already."""
     return [
         replace(c, reason="lift" if k in stuck else "motion")
         for k, c in enumerate(candidates)
@@ -314,9 +315,9 @@ def _with_warning(found: Synthesis, chosen: Candidate) -> Synthesis:
 
 def _ranked(found: Synthesis, rank: Rank) -> Synthesis:
     """What `rank` leaves of the accepted candidates; those that it drops count as rejected. Where
-    none is accepted it orders the spares."""
+    none is accepted it orders the fallbacks."""
     if not found.accepted:
-        return replace(found, spares=rank(list(found.spares)))
+        return replace(found, fallbacks=rank(list(found.fallbacks)))
     kept = rank(list(found.accepted))
     left = [c for c in found.accepted if not any(c is k for k in kept)]
     dropped = [replace(c, reason="not_tried" if kept else "low_success_probability") for c in left]

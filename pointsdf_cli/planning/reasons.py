@@ -34,7 +34,7 @@ FREE_SHARE = 0.05
 
 
 @dataclass(frozen=True)
-class Drawn:
+class SeedStatistics:
     """What became of the grasps that were drawn from the prior, in palms.
 
     Attributes:
@@ -54,8 +54,8 @@ class Drawn:
     obstacle: int = 0
     itself: int = 0
 
-    def __add__(self, other: Drawn) -> Drawn:
-        return Drawn(
+    def __add__(self, other: SeedStatistics) -> SeedStatistics:
+        return SeedStatistics(
             *(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True))
         )
 
@@ -65,47 +65,49 @@ class Drawn:
         return max(("object", "table", "obstacle", "itself"), key=lambda name: getattr(self, name))
 
 
-def is_hemmed_in(drawn: Drawn) -> bool:
+def is_hemmed_in(statistics: SeedStatistics) -> bool:
     """Whether obstacles or the robot itself, and not the object or the table, leave no room."""
-    hardly = bool(drawn.reached) and drawn.free < FREE_SHARE * drawn.reached
-    return hardly and drawn.in_the_way in ("obstacle", "itself")
+    hardly = bool(statistics.reached) and statistics.free < FREE_SHARE * statistics.reached
+    return hardly and statistics.in_the_way in ("obstacle", "itself")
 
 
 def nearest_miss(rejected: list[Candidate]) -> Candidate | None:
     """The rejected candidate that came closest: least violation first, then best objective."""
     if not rejected:
         return None
-    return min(rejected, key=lambda c: (round(max(0.0, -c.worst_room), 4), -c.success, c.objective))
+    return min(
+        rejected, key=lambda c: (round(max(0.0, -c.worst_slack), 4), -c.success, c.objective)
+    )
 
 
 def why_none(
-    drawn: Drawn,
+    statistics: SeedStatistics,
     rejected: list[Candidate],
     seeds_tried: int,
     config: AcceptanceConfig | None = None,
 ) -> tuple[str, str]:
     """Reason code and sentence where nothing was accepted."""
     miss = nearest_miss(rejected)
-    if not drawn.drawn:
+    if not statistics.drawn:
         return "low_success_probability", (
             "The success network saw no grasp of this kind in training: ask for the other --kind, "
             "or train it on more grasps."
         )
-    if not drawn.above_table:
+    if not statistics.above_table:
         return "table_collision", (
-            f"The palms of all {drawn.drawn} drawn grasps are below the table's top: the object is "
-            "too low for this kind; ask for the other --kind, or check the camera's pose."
+            f"The palms of all {statistics.drawn} drawn grasps are below the table's top: the "
+            "object is too low for this kind; ask for the other --kind, or check the camera's pose."
         )
     if miss is None:
         return "inverse_kinematics", explain("inverse_kinematics", None, seeds_tried, config)
-    if drawn.reached and drawn.free < FREE_SHARE * drawn.reached:
+    if statistics.reached and statistics.free < FREE_SHARE * statistics.reached:
         reason = {
             "object": "object_collision",
             "table": "table_collision",
             "obstacle": "table_collision",
             "itself": "self_collision",
-        }[drawn.in_the_way]
-        return reason, _in_the_way(drawn)
+        }[statistics.in_the_way]
+        return reason, _in_the_way(statistics)
     return miss.reason, explain(miss.reason, miss, seeds_tried, config)
 
 
@@ -126,8 +128,8 @@ def warning(chosen: Candidate, seeds_tried: int) -> str:
     )
 
 
-def _in_the_way(drawn: Drawn) -> str:
-    met = drawn.in_the_way
+def _in_the_way(statistics: SeedStatistics) -> str:
+    met = statistics.in_the_way
     what, advice = {
         "object": ("the object", "it may be larger than the open hand; ask for the other --kind"),
         "table": ("the table", "the object may be too low for this kind; ask for the other --kind"),
@@ -135,8 +137,8 @@ def _in_the_way(drawn: Drawn) -> str:
         "itself": ("the robot itself", "move the object away from the robot's base"),
     }[met]
     return (
-        f"Of {drawn.reached} grasps that the arm reaches, {drawn.free} touch nothing; "
-        f"{getattr(drawn, met)} enter {what}: {advice}."
+        f"Of {statistics.reached} grasps that the arm reaches, {statistics.free} touch nothing; "
+        f"{getattr(statistics, met)} enter {what}: {advice}."
     )
 
 
@@ -161,14 +163,14 @@ def explain(
             "The arm reaches none of the grasps that were drawn: move the object nearer to the "
             "robot's middle reach, or away from its base."
         )
-    depth = f"{max(0.0, -best.worst_room) * 1000:.1f} mm"
+    depth = f"{max(0.0, -best.worst_slack) * 1000:.1f} mm"
     if reason == "object_collision":
         return (
             f"All {seeds_tried} grasps that were tried meet the object (the best by {depth}): it "
             "may be larger than the open hand; try another side or --clearance 0."
         )
     if reason == "table_collision":
-        what = "the table" if best.table_room <= best.obstacle_room else "an obstacle"
+        what = "the table" if best.table_slack <= best.obstacle_slack else "an obstacle"
         return (
             f"All {seeds_tried} grasps that were tried meet {what} (the best by {depth}): clear "
             "the space around the object, or ask for top grasps (--kind top) if it is low."

@@ -21,7 +21,7 @@ LOOKED_AT = 0.01
 """Parts of the robot that are farther than this [m] from an object are not asked about closely."""
 
 
-class Redraws:
+class ResampledViewCheck:
     """Asks the other draws.
 
     Args:

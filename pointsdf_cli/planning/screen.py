@@ -1,4 +1,4 @@
-"""Drawn grasps looked over before any inverse kinematics: the hand alone, at the palm.
+"""Screening of sampled grasps by the hand alone, before any inverse kinematics.
 
 Drawing from the prior costs nothing, reaching a palm with the arm and solving from it does. So many
 grasps are drawn, those whose open hand would stand in the table are lifted out of it, and those

@@ -17,7 +17,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.option_checks import KINDS
-from pointsdf_cli.planning.reasons import Drawn
+from pointsdf_cli.planning.reasons import SeedStatistics
 from pointsdf_cli.planning.screen import depth_in, lifted
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
@@ -71,12 +71,12 @@ class Seeds:
     Attributes:
         x: [S, n]; S may be 0.
         kinds: [S], "side" or "top".
-        drawn: What became of all that was drawn.
+        statistics: What became of all that was drawn.
     """
 
     x: Array
     kinds: tuple[str, ...]
-    drawn: Drawn
+    statistics: SeedStatistics
 
 
 def draw_seeds(
@@ -104,7 +104,7 @@ def draw_seeds(
     preshape, palm, kinds = preshape[above], palm[above], kinds[above]
     n = problem.variables.count
     if not len(palm):
-        return Seeds(np.zeros((0, n)), (), Drawn(len(above)))
+        return Seeds(np.zeros((0, n)), (), SeedStatistics(len(above)))
     palm, chosen = _promising(problem, preshape, palm, rng, config)
     preshape, palm, kinds = preshape[chosen], palm[chosen], kinds[chosen]
     found = kinematics.solve(palm)
@@ -116,16 +116,16 @@ def draw_seeds(
     x = np.hstack([found.arm[rows, elbows], preshape[rows]])
     x = np.clip(x, problem.lower, problem.upper)
     if not len(x):
-        return Seeds(x, (), Drawn(len(above), int(above.sum())))
-    room = np.minimum(0.0, np.stack(list(problem.residuals(x))))
-    rank = problem.cost(x).value - config.violation_weight * room.sum(axis=0)
+        return Seeds(x, (), SeedStatistics(len(above), int(above.sum())))
+    slack = np.minimum(0.0, np.stack(list(problem.residuals(x))))
+    rank = problem.cost(x).value - config.violation_weight * slack.sum(axis=0)
     # One seed a palm, while there are palms: two elbows of one palm end alike.
     order = np.argsort(rank, kind="stable")
     first = np.unique(rows[order], return_index=True)[1]
     others = np.setdiff1d(np.arange(len(order)), first)
     chosen = np.concatenate([order[np.sort(first)], order[others]])[: config.seeds]
-    drawn = Drawn(len(above), int(above.sum()), len(first), *_fate(rows, room))
-    return Seeds(x[chosen], tuple(str(kinds[row]) for row in rows[chosen]), drawn)
+    statistics = SeedStatistics(len(above), int(above.sum()), len(first), *_fate(rows, slack))
+    return Seeds(x[chosen], tuple(str(kinds[row]) for row in rows[chosen]), statistics)
 
 
 def _promising(
@@ -149,16 +149,16 @@ def _promising(
     return palm, np.concatenate([order[:best], others])
 
 
-def _fate(rows: NDArray[np.intp], room: Array) -> tuple[int, int, int, int, int]:
+def _fate(rows: NDArray[np.intp], slack: Array) -> tuple[int, int, int, int, int]:
     """Palms that touch nothing in some elbow position; the others by what they enter deepest.
 
     Args:
         rows: [E], the palm of each configuration.
-        room: [4, E], how deep each enters object, table, obstacles and the robot itself, ≤ 0.
+        slack: [4, E], how deep each enters object, table, obstacles and the robot itself, ≤ 0.
     """
     free, met = 0, np.zeros(4, dtype=int)
     for row in np.unique(rows):
-        depth = room[:, rows == row]
+        depth = slack[:, rows == row]
         freest = depth[:, depth.sum(axis=0).argmax()]
         if freest.min() >= 0:
             free += 1

@@ -36,9 +36,9 @@ class SqpConfig:
         tolerance: A start has converged when the model promises no more than this improvement of
             φ, or this share of the objective where that is above 1. A plan is accepted below an
             objective of 5, so hundredths do not matter.
-        halvings: After so many iterations only the better half of the starts goes on; the others
-            stay where they are. Then what becomes of a start depends on those beside it.
-        spared: Starts that no halving ends.
+        successive_halving: Iterations after which the worse half of the starts stops. The result of
+            a start then depends on the others.
+        least_kept: Smallest number of starts that always go on.
         feasible: Violations up to here count as none.
         damping: Added to the Hessian model's diagonal.
     """
@@ -51,8 +51,8 @@ class SqpConfig:
     tolerance: float = 1e-2
     feasible: float = 1e-4
     damping: float = 1e-3
-    halvings: tuple[int, ...] = ()
-    spared: int = 2
+    successive_halving: tuple[int, ...] = ()
+    least_kept: int = 2
 
     def __post_init__(self) -> None:
         radii = 0 < self.smallest_radius < self.radius <= self.largest_radius
@@ -83,8 +83,8 @@ class Sqp:
         penalty = np.full(count, config.penalty)
         done, ended = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
         for turn in range(iterations or config.iterations):
-            if turn in config.halvings:
-                ended |= self._worse(now, config.halvings.index(turn) + 1)
+            if turn in config.successive_halving:
+                ended |= self._worse(now, config.successive_halving.index(turn) + 1)
             live = np.flatnonzero(~(done | ended))
             if not len(live):
                 break
@@ -125,9 +125,9 @@ class Sqp:
         )
 
     def _worse(self, now: Evaluation, times: int) -> np.ndarray:
-        """bool [B], all starts but the best, after so many halvings."""
+        """bool [B], all starts but the best, after `times` halvings."""
         count = len(now.objective)
-        kept = max(self.config.spared, -(-count // 2**times))
+        kept = max(self.config.least_kept, -(-count // 2**times))
         phi = _penalised(now, np.full(count, self.config.penalty))
         worse = np.zeros(count, dtype=bool)
         worse[np.argsort(phi, kind="stable")[kept:]] = True

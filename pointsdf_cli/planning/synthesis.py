@@ -22,7 +22,7 @@ from pointsdf_cli.planning.acceptance import (
 )
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.nonlinear import Solutions, Solver
-from pointsdf_cli.planning.reasons import Drawn, is_hemmed_in, why_none
+from pointsdf_cli.planning.reasons import SeedStatistics, is_hemmed_in, why_none
 from pointsdf_cli.planning.seeds import GraspPrior, SeedConfig, draw_seeds
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
@@ -35,7 +35,7 @@ WORTH = 0.05
 MARGINS = (1.0, 0.5, 0.0)
 """Of the margin to the object, what is kept in each round."""
 
-SPARES = 4
+FALLBACKS = 4
 """Grasps kept for want of an accepted one: if no motion leads to these, none does."""
 
 STALLED = 0.8
@@ -77,27 +77,27 @@ class Synthesis:
     Attributes:
         best: The accepted candidate with the smallest objective, None if there is none.
         accepted: All accepted candidates, best first; motion planning may need another.
-        spares: The best few of those that are free but promise too little, for want of others.
+        fallbacks: The best few of those that are free but promise too little, for want of others.
         rejected: All that were not accepted.
         reason: Empty, or why there is no plan.
         sentence: The same for a person.
         seeds_tried: Starts given to the solver.
-        drawn: What became of the prior's grasps.
+        statistics: What became of the prior's grasps.
         timings: Seconds by stage.
     """
 
     best: Candidate | None
     accepted: list[Candidate]
     rejected: list[Candidate]
-    spares: list[Candidate]
+    fallbacks: list[Candidate]
     reason: str
     sentence: str
     seeds_tried: int
-    drawn: Drawn
+    statistics: SeedStatistics
     timings: dict[str, float]
 
 
-Satisfied = Callable[[list[Candidate]], bool]
+StopCondition = Callable[[list[Candidate]], bool]
 """Told the candidates that a round has added: whether to look no further."""
 
 
@@ -135,7 +135,7 @@ def synthesise(
     solver: Solver,
     rng: np.random.Generator,
     config: SynthesisConfig | None = None,
-    satisfied: Satisfied | None = None,
+    stop: StopCondition | None = None,
 ) -> Synthesis:
     """Look for the best acceptable configuration; equal generators give equal results.
 
@@ -144,14 +144,14 @@ def synthesise(
         prior, kinematics, solver: Where seeds come from, and how they are solved.
         rng: Of the seeds.
         config: How long to look.
-        satisfied: Asked after every round that has added to the accepted candidates whether to
+        stop: Asked after every round that has added to the accepted candidates whether to
             stop; if None, what the configuration says of good grasps and of enough rounds.
     """
     config = config or SynthesisConfig()
     timings = dict.fromkeys(("seeds", "solve", "polish", "check"), 0.0)
     accepted: list[Candidate] = []
     rejected: list[Candidate] = []
-    tried, drawn = 0, Drawn()
+    tried, statistics = 0, SeedStatistics()
     least = whole.exact.clearances.object + SOLVER_MARGIN
     for turn in range(config.rounds):
         kind = config.kinds[turn % len(config.kinds)]
@@ -159,7 +159,7 @@ def synthesise(
         problems = whole.in_round(turn, least)
         seeds = draw_seeds(problems.quick, prior, kinematics, kind, rng, config.seeds)
         start = _lap(timings, "seeds", start)
-        tried, drawn = tried + len(seeds.x), drawn + seeds.drawn
+        tried, statistics = tried + len(seeds.x), statistics + seeds.statistics
         if not len(seeds.x):
             continue
         found = solver.solve(problems.quick, seeds.x)
@@ -175,7 +175,7 @@ def synthesise(
         again = [
             k
             for k, candidate in enumerate(candidates)
-            if candidate.object_room < 0 and candidate.objective < limit
+            if candidate.object_slack < 0 and candidate.objective < limit
         ][: config.polished]
         if again and problems.polish is not problems.quick:
             near = np.stack([candidates[k].x for k in again])
@@ -187,11 +187,11 @@ def synthesise(
             _lap(timings, "check", start)
         new = [c for c in candidates if not c.reason]
         accepted += new
-        before = _best_spare(rejected, config)
+        before = _best_fallback(rejected, config)
         rejected += [c for c in candidates if c.reason]
-        after = _best_spare(rejected, config)
-        if satisfied is not None:
-            if new and satisfied(new):
+        after = _best_fallback(rejected, config)
+        if stop is not None:
+            if new and stop(new):
                 break
         elif accepted and (turn + 1 >= config.enough or _any_good(accepted, config)):
             break
@@ -200,21 +200,21 @@ def synthesise(
     accepted.sort(key=lambda c: (c.objective, -c.success))
     reason = sentence = ""
     if not accepted:
-        reason, sentence = why_none(drawn, rejected, tried, config.acceptance)
-    spares = sorted(
-        (c for c in rejected if c.is_spare(config.acceptance)), key=lambda c: c.objective
+        reason, sentence = why_none(statistics, rejected, tried, config.acceptance)
+    fallbacks = sorted(
+        (c for c in rejected if c.is_fallback(config.acceptance)), key=lambda c: c.objective
     )
-    if is_hemmed_in(drawn):  # what is free there stands beside the object
-        spares = []
+    if is_hemmed_in(statistics):  # what is free there stands beside the object
+        fallbacks = []
     return Synthesis(
         best=accepted[0] if accepted else None,
         accepted=accepted,
         rejected=rejected,
-        spares=spares[:SPARES],
+        fallbacks=fallbacks[:FALLBACKS],
         reason=reason,
         sentence=sentence,
         seeds_tried=tried,
-        drawn=drawn,
+        statistics=statistics,
         timings=timings,
     )
 
@@ -223,10 +223,10 @@ def _any_good(candidates: list[Candidate], config: SynthesisConfig) -> bool:
     return any(c.success > config.acceptance.success for c in candidates)
 
 
-def _best_spare(candidates: list[Candidate], config: SynthesisConfig) -> float:
+def _best_fallback(candidates: list[Candidate], config: SynthesisConfig) -> float:
     """The least objective of those that are free but promise too little."""
-    spares = (c.objective for c in candidates if c.is_spare(config.acceptance))
-    return min(spares, default=np.inf)
+    fallbacks = (c.objective for c in candidates if c.is_fallback(config.acceptance))
+    return min(fallbacks, default=np.inf)
 
 
 def _ranked(found: Solutions) -> NDArray[np.intp]:

@@ -179,7 +179,9 @@ def kept_off(shape: ObjectField, seen: Array) -> ObjectField:
         seen: [N, 3], world, m.
     """
     points = SeenField(seen)
-    return replace(shape, field=UnionField(shape.field, points), kept=shape.kept.lowered(points))
+    return replace(
+        shape, field=UnionField(shape.field, points), kept=shape.kept.minimum_with(points)
+    )
 
 
 def mesh_object(

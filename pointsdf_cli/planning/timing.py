@@ -23,21 +23,21 @@ class TimingConfig:
     """How briskly to move.
 
     Attributes:
-        share: Of the joints' speed limits that is used.
+        speed: Share of the joints' speed limits.
         ramp: Time from rest to full speed [s].
         jump: Largest jump of a joint's speed at a corner, as a share of its limit.
         step: Longest piece of the path between two points of the result, as time at full
             speed [s].
     """
 
-    share: float = 0.5
+    speed: float = 0.5
     ramp: float = 0.5
     jump: float = 0.1
     step: float = 0.05
 
     def __post_init__(self) -> None:
-        if not (0 < self.share <= 1 and self.ramp > 0 and 0 < self.jump <= 1 and self.step > 0):
-            raise InputError(f"{self}", allowed="share and jump in (0, 1], ramp and step above 0 s")
+        if not (0 < self.speed <= 1 and self.ramp > 0 and 0 < self.jump <= 1 and self.step > 0):
+            raise InputError(f"{self}", allowed="speed and jump in (0, 1], ramp and step above 0 s")
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def time_path(path: Array, velocity: Array, config: TimingConfig | None = None) 
     """
     config = config or TimingConfig()
     path = np.asarray(path, dtype=np.float64)
-    limit = velocity * config.share
+    limit = velocity * config.speed
     moves = (np.abs(np.diff(path, axis=0)) > 1e-12).any(axis=1)
     path = path[np.concatenate([[True], moves])]
     if len(path) == 1:

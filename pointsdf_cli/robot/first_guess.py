@@ -200,11 +200,11 @@ def _home(robot: RobotDescription) -> Array:
     collision = SelfCollision(kinematics)
     with torch.no_grad():
         poses = kinematics(torch.from_numpy(q))
-        room = table_clearance(robot, *poses)[1].amin(dim=1)
+        slack = table_clearance(robot, *poses)[1].amin(dim=1)
         if collision.pairs:
-            room = torch.minimum(room, collision(*poses).amin(dim=1))
-    free = np.flatnonzero(room.numpy() > 0.01)
-    return q[int(free[0]) if len(free) else int(room.argmax())]
+            slack = torch.minimum(slack, collision(*poses).amin(dim=1))
+    free = np.flatnonzero(slack.numpy() > 0.01)
+    return q[int(free[0]) if len(free) else int(slack.argmax())]
 
 
 def as_yaml(data: dict[str, Any]) -> str:

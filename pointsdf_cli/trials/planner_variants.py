@@ -35,7 +35,7 @@ from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.trials import protocol
-from pointsdf_cli.trials.protocol import Contender
+from pointsdf_cli.trials.protocol import PlannerVariant
 from pointsdf_cli.trials.rehearsed import (
     RehearsedAnswer,
     RehearsedPlanner,
@@ -48,15 +48,15 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ContenderOptions:
-    """What all contenders share.
+class VariantOptions:
+    """What all variants share.
 
     Attributes:
         solver: "sqp" or "slsqp".
         robot: YAML file; the bundled robot if None.
         checkpoint: Of the reconstruction network; the bundled one if None.
         grasp_checkpoint: Of the success network of the method "reconstruction"; bundled if None.
-        clearance: Least distance of the robot to the object as the contender knows it [m].
+        clearance: Least distance of the robot to the object as the variant knows it [m].
         margin: Distance to it that is kept where it can be [m].
         rehearse: Grasps of a round that are rehearsed; 0 for none.
         device: Where networks compute.
@@ -72,21 +72,21 @@ class ContenderOptions:
     device: str = "cpu"
 
 
-def plan_options(contender: Contender, options: ContenderOptions) -> PlanOptions:
-    """How a contender plans.
+def plan_options(variant: PlannerVariant, options: VariantOptions) -> PlanOptions:
+    """How a variant plans.
 
     Raises:
         InputError: An option that cannot be.
     """
     checkpoint = options.checkpoint
-    if contender.ablation.startswith(protocol.CHECKPOINT):
-        checkpoint = Path(contender.ablation.removeprefix(protocol.CHECKPOINT))
+    if variant.ablation.startswith(protocol.CHECKPOINT):
+        checkpoint = Path(variant.ablation.removeprefix(protocol.CHECKPOINT))
     # The baseline is what it is: the weights that are tried out are the reconstruction method's.
     # Of another robot there is one success network, which then both share.
-    reconstructs = contender.method == protocol.RECONSTRUCTION
+    reconstructs = variant.method == protocol.RECONSTRUCTION
     own_network = reconstructs or options.robot is not None
     return PlanOptions(
-        method=contender.method,
+        method=variant.method,
         solver=options.solver,
         robot=options.robot,
         checkpoint=checkpoint if reconstructs else None,
@@ -98,10 +98,10 @@ def plan_options(contender: Contender, options: ContenderOptions) -> PlanOptions
 
 
 @functools.cache
-def weights_of(contender: Contender, options: ContenderOptions) -> str:
+def weights_of(variant: PlannerVariant, options: VariantOptions) -> str:
     """A check sum of all checkpoints that could have a say: trials with others are other trials."""
     total = hashlib.sha256()
-    asked = plan_options(contender, options)
+    asked = plan_options(variant, options)
     folders = [asked.checkpoint, asked.grasp_checkpoint, *sorted(asset_path("weights").iterdir())]
     for folder in folders:
         files = [] if folder is None else [folder / WEIGHTS, folder / CONFIG]
@@ -111,13 +111,13 @@ def weights_of(contender: Contender, options: ContenderOptions) -> str:
     return total.hexdigest()[:16]
 
 
-def check_contender(contender: Contender, options: ContenderOptions) -> None:
+def check_variant(variant: PlannerVariant, options: VariantOptions) -> None:
     """Refuse what no trial could be run with, before any is.
 
     Raises:
         InputError: An unknown solver, or a checkpoint that cannot be read.
     """
-    asked = plan_options(contender, options)
+    asked = plan_options(variant, options)
     PlannerConfig(solver=asked.solver, clearances=asked.clearances, margin=asked.margin)
     if asked.checkpoint is not None:
         read_checkpoint(asked.checkpoint)
@@ -126,20 +126,20 @@ def check_contender(contender: Contender, options: ContenderOptions) -> None:
 
 
 def rehearsal_of(
-    contender: Contender, options: ContenderOptions, execution: ExecutorConfig | None = None
+    variant: PlannerVariant, options: VariantOptions, execution: ExecutorConfig | None = None
 ) -> RehearsedPlannerConfig | None:
-    """How a contender rehearses; None for one that does not."""
-    reconstructs = contender.method == protocol.RECONSTRUCTION
-    if not reconstructs or not options.rehearse or contender.ablation == protocol.NO_REHEARSAL:
+    """How a variant rehearses; None for one that does not."""
+    reconstructs = variant.method == protocol.RECONSTRUCTION
+    if not reconstructs or not options.rehearse or variant.ablation == protocol.NO_REHEARSAL:
         return None
     return RehearsedPlannerConfig(count=options.rehearse, execution=execution or ExecutorConfig())
 
 
-class Mind:
-    """A contender ready to plan; networks are loaded once.
+class TrialPlanner:
+    """A variant ready to plan; networks are loaded once.
 
     Args:
-        contender: Who.
+        variant: Who.
         options: What all share.
         grasps: Success network to use instead of a checkpoint's.
         execution: How its grasps will be carried out, for rehearsals.
@@ -147,20 +147,20 @@ class Mind:
 
     def __init__(
         self,
-        contender: Contender,
-        options: ContenderOptions,
+        variant: PlannerVariant,
+        options: VariantOptions,
         grasps: GraspModel | None = None,
         execution: ExecutorConfig | None = None,
     ) -> None:
-        self.contender = contender
-        ablation = contender.ablation
+        self.variant = variant
+        ablation = variant.ablation
         if ablation == protocol.NO_SUCCESS:
             robot = load_robot(options.robot)
             grasps = Indifferent(
                 grasps or load_grasp_model(options.grasp_checkpoint, None, options.device, robot)
             )
-        asked = plan_options(contender, options)
-        rehearsal = rehearsal_of(contender, options, execution)
+        asked = plan_options(variant, options)
+        rehearsal = rehearsal_of(variant, options, execution)
         if rehearsal is not None:
             self._planner: GraspPlanner = RehearsedPlanner(asked, grasps, rehearsal)
         else:
@@ -176,25 +176,25 @@ class Mind:
         """
         field: Field | Literal["none"] | None = None
         surface: Surface | None = None
-        if self.contender.ablation == protocol.NO_CONSTRAINT:
+        if self.variant.ablation == protocol.NO_CONSTRAINT:
             field = "none"
-        elif self.contender.ablation == protocol.ORACLE:
+        elif self.variant.ablation == protocol.ORACLE:
             surface = truth()
             field = MeshField(*surface)
         planner = self._planner
         try:
-            sight = planner.see([view], seed, field)
+            perceived = planner.see([view], seed, field)
         except EmptyFieldError as error:
             return planner.nothing(error.what)
         if isinstance(planner, RehearsedPlanner):
-            return planner.plan_seen(sight, seed=seed, surface=surface)
-        return planner.plan_seen(sight, seed=seed)
+            return planner.plan_seen(perceived, seed=seed, surface=surface)
+        return planner.plan_seen(perceived, seed=seed)
 
     def believed(self, answer: Answer, points: Array) -> Surface | None:
-        """The surface that the contender believed in, for pictures; points [N, 3] in the world."""
+        """The surface that the variant believed in, for pictures; points [N, 3] in the world."""
         if isinstance(answer, RehearsedAnswer) and answer.surface is not None:
             return answer.surface
-        if self.contender.method == protocol.PARTIAL_VIEW:
+        if self.variant.method == protocol.PARTIAL_VIEW:
             return partial_mesh(points)
         reconstruction = answer.reconstruction
         if reconstruction is None:

@@ -1,6 +1,6 @@
-"""Which trials there are: objects × yaws × repeats × cameras × contenders (the paper, section V-C).
+"""Which trials there are: objects × yaws × repeats × cameras × variants (the paper, section V-C).
 
-Both contenders of a pair meet the same object in the same place, seen by the same camera with the
+Both variants of a pair meet the same object in the same place, seen by the same camera with the
 same noise. Everything is drawn from (seed, object, repeat, yaw, camera), never from the order in
 which trials run.
 """
@@ -59,7 +59,7 @@ class TrialObject:
 
 
 @dataclass(frozen=True)
-class Contender:
+class PlannerVariant:
     """A method, or one with something taken away or added.
 
     Attributes:
@@ -104,7 +104,7 @@ class Trial:
         yaw_index, yaws: Which of how many yaws.
         repeat: Which repetition; each has its own place, yaw offset and noise.
         camera: A key of `CAMERAS`.
-        contender: Who plans.
+        variant: Who plans.
         seed: Of the whole experiment.
     """
 
@@ -113,7 +113,7 @@ class Trial:
     yaws: int
     repeat: int
     camera: str
-    contender: Contender
+    variant: PlannerVariant
     seed: int
 
     @property
@@ -123,17 +123,17 @@ class Trial:
 
     @property
     def pair_name(self) -> str:
-        """What contenders share: the scene and the view of it."""
+        """What variants share: the scene and the view of it."""
         return f"{self.scene_name}_{self.camera}"
 
     @property
     def name(self) -> str:
         """Of this trial's file."""
-        contender = self.contender.name.replace("/", "+")
-        if self.contender.ablation.startswith(CHECKPOINT):
+        variant = self.variant.name.replace("/", "+")
+        if self.variant.ablation.startswith(CHECKPOINT):
             # A path is no part of a file name; its check sum tells two apart.
-            contender = f"{self.contender.method}+checkpoint-{zlib.crc32(contender.encode()):08x}"
-        return f"{self.pair_name}_{contender}"
+            variant = f"{self.variant.method}+checkpoint-{zlib.crc32(variant.encode()):08x}"
+        return f"{self.pair_name}_{variant}"
 
     def rng(self, of: str) -> np.random.Generator:
         """Randomness that belongs to "pose" (object and repeat), "scene" or "view"."""
@@ -195,16 +195,16 @@ def choose_objects(
 
 def make_trials(
     objects: Sequence[TrialObject],
-    contenders: Sequence[Contender],
+    variants: Sequence[PlannerVariant],
     yaws: int = 3,
     cameras: Sequence[str] = ("high", "low"),
     repeats: int = 1,
     seed: int = 0,
 ) -> list[Trial]:
-    """All trials, pair by pair: contenders of one pair follow each other.
+    """All trials, pair by pair: variants of one pair follow each other.
 
     Raises:
-        InputError: No yaw, repeat or contender, or an unknown camera.
+        InputError: No yaw, repeat or variant, or an unknown camera.
     """
     if yaws < 1 or repeats < 1:
         where = "--yaws" if yaws < 1 else "--repeats"
@@ -214,20 +214,20 @@ def make_trials(
         raise InputError(
             f"no camera {', '.join(unknown)!r}", where="--cameras", allowed=", ".join(CAMERAS)
         )
-    twice = sorted({one.name for one in contenders if list(contenders).count(one) > 1})
-    if twice or not contenders:
+    twice = sorted({one.name for one in variants if list(variants).count(one) > 1})
+    if twice or not variants:
         raise InputError(
             f"{twice[0]} is given twice" if twice else "nothing to try",
             where="--method, --ablation",
             allowed="each once",
         )
     return [
-        Trial(item, yaw, yaws, repeat, camera, contender, seed)
+        Trial(item, yaw, yaws, repeat, camera, variant, seed)
         for item in objects
         for repeat in range(repeats)
         for yaw in range(yaws)
         for camera in cameras
-        for contender in contenders
+        for variant in variants
     ]
 
 

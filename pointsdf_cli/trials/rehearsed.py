@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +28,13 @@ from pointsdf_cli.planning.grasp_planner import (
     Answer,
     GraspModel,
     GraspPlanner,
+    PerceivedObject,
     PlanOptions,
-    Sight,
 )
 from pointsdf_cli.planning.planner import Rank
-from pointsdf_cli.planning.resampled_views import Redraws
+from pointsdf_cli.planning.resampled_views import ResampledViewCheck
 from pointsdf_cli.planning.seeds import SeedConfig
-from pointsdf_cli.planning.synthesis import Satisfied, SynthesisConfig
+from pointsdf_cli.planning.synthesis import StopCondition, SynthesisConfig
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.rehearsal import (
     UNTRIED,
@@ -56,10 +57,10 @@ class RehearsedPlannerConfig:
     Attributes:
         count: Grasps of a round that are rehearsed, the best by the objective.
         enough: A grasp that holds in this share of its rehearsals ends the search.
-        room: Of equally good grasps those that keep this distance to the object until the hand
-            closes [m] are rehearsed first: what was not seen may be nearer than believed.
-        redraws: Other draws of the cloud's points that are asked. A grasp that any of them has
-            nearer to the object than the clearance never ends the search.
+        slack: Among equally good grasps, those that keep this distance [m] to the object until the
+            hand closes are rehearsed first: the unseen side may be nearer than predicted.
+        resampled_views: Further samples of the cloud's points that are completed and checked. A
+            grasp that violates the clearance in any of them never ends the search.
         most_motions: Grasps to which motions are looked for.
         resolution: Of the surface that is rehearsed on, cells along the network's box.
         rehearsal: See there.
@@ -68,12 +69,17 @@ class RehearsedPlannerConfig:
 
     count: int = 12
     enough: float = 0.75
-    room: float = 0.006
-    redraws: int = 3
+    slack: float = 0.006
+    resampled_views: int = 3
     most_motions: int = 6
     resolution: int = 64
     rehearsal: RehearsalConfig = field(default_factory=RehearsalConfig)
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Settings for `config_json`, under the trials artifact's keys."""
+        keys = {"slack": "room", "resampled_views": "redraws"}
+        return {keys.get(key, key): value for key, value in asdict(self).items()}
 
     def __post_init__(self) -> None:
         if self.count < 1 or not 0 <= self.enough <= 1:
@@ -128,29 +134,34 @@ class RehearsedPlanner(GraspPlanner):
         # A rehearsal may like what the score does not: all seeds are solved to the end.
         search = replace(REHEARSED_SEARCH, acceptance=options.synthesis.acceptance)
         self.config = config or RehearsedPlannerConfig()
-        options = replace(options, synthesis=search, halvings=(), redraws=self.config.redraws)
+        options = replace(
+            options,
+            synthesis=search,
+            successive_halving=(),
+            resampled_views=self.config.resampled_views,
+        )
         super().__init__(options, grasps)
         try_robot(self.robot)  # a rehearsal that cannot be built would look like one that fails
         self._rehearsal = Rehearsal(self.robot, self.config.rehearsal, self.config.execution)
 
     def plan_seen(
         self,
-        sight: Sight,
+        perceived: PerceivedObject,
         environment: Environment | None = None,
         start: Array | None = None,
         seed: int = 0,
         rank: Rank | None = None,
-        satisfied: Satisfied | None = None,
+        stop: StopCondition | None = None,
         surface: Surface | None = None,
     ) -> Answer:
         """As `GraspPlanner.plan_seen`; the answer is a `RehearsedAnswer`.
 
         Args:
-            sight, environment, start, seed: As there.
-            rank, satisfied: Must be None: rehearsals decide.
+            perceived, environment, start, seed: As there.
+            rank, stop: Must be None: rehearsals decide.
             surface: To rehearse on, world frame, instead of the reconstruction's: the oracle.
         """
-        if rank is not None or satisfied is not None:
+        if rank is not None or stop is not None:
             raise ValueError("rehearsals rank the grasps themselves")
         if environment is not None and not environment.table:
             raise InputError(
@@ -160,23 +171,23 @@ class RehearsedPlanner(GraspPlanner):
                 hint="leave --rehearse out",
             )
         began = time.perf_counter()
-        if surface is None and sight.reconstruction is not None:
+        if surface is None and perceived.reconstruction is not None:
             resolution = self.config.resolution
-            surface = believed_surface(sight.reconstruction, resolution, sight.fused)
+            surface = believed_surface(perceived.reconstruction, resolution, perceived.fused)
         meshing = time.perf_counter() - began
         if surface is None:
-            answer = super().plan_seen(sight, environment, start, seed)
+            answer = super().plan_seen(perceived, environment, start, seed)
             return RehearsedAnswer(answer.plan, answer.target, answer.reconstruction)
         clearance = self.options.clearances.object
-        redraws = Redraws(self.planner.geometry, sight.redrawn)
+        resampled = ResampledViewCheck(self.planner.geometry, perceived.resampled)
 
         def contradicted(candidates: list[Candidate]) -> list[bool]:
-            return list(redraws.contradicted(np.stack([c.q for c in candidates]), clearance))
+            return list(resampled.contradicted(np.stack([c.q for c in candidates]), clearance))
 
-        least = self.config.room - clearance
+        least = self.config.slack - clearance
         pool = _Pool(self._rehearsal, surface, self.config, least, contradicted, seed)
         answer = super().plan_seen(
-            sight, environment, start, seed, rank=pool.ranked, satisfied=pool.satisfied
+            perceived, environment, start, seed, rank=pool.ranked, stop=pool.stop
         )
         plan = answer.plan
         timings = {**plan.timings, "surface": meshing, "rehearsal": pool.seconds}
@@ -192,23 +203,23 @@ class _Pool:
         rehearsal: Rehearsal,
         surface: Surface,
         config: RehearsedPlannerConfig,
-        least_room: float,
+        least_slack: float,
         contradicted: Callable[[list[Candidate]], list[bool]],
         seed: int,
     ) -> None:
         self._rehearsal, self._surface, self._config = rehearsal, surface, config
-        self._least_room, self._seed = least_room, seed
+        self._least_slack, self._seed = least_slack, seed
         self._are_contradicted = contradicted
         self._candidates: list[Candidate] = []
         self._contradicted: list[bool] = []
         self._tried: list[Rehearsed] = []
         self.seconds = 0.0
 
-    def satisfied(self, new: list[Candidate]) -> bool:
+    def stop(self, new: list[Candidate]) -> bool:
         """Rehearse the candidates of a round; whether any holds often enough."""
         began = time.perf_counter()
         contradicted = self._are_contradicted(new)
-        order = promising_first(new, self._least_room, contradicted)[: self._config.count]
+        order = promising_first(new, self._least_slack, contradicted)[: self._config.count]
         chosen = [new[k] for k in order]
         try:
             tried = self._rehearsal(*self._surface, np.stack([c.q for c in chosen]), self._seed)
@@ -229,7 +240,7 @@ class _Pool:
         No more than a few: if there is no motion to them, there hardly is one to the others.
         """
         if not self._candidates and accepted:  # for want of better ones
-            self.satisfied(accepted)
+            self.stop(accepted)
         chances = [CONTRADICTED if one else 1.0 for one in self._contradicted]
         order = [self._candidates[k] for k in best_first(self._tried, chances)]
         order += [c for c in accepted if not any(c is one for one in order)]
@@ -244,15 +255,14 @@ class _Pool:
 
 
 def promising_first(
-    candidates: list[Candidate], least_room: float, contradicted: Sequence[bool]
+    candidates: list[Candidate], least_slack: float, contradicted: Sequence[bool]
 ) -> list[int]:
-    """The order in which grasps are rehearsed: first those that no other draw of the points
-    contradicts; of these by the objective, which is 0 for most good ones; of equals the ones with
-    room first, and the likeliest first of all that have it."""
+    """Order of rehearsal: uncontradicted grasps first, then by objective (0 for most good ones),
+    then those with enough slack, then by success probability."""
 
     def cost(k: int) -> tuple[bool, float, bool, float]:
         one = candidates[k]
-        return contradicted[k], one.objective, one.object_room < least_room, -one.success
+        return contradicted[k], one.objective, one.object_slack < least_slack, -one.success
 
     return sorted(range(len(candidates)), key=cost)
 

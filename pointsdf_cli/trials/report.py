@@ -133,7 +133,7 @@ def _success(summaries: Sequence[Summary]) -> Table:
         rates = _published(method, cameras)
         published = [f"{rates[c]:.0%}" if c in rates else "–" for c in (*cameras, "all")]
         body.append((f"{method}, published", *published))
-    return "Success (95% Wilson interval)", ("contender", *cameras, "all"), body
+    return "Success (95% Wilson interval)", ("planner", *cameras, "all"), body
 
 
 def _published(method: str, cameras: Sequence[str]) -> dict[str, float]:
@@ -181,7 +181,7 @@ def _plans(summaries: Sequence[Summary]) -> Table:
     for method in _whole_methods(summaries):
         no_plan, seconds = f"{PUBLISHED_NO_PLAN[method]:.0%}", f"{PUBLISHED_SECONDS[method]} s"
         body.append((f"{method}, published", no_plan, "", seconds, ""))
-    header = ("contender", "no plan", "reasons", "planning, median", "processor time")
+    header = ("planner", "no plan", "reasons", "planning, median", "processor time")
     return "Plans", header, body
 
 
@@ -197,7 +197,7 @@ def _contacts(summaries: Sequence[Summary]) -> Table:
         for s in summaries
     ]
     header = (
-        "contender",
+        "planner",
         "touched before closing",
         "planned into the true object",
         "mean depth",
@@ -225,7 +225,7 @@ def _ablations(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
             )
         )
     header = (
-        "contender",
+        "planner",
         "held",
         "no plan",
         "touched before closing",

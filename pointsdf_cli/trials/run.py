@@ -42,8 +42,13 @@ from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
 from pointsdf_cli.trials.pictures import write_film
-from pointsdf_cli.trials.planner_variants import ContenderOptions, Mind, rehearsal_of, weights_of
-from pointsdf_cli.trials.protocol import Contender, Trial, TrialObject
+from pointsdf_cli.trials.planner_variants import (
+    TrialPlanner,
+    VariantOptions,
+    rehearsal_of,
+    weights_of,
+)
+from pointsdf_cli.trials.protocol import PlannerVariant, Trial, TrialObject
 from pointsdf_cli.trials.rehearsed import RehearsedAnswer, Surface
 from pointsdf_cli.trials.scenes import (
     SceneConfig,
@@ -67,7 +72,7 @@ class TrialConfig:
         sensor: Name in `SENSORS` of what measures the depth.
     """
 
-    contenders: ContenderOptions = field(default_factory=ContenderOptions)
+    variants: VariantOptions = field(default_factory=VariantOptions)
     scene: SceneConfig = field(default_factory=SceneConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
@@ -79,7 +84,7 @@ class TrialConfig:
     def as_dict(self) -> dict[str, Any]:
         """For `config_json`; what files of earlier versions could not say is left out."""
         plain: dict[str, Any] = without_ideal(asdict(self))
-        options = plain["contenders"]
+        options = plain["contenders"] = plain.pop("variants")  # key of the trials artifact
         for name in ("robot", "checkpoint", "grasp_checkpoint"):
             options[name] = None if options[name] is None else str(options[name])
         return plain
@@ -114,13 +119,13 @@ class TrialRunner:
 
     def __init__(self, config: TrialConfig, grasps: GraspModel | None = None) -> None:
         self.config = config
-        self.robot = load_robot(config.contenders.robot)
+        self.robot = load_robot(config.variants.robot)
         self._world = World(self.robot, config.physics)
         self._kinematics = Kinematics(self.robot)
         self._geometry = RobotGeometry(self._kinematics)
         self._observer = Observer(self.robot, CameraPlacement(sensor=config.sensor))
         self._grasps = grasps
-        self._minds: dict[Contender, Mind] = {}
+        self._planners: dict[PlannerVariant, TrialPlanner] = {}
         self._object: tuple[TrialObject, SimObject] | None = None
 
     def close(self) -> None:
@@ -139,7 +144,7 @@ class TrialRunner:
         rng = trial.rng("view")
         vertices = apply_transform(T_world_object, item.mesh.vertices)
         truth = vertices, item.mesh.faces
-        mind = self._mind(trial.contender)
+        planner = self._planner(trial.variant)
         began = time.perf_counter(), time.process_time()
         try:
             view = self._observer.object_view(item, T_world_object, T_world_camera, rng)
@@ -149,7 +154,7 @@ class TrialRunner:
         if len(view.points):
             began = time.perf_counter(), time.process_time()
             seed = int(trial.rng("view").integers(2**31))
-            answer = mind.plan(view, lambda: truth, seed)
+            answer = planner.plan(view, lambda: truth, seed)
         spent = time.perf_counter() - began[0], time.process_time() - began[1]
         plan = None if answer is None else answer.plan
         executed = None
@@ -167,7 +172,7 @@ class TrialRunner:
         world_cloud = view.in_world
         believed = None
         if answer is not None and answer.target is not None:
-            believed = mind.believed(answer, world_cloud)
+            believed = planner.believed(answer, world_cloud)
         evidence = _evidence(
             world_cloud, T_world_camera, T_world_object, believed, plan, executed, self.robot.home
         )
@@ -184,12 +189,12 @@ class TrialRunner:
             self._object = item, load_object(item, self.config.scene)
         return self._object[1]
 
-    def _mind(self, contender: Contender) -> Mind:
-        if contender not in self._minds:
-            self._minds[contender] = Mind(
-                contender, self.config.contenders, self._grasps, self.config.execution
+    def _planner(self, variant: PlannerVariant) -> TrialPlanner:
+        if variant not in self._planners:
+            self._planners[variant] = TrialPlanner(
+                variant, self.config.variants, self._grasps, self.config.execution
             )
-        return self._minds[contender]
+        return self._planners[variant]
 
     def _row(
         self,
@@ -215,8 +220,8 @@ class TrialRunner:
             repeat=trial.repeat,
             yaw=yaw,
             camera=trial.camera,
-            method=trial.contender.method,
-            ablation=trial.contender.ablation,
+            method=trial.variant.method,
+            ablation=trial.variant.ablation,
             status="no_plan" if plan is None else plan.status,
             reason="no_object" if plan is None else plan.reason,
             kind="" if plan is None else plan.kind,
@@ -275,11 +280,11 @@ def _options_of(task: TrialTask) -> dict[str, Any]:
     """All that decides a trial's outcome."""
     trial = task.trial
     config = task.config.as_dict() | {"seed": trial.seed, "yaws": trial.yaws, "trial": trial.name}
-    config["weights"] = weights_of(trial.contender, task.config.contenders)
-    rehearsal = rehearsal_of(trial.contender, task.config.contenders, task.config.execution)
-    config["rehearsal"] = None if rehearsal is None else asdict(rehearsal)
+    config["weights"] = weights_of(trial.variant, task.config.variants)
+    rehearsal = rehearsal_of(trial.variant, task.config.variants, task.config.execution)
+    config["rehearsal"] = None if rehearsal is None else rehearsal.as_dict()
     config["mesh"] = "" if trial.object.mesh is None else file_sha256(trial.object.mesh)
-    config["contenders"] |= {"robot": robot_digest(task.config.contenders.robot)}
+    config["contenders"] |= {"robot": robot_digest(task.config.variants.robot)}
     return config
 
 

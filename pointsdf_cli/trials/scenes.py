@@ -105,7 +105,7 @@ def place_object(
     world: World, item: SimObject, trial: Trial, config: SceneConfig
 ) -> tuple[SimObject, Array, float]:
     """The object with a foot to stand on, T_world_object [4, 4] of a trial and its yaw [rad]; the
-    same for all views and contenders.
+    same for all views and variants.
 
     Yaws of one repeat are evenly spaced from an offset that is drawn for the repeat.
 

@@ -1,4 +1,4 @@
-"""The numbers of an experiment: shares by contender, camera and object, tests, causes, times."""
+"""The numbers of an experiment: shares by variant, camera and object, tests, causes, times."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pointsdf_cli.trials.statistics import Paired, Share, mcnemar, sign_flips, w
 
 @dataclass(frozen=True)
 class Summary:
-    """One contender's results.
+    """One variant's results.
 
     Attributes:
         name: "method" or "method/ablation".
@@ -47,27 +47,27 @@ class Summary:
     penetrated: Share
 
 
-def contender_of(row: TrialRow) -> str:
+def variant_of(row: TrialRow) -> str:
     """Name of who planned."""
     return f"{row.method}/{row.ablation}" if row.ablation else row.method
 
 
 def summarise(rows: Sequence[TrialRow]) -> list[Summary]:
-    """A summary for each contender, in order of appearance."""
+    """A summary for each variant, in order of appearance."""
     return [
-        _summary(name, [row for row in rows if contender_of(row) == name])
-        for name in dict.fromkeys(contender_of(row) for row in rows)
+        _summary(name, [row for row in rows if variant_of(row) == name])
+        for name in dict.fromkeys(variant_of(row) for row in rows)
     ]
 
 
 class Comparison(NamedTuple):
-    """Two contenders on the trials that both have.
+    """Two variants on the trials that both have.
 
     Attributes:
         paired: As if every trial stood for itself.
         by_object: p of the differences of whole objects (`sign_flips`): what says something about
             other objects.
-        objects: How many there are, and in how many the contenders differ.
+        objects: How many there are, and in how many the variants differ.
     """
 
     paired: Paired
@@ -76,13 +76,13 @@ class Comparison(NamedTuple):
 
 
 def compare(rows: Sequence[TrialRow], first: str, second: str) -> Comparison:
-    """Whether two contenders differ on the trials that both have."""
+    """Whether two variants differ on the trials that both have."""
 
     def key(row: TrialRow) -> tuple[object, ...]:
         return row.object, row.yaw_index, row.repeat, row.camera, row.seed
 
     outcomes = {
-        name: {key(row): row.held for row in rows if contender_of(row) == name}
+        name: {key(row): row.held for row in rows if variant_of(row) == name}
         for name in (first, second)
     }
     shared = [k for k in outcomes[first] if k in outcomes[second]]

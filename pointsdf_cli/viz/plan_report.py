@@ -7,7 +7,7 @@ import io
 import numpy as np
 from PIL import Image
 
-from pointsdf_cli.io.plans import OK, ROOMS, Plan
+from pointsdf_cli.io.plans import OK, SLACKS, Plan
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.viz import html
 from pointsdf_cli.viz.plan_picture import BELIEVED_COLOUR
@@ -52,13 +52,13 @@ def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
             html.heading("Rejected"),
             html.note("Room is distance less the clearance asked for: negative is too near."),
             html.table(
-                ("reason", "success", "objective", *(f"room to {room} [mm]" for room in ROOMS)),
+                ("reason", "success", "objective", *(f"slack to {slack} [mm]" for slack in SLACKS)),
                 [
                     (
                         reason,
                         float(rejected.success_probability[k]),
                         float(rejected.objective[k]),
-                        *(_mm(value) for value in rejected.room[k]),
+                        *(_mm(value) for value in rejected.slack[k]),
                     )
                     for k, reason in enumerate(rejected.reasons)
                 ],
