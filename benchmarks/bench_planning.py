@@ -18,12 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 import trimesh
-from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 from torch import Tensor
 
 from pointsdf_cli.camera.pinhole import from_field_of_view
 from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
@@ -34,7 +34,6 @@ from pointsdf_cli.planning.seeds import draw_seeds
 from pointsdf_cli.planning.target import Target, reconstruction_target
 from pointsdf_cli.robot.description import load_robot
 
-Array = NDArray[np.float64]
 REST = np.array([0.0] * 6 + [1.3, 0.5])
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.camera.segmentation import segment_object
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, transform
 from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose, stable_poses
 from pointsdf_cli.io.meshes import load_mesh
@@ -19,7 +20,6 @@ from pointsdf_cli.simulation.observe import Observer
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.viz.shading import look_at
 
-Array = NDArray[np.float64]
 CAMERAS = {"high": 0.85, "low": 0.40}
 """Heights of the two cameras above the table [m], 0.45 m apart (the paper, section V-C)."""
 AWAY = 0.85

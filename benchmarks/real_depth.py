@@ -29,6 +29,7 @@ from scipy import ndimage
 from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import (
     apply_transform,
     invert_transform,
@@ -45,7 +46,6 @@ from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
-Array = NDArray[np.float64]
 SAMPLES = 20_000
 
 

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from pointsdf_cli.models.completion import complete as complete
     from pointsdf_cli.models.reconstruction import Reconstruction as Reconstruction
     from pointsdf_cli.models.registry import load_model as load_model
-    from pointsdf_cli.planning.answer import GraspPlanner as GraspPlanner
-    from pointsdf_cli.planning.answer import PlanOptions as PlanOptions
     from pointsdf_cli.planning.environment import Environment as Environment
+    from pointsdf_cli.planning.grasp_planner import GraspPlanner as GraspPlanner
+    from pointsdf_cli.planning.grasp_planner import PlanOptions as PlanOptions
     from pointsdf_cli.planning.table_session import plan_on_table as plan_on_table
 
 __version__ = "0.1.0"
@@ -43,8 +43,8 @@ _HOMES = {
     "complete": "models.completion",
     "Reconstruction": "models.reconstruction",
     "load_model": "models.registry",
-    "GraspPlanner": "planning.answer",
-    "PlanOptions": "planning.answer",
+    "GraspPlanner": "planning.grasp_planner",
+    "PlanOptions": "planning.grasp_planner",
     "Environment": "planning.environment",
     "plan_on_table": "planning.table_session",
 }

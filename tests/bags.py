@@ -15,7 +15,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from pointsdf_cli.camera.pinhole import Camera
-from pointsdf_cli.geometry.frames import Array, wxyz_from_rotation
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import wxyz_from_rotation
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES = STORE.types

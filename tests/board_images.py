@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from pointsdf_cli.camera.charuco import CharucoBoard, draw_board
 from pointsdf_cli.camera.pinhole import Camera
-from pointsdf_cli.geometry.frames import Array, invert_transform, transform
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import invert_transform, transform
 from pointsdf_cli.viz.shading import look_at
 
 HD = Camera(1280, 720, 912.0, 911.0, 641.3, 358.9)

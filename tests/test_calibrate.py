@@ -27,8 +27,8 @@ from pointsdf_cli.camera.charuco import BoardView, CharucoBoard, find_board, wit
 from pointsdf_cli.camera.hand_eye import calibrate_hand_eye
 from pointsdf_cli.camera.intrinsics import read_lens
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import (
-    Array,
     apply_transform,
     invert_transform,
     random_rotation,

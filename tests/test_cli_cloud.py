@@ -56,7 +56,7 @@ def test_pose_and_colours_travel_with_the_cloud(folder: Path, cli: Callable) -> 
     colour[2, 3], colour[2, 5], colour[5, 3] = (255, 0, 0), (0, 255, 0), (1, 2, 3)
     Image.fromarray(colour).save(folder / "rgb.png")
     done = cli(
-        "cloud", folder / "depth.png", "--intrinsics", folder / "K.json", "--pose",
+        "cloud", folder / "depth.png", "--intrinsics", folder / "K.json", "--camera-pose",
         folder / "T.json", "--color", folder / "rgb.png", "--out", folder / "c.ply", "--json",
         "--no-clean",
     )  # fmt: skip
@@ -188,7 +188,7 @@ def test_a_wrong_scale_or_colour_image_is_told(folder: Path, cli: Callable) -> N
     other = cli(*base, folder / "o.ply", "--color", folder / "rgb.png")
     assert other.code == 2
     assert "registered" in other.err
-    assert cli(*base, folder / "o.ply", "--pose", "1,2").code == 2
+    assert cli(*base, folder / "o.ply", "--camera-pose", "1,2").code == 2
     assert cli(*base, folder / "o.pcd").code == 2
 
 

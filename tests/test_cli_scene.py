@@ -103,8 +103,8 @@ def test_cloud_and_depth_image_show_the_same_object(cli: Callable, scene: list[A
     first = segmented_view(scene[0], options(scene), "table", "auto", None, None, None).points
     second = segmented_view(out, SceneFileOptions(), None, "auto", None, None, None).points
     assert np.median(first, axis=0) == pytest.approx(np.median(second, axis=0), abs=0.003)
-    old = cli("cloud", *scene, "--pose", folder / "T.json", "--out", out, "--force")
-    assert old.code == 0
+    posed = cli("cloud", *scene, "--camera-pose", folder / "T.json", "--out", out, "--force")
+    assert posed.code == 0
     assert np.allclose(read_cloud(out).T_world_camera, scenes.POSE)
 
 

@@ -7,7 +7,6 @@ import torch
 from grasp_worlds import side_palm, top_palm
 
 from pointsdf_cli.geometry.frames import apply_transform, transform
-from pointsdf_cli.models.field_grid import FieldGrid
 from pointsdf_cli.models.grasp_features import (
     BODY_SIZE,
     LENGTH,
@@ -16,6 +15,7 @@ from pointsdf_cli.models.grasp_features import (
     object_body,
 )
 from pointsdf_cli.models.hand_sweep import HandSweep
+from pointsdf_cli.models.tensor_grid import TensorGrid
 from pointsdf_cli.robot.description import load_robot
 
 ROBOT = load_robot()
@@ -50,7 +50,7 @@ def grasps(count: int = 4) -> tuple[torch.Tensor, torch.Tensor]:
 
 def test_a_grid_gives_linear_fields_and_their_slopes_exactly() -> None:
     slope = np.array([0.3, -0.7, 0.2])
-    grid = FieldGrid(lambda x: x @ slope + 0.1, np.zeros(3), np.array([0.2, 0.3, 0.1]), 0.03)
+    grid = TensorGrid(lambda x: x @ slope + 0.1, np.zeros(3), np.array([0.2, 0.3, 0.1]), 0.03)
     x = torch.rand(50, 3, dtype=torch.float32, requires_grad=True)
     inside = x * torch.tensor([0.2, 0.3, 0.1])
     values = grid(inside)
@@ -61,7 +61,7 @@ def test_a_grid_gives_linear_fields_and_their_slopes_exactly() -> None:
 
 
 def test_products_of_coordinates_are_exact_within_a_cell() -> None:
-    grid = FieldGrid(lambda x: x[:, 0] * x[:, 1] - 2 * x.prod(1), np.zeros(3), np.ones(3), 1.0)
+    grid = TensorGrid(lambda x: x[:, 0] * x[:, 1] - 2 * x.prod(1), np.zeros(3), np.ones(3), 1.0)
     x = torch.rand(20, 3, generator=torch.manual_seed(0), requires_grad=True)
     a, b, c = x.detach().unbind(1)
     assert torch.allclose(grid(x), a * b - 2 * a * b * c, atol=1e-6)
@@ -71,7 +71,7 @@ def test_products_of_coordinates_are_exact_within_a_cell() -> None:
 
 
 def test_outside_of_the_box_stands_what_its_nearest_point_has() -> None:
-    grid = FieldGrid(lambda x: x.sum(1), np.zeros(3), np.ones(3), 0.25)
+    grid = TensorGrid(lambda x: x.sum(1), np.zeros(3), np.ones(3), 0.25)
     x = torch.tensor([[1.5, 0.3, 0.4], [-2.0, 0.5, 9.0], [np.nan, 0.5, 0.5]], requires_grad=True)
     values = grid(x)
     assert torch.allclose(values[:2], torch.tensor([1.7, 1.5]))
@@ -87,7 +87,7 @@ def test_a_large_box_gets_larger_cells_not_more_of_them() -> None:
         asked.append(len(points))
         return points[:, 0]
 
-    FieldGrid(field, np.zeros(3), np.ones(3), 0.001, nodes=1000)
+    TensorGrid(field, np.zeros(3), np.ones(3), 0.001, nodes=1000)
     assert asked[0] < 2000
 
 

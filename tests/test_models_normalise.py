@@ -24,7 +24,7 @@ def test_the_partial_cloud_fits_the_unit_box_and_comes_back() -> None:
     frame = network_frame(cloud)
     inside = frame.to_network(cloud)
     assert np.ptp(inside, axis=0).max() == pytest.approx(1.0 / 1.03)
-    np.testing.assert_allclose(frame.to_metres(inside), cloud, atol=1e-12)
+    np.testing.assert_allclose(inside / frame.scale + frame.centre, cloud, atol=1e-12)
 
 
 @pytest.mark.parametrize(

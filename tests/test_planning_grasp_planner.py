@@ -14,10 +14,10 @@ from pointsdf_cli.camera.pinhole import CAMERAS
 from pointsdf_cli.camera.raycast import MeshCaster
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.plans import OK
 from pointsdf_cli.planning.fields import (
-    Field,
     MeanField,
     NearField,
     ReconstructionField,

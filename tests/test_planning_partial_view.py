@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.partial_view import SPAN, partial_mesh, partial_view_field
+from pointsdf_cli.planning.fields import MeshField
+from pointsdf_cli.planning.partial_view import SPAN, partial_mesh
 
 
 @pytest.fixture
@@ -30,7 +31,7 @@ def test_the_mesh_is_closed_and_follows_the_points(half_ball: np.ndarray) -> Non
 
 
 def test_seen_points_are_taken_and_the_unseen_side_is_free(half_ball: np.ndarray) -> None:
-    field = partial_view_field(half_ball)
+    field = MeshField(*partial_mesh(half_ball))
     voxel = 0.1 / SPAN
     assert field(half_ball).max() < voxel
     behind = np.array([[0.64, 0.0, 0.1], [0.6, 0.0, 0.1]])
@@ -38,7 +39,7 @@ def test_seen_points_are_taken_and_the_unseen_side_is_free(half_ball: np.ndarray
 
 
 def test_gradients_point_away(half_ball: np.ndarray) -> None:
-    value, gradient = partial_view_field(half_ball).with_gradient(np.array([[0.4, 0.0, 0.1]]))
+    value, gradient = MeshField(*partial_mesh(half_ball)).with_gradient(np.array([[0.4, 0.0, 0.1]]))
     assert value[0] == pytest.approx(0.15, abs=0.1 / SPAN)
     assert gradient[0, 0] < -0.98
 

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 import cvxpy as cp
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.nonlinear import Evaluation, Solver
 from pointsdf_cli.planning.slsqp import Slsqp
 from pointsdf_cli.planning.sqp import Sqp, SqpConfig
 from pointsdf_cli.planning.step_qp import StepQp
-
-Array = NDArray[np.float64]
 
 
 @dataclass

@@ -8,9 +8,10 @@ import trimesh
 from planning_worlds import AroundObject, BoxField, CylinderField, NearPalm
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.acceptance import AcceptanceConfig, judge
 from pointsdf_cli.planning.environment import Environment, Obstacle
-from pointsdf_cli.planning.fields import Field, MeshField, RefinedField
+from pointsdf_cli.planning.fields import MeshField, RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.grid import GridConfig, GridField
 from pointsdf_cli.planning.objective import GraspScore

@@ -21,7 +21,8 @@ from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.depth_cloud import cloud_of_depth
 from pointsdf_cli.camera.intrinsics import read_intrinsics
-from pointsdf_cli.geometry.frames import Array, apply_transform, is_rigid
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import apply_transform, is_rigid
 from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.io.depth_images import read_depth
 from pointsdf_cli.io.plans import read_plan

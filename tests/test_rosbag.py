@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from pointsdf_cli.camera.bag_cloud import median_depth
 from pointsdf_cli.camera.pinhole import Camera
-from pointsdf_cli.geometry.frames import Array, transform
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.clouds import read_cloud
 
 CAMERA = Camera(8, 6, 500.0, 400.0, 3.0, 2.0)
@@ -224,7 +225,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
         of(messages(raw()), "--world-frame", "map"), "frames in the bag: base_link, camera_depth",
     ),
     "two poses": (
-        of(messages(raw()), "--world-frame", "base_link", "--pose", "0,0,1,1,0,0,0"), "two poses",
+        of(messages(raw()), "--world-frame", "base_link", "--camera-pose", "0,0,1,1,0,0,0"), "two poses",
     ),
     "JPEG": (of(messages([JPEG])), "jpeg compressed"),
     "RVL": (of(messages([RVL])), "compressedDepth rvl"),
@@ -264,7 +265,7 @@ def test_intrinsics_by_hand_replace_camera_info(tmp_path: Path, cli: Callable) -
     bag = write_bag(tmp_path / "bag", messages(raw(), **{INFO: None}))
     (tmp_path / "K.json").write_text(json.dumps(CAMERA.K.tolist()))
     base = ("cloud", bag, "--intrinsics", tmp_path / "K.json", "--out", tmp_path / "cloud.ply")
-    assert cli(*base, "--pose", "0,0,1,0,1,0,0").code == 0
+    assert cli(*base, "--camera-pose", "0,0,1,0,1,0,0").code == 0
     cloud = read_cloud(tmp_path / "cloud.ply")
     assert np.allclose(cloud.points, POINTS, atol=1e-6)
     looks_down: Array = transform(np.diag([1.0, -1.0, -1.0]), [0, 0, 1])

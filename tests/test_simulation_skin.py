@@ -12,6 +12,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import RobotDescription, load_robot
@@ -25,7 +26,6 @@ from pointsdf_cli.simulation.world import World
 ROBOTS = Path(__file__).parent / "robots"
 BALL = 0.01
 SKIN = PhysicsConfig().skin
-Array = NDArray[np.float64]
 
 
 def distance(corners: Array, faces: NDArray[np.int64], points: Array) -> Array:

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 from trial_worlds import CAN_AT, can_grasp
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
@@ -19,8 +19,6 @@ from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.execution import Executed, execute_plan
 
 pytest.importorskip("pybullet")
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from pointsdf_cli.camera.depth_cloud import cloud_of_depth
 from pointsdf_cli.camera.intrinsics import SMALLEST_DISTORTION, read_intrinsics
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import Array
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.rosbag import MOST_FRAMES, Bag, DepthFrames, chain, open_bag
 

@@ -19,9 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.errors import InputError
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from pointsdf_cli.geometry.arrays import Array, Mask
 
 SLANT = 4.0
 """Depth steps are divided by this: tan of the angle (76°) up to which sampling looks even."""

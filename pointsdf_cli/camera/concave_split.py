@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
+from pointsdf_cli.geometry.arrays import Array
 
 
 @dataclass(frozen=True)

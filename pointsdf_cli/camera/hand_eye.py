@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 from pointsdf_cli.camera.charuco import BoardView
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import (
-    Array,
     apply_transform,
     invert_transform,
     rotation_vector,

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
-Array = NDArray[np.float64]
+from pointsdf_cli.geometry.arrays import Array
+
 Labels = NDArray[np.int64]
 
 

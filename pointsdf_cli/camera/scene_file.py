@@ -12,10 +12,9 @@ from pointsdf_cli.camera.cleaning import Cleaning, clean, flying_pixels
 from pointsdf_cli.camera.depth_cloud import cloud_of_depth
 from pointsdf_cli.camera.intrinsics import read_intrinsics
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, Cloud, read_cloud
 from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES, read_colour, read_depth, read_mask
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,13 @@ from scipy import ndimage
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.table_scene import OBJECT, OTHER, Scene
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.visibility import (
     PLANE_BAND,
     ViewEvidence,
     VisibilityImage,
     visibility_image,
 )
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

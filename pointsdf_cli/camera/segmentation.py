@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import strictly_inside
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

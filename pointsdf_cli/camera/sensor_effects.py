@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.geometry.arrays import Mask
 
 Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 INCIDENCES = np.arccos((np.arange(64) + 0.5) / 64)
 """Angles of incidence [rad] that stand for 64 equal steps of the cosine."""

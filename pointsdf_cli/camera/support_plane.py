@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.camera.segmentation import clusters
 from pointsdf_cli.errors import InputError
-
-Array = NDArray[np.float64]
+from pointsdf_cli.geometry.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import DepthWindow, MeshCaster
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import (
     apply_transform,
     invert_transform,
@@ -22,8 +23,6 @@ from pointsdf_cli.geometry.frames import (
     transform,
 )
 from pointsdf_cli.geometry.stable_poses import StablePose, StandingConfig, draw_pose
-
-Array = NDArray[np.float64]
 
 NOTHING, OBJECT, TABLE, OTHER = 0, 1, 2, 3
 

@@ -12,9 +12,8 @@ from pointsdf_cli.camera.concave_split import SplitConfig, standing_parts
 from pointsdf_cli.camera.hollow import HollowConfig, whole_bowls
 from pointsdf_cli.camera.segmentation import SegmentationConfig, clusters, find_table
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import strictly_inside
-
-Array = NDArray[np.float64]
 
 OUTSIDE, TABLE, LOOSE = -1, -2, -3
 """Labels of points that belong to no thing: beyond the workspace, on or below the table, and in

@@ -33,7 +33,6 @@ def cloud(
         ),
     ] = None,
     camera_pose: common.CameraPose = None,
-    pose: Annotated[str | None, typer.Option("--pose", hidden=True)] = None,
     color: Annotated[
         Path | None, typer.Option(help="Colour image, registered to the depth image.")
     ] = None,
@@ -97,18 +96,17 @@ def cloud(
     from pointsdf_cli.io.rosbag import is_bag
 
     out = out or Path("cloud.ply")
-    require_apart([out], [depth, intrinsics, pose, camera_pose, color, mask])
+    require_apart([out], [depth, intrinsics, camera_pose, color, mask])
     require_new(out, force)
     if out.suffix.lower() != ".ply":
         raise InputError(f"{out.suffix!r} is not written", where="--out", allowed=".ply")
     bag = BagOptions(topic, info_topic, world_frame, index, time, frames)
-    typed = camera_pose if camera_pose is not None else pose
     if is_bag(depth):
         options_of_images = {"--color": color, "--depth-scale": depth_scale, "--mask": mask}
         for option, given in options_of_images.items():
             if given is not None:
                 raise InputError(f"{option} with a bag", where=depth, hint="leave it out")
-        fixed = None if typed is None else parse_pose(typed)
+        fixed = None if camera_pose is None else parse_pose(camera_pose)
         _cloud_of_bag(
             common.Reporter(quiet, as_json), depth, bag, intrinsics, fixed, near, far, out
         )
@@ -126,8 +124,8 @@ def cloud(
             allowed=", ".join(DEPTH_SUFFIXES),
         )
     reporter = common.Reporter(quiet, as_json)
-    place = None if typed is None else table_place(typed)
-    placed = None if typed is None or place is not None else parse_pose(typed)
+    place = None if camera_pose is None else table_place(camera_pose)
+    placed = None if camera_pose is None or place is not None else parse_pose(camera_pose)
     options = SceneFileOptions(intrinsics, depth_scale, near, far, color, mask)
     made = read_view(depth, options, placed)
     for note in made.notes:
@@ -189,7 +187,9 @@ def _cloud_of_bag(
     from pointsdf_cli.io.clouds import write_cloud
 
     if pose is not None and options.world_frame is not None:
-        raise InputError("two poses: --world-frame and --pose", where=path, hint="leave one out")
+        raise InputError(
+            "two poses: --world-frame and --camera-pose", where=path, hint="leave one out"
+        )
     made, frames, said = cloud_of_bag(path, options, intrinsics, near, far)
     if pose is not None:
         made = replace(made, T_world_camera=pose)

@@ -7,9 +7,9 @@ Every function works on leading batch dimensions.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from pointsdf_cli.geometry.arrays import Array
 
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:

@@ -19,7 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointsdf_cli.geometry.frames import Array, invert_transform, rotation_vector, transform
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import invert_transform, rotation_vector, transform
 
 LARGEST_TURN = np.radians(170)
 """Relative rotations beyond this are left out: the axis of half a turn has no sign."""

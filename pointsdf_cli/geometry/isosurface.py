@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.geometry.fine_cells import FineGrid, refine_cells
 from pointsdf_cli.geometry.marching_cubes import cross_cells
-from pointsdf_cli.geometry.mise import Field, SampledGrid, SearchRules, find_surface_cells
+from pointsdf_cli.geometry.mise import NetworkField, SampledGrid, SearchRules, find_surface_cells
 
 MAX_RESOLUTION = 512
 _END_GAP = 1e-3
@@ -96,7 +96,7 @@ class Isosurface:
     parts_dropped: int
 
 
-def extract_isosurface(sdf: Field, config: IsosurfaceConfig | None = None) -> Isosurface:
+def extract_isosurface(sdf: NetworkField, config: IsosurfaceConfig | None = None) -> Isosurface:
     """The zero level of `sdf` in the box, closed where it meets the box's edge.
 
     Args:

@@ -27,7 +27,7 @@ from pointsdf_cli.errors import RgraspError
 from pointsdf_cli.geometry.cubic_cells import STENCIL, bends, cubic_cells
 from pointsdf_cli.geometry.marching_cubes import CORNERS, cell_cases
 
-Field = Callable[[NDArray[np.float32]], NDArray[np.floating]]
+NetworkField = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 """A signed distance field: points [N, 3] f4 → values [N], negative inside."""
 
 Cells = NDArray[np.int32]
@@ -82,7 +82,7 @@ class SampledGrid:
         batch: Points asked at once.
     """
 
-    def __init__(self, field: Field, resolution: int, half_width: float, batch: int) -> None:
+    def __init__(self, field: NetworkField, resolution: int, half_width: float, batch: int) -> None:
         self._field, self.half_width, self._batch = field, half_width, batch
         self.side = resolution + 1
         self.step = 2 * half_width / resolution

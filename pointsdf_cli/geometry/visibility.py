@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
+from pointsdf_cli.geometry.arrays import Array
 
 SIZE = 64
 """Cells along each side of a visibility image."""

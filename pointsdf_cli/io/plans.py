@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.atomic import write_text_atomic
 from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
 
@@ -40,8 +41,6 @@ OPTIONAL = {"object_vertices": "f4 [V, 3]", "object_faces": "i4 [F, 3]"}
 """Not in files of before they were added."""
 OK, NO_PLAN = "ok", "no_plan"
 SLACKS = ("object", "table", "obstacles", "self")
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

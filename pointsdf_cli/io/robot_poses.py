@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import Array, is_rigid, rotation_from_wxyz, transform
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import is_rigid, rotation_from_wxyz, transform
 from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.io.meshes import UNITS
 from pointsdf_cli.io.untrusted import read_json

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import Array, invert_transform, rotation_from_wxyz, transform
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import invert_transform, rotation_from_wxyz, transform
 from pointsdf_cli.io.depth_images import LARGEST_PIXELS
 from pointsdf_cli.io.input_files import check_input
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
 
 SCHEMA, VERSION = "trials", 1
@@ -27,8 +28,6 @@ TRIAL_LAYOUT = {
     "trajectory": "f8 [T, J]",
     "times": "f8 [T]",
 }
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.models.hand_sweep import HandSweep
-
-Array = NDArray[np.float64]
 
 FAR = 0.04
 """Where a distance, given as its hyperbolic tangent, saturates [m]."""

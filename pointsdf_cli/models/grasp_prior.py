@@ -27,13 +27,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.models.rotations import log_volume, rotation_of, rotation_vector
-
-Array = NDArray[np.float64]
 
 KINDS = ("side", "top")
 LENGTH = 0.1

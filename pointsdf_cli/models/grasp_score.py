@@ -5,7 +5,7 @@
     grasps.log_prior(preshape, T_world_palm)        [B], differentiable
     grasps.sample("side", 32, rng)                  preshapes and palms
 
-`ObjectGrasps` satisfies `planning.objective.GraspScore` and `planning.seeds.GraspPrior`.
+`ObjectGrasps` satisfies `planning.objective.GraspScore` and `planning.seeds.GraspSampler`.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import apply_transform, is_rigid
-from pointsdf_cli.models.field_grid import FieldGrid
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_features import FAR, GraspFeatures, ObjectBody, object_body
 from pointsdf_cli.models.grasp_prior import GraspPrior, ObjectPlace
@@ -30,22 +30,14 @@ from pointsdf_cli.models.grasp_success import EmbeddingNet, GeometryNet, grasp_n
 from pointsdf_cli.models.hand_sweep import HandSweep
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.models.tensor_grid import TensorGrid
 from pointsdf_cli.robot.description import RobotDescription
-
-Array = NDArray[np.float64]
 
 GRID_STEP = 0.008
 """Of the grid on which the geometry's field is kept [m]."""
 
 OWN_NODES = 8_000
 """Nodes of that grid when the network itself has to be asked."""
-
-
-class Field(Protocol):
-    """A signed distance field of the world [m], such as those of planning."""
-
-    def with_gradient(self, points: Array) -> tuple[Array, Array]:
-        """Values [N] and gradients [N, 3] at points [N, 3]."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +157,7 @@ class GeometryGrasps(ObjectGrasps):
         low, high = low - spare, high + spare
         low[2] = max(low[2], -FAR)
         nodes = OWN_NODES if own else 4 * OWN_NODES
-        self._field = FieldGrid(field, low, high, GRID_STEP, nodes)  # type: ignore[arg-type]
+        self._field = TensorGrid(field, low, high, GRID_STEP, nodes)  # type: ignore[arg-type]
         self._features = GraspFeatures(model.sweep, model.robot.preshape_ranges)
 
     def logit(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:

@@ -31,10 +31,6 @@ class NetworkFrame(NamedTuple):
         """Points [..., 3] in metres into the network's frame."""
         return (points - self.centre) * self.scale
 
-    def to_metres(self, points: np.ndarray) -> np.ndarray:
-        """Points [..., 3] of the network's frame back into metres."""
-        return points / self.scale + self.centre
-
 
 def network_frame(cloud: np.ndarray) -> NetworkFrame:
     """The network's frame of one partial cloud.

@@ -105,15 +105,6 @@ class Reconstruction:
         """f4 [256], the shape embedding."""
         return self.encoding.embedding[0].cpu().numpy()
 
-    def sdf_torch(self, x: Tensor) -> Tensor:
-        """Signed distances [...] m at x [..., 3] m, differentiable in x (dtype and device kept)."""
-        here = self.encoding.embedding
-        centre = torch.as_tensor(self.centre, dtype=x.dtype, device=x.device)
-        axes = torch.as_tensor(self.R_frame_camera, dtype=x.dtype, device=x.device)
-        network = ((x - centre) @ axes * self.scale).reshape(1, -1, 3).to(here.dtype)
-        values = self.model.decode(self.encoding, network.to(here.device))
-        return (values / self.scale).to(x).reshape(x.shape[:-1])
-
     @torch.no_grad()
     def sdf(self, x: ArrayLike, chunk: int = CHUNK) -> NDArray[np.float32]:
         """Signed distances, m.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.contacts import Array
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 
 

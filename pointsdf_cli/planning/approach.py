@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.contacts import Array
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.robot.arm_chain import ArmChain
 

@@ -13,8 +13,9 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.geometry.signed_distance import SignedDistance
-from pointsdf_cli.planning.contacts import WORLD, Array, Contacts, Indices, Poses
+from pointsdf_cli.planning.contacts import WORLD, Contacts, Poses
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.robot_geometry import (
     Body,

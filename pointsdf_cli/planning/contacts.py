@@ -13,12 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.robot.kinematics import Kinematics
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 WORLD = -1
 """The link index of what does not move."""

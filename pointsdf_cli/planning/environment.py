@@ -19,11 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import rotation_from_wxyz, transform
 from pointsdf_cli.io.meshes import load_body
 from pointsdf_cli.io.untrusted import read_yaml
-
-Array = NDArray[np.float64]
 
 SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
 KEYS = ("name", *SIZES, "mesh", "scale", "xyz", "wxyz")

@@ -10,20 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.models.reconstruction import Reconstruction
-
-Array = NDArray[np.float64]
-
-
-class Field(Protocol):
-    """A signed distance field of one object."""
-
-    def __call__(self, points: Array) -> Array:
-        """Values [N] in m at points [N, 3] of the world."""
-
-    def with_gradient(self, points: Array) -> tuple[Array, Array]:
-        """Values [N] and gradients [N, 3]."""
 
 
 class BoundedField(Field, Protocol):

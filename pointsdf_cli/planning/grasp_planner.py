@@ -22,14 +22,14 @@ import numpy as np
 
 from pointsdf_cli.assets import assets_folder
 from pointsdf_cli.camera.view import View
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.grid import GridConfig
 from pointsdf_cli.planning.motion import MotionConfig
@@ -46,7 +46,7 @@ from pointsdf_cli.planning.plan_artifact import no_plan
 from pointsdf_cli.planning.planner import MARGIN, SUCCESSIVE_HALVING, Planner, PlannerConfig, Rank
 from pointsdf_cli.planning.reasons import too_large
 from pointsdf_cli.planning.screen import narrowest
-from pointsdf_cli.planning.seeds import EITHER, GraspPrior
+from pointsdf_cli.planning.seeds import EITHER, GraspSampler
 from pointsdf_cli.planning.support import hidden_below, stands
 from pointsdf_cli.planning.synthesis import StopCondition, SynthesisConfig
 from pointsdf_cli.planning.target import (
@@ -71,11 +71,11 @@ LOW_OBJECT = 0.03
 """An object lower than this [m] is grasped from the top first, as the paper's heuristic does."""
 
 
-class ObjectGrasps(GraspScore, GraspPrior, Protocol):
+class ObjectGrasps(GraspScore, GraspSampler, Protocol):
     """Score and prior of the grasps of one object (models/grasp_score.py)."""
 
 
-class GraspModel(Protocol):
+class SuccessModel(Protocol):
     """What is asked of a loaded success network."""
 
     def on(
@@ -180,7 +180,7 @@ class GraspPlanner:
     """
 
     def __init__(
-        self, options: PlanOptions | None = None, grasps: GraspModel | None = None
+        self, options: PlanOptions | None = None, grasps: SuccessModel | None = None
     ) -> None:
         self.options = options = options or PlanOptions()
         self.robot = load_robot(options.robot)
@@ -365,7 +365,7 @@ def _constraint(field: Field | Literal["none"], points: Array, grid: GridConfig)
     return given_object(field, points, grid)
 
 
-def _success_network(options: PlanOptions, robot: RobotDescription) -> GraspModel:
+def _success_network(options: PlanOptions, robot: RobotDescription) -> SuccessModel:
     """The checkpoint that was asked for, or the method's bundled one.
 
     Where no network from scratch is bundled, both methods share the one on geometry, which then

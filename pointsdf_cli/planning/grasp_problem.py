@@ -18,18 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.bodies import BodyDistances
-from pointsdf_cli.planning.contacts import (
-    WORLD,
-    Array,
-    ContactJacobian,
-    Contacts,
-    Poses,
-    join,
-    link_poses,
-)
+from pointsdf_cli.planning.contacts import WORLD, ContactJacobian, Contacts, Poses, join, link_poses
 from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.nonlinear import Evaluation
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.objective import Cost, GraspScore, Objective, ObjectiveConfig

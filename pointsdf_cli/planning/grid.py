@@ -21,9 +21,9 @@ import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.fields import Field, SeenField
-
-Array = NDArray[np.float64]
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
+from pointsdf_cli.planning.fields import SeenField
 
 _CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 

@@ -14,8 +14,8 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.approach import ApproachConfig, retreat
-from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.timing import TimingConfig, Trajectory, time_path
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.camera.things import Things
 from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.robot.description import RobotDescription
-
-Array = NDArray[np.float64]
 
 TARGET_REACH = 0.1
 """--target names the thing whose nearest seen point is no farther than this [m]."""

@@ -12,8 +12,9 @@ from copy import copy
 
 import numpy as np
 
-from pointsdf_cli.planning.contacts import WORLD, Array, Contacts, Indices, Poses
-from pointsdf_cli.planning.fields import Field
+from pointsdf_cli.geometry.arrays import Indices
+from pointsdf_cli.geometry.field import Field
+from pointsdf_cli.planning.contacts import WORLD, Contacts, Poses
 from pointsdf_cli.planning.robot_geometry import PATCH, RobotGeometry
 
 
@@ -71,10 +72,3 @@ class ObjectDistances:
                 _, normal[rows, columns] = self.field.with_gradient(world[each, lowest])
         none = np.full(patches, WORLD)
         return Contacts(distance, self.link, point, normal, none, point)
-
-    def per_link(self, contacts: Contacts, link_count: int) -> Array:
-        """The minimum over each link's patches [B, L]; infinity for links without a surface."""
-        lowest = np.full((len(contacts.distance), link_count), np.inf)
-        for link in np.unique(self.link):
-            lowest[:, link] = contacts.distance[:, self.link == link].min(axis=1)
-        return lowest

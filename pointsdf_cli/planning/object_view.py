@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from pointsdf_cli.camera.scene_file import SceneFileOptions, is_depth_image, masked, read_view
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.clouds import check_object_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

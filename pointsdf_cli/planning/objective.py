@@ -13,14 +13,12 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.variables import Variables
 from pointsdf_cli.robot.kinematics import Kinematics
-
-Array = NDArray[np.float64]
 
 
 class GraspScore(Protocol):

@@ -6,10 +6,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.planning.environment import Obstacle
-
-Array = NDArray[np.float64]
 
 
 def obstacle_mesh(obstacle: Obstacle) -> tuple[Array, NDArray[np.int64]]:

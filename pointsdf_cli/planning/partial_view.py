@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.fields import MeshField
+from pointsdf_cli.geometry.arrays import Array
 
 RESOLUTION = 32
 SPAN = 26
 """Voxels that the cloud's longest side spans, as in the voxel network's input."""
-
-Array = NDArray[np.float64]
 
 
 def partial_mesh(points: Array) -> tuple[Array, NDArray[np.int32]]:
@@ -47,8 +45,3 @@ def partial_mesh(points: Array) -> tuple[Array, NDArray[np.int32]]:
     # Values stand for the middles of voxels.
     vertices, faces, _, _ = marching_cubes(occupancy, 0.5, gradient_direction="ascent")
     return origin + (vertices + 0.5) * side, faces.astype(np.int32)
-
-
-def partial_view_field(points: Array) -> MeshField:
-    """The exact distance to `partial_mesh`."""
-    return MeshField(*partial_mesh(points))

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.bodies import BodyDistances
-from pointsdf_cli.planning.contacts import WORLD, Array, ContactJacobian, link_poses
+from pointsdf_cli.planning.contacts import WORLD, ContactJacobian, link_poses
 from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry

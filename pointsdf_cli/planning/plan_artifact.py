@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.plans import NO_PLAN, OK, AcceptedGrasps, Plan, RejectedSeeds
 from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.motion import Motion
 from pointsdf_cli.planning.synthesis import Synthesis

@@ -9,11 +9,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.fields import Field, RefinedField
+from pointsdf_cli.planning.fields import RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.grid import GridConfig, GridField
 from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion

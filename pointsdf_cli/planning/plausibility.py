@@ -10,13 +10,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.camera.segmentation import SegmentationConfig, clusters, find_table
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
-
-Array = NDArray[np.float64]
+from pointsdf_cli.geometry.arrays import Array
 
 ABOVE = 0.08
 """An object whose lowest seen point is higher than this [m] above the table may hang in the air."""

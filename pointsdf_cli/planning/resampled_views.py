@@ -12,8 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.planning.contacts import Array, link_poses
-from pointsdf_cli.planning.fields import Field
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
+from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 

@@ -8,7 +8,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.planning.contacts import Array, Indices
+from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.planning.screen import HandOutline
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.shapes import Shape, bounding_box

@@ -19,13 +19,11 @@ from pointsdf_cli.camera.things import (
     find_things,
     masked_thing,
 )
+from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.frames import apply_transform, plane_in_camera
 from pointsdf_cli.geometry.voxels import Thinned, thin
 from pointsdf_cli.io.clouds import Cloud, DepthImage
 from pointsdf_cli.planning.object_choice import Thing, numbered
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 VOXEL = 0.0025
 """Scenes are thinned to one point a voxel of this side [m] before anything is looked for."""

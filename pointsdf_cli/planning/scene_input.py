@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions, read_view
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
@@ -20,8 +20,6 @@ from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
 from pointsdf_cli.planning.scene import VOXEL, sort_scene
 from pointsdf_cli.planning.table_top import WORKSPACE, chosen_thing
 from pointsdf_cli.robot.description import RobotDescription
-
-Array = NDArray[np.float64]
 
 MANY = 400_000
 """Scenes of more points take seconds: it is said that something is done."""

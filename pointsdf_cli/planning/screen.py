@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import invert_transform
-from pointsdf_cli.planning.contacts import Array
-from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
 

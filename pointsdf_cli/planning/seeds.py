@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.contacts import Array
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.option_checks import KINDS
 from pointsdf_cli.planning.reasons import SeedStatistics
@@ -25,7 +25,7 @@ EITHER = "either"
 """Half of the grasps are drawn from each kind; what they are worth decides which are tried."""
 
 
-class GraspPrior(Protocol):
+class GraspSampler(Protocol):
     """The prior over grasp configurations, for one object in the world."""
 
     def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -81,7 +81,7 @@ class Seeds:
 
 def draw_seeds(
     problem: GraspProblem,
-    prior: GraspPrior,
+    prior: GraspSampler,
     kinematics: InverseKinematics,
     kind: str,
     rng: np.random.Generator,

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.nonlinear import Array, Evaluation, Problem, Solutions
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.planning.nonlinear import Evaluation, Problem, Solutions
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.nonlinear import Array, Evaluation, Problem, Solutions
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.planning.nonlinear import Evaluation, Problem, Solutions
 from pointsdf_cli.planning.step_qp import StepQp
 
 

@@ -23,10 +23,9 @@ from __future__ import annotations
 
 import clarabel
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-Array = NDArray[np.float64]
+from pointsdf_cli.geometry.arrays import Array
 
 
 class StepQp:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, KDTree, QhullError
 
-from pointsdf_cli.planning.contacts import Array
-from pointsdf_cli.planning.fields import Field
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
 
 FOOT = 0.012
 """What is lower than this [m] above the table stands on it: the feet of a reconstruction are a

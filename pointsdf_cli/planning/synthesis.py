@@ -23,7 +23,7 @@ from pointsdf_cli.planning.acceptance import (
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.nonlinear import Solutions, Solver
 from pointsdf_cli.planning.reasons import SeedStatistics, is_hemmed_in, why_none
-from pointsdf_cli.planning.seeds import GraspPrior, SeedConfig, draw_seeds
+from pointsdf_cli.planning.seeds import GraspSampler, SeedConfig, draw_seeds
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
 SOLVER_MARGIN = 0.0005
@@ -130,7 +130,7 @@ class Problems:
 
 def synthesise(
     whole: Problems,
-    prior: GraspPrior,
+    prior: GraspSampler,
     kinematics: InverseKinematics,
     solver: Solver,
     rng: np.random.Generator,

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pointsdf_cli.camera.segmentation import SegmentationConfig
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import Plan
-from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.grasp_planner import Answer, GraspPlanner
 from pointsdf_cli.planning.object_choice import NoObjectError, Target

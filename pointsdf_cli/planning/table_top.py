@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import QhullError, cKDTree
 
 from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.segmentation import SegmentationConfig, clusters
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.geometry.voxels import thin
@@ -28,8 +28,6 @@ from pointsdf_cli.planning.object_choice import NoObjectError, Target, Thing, ch
 from pointsdf_cli.planning.scene import VOXEL, Scene, Sighting, describe, sighting, sort_scene
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
-
-Array = NDArray[np.float64]
 
 SEGMENT = ("auto", "none")
 

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.isosurface import (
     MAX_RESOLUTION,
     EmptySurfaceError,
@@ -19,9 +21,7 @@ from pointsdf_cli.geometry.mise import SearchRules
 from pointsdf_cli.geometry.smoothing import taubin_smooth
 from pointsdf_cli.models.meshing import SMOOTHING
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.planning.contacts import Array
 from pointsdf_cli.planning.fields import (
-    Field,
     MeanField,
     MeshField,
     NearField,
@@ -32,7 +32,7 @@ from pointsdf_cli.planning.fields import (
 from pointsdf_cli.planning.grid import GridConfig, GridField, surface_box
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.partial_view import partial_mesh
-from pointsdf_cli.planning.seeds import GraspPrior
+from pointsdf_cli.planning.seeds import GraspSampler
 
 BOX_MARGIN = 0.01
 """Around a reconstruction's surface [m]: beyond, distances are bounded by the way to the box."""
@@ -108,11 +108,11 @@ class Target:
     low: Array
     high: Array
     score: GraspScore
-    prior: GraspPrior
+    prior: GraspSampler
     kept: GridField | None = None
 
     @classmethod
-    def of(cls, shape: ObjectField, score: GraspScore, prior: GraspPrior) -> Target:
+    def of(cls, shape: ObjectField, score: GraspScore, prior: GraspSampler) -> Target:
         """A target that occupies `shape`."""
         return cls(shape.field, shape.low, shape.high, score, prior, shape.kept)
 
@@ -242,7 +242,7 @@ def surface_of(target: Target, step: float = 0.004) -> tuple[Array, NDArray[np.i
 
 
 def reconstruction_target(
-    reconstruction: Reconstruction, score: GraspScore, prior: GraspPrior
+    reconstruction: Reconstruction, score: GraspScore, prior: GraspSampler
 ) -> Target:
     """The target whose shape a network has completed from a cloud in the world's frame."""
     return Target.of(reconstructed_object([reconstruction]), score, prior)

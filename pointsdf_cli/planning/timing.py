@@ -11,11 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-
-Array = NDArray[np.float64]
+from pointsdf_cli.geometry.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.robot.description import RobotDescription
-
-Array = NDArray[np.float64]
 
 
 class Variables:

@@ -9,13 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.urdf import Joint
-
-Array = NDArray[np.float64]
 
 
 class ArmChain:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 import trimesh
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.robot.closing import NEARER, Closing, closing_of, open_hand
@@ -21,8 +20,6 @@ from pointsdf_cli.robot.urdf import MOVING
 ERROR, WARNING = "error", "warning"
 POSES, ANYWHERE = 60, 24
 """Palm poses that inverse kinematics is tried on; configurations that are looked at."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
-
-Array = NDArray[np.float64]
 
 NEARER = 0.002
 """A joint closes if it brings a fingertip nearer to the palm's axis by more than this [m]."""

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import rotation_from_wxyz, transform
 from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.io.untrusted import read_yaml
 from pointsdf_cli.robot.urdf import MOVING, Joint, Tree, read_urdf
-
-Array = NDArray[np.float64]
 
 BUNDLED = "robots/lbr4_allegro.yaml"
 REQUIRED = ("urdf", "arm_joints", "hand_joints", "preshape_joints", "closing_joints", "palm")

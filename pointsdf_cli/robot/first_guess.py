@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import torch
 import yaml
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import rotation_from_wxyz, transform, wxyz_from_rotation
 from pointsdf_cli.robot.closing import closing_of
 from pointsdf_cli.robot.collision import SelfCollision, table_clearance
@@ -26,8 +26,6 @@ from pointsdf_cli.robot.hand_guess import closing_speeds, open_home, palm_frame,
 from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.urdf import MOVING, Tree, read_urdf
-
-Array = NDArray[np.float64]
 
 MARGIN = 0.0873
 """5 degrees from the arm's hard stops [rad]."""

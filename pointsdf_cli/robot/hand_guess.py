@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.robot.closing import beyond, fingertips
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
 from pointsdf_cli.robot.urdf import Tree
-
-Array = NDArray[np.float64]
 
 CLOSES = 0.005
 """A joint that moves its fingertip nearer by less than this [m] over its range does not close."""

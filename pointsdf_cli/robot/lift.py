@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import rotation_vector
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
-
-Array = NDArray[np.float64]
 
 STEPS = 15
 """Of the path."""

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import strictly_inside
 from pointsdf_cli.robot.description import RobotDescription
-
-Array = NDArray[np.float64]
 
 ROBOT_MARGIN = 0.03
 """Points nearer to the robot's surface than this [m] are its own."""

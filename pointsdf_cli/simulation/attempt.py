@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.camera.sensor import without_ideal
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, transform
 from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose
 from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, KINDS, LOST, Grasps
@@ -27,7 +28,6 @@ from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
 
-Array = NDArray[np.float64]
 CLOUD_SIZE = 1000
 SCENE_TRIES = 12
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import RgraspError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import (
     invert_transform,
     rotation_from_wxyz,
@@ -20,8 +20,6 @@ from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.skin import drawn_in
-
-Array = NDArray[np.float64]
 
 
 class BulletObject:

@@ -19,17 +19,15 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.untrusted import read_xml
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.shapes import Shape
 from pointsdf_cli.robot.urdf import MOVING, mesh_file
 from pointsdf_cli.simulation.skin import drawn_in, drawn_in_cylinder
-
-Array = NDArray[np.float64]
 
 LINK_DENSITY = 1000.0
 """Of a link whose mass the URDF does not give [kg/m³]."""

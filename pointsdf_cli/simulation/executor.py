@@ -6,14 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import invert_transform, rotation_vector
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.simulation.world import World
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from pointsdf_cli.camera.segmentation import SegmentationConfig, segment_object
 from pointsdf_cli.camera.sensor import DepthSensor, load_sensor
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, plane_in_camera
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.robot.description import RobotDescription
@@ -23,8 +24,6 @@ from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import TABLE_HIGH, TABLE_LOW
 from pointsdf_cli.viz.robot_picture import RobotMeshes
 from pointsdf_cli.viz.shading import look_at
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from scipy.spatial import QhullError
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.simulation.decomposition import Pieces, with_few_corners, with_few_faces
-
-Array = NDArray[np.float64]
-
 
 SLIVER = 1e-9
 """What is smaller [m³] is no piece."""

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.grasps import NO_CONFIGURATION, NO_MOTION
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.simulation.world import World
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

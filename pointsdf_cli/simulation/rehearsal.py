@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import QhullError
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import RobotDescription
@@ -27,8 +28,6 @@ from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
 from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, LIGHTEST, SimObject
 from pointsdf_cli.simulation.world import World
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

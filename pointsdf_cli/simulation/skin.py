@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError, cKDTree
 
-Array = NDArray[np.float64]
+from pointsdf_cli.geometry.arrays import Array
+
 Faces = NDArray[np.int64]
 
 DEEPEST = 0.9

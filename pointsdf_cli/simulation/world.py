@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.scratch import Scratch
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
@@ -21,8 +22,6 @@ from pointsdf_cli.simulation.bullet_urdf import bullet_urdf, hand_urdfs
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.physics import CONTACT_RECOVERY, JOINT_RECOVERY, PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
-
-Array = NDArray[np.float64]
 
 TABLE_LOW, TABLE_HIGH = (-0.35, -0.75), (1.25, 0.75)
 """Corners of the table top in the world [m]."""

@@ -14,13 +14,12 @@ import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.grasps import HELD, read_grasps, was_collected
 from pointsdf_cli.io.hdf5 import artifacts_below
 from pointsdf_cli.models.grasp_checkpoint import check_robot
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.training import gs_metrics
 from pointsdf_cli.training.gs_data import GraspData
 
@@ -20,8 +21,6 @@ PUBLISHED = {
     "VoxelCNN-Fixed": 0.536,
 }
 """F1 at threshold 0.5 in the paper's Figure 3."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-Array = NDArray[np.float64]
+from pointsdf_cli.geometry.arrays import Array
 
 BINS = 10
 """Of equally many predictions each, for the calibration error."""

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.executor import (
     HELD_FRACTION,
@@ -20,7 +20,6 @@ from pointsdf_cli.simulation.film import Moment
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
 
-Array = NDArray[np.float64]
 Watch = Callable[[World, str], None]
 
 APPROACH = "approach"

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.io.trials import Evidence, TrialRow
@@ -23,7 +24,6 @@ POINT = 0.0022
 """Half the side of the cubes that points are drawn as [m]."""
 
 Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
 
 
 def trial_strip(robot: RobotMeshes, mesh: LoadedMesh, evidence: Evidence) -> Image:

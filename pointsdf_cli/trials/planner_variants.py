@@ -11,22 +11,23 @@ from typing import Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.view import View
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.io.checkpoints import CONFIG, WEIGHTS, read_checkpoint
 from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_score import load_grasp_model
-from pointsdf_cli.planning.fields import Field, MeshField
+from pointsdf_cli.planning.fields import MeshField
 from pointsdf_cli.planning.grasp_planner import (
     Answer,
-    GraspModel,
     GraspPlanner,
     ObjectGrasps,
     PlanOptions,
+    SuccessModel,
 )
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.partial_view import partial_mesh
@@ -43,8 +44,6 @@ from pointsdf_cli.trials.rehearsed import (
     Surface,
     believed_surface,
 )
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -149,7 +148,7 @@ class TrialPlanner:
         self,
         variant: PlannerVariant,
         options: VariantOptions,
-        grasps: GraspModel | None = None,
+        grasps: SuccessModel | None = None,
         execution: ExecutorConfig | None = None,
     ) -> None:
         self.variant = variant
@@ -205,7 +204,7 @@ class TrialPlanner:
 class Indifferent:
     """A success network that finds all grasps equally good; its prior is kept."""
 
-    def __init__(self, model: GraspModel) -> None:
+    def __init__(self, model: SuccessModel) -> None:
         self._model = model
 
     def on(

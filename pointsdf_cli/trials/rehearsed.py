@@ -16,20 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.fields import Field
 from pointsdf_cli.planning.grasp_planner import (
     RECONSTRUCTION,
     Answer,
-    GraspModel,
     GraspPlanner,
     PerceivedObject,
     PlanOptions,
+    SuccessModel,
 )
 from pointsdf_cli.planning.planner import Rank
 from pointsdf_cli.planning.resampled_views import ResampledViewCheck
@@ -45,7 +46,6 @@ from pointsdf_cli.simulation.rehearsal import (
 )
 from pointsdf_cli.simulation.world import try_robot
 
-Array = NDArray[np.float64]
 Surface = tuple[Array, NDArray[np.int32]]
 """Vertices [V, 3] m and faces [F, 3]."""
 
@@ -121,7 +121,7 @@ class RehearsedPlanner(GraspPlanner):
     def __init__(
         self,
         options: PlanOptions | None = None,
-        grasps: GraspModel | None = None,
+        grasps: SuccessModel | None = None,
         config: RehearsedPlannerConfig | None = None,
     ) -> None:
         options = options or PlanOptions()

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.camera.sensor import load_sensor, without_ideal
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.hdf5 import is_complete
 from pointsdf_cli.io.plans import OK, Plan
@@ -29,7 +30,7 @@ from pointsdf_cli.io.trials import (
 )
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.fields import MeshField
-from pointsdf_cli.planning.grasp_planner import Answer, GraspModel
+from pointsdf_cli.planning.grasp_planner import Answer, SuccessModel
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.description import load_robot, robot_digest
@@ -58,7 +59,6 @@ from pointsdf_cli.trials.scenes import (
     place_object,
 )
 
-Array = NDArray[np.float64]
 NO_PLAN = "no_plan"
 SHOWN_POINTS = 1500
 SHOWN_FACES = 4000
@@ -117,7 +117,7 @@ class TrialRunner:
         grasps: A success network to use instead of checkpoints.
     """
 
-    def __init__(self, config: TrialConfig, grasps: GraspModel | None = None) -> None:
+    def __init__(self, config: TrialConfig, grasps: SuccessModel | None = None) -> None:
         self.config = config
         self.robot = load_robot(config.variants.robot)
         self._world = World(self.robot, config.physics)

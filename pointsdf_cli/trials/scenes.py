@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, transform
 from pointsdf_cli.geometry.stable_poses import StablePose, StandingConfig, draw_pose
 from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
@@ -26,7 +27,6 @@ from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.protocol import CAMERAS, Trial, TrialObject
 from pointsdf_cli.viz.shading import look_at
 
-Array = NDArray[np.float64]
 POSE_TRIES = 12
 NEARLY_UPRIGHT = 0.09
 """Resting poses within this [rad] of the model's z axis count as upright."""

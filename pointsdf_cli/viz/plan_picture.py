@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.viz.lettering import lettering
 from pointsdf_cli.viz.robot_picture import RobotMeshes
 from pointsdf_cli.viz.shading import Painted, Stage, look_at, shaded_image, table_mesh
 
-Array = NDArray[np.float64]
 Mesh = tuple[Array, NDArray[np.integer]]
 
 SEEN_COLOUR = (0.10, 0.35, 0.85)

@@ -7,7 +7,7 @@ the line of sight (the paper's figure 3): what the network believes about the un
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.field import FieldFunction
 from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.viz.contact_sheet import shaded_view
-
-Field = Callable[[NDArray[np.float64]], NDArray[np.floating]]
 
 TITLES = (
     "seen by the camera",
@@ -57,7 +56,7 @@ class GalleryRow:
     cloud: NDArray[np.floating]
     prediction: tuple[NDArray[np.floating], NDArray[np.integer]] | None
     truth: tuple[NDArray[np.floating], NDArray[np.integer]] | None
-    sdf: Field | None = None
+    sdf: FieldFunction | None = None
 
 
 def draw_gallery(path: Path | str, rows: Sequence[GalleryRow]) -> None:
@@ -118,7 +117,7 @@ def _draw_cloud(axis: Any, cloud: NDArray[np.floating], framing: NDArray[np.floa
     axis.set_aspect("equal")
 
 
-def _draw_slice(axis: Any, row: GalleryRow, sdf: Field) -> None:
+def _draw_slice(axis: Any, row: GalleryRow, sdf: FieldFunction) -> None:
     """The field in the plane through the cloud's centre that holds the line of sight (y and z)."""
     surface = row.truth or row.prediction
     everything = np.concatenate([row.cloud, surface[0]]) if surface else row.cloud

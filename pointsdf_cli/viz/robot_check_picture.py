@@ -9,6 +9,7 @@ import torch
 import trimesh
 from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.robot.closing import Closing, closing_of, open_hand
 from pointsdf_cli.robot.description import RobotDescription
@@ -21,7 +22,6 @@ from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh
 
 AXES = ((0.85, 0.1, 0.1), (0.1, 0.6, 0.1), (0.15, 0.25, 0.9))
 PATH_COLOUR, SAMPLE_COLOUR = (0.95, 0.65, 0.05), (1.0, 0.55, 0.25)
-Array = NDArray[np.float64]
 
 
 def check_picture(robot: RobotDescription, size: int = 620) -> NDArray[np.uint8]:

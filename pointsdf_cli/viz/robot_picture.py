@@ -65,19 +65,3 @@ def robot_poses_picture(
         for q in poses
     ]
     return np.concatenate(pictures, axis=1)
-
-
-def three_poses(robot: RobotDescription) -> list[NDArray[np.float64]]:
-    """Home with an open hand, the arm stretched, and the arm turned with a half-closed hand."""
-    home = robot.home.copy()
-    home[robot.preshape_columns] = robot.preshape_ranges.mean(axis=1)
-    up, turned = home.copy(), home.copy()
-    up[robot.arm] = np.clip(0.0, robot.lower[robot.arm], robot.upper[robot.arm])
-    turned[0] = np.clip(turned[0] + 0.8, robot.lower[0], robot.upper[0])
-    ends = np.where(
-        robot.closing_speeds > 0,
-        robot.upper[robot.closing_columns],
-        robot.lower[robot.closing_columns],
-    )
-    turned[robot.closing_columns] = 0.5 * ends
-    return [home, up, turned]

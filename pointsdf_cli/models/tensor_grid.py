@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-Array = NDArray[np.float64]
+from pointsdf_cli.geometry.arrays import Array
 
 NODES = 20_000
 """About so many cells at most, whatever the object's size; the step grows instead."""
 
 
-class FieldGrid:
+class TensorGrid:
     """See the module's docstring.
 
     Args:
@@ -95,10 +95,10 @@ class FieldGrid:
 
 
 class _LookUp(torch.autograd.Function):
-    """`FieldGrid.look_up` for autograd: the gradient is found with the value and kept."""
+    """`TensorGrid.look_up` for autograd: the gradient is found with the value and kept."""
 
     @staticmethod
-    def forward(ctx: Any, planes: Tensor, grid: FieldGrid) -> Tensor:
+    def forward(ctx: Any, planes: Tensor, grid: TensorGrid) -> Tensor:
         value, gradient = grid.look_up(planes, ctx.needs_input_grad[0])
         if gradient is not None:
             ctx.save_for_backward(gradient)
