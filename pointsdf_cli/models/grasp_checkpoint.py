@@ -139,7 +139,7 @@ def read_grasp_checkpoint(
         sizes = config["sweep"]
         sweep = HandSweep(robot, SweepConfig(**{**sizes, "grid": tuple(sizes["grid"])}))
         network.load_state_dict(_part(checkpoint, "network"))
-    except (KeyError, TypeError, RuntimeError) as error:
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise InputError(
             f"does not fit its config.json ({str(error).splitlines()[0]})", where=where
         ) from error
