@@ -225,7 +225,8 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
         of(messages(raw()), "--world-frame", "map"), "frames in the bag: base_link, camera_depth",
     ),
     "two poses": (
-        of(messages(raw()), "--world-frame", "base_link", "--camera-pose", "0,0,1,1,0,0,0"), "two poses",
+        of(messages(raw()), "--world-frame", "base_link", "--camera-pose", "0,0,1,1,0,0,0"),
+        "two poses",
     ),
     "JPEG": (of(messages([JPEG])), "jpeg compressed"),
     "RVL": (of(messages([RVL])), "compressedDepth rvl"),
