@@ -92,7 +92,7 @@ def carried_out(
 
 
 def resident() -> float:
-    """Of this process [MB]."""
+    """Memory of this process [MB]."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 

@@ -1,4 +1,4 @@
-"""What planning answers on real shapes: how fast, how often, and whether it is true.
+"""Planning on real shapes: time, success rate, and truth of the answers.
 
     OMP_NUM_THREADS=1 python benchmarks/bench_plan.py [--scenes 60] [--slsqp 4] [--out DIR]
 

@@ -55,7 +55,7 @@ def cluttered_table(seed: int = 0) -> trimesh.Trimesh:
 
 
 def seen(camera: Camera, mesh: trimesh.Trimesh, seed: int = 0) -> Cloud:
-    """What a camera at `POSE` gives, with noise of 1.5 mm at 1 m."""
+    """View of a camera at `POSE`, with noise of 1.5 mm at 1 m."""
     patch = MeshCaster(mesh.vertices, mesh.faces, camera).cast(np.linalg.inv(POSE))
     depth = depth_image(patch, camera).astype(np.float64)
     rng = np.random.default_rng(seed)

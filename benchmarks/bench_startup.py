@@ -83,7 +83,7 @@ def seconds(tree: Path, words: list[str]) -> tuple[float, float]:
 
 
 def run(tree: Path, words: list[str], *python: str) -> str:
-    """What a command of a tree says on stderr; 0 and 2 are the codes that it may leave with."""
+    """A command's stderr, run from a tree; its exit code must be 0 or 2."""
     done = subprocess.run(
         [sys.executable, *python, "-m", "pointsdf_cli.cli.main", *words],
         cwd=tree,

@@ -33,7 +33,7 @@ class TableScene:
     """One object on the table, and what a camera found of it.
 
     Attributes:
-        name: Of the mesh.
+        name: Name of the mesh.
         camera: "high" or "low".
         vertices, faces: The true mesh in the world.
         cloud: [N, 3], the whole scene, camera frame, m.

@@ -124,7 +124,7 @@ def table_plane(points: Array) -> Array:
 
 
 def evidence_of(case: Case, points: Array) -> ViewEvidence:
-    """What the view knows around the object."""
+    """Observed space around the object."""
     return ViewEvidence(visibility_image(points, case.others, case.plane), case.plane)
 
 

@@ -61,8 +61,8 @@ class ErrorCounts:
     """Errors summed over objects.
 
     Attributes:
-        pixels: Of all objects by distance from the edge [6].
-        errors: Of these, by kind as in `MEASURED` [6].
+        pixels: Pixels of all objects by distance from the edge [6].
+        errors: Wrong pixels among them, by kind as in `MEASURED` [6].
         pixels_by_angle, missing_by_angle: By incidence [5].
         residuals: Errors [mm] less their median over the object, by incidence.
         bias: Median error of each object [mm].

@@ -61,7 +61,7 @@ VARIANTS = (AS_COLLECTED, ASIDE, WHOLE, SKIN, *FINER)
 
 
 def variant(name: str, base: AttemptConfig) -> AttemptConfig:
-    """What is changed of how attempts are made."""
+    """Changes to the conditions of an attempt."""
     if name == WHOLE:
         return base.with_the_whole_arm()
     step, iterations = FINER.get(name, (1, 1))

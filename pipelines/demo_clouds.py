@@ -32,7 +32,7 @@ SEED = 99
 DISTANCE = 0.9
 FAMILIES = ("spray_bottle", "mug", "power_drill")
 AHEAD = 0.6
-"""Where the objects stand on the table, straight ahead of the robot [m]."""
+"""Position of the objects on the table, straight ahead of the robot [m]."""
 
 SCENE_SEED = 98
 SCENE = (("can", 0.56, 0.0), ("mug", 0.62, 0.28), ("drink_carton", 0.6, -0.27))

@@ -116,7 +116,7 @@ def step_of(log: Path) -> str:
 
 
 def look(work: Path, finished: dict[Path, str]) -> list[str]:
-    """What is damaged or gone; `finished` takes in the sums of what is new."""
+    """Damaged and missing files; `finished` collects the check sums of new ones."""
     found = []
     for path in work.rglob("*.h5"):
         if path.name.startswith("."):

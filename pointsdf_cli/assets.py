@@ -1,4 +1,4 @@
-"""Where the bundled files lie: inside the package in a wheel, beside it in a checkout."""
+"""Folder of the bundled files: inside the package in a wheel, beside it in a checkout."""
 
 from __future__ import annotations
 

@@ -18,9 +18,9 @@ class Check:
     """One line of the doctor's report.
 
     Attributes:
-        name: What was looked at.
+        name: Subject of the check.
         ok: Whether it is as it must be.
-        detail: What was found; where it is wrong, what to do.
+        detail: Finding; if it failed, the remedy.
     """
 
     name: str

@@ -11,10 +11,10 @@ class RgraspError(Exception):
     """Something failed that is not a programming mistake (exit code 1).
 
     Args:
-        what: What is wrong, as one sentence without a full stop.
+        what: The problem, as one sentence without a full stop.
         where: The file, option or dataset it is wrong in.
-        allowed: What would have been right.
-        hint: What to type or do next.
+        allowed: Correct alternatives.
+        hint: Next command or step.
     """
 
     exit_code = 1

@@ -22,11 +22,11 @@ STILL = 0.001
 
 @dataclass(frozen=True)
 class BagOptions:
-    """What to take from a bag.
+    """Selection of images from a bag.
 
     Attributes:
-        topic: Of the depth images; None for the only one with "depth" in its name.
-        info_topic: Of their camera_info; None for the one beside it.
+        topic: Topic of the depth images; None for the only one with "depth" in its name.
+        info_topic: Topic of their camera_info; None for the one beside it.
         world_frame: The frame in which the camera's pose is wanted; None for no pose.
         index: Number of the first image, from 0; negative ones count from the end.
         time: If given, take the first image this many seconds after the bag's beginning.
@@ -67,7 +67,7 @@ def cloud_of_bag(
 
     Args:
         path: The bag.
-        options: What to take from it.
+        options: Selection of images.
         intrinsics: As for `read_intrinsics`; None takes camera_info.
         nearest, farthest: Depths [m] beyond which a reading is not believed.
 

@@ -68,9 +68,9 @@ def calibrate_from_files(
         folder: Images, all of one size.
         intrinsics: As for `read_lens`.
         robot_poses: As for `read_robot_poses`.
-        board: What was photographed.
+        board: Board in the images.
         eye_in_hand: Camera on the gripper and board fixed; else the other way round.
-        pose_unit: Of the robot's translations.
+        pose_unit: Unit of the robot's translations.
         on_image: Called with each image's name once it was looked at.
 
     Raises:

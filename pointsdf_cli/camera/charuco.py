@@ -145,11 +145,12 @@ def draw_board(board: CharucoBoard, per_square: int, margin: int) -> NDArray[np.
 
 
 def why_not_found(images: Sequence[NDArray[np.uint8]], board: CharucoBoard) -> str | None:
-    """What to change so that the board is found in one of the images; None if nothing helps.
+    """Change of the board's description with which it is found in one of the images; None if none
+    helps.
 
     Args:
         images: Grey images [height, width] in which `find_board` found nothing.
-        board: What was looked for.
+        board: Expected board.
     """
     for image in images:
         if find_board(np.ascontiguousarray(image[:, ::-1]), board):

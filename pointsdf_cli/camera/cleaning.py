@@ -27,7 +27,7 @@ SLANT = 4.0
 
 @dataclass(frozen=True)
 class CleaningConfig:
-    """What counts as no surface.
+    """Thresholds of points that are no surface.
 
     Attributes:
         neighbours: A point is judged by the distance to this neighbour.

@@ -109,7 +109,7 @@ def calibrate_hand_eye(
         corners: [M, 3] of the board, m.
         camera: Intrinsics.
         eye_in_hand: Camera on the gripper and board fixed; else camera fixed, board on the gripper.
-        seed: Of the subsets of images that are tried first.
+        seed: Random seed of the subsets of images that are tried first.
 
     Raises:
         InputError: Too few images, too little rotation, or images and poses do not fit together.
@@ -242,8 +242,8 @@ def _moved(poses: HandEyePoses, change: Array) -> HandEyePoses:
 def _standard_deviations(
     seen: _Observations, poses: HandEyePoses, images: Sequence[int]
 ) -> tuple[float, float]:
-    """Of X's position [m] and rotation [rad]. Errors of one image, which share a robot pose, are
-    taken together (cluster-robust covariance)."""
+    """Standard deviations of X's position [m] and rotation [rad]. Errors of one image, which share
+    a robot pose, are taken together (cluster-robust covariance)."""
 
     def residuals(change: Array, i: int) -> Array:
         return seen.errors(_moved(poses, change), [i])[0].ravel()

@@ -16,7 +16,7 @@ Labels = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class HollowConfig:
-    """What counts as the inside of a bowl.
+    """Thresholds of the inside of a bowl.
 
     Attributes:
         cell: The image is looked at in cells that are this wide [m] at the group.
@@ -112,7 +112,8 @@ def _claim(
 
 
 def _tangents(points: Array, flat: Array, camera: Array) -> tuple[Array, Array]:
-    """Where points [N, 3] and flat ones [M, 3] are in an image that looks at the points' middle."""
+    """Positions of points [N, 3] and flat ones [M, 3] in an image that looks at the points'
+    middle."""
     forward = np.median(points, axis=0) - camera
     forward /= np.linalg.norm(forward)
     side = np.cross(forward, [0.0, 0.0, 1.0])

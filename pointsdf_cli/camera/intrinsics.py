@@ -43,10 +43,10 @@ def read_intrinsics(
 
     Args:
         name: A file in one of `FORMS` (JSON or YAML), or a camera's name.
-        width, height: Of the image; a file that gives another size is refused. None where the image
-            is not at hand; the camera's own size is then what the file says, or twice the principal
+        width, height: Size of the image; a file that gives another one is refused. None if the
+            image is not at hand: the camera's own size is then the file's, or twice the principal
             point.
-        image: What the size is of, for messages.
+        image: Subject of the size, for messages.
 
     Raises:
         InputError: No such file or form, another image size, or a camera that bends the picture.
@@ -61,7 +61,7 @@ def read_lens(name: str, width: int, height: int) -> tuple[Camera, tuple[float, 
 
     Args:
         name: A file in one of `FORMS` (JSON or YAML), or a camera's name.
-        width, height: Of the image; a file that gives another size is refused.
+        width, height: Size of the image; a file that gives another one is refused.
 
     Returns:
         The camera, and OpenCV's coefficients k1, k2, p1, p2[, k3[, k4, k5, k6]]; none for a pinhole
@@ -111,7 +111,7 @@ def _read(
 
 
 def _load(name: str) -> Any:
-    """What a file holds; of nested settings the inner ones, and what the outer say besides."""
+    """Contents of a file; nested settings are merged, and inner ones win."""
     path = Path(name)
     if not os.path.isfile(name):  # unlike Path's, it takes a matrix that was typed
         raise InputError("no such intrinsics", where=name[:200], allowed=FORMS)

@@ -22,14 +22,14 @@ class SceneFileOptions:
     """How a file is read. What concerns the other kind of file must be None or its default.
 
     Attributes:
-        intrinsics: Of a depth image: a file or a camera's name. Of a cloud: those of the image that
-            a mask or a pixel is of.
+        intrinsics: A file or a camera's name. With a depth image: its own. With a cloud: those of
+            the image that a mask or a pixel refers to.
         depth_scale: Metres a unit of a depth image; None for 0.001 for whole numbers, 1 for floats.
         near, far: Readings of a depth image beyond these depths [m] are dropped.
         colour: Colour image, registered to the depth image.
         mask: Image of the depth image's size that is not 0 where the object is; `FILE:NUMBER` takes
             the pixels of that number.
-        unit: Of a cloud.
+        unit: Unit of a cloud.
         frame: "camera" or "world", whatever a cloud says; None for what it says.
         drop_invalid: Leave out points of a cloud that are not finite.
     """
@@ -89,7 +89,7 @@ def cleaned_view(cloud: Cloud, whole_scene: bool) -> tuple[Cloud, str]:
     """A cloud in the camera's frame without points that no surface returned, and what went.
 
     Args:
-        cloud: Of a depth image.
+        cloud: Cloud of a depth image.
         whole_scene: Only flying pixels go; of an object's cloud also outliers and specks.
     """
     if not whole_scene:

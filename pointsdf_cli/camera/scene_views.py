@@ -40,7 +40,7 @@ class SceneViewConfig:
 
     Attributes:
         sensors: Names in `SENSORS`; each view is measured by one of them.
-        scene: What stands where.
+        scene: Placement of the objects.
         errors: How far off the segmentation is.
         exact: Share of views that the ideal sensor measures, of the object alone with exactly its
             pixels: shapes are learned from these, errors from the others.
@@ -73,7 +73,7 @@ class SceneView:
     Attributes:
         points: [N, 3], the object's points, camera frame, m.
         T_camera_object: [4, 4].
-        evidence: About the space around it.
+        evidence: Observed space around it.
     """
 
     points: NDArray[np.float64]

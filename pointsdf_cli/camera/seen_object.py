@@ -1,4 +1,4 @@
-"""What a segmentation that errs takes for the object in one depth image of a simulated scene.
+"""Erroneous segmentation of the object in one depth image of a simulated scene.
 
 Every segmentation errs by a few pixels, and each kind in its own way. One that removes the table's
 plane keeps what stands above it, flying pixels at the silhouette included, and loses the foot. One
@@ -39,7 +39,7 @@ class SegmentationErrors:
         uneven: Standard deviation of the offset along the silhouette, as a share of it.
         ragged: The same, whatever the offset [sensor px].
         height: Standard deviation of the error of the plane's height [m].
-        tilt: Of its direction [rad].
+        tilt: Tilt of its direction [rad].
     """
 
     masked: float = 0.45
@@ -73,7 +73,7 @@ class SeenObject:
     support_plane: Array | None
 
     def evidence(self, pitch: float) -> ViewEvidence:
-        """What the view knows besides the points; `pitch` as in `visibility_image`."""
+        """Observed space besides the points; `pitch` as in `visibility_image`."""
         image: VisibilityImage = visibility_image(
             self.points, self.others, self.support_plane, pitch
         )
@@ -94,7 +94,7 @@ def segment_scene(
         measured: f4 [h, w], what a sensor gives of its window, 0 where nothing returned.
         camera: Intrinsics.
         errors: How far off the segmentation may be.
-        rng: Of the errors.
+        rng: Random generator of the errors.
     """
     rows, columns = np.nonzero(measured > 0)
     left, top = scene.window.origin

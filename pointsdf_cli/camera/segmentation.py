@@ -15,7 +15,7 @@ from pointsdf_cli.geometry.box import strictly_inside
 
 @dataclass(frozen=True)
 class SegmentationConfig:
-    """What counts as the object.
+    """Thresholds of the object.
 
     Attributes:
         low, high: Corners of the workspace in the world [m]; the table top is near z = 0.
@@ -54,7 +54,7 @@ class SegmentationConfig:
 
 @dataclass(frozen=True)
 class Segmentation:
-    """What was kept of a cloud of N points, and what became of the others.
+    """Result for a cloud of N points: those kept, and the fate of the others.
 
     Attributes:
         kept: bool [N], the object.

@@ -261,7 +261,7 @@ def quantised(depth: Image, factor: float, step: float) -> Image:
     Args:
         depth: [h, w], m.
         factor: f·b [px·m].
-        step: Of the disparity [px].
+        step: Step of the disparity [px].
     """
     scaled = np.float32(factor / step)
     steps = np.rint(scaled / np.maximum(depth, np.float32(1e-3)))

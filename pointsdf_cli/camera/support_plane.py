@@ -26,7 +26,7 @@ class SupportPlaneConfig:
         camera_height: The camera is at least this high [m] above the table.
         roll: The table's normal and the image's upward direction enclose no more than this [rad].
         tallest: Things that stand on the table are lower than this [m].
-        flatness: Of the points within three bands this share lies within one.
+        flatness: Least share of the points within three bands that must lie within one.
         cell: The table is one connected region of cells of this size [m].
     """
 

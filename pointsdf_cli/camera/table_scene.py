@@ -35,7 +35,7 @@ class SceneConfig:
         resting: Share of scenes in which the object rests on a table; in the others it is turned
             at random and stands in the void.
         distance: From the camera to the object's centre [m].
-        elevation: Of the camera above the table [rad].
+        elevation: Elevation of the camera above the table [rad].
         neighbours: Most bodies around the object.
         beside: Share of the neighbours that stand between the object and the camera.
         gap: Largest gap between a neighbour and the object [m].
@@ -94,11 +94,11 @@ def draw_scene(
     """A random scene around the mesh.
 
     Args:
-        caster: Of the mesh.
+        caster: Ray caster of the mesh.
         vertices: [V, 3], mesh frame, m.
         poses: Resting poses of the mesh; where it has none it never rests.
         camera: Intrinsics.
-        config: What may be drawn.
+        config: Range of the random scenes.
         rng: Its random numbers decide everything.
     """
     centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2

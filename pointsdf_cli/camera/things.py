@@ -1,4 +1,4 @@
-"""What stands on the table: every point of a view given to one thing, the table, or neither."""
+"""Objects on the table: every point of a view assigned to one object, the table, or neither."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ groups too small to be a thing."""
 
 @dataclass(frozen=True)
 class ThingsConfig:
-    """What counts as a thing that stands on the table.
+    """Thresholds of an object on the table.
 
     Attributes:
         segmentation: Workspace, table and gaps.
@@ -33,7 +33,8 @@ class ThingsConfig:
         bridge: It belongs to a thing below or beside it that is nearer than this [m]: the camera
             did not see what joins them.
         hollow: How bowls are made whole.
-        flattest: What nowhere rises higher than this [m] is the table's unevenness.
+        flattest: Height [m] that anything must exceed somewhere to be more than unevenness of the
+            table.
         split: How things that touch are told apart.
     """
 

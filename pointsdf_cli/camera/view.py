@@ -16,7 +16,7 @@ class View:
     Attributes:
         points: [N, 3], camera frame, m.
         T_world_camera: [4, 4].
-        evidence: What the camera saw of the space around the object; None for a bare cloud.
+        evidence: Observed space around the object; None for a bare cloud.
     """
 
     points: Array

@@ -41,7 +41,7 @@ class ViewConfig:
         views: Views a mesh.
         distance: From the camera to the centre of the mesh's bounding box [m].
         camera: Intrinsics.
-        noise: Of the depth.
+        noise: Noise of the depth.
         keep_depth: Whether the depth images are stored too.
         unit: Unit of the mesh file's numbers.
         above: Only from above the horizon, z up as the mesh stands: what an open vessel holds is
@@ -78,7 +78,7 @@ class ViewConfig:
 
     @property
     def measures(self) -> DepthSensor:
-        """What measures the depth."""
+        """Sensor that measures the depth."""
         return load_sensor(self.sensor).with_noise(self.noise)
 
     def as_dict(self) -> dict[str, Any]:
@@ -105,7 +105,7 @@ class ViewTask:
 
 @dataclass(frozen=True)
 class ViewSummary:
-    """What was rendered: views kept, views drawn again, and how the mesh was closed."""
+    """Summary of a rendered mesh: views kept, views drawn again, and the repair of the mesh."""
 
     views: int
     redrawn: int
@@ -212,7 +212,7 @@ def _scene_views(
 def measured_patch(
     patch: DepthPatch, camera: Camera, sensor: DepthSensor, rng: np.random.Generator
 ) -> DepthPatch:
-    """What a sensor measures of a patch; pixels that return nothing are left out."""
+    """A sensor's measurement of a patch; pixels that return nothing are left out."""
     if sensor.is_ideal:
         return replace(patch, depth=sensor.noise.apply(patch.depth, rng))
     window, (left, top) = depth_window(patch, math.ceil(EDGE_MARGIN * camera.fx / sensor.focal))

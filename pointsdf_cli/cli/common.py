@@ -185,7 +185,7 @@ def labels_of(checkpoints: list[Path]) -> list[str]:
 
 
 def cache_beside(folder: Path) -> Path:
-    """Where what is worked out from a folder's grasps is kept: `grasps-cache` beside `grasps`."""
+    """Cache folder of what is computed from a folder's grasps: `grasps-cache` beside `grasps`."""
     whole = folder.resolve()
     return whole.with_name(whole.name + "-cache")
 

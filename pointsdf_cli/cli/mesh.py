@@ -243,7 +243,7 @@ def _object_of(
 
 
 def mesh_path(out: Path | None, form: str | None) -> Path:
-    """Where the mesh goes, in which format: both options agree, and one of them may be missing.
+    """Path and format of the mesh: both options must agree, and one of them may be missing.
 
     Raises:
         InputError: An unknown format, or two different ones.

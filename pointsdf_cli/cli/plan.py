@@ -377,7 +377,7 @@ def _check_choices(
     rehearse: int,
     min_success: float | None,
 ) -> None:
-    """What the planner would refuse, known before it is loaded.
+    """Refuse unusable options before the planner is loaded.
 
     Raises:
         InputError: A name that is none, or a number out of its range.
@@ -407,7 +407,7 @@ def _acceptance(min_success: float | None) -> AcceptanceConfig:
 
 
 def _config(options: Any, clouds: list[Path], seed: int) -> dict[str, Any]:
-    """What the plan file keeps of how it was made."""
+    """Provenance for the plan file."""
     from dataclasses import asdict
 
     from pointsdf_cli.io.provenance import file_sha256

@@ -12,8 +12,8 @@ class StopRequest:
     """Whether someone asked to stop.
 
     Attributes:
-        exit_code: What a command that was stopped leaves with: 130 after Ctrl-C, 143 after SIGTERM,
-            as if the signal had ended it. A script must not take its work for done.
+        exit_code: Exit code of a stopped command: 130 after Ctrl-C, 143 after SIGTERM, as if the
+            signal had ended it. A script must not take its work for done.
     """
 
     def __init__(self) -> None:

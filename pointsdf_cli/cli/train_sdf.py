@@ -209,7 +209,7 @@ def train_sdf(
 
 
 ELSEWHERE = 143
-"""What a process leaves with that stopped because another one of its run was told to."""
+"""Exit code of a process that stopped because another one of its run was told to."""
 
 
 def _started_from(start_from: Path | None, resumed: Path | None) -> dict[str, Any] | None:

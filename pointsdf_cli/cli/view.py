@@ -83,13 +83,13 @@ def _frames(count: int) -> str:
 
 
 def url(host: str, port: int) -> str:
-    """Where a browser on this machine finds the page."""
+    """Address of the page for a browser on this machine."""
     named = "localhost" if host in ("0.0.0.0", "127.0.0.1", "::") else host
     return f"http://[{named}]:{port}" if ":" in named else f"http://{named}:{port}"
 
 
 def address(host: str, port: int) -> list[str]:
-    """What to open, and what to type first where this machine is reached by SSH."""
+    """Address to open, and the command to type first if this machine is reached by SSH."""
     import os
     import socket
 

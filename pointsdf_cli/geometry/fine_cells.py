@@ -37,7 +37,7 @@ class FineGrid(NamedTuple):
     half_width: float
 
     def positions(self, rows: NDArray[np.integer]) -> NDArray[np.float64]:
-        """Where the corners of `rows` [N] are: [N, 3], in the field's units."""
+        """Positions of the corners of `rows` [N]: [N, 3], in the field's units."""
         return self.places[rows] * self.step - self.half_width
 
 

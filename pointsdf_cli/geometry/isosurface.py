@@ -133,8 +133,8 @@ def _vertices(
     high: NDArray[np.integer],
     asked: SampledGrid | None = None,
 ) -> NDArray[np.float64]:
-    """Where the edges between the corners `low` and `high` [V] cross zero: [V, 3]; with one Newton
-    step where there is a field to ask."""
+    """Zero crossings [V, 3] of the edges between the corners `low` and `high` [V], refined by one
+    Newton step where a field is given."""
     start, end = grid.positions(low), grid.positions(high)
     value_low, value_high = (grid.values[row].astype(np.float64) for row in (low, high))
     share = value_low / (value_low - value_high)

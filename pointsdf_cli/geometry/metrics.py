@@ -96,8 +96,8 @@ def compare(
     """Score a reconstruction against the truth, both in one frame, in metres.
 
     Args:
-        prediction: What was reconstructed.
-        truth: What it should be.
+        prediction: Reconstructed mesh.
+        truth: True mesh.
         rng: Draws the points that the volumes are counted with.
         samples: How many of those.
     """
@@ -126,7 +126,8 @@ def failure(truth_diagonal: float) -> Score:
     """The score of no reconstruction at all.
 
     Args:
-        truth_diagonal: Of the true mesh's bounding box [m]; it counts as the Chamfer distance.
+        truth_diagonal: Diagonal of the true mesh's bounding box [m]; it counts as the Chamfer
+            distance.
     """
     return Score(iou=0.0, chamfer=truth_diagonal, normals=0.0, failed=True)
 

@@ -112,7 +112,7 @@ class SampledGrid:
         return np.maximum(values, self._wall(points)).astype(np.float32)
 
     def positions(self, rows: NDArray[np.integer]) -> NDArray[np.float64]:
-        """Where the corners of `rows` [N] are: [N, 3], in the field's units."""
+        """Positions of the corners of `rows` [N]: [N, 3], in the field's units."""
         return self.places(rows).astype(np.float64) * self.step - self.half_width
 
     def places(self, rows: NDArray[np.integer]) -> NDArray[np.int32]:

@@ -24,7 +24,7 @@ class ClosedMesh:
     Attributes:
         vertices: [V, 3].
         faces: [F, 3], counter-clockwise seen from outside.
-        repair: What was done to get there; "none" where nothing was.
+        repair: Repairs made; "none" without any.
     """
 
     vertices: NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Where to ask for signed distances around a mesh (docs/method.md, "Reconstruction")."""
+"""Sample points for signed distances around a mesh (docs/method.md, "Reconstruction")."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class SamplingConfig:
 
     Attributes:
         points: All of them together.
-        wide_variance, near_variance: Of the Gaussian jitter on surface points.
+        wide_variance, near_variance: Variances of the Gaussian jitter on surface points.
         wide_share, near_share: Fractions of the points; the rest is uniform.
         box: Uniform points lie in ±box about the centre of the bounding box.
 
@@ -59,7 +59,7 @@ class SdfSamples:
     Attributes:
         points: f4 [N, 3], mesh frame, the mesh's unit.
         sdf: f4 [N], negative inside.
-        inside_fraction: Of all points.
+        inside_fraction: Share of all points inside.
         uniform_inside: Fraction of the uniform points alone.
         expected_inside: The same by the mesh's volume (divergence theorem).
     """

@@ -46,7 +46,7 @@ class StablePose:
     Attributes:
         T_table_object: [4, 4], the mesh on a table whose top is z = 0.
         probability: That a falling object comes to rest so.
-        height: Of the object's top above the table [m].
+        height: Height of the object's top above the table [m].
         margin: By how much it must be tilted to fall over [rad].
     """
 
@@ -103,8 +103,8 @@ def stable_poses(
 
 
 def foot_height(height: float) -> float:
-    """What is lower than this [m] above the table is foot, for a body so high [m]: scans round off
-    the flat bottoms that things stand on."""
+    """Height above the table [m] below which a point belongs to the foot, for a body of this height
+    [m]: scans round off flat bottoms."""
     return 0.02 * height + 2e-4
 
 

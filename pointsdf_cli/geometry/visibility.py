@@ -55,7 +55,7 @@ class VisibilityImage(NamedTuple):
 
 @dataclass(frozen=True)
 class ViewEvidence:
-    """What is known besides the object's points, camera frame (OpenCV axes), m.
+    """Observed space around an object's points, camera frame (OpenCV axes), m.
 
     Attributes:
         visibility: None where only the object's points are known: all else is unknown then.

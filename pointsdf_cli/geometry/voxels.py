@@ -27,7 +27,7 @@ def thin(points: NDArray[np.float64], side: float) -> Thinned:
 
     Args:
         points: [N, 3], m; finite.
-        side: Of a voxel [m].
+        side: Side of a voxel [m].
 
     Raises:
         InputError: The points reach too far for voxels of this size.

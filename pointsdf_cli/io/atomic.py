@@ -18,7 +18,7 @@ from pointsdf_cli.errors import InputError
 TEMPORARY_MARK = ".partial-"
 """Part of the name of every file under construction; nothing reads such a file."""
 ABANDONED = 86400.0
-"""What another machine has been building for so long [s] was left by a run that was killed."""
+"""Age [s] after which another machine's unfinished file counts as left by a killed run."""
 LONGEST_NAME = 255
 """Bytes that a file's name may have; that of a file under construction is cut to it."""
 _NAME = re.compile(
@@ -27,7 +27,7 @@ _NAME = re.compile(
 
 
 def _host() -> str:
-    """Whose process numbers are meant: this machine's, in this container."""
+    """Namespace of process numbers: this machine, in this container."""
     known = platform.node()
     with suppress(OSError):
         known += str(os.stat("/proc/self/ns/pid").st_ino)
@@ -83,7 +83,7 @@ def temporary_beside(path: Path) -> Path:
 
 
 def abandoned_beside(path: Path) -> list[Path]:
-    """What killed runs left that were building `path`."""
+    """Leftovers of killed runs that were building `path`."""
     begin, end = f".{path.stem}{TEMPORARY_MARK}", path.suffix
     found = []
     for leftover in path.parent.iterdir():

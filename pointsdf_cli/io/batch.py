@@ -30,7 +30,7 @@ Result = TypeVar("Result")
 
 @dataclass
 class StageReport(Generic[Result]):
-    """What became of a stage's files.
+    """Outcome of a stage's files.
 
     Attributes:
         made: Results of the tasks that ran, by task name.
@@ -80,9 +80,9 @@ def run_stage(
         tasks: Names and what `work` is given.
         work: Makes one artifact.
         jobs: Processes.
-        folders: Where artifacts are written. What killed runs were building there is removed:
-            before, to make room, and afterwards, because the processes of a run that was killed
-            a moment ago may still have been ending then.
+        folders: Folders of the artifacts. Leftovers of killed runs there are removed: before, to
+            make room, and afterwards, because the processes of a run killed a moment ago may still
+            have been ending then.
         on_done: Called with each name and what came of it.
 
     Raises:

@@ -64,8 +64,9 @@ def match_poses(
 
     Args:
         images: In order.
-        names: Of the poses, with or without suffix; None if they are in the order of the images.
-        count: Of poses.
+        names: Names of the poses, with or without suffix; None if they are in the order of the
+            images.
+        count: Number of poses.
         where: The file of poses, for messages.
 
     Raises:

@@ -46,7 +46,7 @@ class Checkpoint:
     Attributes:
         weights: Tensors by name, as stored (half precision where it was shipped so).
         config: Everything in config.json: `architecture`, `model` (its arguments), provenance.
-        path: Where it was read from.
+        path: Path it was read from.
     """
 
     weights: dict[str, Tensor]
@@ -116,7 +116,7 @@ def _link(kept: Path, place: Path) -> None:
 
 
 def _move_rest(aside: Path, path: Path) -> None:
-    """What else was in the old directory, into the new one; what cannot be moved stays there."""
+    """Move everything else in the old directory into the new one; what cannot be moved stays."""
     for rest in list(aside.iterdir()) if aside.exists() else ():
         if not os.path.lexists(path / rest.name):
             os.rename(rest, path / rest.name)
@@ -163,7 +163,7 @@ def require_checkpoint_place(path: Path | str) -> None:
 
 
 def _put_back(path: Path) -> None:
-    """Where a run was killed between the two renames of `_take_place`, undo the first."""
+    """Undo the first rename of `_take_place`, if a run was killed between the two."""
     path = path.resolve()
     if not os.path.lexists(path) and (_aside(path) / CONFIG).is_file():
         with suppress(OSError):

@@ -1,4 +1,4 @@
-"""What is in a file that rgrasp made or reads, in words and numbers."""
+"""Description of a file that rgrasp made or reads, in words and numbers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pointsdf_cli.io.meshes import MESH_SUFFIXES, load_mesh
 from pointsdf_cli.io.ply import ply_has_faces
 
 SUFFIXES = tuple(dict.fromkeys([".h5", *CLOUD_SUFFIXES, *MESH_SUFFIXES]))
-"""Of the files that can be described."""
+"""Suffixes of the files that can be described."""
 
 
 def describe(path: Path | str, unit: str = "m") -> dict[str, Any]:
@@ -25,7 +25,7 @@ def describe(path: Path | str, unit: str = "m") -> dict[str, Any]:
 
     Args:
         path: An artifact, a cloud, a mesh, or the directory of a checkpoint.
-        unit: Of a cloud's or mesh's coordinates; facts are in metres.
+        unit: Unit of a cloud's or mesh's coordinates; facts are in metres.
 
     Raises:
         InputError: No such file, damaged, or of no kind that rgrasp knows.
@@ -140,7 +140,7 @@ def _mesh(path: Path, unit: str) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON can hold, of whatever an attribute may be."""
+    """An attribute's value as JSON."""
     if isinstance(value, (np.ndarray, np.generic)):
         value = value.tolist()
     if isinstance(value, list):

@@ -1,4 +1,5 @@
-"""What a shape network says about the grasps of one file: kept, because it is slow to ask."""
+"""Features of a shape network for the grasps of one file, cached because they are slow to
+compute."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ class Grasps:
 
 @dataclass(frozen=True)
 class GraspsMeta:
-    """What a grasps file says about its object.
+    """Facts about the object of a grasps file.
 
     Attributes:
         mesh_file, mesh_hash: The mesh.

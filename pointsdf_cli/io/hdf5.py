@@ -40,7 +40,7 @@ class Dataset:
 
     Attributes:
         array: The numbers.
-        units: Of the numbers, such as "m".
+        units: Unit of the numbers, such as "m".
         frame: That they are in, such as "camera".
         compress: Worth it for images and integers; noisy floats shrink by a tenth and cost more
             time to squeeze than to compute.
@@ -122,7 +122,7 @@ def read_artifact(
 
     Args:
         path: The file.
-        schema, version: What it must be.
+        schema, version: Required schema and version.
         names: The layout (`layout.py`) of the datasets to read; None for all, whatever they are.
         oldest: The oldest version that is read too; `version` alone if None.
         optional: Datasets that are read and checked too where they are there.
@@ -206,7 +206,7 @@ def artifacts_below(folder: Path) -> list[Path]:
 
 
 def options_of(file: h5py.File) -> dict[str, Any]:
-    """What an open artifact was made with.
+    """Configuration stored in an open artifact.
 
     Raises:
         InputError: It does not say so in JSON.

@@ -1,4 +1,4 @@
-"""What the datasets of an artifact look like, and whether a file's datasets do.
+"""Layout of an artifact's datasets, and the check of a file against it.
 
 A layout is a mapping from name to a text such as `"f4 [V, 1000, 3]"`: a kind of number and a shape.
 Letters stand for lengths that must agree wherever the same letter stands in one file; `*` for any.

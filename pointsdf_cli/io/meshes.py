@@ -37,8 +37,8 @@ class LoadedMesh:
         name: The file's stem.
         vertices: [V, 3], m, mesh frame.
         faces: [F, 3], counter-clockwise seen from outside.
-        sha256: Of the file's bytes.
-        repair: What was done to close it ("none" where nothing was).
+        sha256: Hash of the file's bytes.
+        repair: Repair that closed it ("none" without any).
     """
 
     name: str
@@ -109,7 +109,7 @@ def _is_hidden(path: Path) -> bool:
 
 
 def artifact_path(mesh: Path, meshes: Path | str, out: Path | str) -> Path:
-    """Where a stage puts the HDF5 file of `mesh`: the same place below `out`."""
+    """Path of the HDF5 file that a stage writes for `mesh`: the same place below `out`."""
     meshes = Path(meshes)
     relative = mesh.relative_to(meshes) if meshes.is_dir() else Path(mesh.name)
     return Path(out) / relative.with_suffix(".h5")

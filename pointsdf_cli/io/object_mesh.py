@@ -27,7 +27,7 @@ def write_object_mesh(
         path: Ends in `.ply`.
         vertices: [V, 3], m.
         faces: [F, 3].
-        about: What JSON can hold; `read_object_about` gives it back.
+        about: JSON data; `read_object_about` gives it back.
     """
     header = "\n".join(
         [

@@ -11,7 +11,7 @@ NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """What is loaded within, and processes that are started within, have one thread each.
+    """Limit modules loaded within, and processes started within, to one thread each.
 
     Libraries read these numbers once, when they are loaded: a started process must find them said
     already, because NumPy is loaded before it runs anything of ours.

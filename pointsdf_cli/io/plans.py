@@ -45,7 +45,7 @@ SLACKS = ("object", "table", "obstacles", "self")
 
 @dataclass(frozen=True)
 class RejectedSeeds:
-    """What the solver ended with and was not accepted, R of them.
+    """Solutions of the solver that were not accepted, R of them.
 
     Attributes:
         q: f8 [R, J].
@@ -101,7 +101,7 @@ class Plan:
         trajectory: f8 [T, J], the motion to it; T = 0 where there is none.
         times: f8 [T] s, when each configuration is reached.
         T_world_palm: f8 [4, 4] of the grasp; NaN where there is none.
-        success_probability, objective: Of the grasp, or NaN.
+        success_probability, objective: Values of the grasp, or NaN.
         seeds_tried: Starts given to the solver.
         timings: Seconds by stage.
         link_names: [L].

@@ -25,7 +25,7 @@ _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 @dataclass(frozen=True)
 class RawCloud:
-    """What a file says, before it is judged.
+    """Contents of a file before any check.
 
     Attributes:
         points: f8 [N, 3].

@@ -22,7 +22,8 @@ ALLOWED = (
 
 
 TABLE_PLACE = (0.6, 0.0)
-"""Where `--camera-pose table` puts the object [m]: ahead of the robot, where it reaches."""
+"""Default place of the object for `--camera-pose table` [m]: ahead of the robot, within its
+reach."""
 
 
 def camera_pose(text: str, option: str = "--camera-pose") -> NDArray[np.float64]:
@@ -65,7 +66,7 @@ def target_numbers(text: str, where: str = "--target") -> NDArray[np.float64]:
 
 
 def table_place(text: str, option: str = "--camera-pose") -> tuple[float, float] | None:
-    """Where `table` or `table:X,Y` puts the object in the world [m]; None of another pose.
+    """Place of the object in the world [m] for `table` or `table:X,Y`; None for another pose.
 
     Raises:
         InputError: `table:` with something else than two numbers.

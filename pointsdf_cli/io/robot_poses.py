@@ -41,7 +41,7 @@ def read_robot_poses(path: Path, unit: str = "m") -> RobotPoses:
 
     Args:
         path: The file, in one of `FORMS`.
-        unit: Of its translations, a key of `UNITS`.
+        unit: Unit of its translations, a key of `UNITS`.
 
     Raises:
         InputError: No such file or form, a pose is no rotation and translation, or the unit is

@@ -44,7 +44,7 @@ class DepthFrames:
         frame: The camera's frame of reference, such as camera_depth_optical_frame.
         stamps: [n] ns, as the camera set them.
         times: [n] ns, when they were recorded; another clock than the stamps', perhaps.
-        number: Of the first image, counted from 0 where the bag begins.
+        number: Number of the first image, counted from 0 at the beginning of the bag.
     """
 
     topic: str
@@ -123,7 +123,7 @@ class Bag:
         """Consecutive depth images of a topic.
 
         Args:
-            topic: Of depth images.
+            topic: Topic of the depth images.
             index: The first one, from 0; from -1 backwards counts from the end.
             time: If given, the first image this many seconds after the bag's beginning instead.
             count: How many.

@@ -23,7 +23,7 @@ class Scratch:
     """A folder of this process's own, readable by nobody else.
 
     Args:
-        below: Where; the system's folder of temporary files if None.
+        below: Parent folder; the system's folder of temporary files if None.
 
     Attributes:
         path: The folder.

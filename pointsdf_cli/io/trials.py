@@ -32,12 +32,12 @@ TRIAL_LAYOUT = {
 
 @dataclass(frozen=True)
 class TrialRow:
-    """What became of one trial.
+    """Result of one trial.
 
     Attributes:
         object: Name.
         yaw_index, repeat: Counters.
-        yaw: Of the object about the vertical [rad].
+        yaw: Rotation of the object about the vertical [rad].
         camera: "high" or "low".
         method: "reconstruction" or "partial-view".
         ablation: Empty, or what was changed.
@@ -51,11 +51,11 @@ class TrialRow:
         rehearsed: Share of rehearsals in which the grasp held; NaN where there were none.
         contact: The robot touched the object before the hand closed.
         moved: How far the object had moved by then [m].
-        penetration: Of the planned grasp into the true mesh [m], 0 if none.
+        penetration: Depth of the planned grasp in the true mesh [m], 0 if none.
         lifted: The object rose at least 0.105 m at some time.
         held: It was still held in the end.
         final_height: How much it had risen in the end [m].
-        seed: Of the experiment.
+        seed: Random seed of the experiment.
     """
 
     object: str
@@ -84,7 +84,7 @@ class TrialRow:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is needed to draw a trial.
+    """Data for drawing a trial.
 
     Attributes:
         cloud: f4 [N, 3], world, m.

@@ -74,7 +74,7 @@ def read_npy_array(path: Path, kind: str = "array") -> NDArray[Any]:
 
     Args:
         path: The file.
-        kind: Of input, which bounds its size (`input_files.LARGEST`).
+        kind: Kind of input, which bounds its size (`input_files.LARGEST`).
 
     Raises:
         InputError: Damaged, cut short, or of Python objects.

@@ -39,7 +39,7 @@ class Views:
         noise: Standard deviation of the depth noise at 1.5 m [m].
         mesh_file: Name of the mesh file.
         mesh_hash: SHA-256 of its bytes.
-        mesh_repair: What was done to close it.
+        mesh_repair: Repair that closed it.
         depth: f4 [V, height, width], m along z, 0 where nothing was hit; only with --keep-depth.
         evidence: V entries, what each view knows of the space around the object.
     """
@@ -159,7 +159,7 @@ def _read_evidence(
 
 @dataclass(frozen=True)
 class ViewsHeader:
-    """What a views file says of its mesh, read without its arrays.
+    """Facts about the mesh of a views file, read without its arrays.
 
     Attributes:
         mesh_hash: SHA-256 of the mesh file's bytes.

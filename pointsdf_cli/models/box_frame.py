@@ -59,7 +59,7 @@ def box_frame(normals: Tensor, cloud: Tensor, camera: Tensor, axis: Axis) -> Box
         normals: [B, M, 3], of unit length, spread evenly over the cloud.
         cloud: [B, P, 3].
         camera: [B, 3].
-        axis: Of revolution.
+        axis: Axis of revolution.
     """
     frame = torch.linalg.eigh(normals.transpose(1, 2) @ normals).eigenvectors.transpose(1, 2)
     for _ in range(ROUNDS):
@@ -91,12 +91,12 @@ def box_frame(normals: Tensor, cloud: Tensor, camera: Tensor, axis: Axis) -> Box
 
 
 def box_evidence(x: Tensor, box: BoxFrame, axis: Axis) -> Tensor:
-    """Where queries lie between the faces of the box and the ends of the body of revolution.
+    """Positions of queries between the faces of the box and the ends of the body of revolution.
 
     Args:
         x: [B, Q, 3].
-        box: Of each cloud.
-        axis: Of each cloud.
+        box: Box of each cloud.
+        axis: Axis of each cloud.
 
     Returns:
         [B, Q, BOX_SIZE], differentiable in x.

@@ -53,7 +53,7 @@ def complete(
         points: [N, 3], m, cleaned, of the object alone.
         T_frame_camera: [4, 4], the camera (x right, y down, z forward) in the frame of the points;
             None if that is the camera's.
-        evidence: What the view knows of the space around the object, camera frame.
+        evidence: Observed space around the object, camera frame.
         checkpoint: Folder of a network; the bundled one if None. It is loaded once.
         resolution: Cells along the mesh's box: 32 times a power of two, up to 512.
         seed: Random seed of the points that the network reads.

@@ -35,7 +35,7 @@ MODES = (FIXED, FINE_TUNED, SCRATCH)
 
 
 class GraspParts(NamedTuple):
-    """What a checkpoint holds, rebuilt.
+    """Contents of a checkpoint, rebuilt.
 
     Attributes:
         network, prior, encoder, robot, sweep: As in `GraspModel`.
@@ -74,7 +74,7 @@ def write_grasp_checkpoint(
         prior: Kept in double precision.
         frozen_from: The checkpoint that a frozen encoder came from.
         mode: One of `MODES`.
-        robot, sweep: Of the data.
+        robot, sweep: Robot and closing hand of the training data.
         provenance: Goes into config.json.
         train_state: To resume from.
         half: Store weights of the networks in float16.
@@ -116,7 +116,7 @@ def read_grasp_checkpoint(
 
     Args:
         path: The checkpoint; the bundled default where None.
-        sdf_checkpoint: Where the frozen encoder is, if not where it was.
+        sdf_checkpoint: Path of the frozen encoder, if it has moved.
         robot: The robot; the bundled one where None.
 
     Raises:
@@ -156,7 +156,7 @@ def read_grasp_checkpoint(
 
 
 def _check_config(config: Mapping[str, Any], where: object) -> None:
-    """What is read of config.json is there.
+    """Require the keys of config.json that are read.
 
     Raises:
         InputError: It is not, so the file is damaged or was written by hand.
@@ -232,11 +232,11 @@ def _reference(path: Path) -> dict[str, str]:
 
 
 def encoder_path(checkpoint: Checkpoint, override: Path | str | None = None) -> Path:
-    """Where the frozen encoder of a checkpoint is.
+    """Path of a checkpoint's frozen encoder.
 
     Args:
-        checkpoint: Of mode `fixed`.
-        override: Where it is instead of where it was.
+        checkpoint: Checkpoint of mode `fixed`.
+        override: New path, if it has moved.
 
     Raises:
         InputError: It is missing, or has other weights than those that were trained with.

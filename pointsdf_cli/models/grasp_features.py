@@ -1,4 +1,4 @@
-"""What the reconstruction says at the grasp itself, as numbers for the success network.
+"""Features of the reconstruction at a grasp, for the success network.
 
 An embedding of the whole cloud blurs what the fingers touch. These features do not: signed
 distances where the pads of the closing links pass and in the region between them, in the palm's own
@@ -24,13 +24,13 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.models.hand_sweep import HandSweep
 
 FAR = 0.04
-"""Where a distance, given as its hyperbolic tangent, saturates [m]."""
+"""Distance [m] at which the hyperbolic tangent of a distance saturates."""
 
 TOUCH, TOUCH_WIDTH = 0.004, 0.004
 """A pad touches where its distance is below the first [m], softly within the second [m]."""
 
 EVERY = 2
-"""Of every so-manyth moment of the closing motion the distances themselves are features."""
+"""Stride over the moments of the closing motion whose distances are features."""
 
 LENGTH = 0.1
 """Lengths are given in units of this [m]."""
@@ -43,7 +43,7 @@ BODY_SIZE = 6
 
 @dataclass(frozen=True)
 class ObjectBody:
-    """What the features need to know of the object besides its field, in the world.
+    """Properties of the object that the features need besides its field, in the world.
 
     Attributes:
         centre: f4 [3] or [B, 3], centre of the seen points' upright bounding box, m.
@@ -134,8 +134,8 @@ class GraspFeatures:
         return self.assemble(preshape, T_world_palm, body, points, distance)
 
     def points(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
-        """Where the field is read, [B, P, 3] in the world: pads stage by stage, points of links
-        that do not move, and the closing region."""
+        """Points [B, P, 3] in the world at which the field is read: pads stage by stage, points of
+        links that do not move, and the closing region."""
         return self._sweep.in_world(preshape.float(), T_world_palm.float())
 
     def assemble(

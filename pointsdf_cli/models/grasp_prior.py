@@ -40,7 +40,7 @@ LENGTH = 0.1
 
 @dataclass(frozen=True)
 class ObjectPlace:
-    """Where one object is, for the prior.
+    """Pose and size of one object, for the prior.
 
     Attributes:
         centre: f8 [3], of the seen points' upright box in the world, m.

@@ -34,7 +34,7 @@ from pointsdf_cli.models.tensor_grid import TensorGrid
 from pointsdf_cli.robot.description import RobotDescription
 
 GRID_STEP = 0.008
-"""Of the grid on which the geometry's field is kept [m]."""
+"""Step of the grid on which the geometry's field is kept [m]."""
 
 OWN_NODES = 8_000
 """Nodes of that grid when the network itself has to be asked."""
@@ -45,7 +45,7 @@ class GraspModel:
     """A loaded checkpoint of `train-gs`.
 
     Attributes:
-        network: Of either kind, calibrated, in evaluation mode.
+        network: Network of either kind, calibrated, in evaluation mode.
         prior: The mixture.
         encoder: The shape network whose embedding or distances are read.
         robot: The robot that it was trained with.
@@ -72,7 +72,7 @@ class GraspModel:
             T_world_camera: [4, 4]; z is up in the world and the table top at 0.
             field: The object's signed distances in the world, for the features of geometry; the
                 reconstruction by `encoder` where None. A network on embeddings does not read it.
-            seed: Of the resampling of the cloud.
+            seed: Random seed of the cloud's resampling.
 
         Raises:
             InputError: The points are no cloud, or the pose is not rigid.
@@ -177,7 +177,7 @@ def load_grasp_model(
     Args:
         path: The checkpoint; the bundled default where None.
         sdf_checkpoint: The frozen shape network, if it is not where it was when it was trained.
-        device: Where the shape network computes; the success network is too small to gain by it.
+        device: Device of the shape network; the success network is too small to gain by it.
         robot: The robot; the bundled one where None.
 
     Raises:

@@ -117,7 +117,7 @@ class GeometryNet(nn.Module):
     Args:
         features: F.
         members: How many networks.
-        widths: Of their hidden layers.
+        widths: Widths of the hidden layers.
         dropout: On hidden layers.
         input_dropout: On the features.
     """

@@ -1,4 +1,4 @@
-"""Where the hand's links pass while the hand closes: points of the palm frame, from a preshape.
+"""Sweep of the closing hand: points of the palm frame that its links pass, from a preshape.
 
 The robot's description says which joints close and how fast. All of them are advanced together, as
 the hand does until something stops them. Of every link that moves then, the middle of the side that
@@ -37,7 +37,7 @@ class SweepConfig:
 
     Attributes:
         stages: Moments of the closing motion, the preshape among them.
-        share: Of the longest time that a joint needs to its limit: the last moment.
+        share: Share of the longest time that a joint needs to its limit: the last moment.
         points_per_link: Points along each link that closing does not move.
         grid: Points of the closing region along the palm's x, y and z.
     """
@@ -54,7 +54,7 @@ class SweepConfig:
 
 
 class JointAxes(NamedTuple):
-    """Where the K preshape joints turn, in the palm frame, at S stages of B grasps.
+    """Axes of the K preshape joints in the palm frame, at S stages of B grasps.
 
     Attributes:
         axis, origin: f4 [K, 3, S, B].

@@ -64,7 +64,7 @@ def mesh_reconstruction(
     ripples (docs/reconstruction.md, "Measured").
 
     Args:
-        reconstruction: Of one cloud.
+        reconstruction: Reconstruction of one cloud.
         resolution: Cells along the box: 32 times a power of two, up to 512.
         smallest_part: Parts smaller than this share of the largest one's volume are dropped.
         smoothing: Passes that take the field's ripples off the surface (see `SMOOTHING`).

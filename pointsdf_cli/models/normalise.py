@@ -17,7 +17,7 @@ MARGIN = 1.03
 
 
 class NetworkFrame(NamedTuple):
-    """Where the network's frame lies: `x_network = (x_camera − centre) · scale`.
+    """Frame of the network: `x_network = (x_camera − centre) · scale`.
 
     Attributes:
         centre: [3] f8, in the cloud's frame, m.

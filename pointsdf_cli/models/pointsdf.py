@@ -29,7 +29,7 @@ from pointsdf_cli.models.shape_model import (
 from pointsdf_cli.models.surroundings import Surroundings
 
 BANDWIDTHS = (0.05, 0.1, 0.2, 0.4)
-"""Of the density's Gaussian kernel in each layer, network units."""
+"""Bandwidth of the density's Gaussian kernel in each layer, network units."""
 
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},

@@ -49,7 +49,7 @@ from pointsdf_cli.models.surroundings import (
 )
 
 OCTAVES = 4
-"""Of the sines and cosines of a query's coordinates."""
+"""Frequencies of the sines and cosines of a query's coordinates."""
 
 HEADS = 4
 """Weighted means that a local read-out takes over the same neighbours."""
@@ -69,7 +69,7 @@ class PointSDFRay(ShapeModel):
         heads: Heads of the attention over the third layer's centres; 0 leaves it out.
         search: How neighbours are chosen: `exact`, or `subsets`, which is faster and about as good.
         revolution: Whether the decoder reads the evidence at a query's symmetric point too.
-        sideways: Of its axis, see `revolution_axis`.
+        sideways: Preference of its axis, see `revolution_axis`.
         box: Whether the decoder also reads where a query lies in the box around the cloud (with
             `revolution` only).
         surroundings: Whether the decoder also reads what the view knows of the space around the

@@ -1,4 +1,4 @@
-"""What a single depth view says about one query point, as numbers a decoder can read.
+"""Evidence of a single depth view about one query point, as numbers for a decoder.
 
 A depth camera gives more than points: along every ray, all that lies before the surface is free,
 and all that lies outside the silhouette is free too. For a query x and the observed points p_j,

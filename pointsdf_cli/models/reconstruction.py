@@ -36,7 +36,7 @@ class Reconstruction:
 
     Attributes:
         model: In evaluation mode.
-        encoding: Of the one cloud (batch of 1).
+        encoding: Encoding of the cloud (batch of 1).
         centre: f8 [3], the network frame's origin in the cloud's frame, m.
         scale: Network units per metre.
         R_frame_camera: f8 [3, 3], the camera's axes in the cloud's frame.
@@ -68,9 +68,8 @@ class Reconstruction:
             camera_position: [3], the camera's centre in that frame, m.
             R_frame_camera: [3, 3], the camera's axes (OpenCV: z forward, y down) in that frame;
                 None if the frame already has the camera's axes.
-            seed: Of the resampling.
-            evidence: What the view knows of the space around the object, camera frame; nothing
-                where None.
+            seed: Random seed of the resampling.
+            evidence: Observed space around the object, camera frame; ignored if None.
 
         Raises:
             InputError: The points are no cloud, or the rotation is none.

@@ -36,7 +36,7 @@ def build_model(
     Args:
         architecture: A key of `ARCHITECTURES`.
         arguments: As its `config()` gave them; the defaults where None.
-        seed: Of its first weights.
+        seed: Random seed of the initial weights.
 
     Raises:
         InputError: Unknown architecture or arguments that it does not take.
@@ -57,7 +57,7 @@ def load_model(path: Path | str | None = None, device: str = "cpu") -> ShapeMode
 
     Args:
         path: The checkpoint; the shipped default where None.
-        device: Where to put it.
+        device: Device to put it on.
 
     Raises:
         InputError: No such checkpoint, unknown architecture, or weights of another shape.

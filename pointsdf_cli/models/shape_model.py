@@ -1,4 +1,4 @@
-"""What every reconstruction network offers, whatever its insides.
+"""Interface of every reconstruction network.
 
     encoding = model.encode(cloud, camera)      once a cloud
     s = model.decode(encoding, x)               for as many query points as needed
@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from pointsdf_cli.models.surroundings import Surroundings
 
 PACKED_CENTRES, PACKED_NEIGHBOURS = 256, 24
-"""What packed training data holds for an encoder's first layer: centres, and neighbours of each."""
+"""Packed training data for an encoder's first layer: centres, and neighbours of each."""
 
 
 def has_batch_norm(model: nn.Module) -> bool:
@@ -31,7 +31,7 @@ class Encoding(NamedTuple):
 
     Attributes:
         embedding: [B, 256], the shape embedding (what the grasp network reads).
-        evidence: What else the decoder of this architecture reads; tensors whose first axis is B.
+        evidence: Further inputs of this architecture's decoder; tensors whose first axis is B.
     """
 
     embedding: Tensor
@@ -84,8 +84,8 @@ class ShapeModel(nn.Module, ABC):
             cloud: [B, P, 3], network frame.
             camera: [B, 3], the camera's centre in the network's frame.
             neighbours: See `packed_neighbours`; searched for where None.
-            surroundings: What the views know of the space around the objects, for architectures
-                that read it; nothing where None.
+            surroundings: Observed space around the objects, for architectures that read it; ignored
+                if None.
         """
 
     def in_precision(self, encoding: Encoding, dtype: torch.dtype) -> Encoding:
@@ -98,7 +98,7 @@ class ShapeModel(nn.Module, ABC):
         """Signed distances, differentiable in x.
 
         Args:
-            encoding: Of B clouds.
+            encoding: Encoding of B clouds.
             x: [B, Q, 3], network frame.
 
         Returns:

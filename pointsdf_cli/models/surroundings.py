@@ -155,12 +155,12 @@ def transformed(
 
 
 def visibility_evidence(x_image: Tensor, camera: Tensor, around: Surroundings) -> Tensor:
-    """What the depth image says about each query.
+    """Evidence of the depth image about each query.
 
     Args:
         x_image: [B, Q, 3], `image_coordinates` of the queries.
         camera: [B, 3], network frame.
-        around: Of the same views.
+        around: Surroundings of the same views.
 
     Returns:
         [B, Q, VISIBILITY_SIZE], float32, differentiable in x_image.
@@ -182,12 +182,12 @@ def visibility_evidence(x_image: Tensor, camera: Tensor, around: Surroundings) -
 
 
 def plane_evidence(x: Tensor, cloud: Tensor, around: Surroundings) -> Tensor:
-    """Where queries lie above the support plane.
+    """Positions of queries above the support plane.
 
     Args:
         x: [B, Q, 3], network frame.
         cloud: [B, P, 3], network frame.
-        around: Of the same views.
+        around: Surroundings of the same views.
 
     Returns:
         [B, Q, PLANE_SIZE + 2], float32; the last two say what evidence there is.

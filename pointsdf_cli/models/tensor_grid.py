@@ -21,7 +21,7 @@ from torch.autograd.function import once_differentiable
 from pointsdf_cli.geometry.arrays import Array
 
 NODES = 20_000
-"""About so many cells at most, whatever the object's size; the step grows instead."""
+"""Approximate limit on the number of cells, for objects of any size; the step grows instead."""
 
 
 class TensorGrid:
@@ -31,7 +31,7 @@ class TensorGrid:
         field: Signed distances [N] m at points [N, 3] m.
         low, high: [3], the box, m.
         step: Wanted side of a cell, m.
-        nodes: About so many cells at most; along each side one more node than cells.
+        nodes: Approximate limit on the number of cells; along each side one more node than cells.
 
     Attributes:
         step: f8 [3], the sides of a cell, m.

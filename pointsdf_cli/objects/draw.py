@@ -18,8 +18,8 @@ class Draw:
     so that the recorded number is the number used.
 
     Args:
-        rng: Where the randomness comes from. `Draw.rng` is open to shapes that need bulk noise,
-            which is not recorded.
+        rng: Random generator. `Draw.rng` is open to shapes that need bulk noise, which is not
+            recorded.
     """
 
     def __init__(self, rng: np.random.Generator) -> None:

@@ -1,4 +1,4 @@
-"""What a family of objects is."""
+"""Definition of a family of objects."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Family:
         build: Draws the parameters and returns the closed solid: metres, +z up, in the pose in
             which the object stands or lies on a table. Its place is free.
         weight: How often the family is drawn, relative to the others.
-        kind: What sort of shape it is, for the balance of the mix.
+        kind: Kind of shape, for the balance of the mix.
         summary: One line for the documentation.
         unevenness: Largest displacement of the surface by its smooth irregularities, as a fraction
             of the object's largest extent: fruit is uneven, steel is not.

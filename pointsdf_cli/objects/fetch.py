@@ -21,7 +21,7 @@ from pointsdf_cli.objects.download import Patience, download
 from pointsdf_cli.objects.ycb_names import choose_ycb
 
 YCB_BASE_URL = "http://ycb-benchmarks.s3-website-us-east-1.amazonaws.com/data/google/"
-"""Where the official YCB download script finds the Google scanner's archives."""
+"""Address at which the official YCB download script finds the Google scanner's archives."""
 
 LOCK = "ycb.lock.json"
 _LOCK_FORMAT = 1
@@ -29,14 +29,14 @@ _LOCK_FORMAT = 1
 
 @dataclass(frozen=True)
 class LockEntry:
-    """What is known of one archive and the mesh made from it.
+    """Lock entry of one archive and the mesh made from it.
 
     Attributes:
-        url: Where it came from.
-        sha256: Of the archive's bytes, as first seen.
-        size: Of the archive in bytes.
-        mesh_sha256: Of the PLY made from it.
-        repair: What was done to close the mesh.
+        url: Address of the archive.
+        sha256: Hash of the archive's bytes, as first seen.
+        size: Size of the archive in bytes.
+        mesh_sha256: Hash of the PLY made from it.
+        repair: Repair that closed the mesh.
     """
 
     url: str

@@ -29,7 +29,7 @@ def uneven(solid: Manifold, draw: Draw, amount: float) -> Manifold:
 
     Args:
         solid: The object.
-        draw: Where the waves come from.
+        draw: Source of the waves.
         amount: Upper bound of the displacement relative to the largest extent.
     """
     low, high = np.reshape(solid.bounding_box(), (2, 3))

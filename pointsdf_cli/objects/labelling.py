@@ -29,7 +29,7 @@ class LabelTask:
 
 @dataclass(frozen=True)
 class LabelSummary:
-    """What was labelled, and the fractions of points found inside."""
+    """Number of labelled points, and the fractions inside."""
 
     points: int
     inside_fraction: float

@@ -23,7 +23,7 @@ class StandIn:
     """One object as a member of a family.
 
     Attributes:
-        family: Of objects/families.py.
+        family: Family in objects/families.py.
         parameters: Draws that are fixed; all others take the middle of their range.
         size: [m], the box that the object is then stretched to, along x, y and z.
     """

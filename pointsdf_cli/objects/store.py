@@ -65,7 +65,7 @@ def make_objects(
     Args:
         out: A folder, made if need be.
         count: 1 or more.
-        seed: Of the series of objects; 0 or more.
+        seed: Random seed of the series of objects; 0 or more.
         families: Names to choose from; None for all.
         jobs: Processes.
         shard: `i/n` makes only every n-th object, from the i-th.

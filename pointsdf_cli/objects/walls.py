@@ -18,7 +18,7 @@ def shell(line: np.ndarray, wall: float) -> Manifold:
 
 
 def cavity(line: np.ndarray, wall: float) -> Manifold:
-    """What the wall of `shell` encloses, up to the level of its rim."""
+    """Space enclosed by the wall of `shell`, up to the level of its rim."""
     rim = float(line[-1, 1]) + wall
     inside = polygon(np.concatenate([line, [(line[-1, 0], rim), (0, rim)]]))
     return turn(inside - stroke(line, wall))

@@ -14,7 +14,7 @@ from pointsdf_cli.planning.grasp_problem import GraspProblem
 
 @dataclass(frozen=True)
 class AcceptanceConfig:
-    """What is good, and what is good enough (the paper: h > 0.6 and the objective < 5).
+    """Acceptance of grasps: good, and good enough (the paper: h > 0.6 and the objective < 5).
 
     The paper's h was no calibrated probability; ours is, and grasps of which 6 in 10 hold do not
     exist for every object. So h > 0.6 ends the search, what is above `least` is taken where a
@@ -23,10 +23,12 @@ class AcceptanceConfig:
 
     Attributes:
         success: A predicted probability of success above this ends the search.
-        least: What is above this is taken where a longer search finds nothing better.
+        least: Success probability above which a grasp is taken when a longer search finds no better
+            one.
         objective: The largest objective.
-        floor: Where nothing is above `least`, or nothing below `objective`, the best that touches
-            nothing is taken with a warning if it is above this; `least` itself for no such grasp.
+        floor: Success probability above which, if no grasp exceeds `least` or falls below
+            `objective`, the best collision-free grasp is taken with a warning. Equal to `least`: no
+            such grasp.
     """
 
     success: float = 0.6
@@ -58,7 +60,7 @@ class Candidate:
             [m]; negative is too near, infinite where there is nothing to touch.
         limit_slack: Smallest distance to a joint limit; negative is beyond.
         reason: One of `reasons.REASONS`, or empty where the solution is accepted.
-        kind: Of the seed that it came from, "side" or "top".
+        kind: Kind of its seed, "side" or "top".
     """
 
     x: Array

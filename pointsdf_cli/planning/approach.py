@@ -17,7 +17,7 @@ class ApproachConfig:
     """How the last stretch runs.
 
     Attributes:
-        length: Of the straight stretch [m].
+        length: Length of the straight stretch [m].
         shortest: Shorter ones are no approach [m].
         step: Between inverse kinematics solutions on the way [m].
         deviation: Between them the palm may leave the straight line by this [m], at most.

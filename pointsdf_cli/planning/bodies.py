@@ -34,8 +34,8 @@ class BodyDistances:
     shapes.
 
     Args:
-        geometry: Of the robot.
-        environment: What stands around.
+        geometry: Geometry of the robot.
+        environment: Obstacles and table.
         reach: Distances up to here [m] are exact.
 
     Attributes:
@@ -98,7 +98,7 @@ class BodyDistances:
         """Distances [B, M] of all pairs, with witness points.
 
         Args:
-            poses: Of B configurations.
+            poses: Poses of B configurations.
             wanted: bool [M], the pairs that are wanted exactly; the others only by their balls.
         """
         count, pairs = len(poses.rotation), len(self._pairs)

@@ -13,7 +13,7 @@ def check_scene_inputs(clouds: Sequence[Cloud], names: Sequence[str], segment: s
 
     Args:
         clouds: One a camera.
-        names: Of the clouds, for messages.
+        names: Names of the clouds, for messages.
         segment: "auto" of clouds of a whole table, "none" of clouds of the object alone.
 
     Raises:

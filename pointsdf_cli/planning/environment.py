@@ -1,4 +1,4 @@
-"""What stands around the object: the table and further obstacles, from a YAML file or by hand.
+"""Surroundings of the object: the table and further obstacles, from a YAML file or by hand.
 
 table: true                      # the half space below z = 0; true if left out
 obstacles:
@@ -33,7 +33,7 @@ class Obstacle:
     """One body that does not move.
 
     Attributes:
-        name: What messages call it.
+        name: Name used in messages.
         kind: "box", "cylinder", "sphere" or "mesh".
         size: [m]: box (x, y, z), cylinder (radius, length along z), sphere (radius,), mesh ().
         pose: [4, 4], in the world.

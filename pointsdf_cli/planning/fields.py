@@ -115,7 +115,7 @@ class NearField:
     are all equally near) and says nothing that the box does not.
 
     Args:
-        field: What to ask.
+        field: Field to evaluate.
         low, high: [3], the box [m]; it must enclose the surface.
         reach: Points nearer to the box than this [m] are asked.
     """
@@ -152,7 +152,7 @@ class MeshField:
     """
 
     STEP = 1e-4
-    """Of the central differences [m]: far above float32 rounding, far below any curvature."""
+    """Step of the central differences [m]: far above float32 rounding, far below any curvature."""
 
     def __init__(self, vertices: Array, faces: NDArray[np.integer]) -> None:
         self._distance = SignedDistance(vertices, faces, threads=1)

@@ -76,7 +76,7 @@ class ObjectGrasps(GraspScore, GraspSampler, Protocol):
 
 
 class SuccessModel(Protocol):
-    """What is asked of a loaded success network."""
+    """Protocol of a loaded success network."""
 
     def on(
         self, points: Array, T_world_camera: Array, field: Field | None = None, seed: int = 0
@@ -87,19 +87,19 @@ class SuccessModel(Protocol):
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What is decided before any cloud is seen.
+    """Options that are fixed before any cloud is read.
 
     Attributes:
         method: One of `METHODS`.
         solver: "sqp" or "slsqp".
         kind: "side", "top", or "auto": whichever promises more; low objects from the top first.
         robot: Its YAML file; the bundled one if None.
-        checkpoint: Of the reconstruction network; the bundled one if None.
-        grasp_checkpoint: Of the success network; the method's bundled one if None.
+        checkpoint: Reconstruction network; the bundled one if None.
+        grasp_checkpoint: Success network; the method's bundled one if None.
         clearances: Least distances.
         margin: Distance to the object that is kept where it can be [m].
         successive_halving: Iterations after which the worse half of the seeds stops.
-        device: Where the networks are.
+        device: Device of the networks.
         synthesis: How long to look, and what is good enough.
         speed: Share of the joints' speed limits that the motion uses.
         resampled_views: Further samples of the cloud's points to complete, for the resampled-view
@@ -128,15 +128,15 @@ class PlanOptions:
 
 @dataclass(frozen=True)
 class PerceivedObject:
-    """What is made of a cloud before anything is planned.
+    """An object as perceived, before anything is planned.
 
     Attributes:
         target: The object as a constraint and a score.
         points: [N, 3], all views in the world, m.
-        reconstruction: Of the first view; None in partial-view grasping.
+        reconstruction: Reconstruction of the first view; None in partial-view grasping.
         timings: Seconds by stage.
         resampled: Fields completed from further samples of the points, `resampled_views` of them.
-        fused: What several views say together; None of one view.
+        fused: Mean field of all views; None for one view.
     """
 
     target: Target
@@ -154,7 +154,8 @@ class Answer:
     Attributes:
         plan: The artifact; its status says whether there is a plan.
         target: The object as a constraint and a score; None where there is no object.
-        reconstruction: Of the cloud; None in partial-view grasping, or without an object.
+        reconstruction: Reconstruction of the cloud; None in partial-view grasping, or without an
+            object.
         candidates: [C, J], the configurations of all accepted grasps, best first.
     """
 
@@ -211,7 +212,7 @@ class GraspPlanner:
         Args:
             views: One or more views of the same object. Each is completed on its own, and the mean
                 of the fields is the object; the score is made for the first.
-            seed: Of the resampling of the cloud.
+            seed: Random seed of the cloud's resampling.
             field: Constrains the robot instead of the method's own field: the truth in trials, or
                 "none" for no constraint. The score reads the method's own all the same.
             table: The object rests on the table: what could not stand there as it was completed
@@ -268,7 +269,7 @@ class GraspPlanner:
 
         Args:
             views: As in `see`.
-            environment: What stands around; the table alone if None.
+            environment: Obstacles and table; the table alone if None.
             start: [J], where the robot is; its home if None.
             seed: Equal seeds give equal plans.
             field: As in `see`.

@@ -67,10 +67,10 @@ class GraspProblem:
     """The problem for one object; `nonlinear.Problem` for the solvers.
 
     Args:
-        geometry: Of the robot.
-        score: Of grasps of the object.
-        field: Of the object, as the solver shall ask it (the network, or a grid of it).
-        environment: What stands around.
+        geometry: Geometry of the robot.
+        score: Score of grasps of the object.
+        field: Field of the object for the solver: the network, or a grid of it.
+        environment: Obstacles and table.
         clearances: Margins.
         objective: α and β.
         critical: How many constraints `evaluate` reports of each configuration.

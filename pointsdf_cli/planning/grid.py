@@ -58,7 +58,7 @@ class GridField:
     surface that lies within the box this never exceeds the true distance.
 
     Args:
-        field: What to keep; asked only here.
+        field: Field to sample; evaluated only here.
         low, high: [3], the box [m]; it must enclose the surface.
         config: How fine.
 
@@ -209,7 +209,7 @@ def surface_box(
     Args:
         field: Asked on a grid of `step` [m].
         low, high: [3], the wide box [m].
-        step: Of that grid; the result is tight to about that much.
+        step: Step of that grid; the result is tight to about as much.
         slope: The largest slope of the field.
 
     Raises:

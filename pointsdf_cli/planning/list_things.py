@@ -21,7 +21,7 @@ from pointsdf_cli.viz.segment_picture import segment_picture
 
 @dataclass(frozen=True)
 class Listing:
-    """What stands on a table.
+    """List of the objects on a table.
 
     Attributes:
         scene: Every point sorted.

@@ -27,7 +27,7 @@ class MotionConfig:
 
     Attributes:
         attempts: Searches with another seed each (the paper: three).
-        seconds: Of each search, at most.
+        seconds: Time limit of each search.
         looks: Configurations that a search may look at; as many as it likes if None.
         range: Longest edge of the tree [rad].
         shortcuts: Rounds of shortcutting.

@@ -1,4 +1,4 @@
-"""What a solver is given and what it gives back, whatever the problem.
+"""Interface between solvers and problems.
 
 min f(x)   subject to   c(x) ≥ 0,   lower ≤ x ≤ upper,   from many starts x [B, n]
 """
@@ -56,7 +56,7 @@ class Problem(Protocol):
 
 @dataclass(frozen=True)
 class Solutions:
-    """What came of B starts.
+    """Results for B starts.
 
     Attributes:
         x: [B, n].
@@ -80,7 +80,7 @@ class Solver(Protocol):
         """Solve from all starts [B, n]; equal input gives equal output.
 
         Args:
-            problem: What to solve.
-            starts: Where from.
+            problem: Problem to solve.
+            starts: Starting points.
             iterations: At most so many; the solver's own number if None.
         """

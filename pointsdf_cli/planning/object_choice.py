@@ -33,7 +33,7 @@ class NoObjectError(RgraspError):
 
 @dataclass(frozen=True)
 class Target:
-    """What the user said about the object that is meant; exactly one is not None.
+    """The user's choice of an object; exactly one attribute is not None.
 
     Attributes:
         number: In the list of things, from 1.
@@ -158,7 +158,7 @@ def choose(
 
     Args:
         things: From `numbered`.
-        target: What the user said.
+        target: The user's choice.
         points, label: As for `numbered`.
         pixels: [N, 2], (u, v) of the points; None where there is no image.
         where: The cloud's name, for messages.

@@ -22,8 +22,8 @@ class ObjectDistances:
     """Signed distances of the robot's surface patches to one object.
 
     Args:
-        geometry: Of the robot.
-        field: Of the object, world frame.
+        geometry: Geometry of the robot.
+        field: Field of the object, world frame.
         reach: Patches whose lower bound exceeds this [m] are not looked at closely.
         slope: The largest slope of the field: 1 for a distance.
 

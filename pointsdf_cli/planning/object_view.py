@@ -15,7 +15,7 @@ from pointsdf_cli.io.poses import camera_pose, table_place
 
 @dataclass(frozen=True)
 class ObjectView:
-    """What one view shows of one object.
+    """One object as seen in one view.
 
     Attributes:
         points: [N, 3], camera frame, m.
@@ -23,7 +23,7 @@ class ObjectView:
         frame: "camera" or "world": the file's.
         said: Sentences about what was kept.
         alone: The file held nothing else.
-        evidence: What the camera saw around the object; None where the object is alone.
+        evidence: Observed space around the object; None for an object alone.
     """
 
     points: Array

@@ -22,7 +22,7 @@ from pointsdf_cli.robot.kinematics import Kinematics
 
 
 class GraspScore(Protocol):
-    """What planning asks of the success network and its prior; both are differentiable.
+    """Protocol of the success network and its prior for planning; both are differentiable.
 
     One score belongs to one object: the cloud, its size and its frame are inside.
     """

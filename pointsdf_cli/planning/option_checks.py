@@ -1,4 +1,4 @@
-"""What may be asked of the planner: names and ranges, known before anything heavy is imported."""
+"""Option names and ranges of the planner, checked before any slow import."""
 
 from __future__ import annotations
 

@@ -47,10 +47,10 @@ class PathChecker:
     """Checks configurations and ways between them for one object and environment.
 
     Args:
-        geometry: Of the robot.
-        field: Of the object; its values may not exceed the true distance by more than the
+        geometry: Geometry of the robot.
+        field: Field of the object; its values may not exceed the true distance by more than the
             object's clearance.
-        environment: What stands around.
+        environment: Obstacles and table.
         clearances: Least distances.
         config: How closely to look.
 

@@ -1,4 +1,4 @@
-"""What planning found, as the plan artifact keeps it."""
+"""Results of planning in the form of the plan artifact."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def plan_of(
         problem: With the exact field and the clearances that were asked for.
         chain: The robot's arm; tells where the palm is.
         found: Everything that was tried.
-        best, motion: What was chosen; both None if nothing was.
+        best, motion: Chosen grasp and its motion; both None without a plan.
         timings: Seconds by stage.
     """
     robot = problem.kinematics.robot

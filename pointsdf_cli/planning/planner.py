@@ -49,8 +49,8 @@ SUCCESSIVE_HALVING = (6, 11)
 as much as the best after six iterations does not catch up."""
 
 MARGIN = 0.004
-"""What plans keep away from the object where they can [m]: what a reconstruction is off by on the
-side that was not seen, and by how much arms lag behind, are a few millimetres."""
+"""Distance to the object that plans keep where they can [m]: reconstructions err by a few
+millimetres on the unseen side, and arms lag behind their trajectory by as much."""
 
 PREFERRED_SLACK = 0.006
 """Up to here [m] a candidate's distance to the object is exact, whatever the clearance; rehearsal
@@ -78,9 +78,9 @@ class PlannerConfig:
         successive_halving: Iterations of `sqp` after which the worse half of the seeds stops.
         lift_height: A grasp that the arm can raise so far [m] goes before one that it cannot; at 0
             none is asked to.
-        beyond: Where the kept field less its bound exceeds the clearance by less than this [m],
-            the exact one is asked.
-        objective, synthesis, motion: Of the stages.
+        beyond: The exact field is evaluated wherever the sampled field less its bound exceeds the
+            clearance by less than this [m].
+        objective, synthesis, motion: Options of the stages.
     """
 
     solver: str = "sqp"
@@ -161,7 +161,7 @@ class Planner:
 
         Args:
             target: The object.
-            environment: What stands around; the table alone if None.
+            environment: Obstacles and table; the table alone if None.
             start: [J], where the robot is; its home if None.
             seed: Equal seeds give equal plans.
             search: How long to look and for what; as configured if None.
@@ -315,8 +315,8 @@ def _with_warning(found: Synthesis, chosen: Candidate) -> Synthesis:
 
 
 def _ranked(found: Synthesis, rank: Rank) -> Synthesis:
-    """What `rank` leaves of the accepted candidates; those that it drops count as rejected. Where
-    none is accepted it orders the fallbacks."""
+    """Apply `rank` to the accepted candidates; those it drops count as rejected. Without accepted
+    candidates it orders the fallbacks."""
     if not found.accepted:
         return replace(found, fallbacks=rank(list(found.fallbacks)))
     kept = rank(list(found.accepted))

@@ -1,4 +1,4 @@
-"""What a person would doubt at a glance at the scene, before any grasp is looked for.
+"""Plausibility of a scene, checked before any grasp is searched.
 
 A wrong camera pose, a wrong option or a wrong cloud gives a scene that cannot be: a camera that
 looks up through the table, an object in the air. The planner would answer all the same.
@@ -36,8 +36,8 @@ def require_table_at_zero(worlds: Sequence[Array], names: Sequence[str]) -> None
     """Refuse views of a table that is far from z = 0, where plans take it to be.
 
     Args:
-        worlds: Of each view, points [N, 3] in the world, m.
-        names: Of the views, for messages.
+        worlds: Points [N, 3] of each view in the world, m.
+        names: Names of the views, for messages.
 
     Raises:
         InputError: A view shows a table at another height, and none at z = 0.

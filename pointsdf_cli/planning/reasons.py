@@ -35,13 +35,13 @@ FREE_SHARE = 0.05
 
 @dataclass(frozen=True)
 class SeedStatistics:
-    """What became of the grasps that were drawn from the prior, in palms.
+    """Counts of the sampled palms by outcome.
 
     Attributes:
         drawn: All.
-        above_table: Of them, those above the table.
-        reached: Of those, those that the arm reaches.
-        free: Of those, those that touch nothing.
+        above_table: Palms above the table.
+        reached: Palms above the table that the arm reaches.
+        free: Reached palms without collision.
         object, table, obstacle, itself: The others, by what they enter deepest.
     """
 
@@ -61,7 +61,7 @@ class SeedStatistics:
 
     @property
     def in_the_way(self) -> str:
-        """What most of the grasps that are not free enter: a field's name."""
+        """Most frequent collision of the reached grasps: a field's name."""
         return max(("object", "table", "obstacle", "itself"), key=lambda name: getattr(self, name))
 
 
@@ -120,7 +120,7 @@ def too_large(width: float, span: float) -> tuple[str, str]:
 
 
 def warning(chosen: Candidate, seeds_tried: int) -> str:
-    """What is to be said of a plan whose grasp would not have been accepted."""
+    """Warning for a plan whose grasp would not have been accepted."""
     return (
         f"Of {seeds_tried} grasps none looks good; this is the best that touches nothing, "
         f"predicted to hold with probability {chosen.success:.2f} only. Turn the object, or look "

@@ -1,4 +1,4 @@
-"""What other draws of a cloud's points say of a grasp that was planned with one of them.
+"""Resampled-view check: a grasp tested against reconstructions from other samples of the cloud.
 
 A network reads 1000 of the points that were seen. Where something unseen may be is a guess, and
 another thousand make another guess. A solver that looks for a place for a hand finds the places
@@ -26,8 +26,8 @@ class ResampledViewCheck:
     """Asks the other draws.
 
     Args:
-        geometry: Of the robot.
-        fields: Of the object, world frame, one a draw.
+        geometry: Geometry of the robot.
+        fields: Fields of the object, world frame, one for each sample.
     """
 
     def __init__(self, geometry: RobotGeometry, fields: tuple[Field, ...]) -> None:

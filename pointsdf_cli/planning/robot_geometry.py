@@ -18,8 +18,8 @@ PATCH = 16
 """Samples in a patch, at most."""
 
 SPACING = 0.006
-"""Of the samples [m]. Between samples a finger can be nearer to an object than any of them: in
-executed plans by up to 3.3 mm at 1 cm, 1.7 mm at 6 mm (docs/trials.md)."""
+"""Spacing of the samples [m]. Between samples a finger can be nearer to an object than any of them:
+in executed plans by up to 3.3 mm at 1 cm, 1.7 mm at 6 mm (docs/trials.md)."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Body:
         name: The link's, or the obstacle's.
         geometry: For coal.
         pose: [4, 4], in the link.
-        centre, radius: Of a ball around it, in the link.
+        centre, radius: Bounding ball, in the link's frame.
     """
 
     link: int
@@ -59,15 +59,15 @@ class Patches:
 
 
 class RobotGeometry:
-    """What planning must know of a robot's shape.
+    """Shape of a robot for planning.
 
     Args:
-        kinematics: Of the robot.
+        kinematics: Kinematics of the robot.
         spacing: No surface point is farther than this [m] from a sample.
 
     Attributes:
         bodies: One for each shape.
-        patches: Of all links' surfaces.
+        patches: Patches of all links' surfaces.
         reach: [L + 1, J], see `link_reach`.
         hand: The hand's surface for any preshape.
     """

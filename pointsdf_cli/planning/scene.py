@@ -38,14 +38,14 @@ class Scene:
     """One camera's view, thinned to M of its N points.
 
     Attributes:
-        name: Of the cloud, for messages.
+        name: Name of the cloud, for messages.
         all_points: [N, 3], camera frame, m.
         all_pixels: [N, 2], (u, v) of each; None where no image is known.
         voxel: i8 [N], the thinned point of each; -1 for those that cleaning dropped.
         points: [M, 3], camera frame, m.
         world: [M, 3], world, m.
         pixels: [M, 2], (u, v); None where no image is known.
-        things: What each thinned point belongs to, or one of the negative labels.
+        things: Object of each thinned point, or one of the negative labels.
         listed: The things, best to grasp first.
         flying: How many of the N points were flying pixels or outliers.
         T_world_camera: [4, 4].
@@ -94,7 +94,7 @@ class Sighting:
         T_world_camera: [4, 4].
         image: The depth image with its intrinsics; None where the input was a cloud.
         others_in_world: [J, 3], points of other things above the table, thinned, world, m.
-        cleaning: Of the object's points.
+        cleaning: Report on cleaning the object's points.
     """
 
     object_points: Array
@@ -117,9 +117,9 @@ def sort_scene(
     """Thin and clean a cloud with a pose, and find the things on its table.
 
     Args:
-        cloud: Of the table top; its pose is known.
-        name: Of the cloud, for messages.
-        workspace: What is looked at.
+        cloud: Cloud of the table top; its pose is known.
+        name: Name of the cloud, for messages.
+        workspace: Part of the scene to use.
         on_robot: Which points [M, 3] of the world are the robot's own.
         reach: From `object_choice.reach_of`; None where the robot's place is not known.
         cleaned: Whether flying pixels and outliers are dropped.
@@ -190,7 +190,7 @@ def thin_and_clean(points: Array, cloud: Cloud, cleaned: bool) -> tuple[Thinned,
 
 
 def image_place(points: Array, pixels: Array | None, image: DepthImage | None) -> Array:
-    """Where points [M, 3] are in the image, in units of half of it: (0, 0) is the middle."""
+    """Image coordinates of points [M, 3] in units of half the image: (0, 0) is the middle."""
     if pixels is not None and image is not None:
         half = np.array(image.depth.shape[::-1]) / 2
         return np.asarray((pixels - half) / half)
@@ -205,7 +205,7 @@ def sighting(scene: Scene, thing: Thing, cleaned: bool = True) -> Sighting:
 
     Args:
         scene: Sorted.
-        thing: Of its list.
+        thing: Object in its list.
         cleaned: Whether specks and outliers of the object are dropped.
     """
     mine = scene.label == thing.label
@@ -227,7 +227,7 @@ def sighting(scene: Scene, thing: Thing, cleaned: bool = True) -> Sighting:
 
 
 def describe(scene: Scene, thing: Thing, seen: Sighting) -> str:
-    """What was kept of the scene and what became of each other point, for the user."""
+    """Summary for the user: points kept, and the fate of all others."""
     label = scene.label
     count = {
         "outside the workspace": OUTSIDE,

@@ -25,12 +25,12 @@ MANY = 400_000
 """Scenes of more points take seconds: it is said that something is done."""
 
 ANYWHERE = SegmentationConfig(low=(-5.0, -5.0, -0.05), high=(5.0, 5.0, 0.6))
-"""What is looked at before it is known where the robot stands."""
+"""Workspace while the robot's place is still unknown."""
 
 
 @dataclass(frozen=True)
 class SceneInput:
-    """What a command is given to work on.
+    """Input of a command: clouds, target and notes.
 
     Attributes:
         clouds: One a camera.
@@ -117,7 +117,7 @@ def read_scene(
 
 
 def table_note(cloud: Cloud, place: tuple[float, float]) -> str:
-    """What to know about a pose that was made from the table."""
+    """Note on a pose that was made from the table."""
     assert cloud.T_world_camera is not None
     height = cloud.T_world_camera[2, 3]
     return (
@@ -139,8 +139,8 @@ def stand_on_table(
     """A cloud with a pose in which z = 0 is its table and the object stands at a place.
 
     Args:
-        cloud: Whose pose is not known.
-        name: Of the cloud, for messages.
+        cloud: Cloud without a known pose.
+        name: Name of the cloud, for messages.
         place: x and y [m] of the object.
         target: The object that is meant: a number as `segment` lists them, or a pixel.
         workspace, cleaned: As in `look_at_table`.

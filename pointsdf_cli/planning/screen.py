@@ -24,7 +24,7 @@ class HandOutline:
     """The hand's surface for any preshape.
 
     Args:
-        kinematics: Of the robot.
+        kinematics: Kinematics of the robot.
 
     Attributes:
         span: The largest side of the opened hand's box [m]: it reaches around nothing that is wider
@@ -58,7 +58,7 @@ def lifted(outline: Array, palm: Array, gap: float) -> Array:
     """Palms [N, 4, 4], raised until the hand's points [N, P, 3] (palm frame) clear the table.
 
     Args:
-        outline: Of each hand.
+        outline: Outline of each hand.
         palm: T_world_palm.
         gap: Left between hand and table [m].
     """

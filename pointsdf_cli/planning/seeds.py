@@ -1,4 +1,4 @@
-"""Where the solvers start: grasps drawn from the prior, reached by inverse kinematics.
+"""Seeds of the solvers: grasps sampled from the prior, reached by inverse kinematics.
 
 As the paper does: sample q_g from the prior's side component, palm above the table. Beyond the
 paper, many palms are drawn at once and every elbow position that reaches one is judged by the
@@ -39,9 +39,9 @@ class SeedConfig:
 
     Attributes:
         drawn: Grasps drawn from the prior in a round.
-        palms: Of them, those that the arm is asked to reach.
-        share: Of the palms, those that are the best as far as the hand alone tells; the others
-            are any, so that the arm is not asked for one place only.
+        palms: Number of them handed to inverse kinematics.
+        share: Share of those palms chosen by the hand-only screening; the rest are random, so that
+            the arm is not asked for one place only.
         seeds: Configurations handed to the solver.
         elbows: Elbow positions judged for each palm, at most.
         lowest_palm: Palms whose origin is lower above the table [m] are not tried.
@@ -71,7 +71,7 @@ class Seeds:
     Attributes:
         x: [S, n]; S may be 0.
         kinds: [S], "side" or "top".
-        statistics: What became of all that was drawn.
+        statistics: Counts of the samples by outcome.
     """
 
     x: Array

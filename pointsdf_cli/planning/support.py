@@ -1,4 +1,4 @@
-"""What holds a reconstruction up although no camera saw it.
+"""Hidden support of a reconstruction.
 
 What rests on the table stands: its centre of mass is above the feet that it stands on. A
 reconstruction that could not stand lacks a part of them, and the part is below it, where the camera
@@ -19,14 +19,14 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 
 FOOT = 0.012
-"""What is lower than this [m] above the table stands on it: the feet of a reconstruction are a
-little off, as everything unseen is."""
+"""Height above the table [m] below which a shape counts as standing on it: the feet of a
+reconstruction are a little off, as everything unseen is."""
 
 FINE = 0.004
 """So closely [m] are feet looked for where a coarser grid shows none: bases of cups are thin."""
 
 SPACING = 0.008
-"""Of the places below that count as taken [m]: a finger does not pass between them."""
+"""Spacing of the occupied places below the shape [m]: no finger passes between them."""
 
 BEHIND = 0.005
 """A place is hidden by a seen point that is nearer to the camera by more than this [m]."""
@@ -64,7 +64,7 @@ def hidden_below(solid: Array, views: Sequence[tuple[Array, Array]]) -> Array:
 
     Args:
         solid: [N, 3], places inside of the body, world, m.
-        views: Of each, the camera's place [3] and the object's seen points [P, 3], world, m.
+        views: Camera position [3] and observed object points [P, 3] of each view, world, m.
     """
     cells, column = np.unique(
         np.floor(solid[:, :2] / SPACING).astype(np.int64), axis=0, return_inverse=True

@@ -27,13 +27,13 @@ from pointsdf_cli.planning.seeds import GraspSampler, SeedConfig, draw_seeds
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
 SOLVER_MARGIN = 0.0005
-"""What the solver keeps beyond the clearances asked for [m]: its own tolerances fit in twice."""
+"""Extra clearance kept by the solver [m]: twice its own tolerance."""
 
 WORTH = 0.05
 """A solution is solved again only if its objective is better than the best so far by this."""
 
 MARGINS = (1.0, 0.5, 0.0)
-"""Of the margin to the object, what is kept in each round."""
+"""Share of the margin to the object that is kept in each round."""
 
 FALLBACKS = 4
 """Grasps kept for want of an accepted one: if no motion leads to these, none does."""
@@ -47,13 +47,13 @@ class SynthesisConfig:
     """How long to look.
 
     Attributes:
-        rounds: Of seeds (the paper: up to five).
+        rounds: Rounds of seeds (the paper: up to five).
         enough: After so many rounds any accepted grasp ends the search, and so does a round that
             gains little where all that is free is poor; before, a good one does.
         polished: Solutions of a round that are solved again with the exact field, at most.
-        polish_iterations: Of that; they start next to where they end.
+        polish_iterations: Iterations of that second solution; it starts near its end.
         seeds: How seeds are drawn.
-        acceptance: What is good enough.
+        acceptance: Thresholds of a good grasp.
         kinds: "side", "top" or "either", one a round, over and over.
     """
 
@@ -72,7 +72,7 @@ class SynthesisConfig:
 
 @dataclass(frozen=True)
 class Synthesis:
-    """What came out.
+    """Result of the search.
 
     Attributes:
         best: The accepted candidate with the smallest objective, None if there is none.
@@ -82,7 +82,7 @@ class Synthesis:
         reason: Empty, or why there is no plan.
         sentence: The same for a person.
         seeds_tried: Starts given to the solver.
-        statistics: What became of the prior's grasps.
+        statistics: Counts of the prior's grasps by outcome.
         timings: Seconds by stage.
     """
 
@@ -116,8 +116,8 @@ class Problems:
     polish: GraspProblem
 
     def in_round(self, turn: int, least: float) -> Problems:
-        """What is solved in a round: what the solver keeps of the object beyond `least` [m] shrinks
-        from round to round, for a grasp that comes near is better than none."""
+        """Problems of one round: the distance kept beyond `least` [m] shrinks from round to round,
+        because a grasp with less distance is better than none."""
         share = MARGINS[min(turn, len(MARGINS) - 1)]
         wanted = self.quick.clearances.object
         if share == 1 or wanted <= least:
@@ -140,9 +140,9 @@ def synthesise(
     """Look for the best acceptable configuration; equal generators give equal results.
 
     Args:
-        whole: What is solved, as in the first round.
-        prior, kinematics, solver: Where seeds come from, and how they are solved.
-        rng: Of the seeds.
+        whole: Problems of the first round.
+        prior, kinematics, solver: Source of the seeds, and their solver.
+        rng: Random generator of the seeds.
         config: How long to look.
         stop: Asked after every round that has added to the accepted candidates whether to
             stop; if None, what the configuration says of good grasps and of enough rounds.

@@ -35,7 +35,7 @@ class TableSession:
     """An answer and everything that it was made from.
 
     Attributes:
-        answer: Of the planner.
+        answer: Answer of the planner.
         report: Sentences about what was seen.
         warnings: Sentences about what cannot be as it was given.
         start: [J], where the robot is.
@@ -83,14 +83,14 @@ def plan_on_table(
     Args:
         planner: Loaded.
         clouds: One a camera, each with its pose.
-        names: Of the clouds, for messages.
-        environment: What is known to stand around; the table alone if None.
-        start: Where the robot is, as typed; its home if None.
+        names: Names of the clouds, for messages.
+        environment: Known obstacles and table; the table alone if None.
+        start: Start configuration as typed; the robot's home if None.
         seed: Equal seeds give equal plans.
         segment: "auto", or "none" where the clouds hold the object alone.
         target: The object that is meant, or a place [3] of it in the world.
         others: Whether other things that are seen are obstacles.
-        workspace: What is looked at of the world.
+        workspace: Part of the world to use.
         cleaned: Whether flying pixels, outliers and specks are dropped.
         warn: Told what cannot be as it was given, before the planning.
 
@@ -159,7 +159,7 @@ def _with_surface(answer: Answer) -> Plan:
 
 
 def table_doubt(height: float | None, clouds: Sequence[Cloud]) -> str:
-    """What speaks against the camera's pose; nothing if the table is where it should be."""
+    """Evidence against the camera's pose; empty if the table is where it should be."""
     if height is not None and abs(height) > TABLE_OFF:
         return f"the table is seen at z = {height * 1000:.0f} mm, not 0: check the camera's pose"
     world = np.concatenate([_in_world(cloud) for cloud in clouds])

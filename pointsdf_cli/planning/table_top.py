@@ -32,12 +32,12 @@ from pointsdf_cli.robot.own_points import off_robot, robot_points
 SEGMENT = ("auto", "none")
 
 WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
-"""What is looked at, unless another is named. Wider than what the bundled arm reaches: what stands
-beyond is seen, and said to be out of reach."""
+"""Default workspace. Wider than the bundled arm's reach, so that objects beyond are seen and
+reported as out of reach."""
 
 
 def workspace_of(corners: tuple[tuple[float, ...], tuple[float, ...]] | None) -> SegmentationConfig:
-    """What is looked at: the box between two corners [3] of the world, m; the usual if None."""
+    """Workspace: the box between two corners [3] of the world, m; the default if None."""
     if corners is None:
         return WORKSPACE
     (x0, y0, z0), (x1, y1, z1) = corners
@@ -48,21 +48,21 @@ DENSE = 100_000
 """A cloud of one object with more points is thinned: it shows no more and takes longer."""
 
 WIDEST = 0.6
-"""What is wider than this [m] in every level direction is not looked at any closer."""
+"""Largest level extent [m] of an object that is considered."""
 
 SAME_THING = 0.03
-"""What another camera sees of the object is no farther [m] from what the first one saw of it."""
+"""Largest distance [m] between an object's points in another camera and in the first one."""
 
 
 @dataclass(frozen=True)
 class TableTop:
-    """What clouds say about the object and its surroundings.
+    """The object and its surroundings, as found in the clouds.
 
     Attributes:
         views: The object from each camera.
         others: [N, 3], points on other things above the table, world, m.
         report: One sentence a cloud: what was kept and what dropped.
-        table_height: Of the plane that was seen [m], None where none was.
+        table_height: Height of the observed plane [m]; None without one.
     """
 
     views: tuple[View, ...]
@@ -85,13 +85,13 @@ def look_at_table(
 
     Args:
         clouds: One a camera, each with its pose.
-        names: Of the clouds, for messages.
+        names: Names of the clouds, for messages.
         robot: The robot.
         start: [J], where it is: points on it are left out.
         segment: "auto", or "none" where the clouds hold the object alone.
         target: The object that is meant, or a place [3] of it in the world; of the first cloud
             where it is a number or a pixel. The best to grasp if None.
-        workspace: What is looked at of the world.
+        workspace: Part of the world to use.
         cleaned: Whether flying pixels, outliers and specks are dropped.
 
     Raises:
@@ -154,7 +154,7 @@ def look_at_table(
 
 
 def view_of(seen: Sighting) -> View:
-    """What the planner is told of one camera's sighting."""
+    """The planner's view of one camera's sighting."""
     pitch = None if seen.image is None else 1.0 / float(seen.image.K[0, 0])
     image = visibility_image(seen.object_points, seen.other_points, seen.support_plane, pitch)
     evidence = ViewEvidence(image, seen.support_plane)
@@ -203,8 +203,8 @@ def _require_same(points: Array, first: tuple[Array, Array], name: str) -> None:
 
     Args:
         points: [N, 3], what this camera takes for the object, world, m.
-        first: What the first camera saw of the object, [M, 3], and of other things, [K, 3].
-        name: Of the cloud.
+        first: Points of the object [M, 3] and of other things [K, 3] in the first camera.
+        name: Name of the cloud.
 
     Raises:
         NoObjectError: It is another thing.
@@ -290,7 +290,7 @@ def chosen_thing(
 
     Args:
         scene: Sorted.
-        wanted: What the user said; the best to grasp if None.
+        wanted: The user's choice; the best object to grasp if None.
         workspace: That the scene was sorted with, for messages.
         again: Another camera named the target, which then says more than a mask.
 

@@ -71,7 +71,7 @@ class NoField:
 
 @dataclass(frozen=True)
 class ObjectField:
-    """What an object occupies, as far as it is known.
+    """The space an object occupies, as far as known.
 
     Attributes:
         field: Its signed distance field, world frame.
@@ -99,8 +99,8 @@ class Target:
     Attributes:
         field: Its signed distance field, world frame: what the robot may not enter.
         low, high: [3], a box [m] around its surface.
-        score: Of grasps of it.
-        prior: Where seeds come from.
+        score: Score of its grasps.
+        prior: Source of seeds.
         kept: The field on a grid; the planner makes one where it is None.
     """
 
@@ -128,7 +128,7 @@ def reconstructed_object(
     grid: GridConfig | None = None,
     seen: Array | None = None,
 ) -> ObjectField:
-    """What a network has completed from one view or more, in the world's frame.
+    """An object completed by a network from one view or more, in the world's frame.
 
     Args:
         reconstructions: One a view.
@@ -144,7 +144,8 @@ def reconstructed_object(
 
 
 def completed_field(reconstructions: Sequence[Reconstruction]) -> Field:
-    """What `reconstructed_object` asks, without the grid; far from everything if nothing is solid.
+    """The field of `reconstructed_object` without the grid; far from everything if nothing is
+    solid.
 
     Args:
         reconstructions: One a view.
@@ -158,7 +159,7 @@ def completed_field(reconstructions: Sequence[Reconstruction]) -> Field:
 
 
 def _network_box(reconstructions: Sequence[Reconstruction]) -> tuple[Array, Array, float]:
-    """Where the networks may put a surface, [3] and [3] m, and how finely to look for it [m]."""
+    """Search box of the networks' surface, corners [3] and [3] in m, and its cell size [m]."""
     # The network was trained in a box of ±0.6 (`sdf_sampling.py`), its meshes reach to ±0.8.
     low = np.min([r.centre - 0.75 / r.scale for r in reconstructions], axis=0)
     high = np.max([r.centre + 0.75 / r.scale for r in reconstructions], axis=0)

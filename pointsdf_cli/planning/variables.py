@@ -1,4 +1,4 @@
-"""What planning moves: the arm and the preshape (7 + 8 joints); the hand's other joints rest."""
+"""Variables of planning: arm and preshape joints (7 + 8); the hand's other joints rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the arm puts the palm, and how its joints move it: the chain from the base, in numpy.
+"""Forward kinematics and Jacobian of the arm's chain from base to palm, in numpy.
 
 `kinematics.py` finds all links of the robot, with gradients; where only the palm is wanted, for a
 few configurations, this takes a tenth of the time.

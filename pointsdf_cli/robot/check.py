@@ -29,7 +29,7 @@ class Finding:
     Attributes:
         level: "error" stops planning or makes it meaningless; "warning" may be meant.
         what: One sentence.
-        fix: What to change in the YAML.
+        fix: Change to make in the YAML.
     """
 
     level: str
@@ -39,7 +39,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class RobotCheck:
-    """What was found and measured.
+    """Findings and measurements.
 
     Attributes:
         findings: Errors first.

@@ -41,7 +41,7 @@ def table_clearance(
 
 @dataclass(frozen=True)
 class _Body:
-    """What self-collision needs of one link: its place, points and a ball around it."""
+    """Self-collision model of one link: its pose, points and a ball around it."""
 
     index: int
     link: str
@@ -59,8 +59,8 @@ class SelfCollision:
     that gap, a lower bound, instead.
 
     Args:
-        kinematics: Of the robot.
-        spacing: Of the surface points [m].
+        kinematics: Kinematics of the robot.
+        spacing: Spacing of the surface points [m].
         reach: Distances up to here [m] are computed from the shapes.
     """
 

@@ -1,4 +1,4 @@
-"""What grasping must know of a robot: a YAML file beside its URDF. Another robot needs no code."""
+"""Description of a robot for grasping: a YAML file beside its URDF. Another robot needs no code."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class RobotDescription:
     """An arm with a hand. A configuration q [J] is the arm's joints, then the hand's.
 
     Attributes:
-        name: What to call it.
+        name: Name of the robot.
         urdf: The URDF file.
         tree: Its links, joints and shapes.
         T_world_base: [4, 4], the root link in the world, whose z = 0 is the table top.
@@ -89,12 +89,12 @@ class RobotDescription:
 
     @cached_property
     def preshape_columns(self) -> NDArray[np.int64]:
-        """Where the preshape joints stand in q."""
+        """Columns of the preshape joints in q."""
         return np.array([self.joint_names.index(name) for name in self.preshape_joints])
 
     @cached_property
     def closing_columns(self) -> NDArray[np.int64]:
-        """Where the closing joints stand in q."""
+        """Columns of the closing joints in q."""
         return np.array([self.joint_names.index(name) for name in self.closing_joints])
 
     @cached_property

@@ -32,7 +32,7 @@ MARGIN = 0.0873
 CANDIDATES = 24
 """Places to wait that are looked at."""
 PLACES = ((0.45, 0.5), (0.4, 0.4), (0.35, 0.6), (0.5, 0.6), (0.3, 0.3))
-"""Where the palm may wait: in front of the base and above the table [m]."""
+"""Candidate positions of the waiting palm: in front of the base and above the table [m]."""
 
 
 def first_guess(urdf: Path, beside: Path, palm: str | None = None) -> dict[str, Any]:
@@ -175,7 +175,8 @@ def _touching_closed(robot: RobotDescription) -> list[list[str]]:
 
 
 def _home(robot: RobotDescription) -> Array:
-    """Where the open hand waits in front of the base, looking forwards and down, free of all.
+    """Pose of the open hand waiting in front of the base, looking forwards and down, clear of
+    everything.
 
     The middle of the arm's limits, or 0, where inverse kinematics finds no such place.
     """

@@ -1,4 +1,4 @@
-"""What can be told of a hand from its geometry alone: how it closes, and where its palm is."""
+"""Guesses about a hand from its geometry alone: its closing direction and its palm."""
 
 from __future__ import annotations
 
@@ -178,6 +178,6 @@ def _level(vector: Array, normal: Array) -> Array:
 
 
 def _unit(vector: Array) -> Array:
-    """Of length 1, and exactly along an axis of the link if it nearly is."""
+    """Unit vector, snapped to an axis of the link if nearly parallel to it."""
     unit = vector / max(float(np.linalg.norm(vector)), 1e-9)
     return np.round(unit) if np.abs(unit).max() > np.cos(0.1) else unit

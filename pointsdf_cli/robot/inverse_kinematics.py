@@ -71,7 +71,7 @@ class InverseKinematics:
     Args:
         robot: The robot; its planning limits are kept.
         config: How hard to try.
-        seed: Of the pool.
+        seed: Random seed of the pool.
 
     Attributes:
         chain: The arm.

@@ -20,8 +20,8 @@ class Kinematics:
 
     Args:
         robot: The robot.
-        dtype: Of the results; float64 agrees with a physics engine to rounding.
-        device: Where to compute.
+        dtype: Type of the results; float64 agrees with a physics engine to rounding.
+        device: Device of the computation.
     """
 
     def __init__(

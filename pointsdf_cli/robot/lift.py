@@ -16,10 +16,10 @@ from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
 
 STEPS = 15
-"""Of the path."""
+"""Points of the path."""
 WAYS = ((0.0, 1.0), (0.05, 1.0), (0.1, 1.0), (0.0, 0.1), (0.05, 0.02), (0.1, 0.02))
-"""What is tried in turn: how far outwards the palm moves on the way [m], and how much a turn by
-1 rad is to be avoided, in metres off the line; at 1 it may not turn."""
+"""Attempts in turn: how far outwards the palm moves on the way [m], and the cost of a turn by 1 rad
+in metres off the line; at 1 it may not turn."""
 OFF_LINE = 0.003
 """Farther off the line [m] no step of a path may be."""
 MOST_TURN = 0.6
@@ -36,7 +36,7 @@ def lift_path(
     """Arm joints [K + 1, A] from configuration q [J] to one with the palm `height` [m] above.
 
     Args:
-        chain: Of the arm.
+        chain: Chain of the arm.
         robot: The robot.
         q: [J], where it begins.
         height: [m].

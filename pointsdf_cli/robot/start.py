@@ -1,4 +1,4 @@
-"""Where the robot is, as a user types it."""
+"""Start configuration of the robot, as a user types it."""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ class Attempter:
     Args:
         robot: The robot.
         config: Everything that decides the outcome.
-        seed: Of all draws.
+        seed: Random seed.
         gui: Open PyBullet's window.
     """
 

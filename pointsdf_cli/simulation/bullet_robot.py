@@ -101,7 +101,7 @@ class BulletRobot:
             )
 
     def state(self) -> tuple[Array, Array]:
-        """Where the joints are and how fast they move, [J] each."""
+        """Joint positions and velocities, [J] each."""
         values = np.zeros((2, len(self._joints)))
         for body, columns, numbers in self._by_body(self._all):
             states = self._bullet.getJointStates(body, numbers, physicsClientId=self._client)
@@ -150,7 +150,8 @@ class BulletRobot:
             yield
 
     def _by_body(self, columns: Sequence[int]) -> list[tuple[int, list[int], list[int]]]:
-        """Of joints by their columns in q: each body, places in the list, numbers in the body."""
+        """Bodies of joints given by their columns in q: each body, places in the list, numbers in
+        the body."""
         key = tuple(columns)
         if key not in self._found:
             joints = [self._joints[column] for column in key]
@@ -175,7 +176,7 @@ class CarriedHand(BulletRobot):
     Args:
         chain: The robot's arm.
         q: [J], where the hand is.
-        step: Of the simulation [s].
+        step: Step of the simulation [s].
     """
 
     def __init__(

@@ -30,9 +30,10 @@ from pointsdf_cli.robot.urdf import MOVING, mesh_file
 from pointsdf_cli.simulation.skin import drawn_in, drawn_in_cylinder
 
 LINK_DENSITY = 1000.0
-"""Of a link whose mass the URDF does not give [kg/m³]."""
+"""Density of a link whose mass the URDF omits [kg/m³]."""
 FRAME_MASS, FRAME_INERTIA = 1e-3, 1e-6
-"""Of a link without shape or mass, which marks a place only [kg], [kg m²]: PyBullet needs some."""
+"""Mass [kg] and inertia [kg m²] of a link without shape or mass, which only marks a place: PyBullet
+needs some."""
 
 
 def bullet_urdf(robot: RobotDescription, folder: Path, skin: float, visible: bool = False) -> Path:
@@ -40,7 +41,7 @@ def bullet_urdf(robot: RobotDescription, folder: Path, skin: float, visible: boo
 
     Args:
         robot: The robot.
-        folder: Where the URDF and the hulls go.
+        folder: Folder for the URDF and the hulls.
         skin: `PhysicsConfig.skin`.
         visible: Keep what is only to be looked at.
     """
@@ -60,7 +61,7 @@ def hand_urdfs(
 
     Args:
         robot: The robot.
-        folder: Where the URDFs and the hulls go.
+        folder: Folder for the URDFs and the hulls.
         skin: `PhysicsConfig.skin`.
         visible: Keep what is only to be looked at.
 

@@ -40,12 +40,12 @@ class CollectTask:
     """One object, for one worker process.
 
     Attributes:
-        name: Of the artifact.
+        name: Name of the artifact.
         mesh, out: Files.
         quota: Executed grasps that are wanted of it.
         split: "train" or "test".
         config: Everything that decides outcomes.
-        seed: Of all draws.
+        seed: Random seed.
         robot: YAML file; the bundled robot if None.
         patience: Attempts that end unexecuted at first, and for each executed one, before the
             object counts as exhausted.
@@ -70,11 +70,11 @@ class CollectTask:
 
 @dataclass(frozen=True)
 class CollectSummary:
-    """What became of attempts with one object.
+    """Counts of attempts with one object by outcome.
 
     Attributes:
         executed: Grasps that were held or lost.
-        held: Of these, by kind.
+        held: Held attempts by kind.
         executed_by_kind: By kind.
         causes: Attempts by cause.
     """
@@ -139,7 +139,8 @@ def collect_object(task: CollectTask) -> CollectSummary | None:
 
 
 def require_same_options(tasks: Iterable[CollectTask]) -> None:
-    """What lies there of objects that are not asked now was made as it would be: it is counted.
+    """Require that existing files of objects outside this call have the same options: they are
+    counted.
 
     Raises:
         OptionsDifferError: A file was made with other options.
@@ -204,9 +205,9 @@ def next_quotas(
     Depends only on what each object gives, so a resumed run asks for the same.
 
     Args:
-        quotas: Of the round before.
+        quotas: Quotas of the round before.
         executed: Executed grasps of each object in its file; objects that were refused lack.
-        splits: Of each object.
+        splits: Split of each object.
         wanted: Executed grasps wanted in each split.
     """
     more: dict[str, int] = {}

@@ -23,9 +23,9 @@ from pointsdf_cli.io.meshes import LoadedMesh
 VOLUME_OFF = 0.15
 """A simplified mesh whose volume is off by more than this share is not that mesh."""
 SHARES = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016)
-"""Of a mesh's longest side: details below it are given up, one after the other."""
+"""Share of a mesh's longest side; smaller details are given up in turn."""
 VERSION = 3
-"""Of the pieces of equal settings; those that an earlier version left in the cache are not used."""
+"""Version of the pieces; cached pieces of other versions are ignored."""
 Pieces = list[tuple[NDArray[np.float64], NDArray[np.int64]]]
 
 
@@ -49,7 +49,7 @@ class DecompositionConfig:
 
 
 def cache_folder() -> Path:
-    """Where decompositions are kept: `$RGRASP_CACHE`, else `$XDG_CACHE_HOME/rgrasp`."""
+    """Cache folder of decompositions: `$RGRASP_CACHE`, else `$XDG_CACHE_HOME/rgrasp`."""
     named = os.environ.get("RGRASP_CACHE")
     if named:
         return Path(named)

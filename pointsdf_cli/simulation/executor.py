@@ -61,7 +61,7 @@ class ExecutorConfig:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of an executed grasp.
+    """Result of an executed grasp.
 
     Attributes:
         held: The object rose with the hand and is still held.
@@ -90,7 +90,7 @@ LOOK = 1 / 60
 DEEPEST = 0.008
 """A robot link deeper in the object than this [m] at the end means that contacts failed."""
 HELD_FRACTION = 0.7
-"""Of the lift's height that a held object must have risen."""
+"""Share of the lift's height that a held object must have risen."""
 STEADY_SPEED = 0.03
 """A slower object [m/s] rests in the hand."""
 OFF_TABLE = -0.05

@@ -1,4 +1,4 @@
-"""What stands in the world stands in the simulator: convex pieces with a flat foot for one pose."""
+"""Objects stable in simulation as in the world: convex pieces with a flat foot for one pose."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def with_flat_foot(pieces: Pieces, vertices: NDArray[np.float64], pose: StablePo
     Args:
         pieces: Corners [V, 3] and faces [F, 3] of each.
         vertices: [N, 3], of the mesh.
-        pose: What to do this for. Flattened for several, pieces outgrow the mesh: a ball by 9% of
-            its volume.
+        pose: Resting pose. Flattened for several, pieces outgrow the mesh: a ball by 9% of its
+            volume.
     """
     up, height = pose.T_table_object[2, :3], pose.T_table_object[2, 3]
     lowest = min(float((corners @ up).min()) for corners, _ in pieces) + height

@@ -1,4 +1,4 @@
-"""What an attempt looked like: moments of it, to draw or to play."""
+"""Film of an attempt: moments of it, to draw or to play."""
 
 from __future__ import annotations
 

@@ -37,8 +37,8 @@ class HeuristicConfig:
         finger_reach: How far along the fingers from the palm's origin the object's middle is
             put [m]: between the fingers and the thumb rather than at the fingers' roots. A hand
             that says so itself (`palm: {reach: …}`) is believed.
-        table_gap: Where the palm is raised (from the side, and above low objects), the whole
-            opened hand is this [m] above what is below it.
+        table_gap: Height [m] of the whole opened hand above what is below it, wherever the palm is
+            raised (from the side, and above low objects).
     """
 
     top_standoff: float = 0.035
@@ -88,7 +88,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Preshape:
-    """Where the palm should be and how the hand is opened.
+    """Wanted palm pose and hand opening.
 
     Attributes:
         kind: "side" or "top".
@@ -103,7 +103,7 @@ class Preshape:
 
 @dataclass(frozen=True)
 class Hand:
-    """What the heuristic must know of a hand.
+    """Properties of a hand for the heuristic.
 
     Attributes:
         ranges: [K, 2], of the preshape joints.
@@ -156,7 +156,7 @@ def graspable_faces(box: Box, camera: Array, base: Array, config: HeuristicConfi
     """The top, and the side faces that look away from neither the camera nor the robot.
 
     Args:
-        box: Of the partial cloud.
+        box: Box of the partial cloud.
         camera, base: [3], places of the camera and of the robot's base in the world.
         config: `low_object` decides whether there are sides at all.
     """

@@ -1,4 +1,4 @@
-"""What a depth camera over the table sees: object, table and robot, with the sensor's errors."""
+"""Depth camera over the table: it sees object, table and robot, with the sensor's errors."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from pointsdf_cli.viz.shading import look_at
 
 @dataclass(frozen=True)
 class CameraPlacement:
-    """Where the camera stands, drawn anew for every scene.
+    """Distribution of the camera's pose, sampled for every scene.
 
     Attributes:
         camera: Intrinsics.
-        noise: Of the depth.
+        noise: Noise of the depth.
         sensor: Name in `SENSORS` of what measures the depth; only the ideal one uses `noise`.
         azimuth: Directions [rad] from the object to the camera, 0 away from the robot.
         elevation: Angles [rad] above the table.
@@ -51,7 +51,7 @@ class CameraPlacement:
 
     @property
     def measures(self) -> DepthSensor:
-        """What measures the depth."""
+        """Sensor that measures the depth."""
         return load_sensor(self.sensor).with_noise(self.noise)
 
     def draw(self, target: Array, rng: np.random.Generator) -> Array:

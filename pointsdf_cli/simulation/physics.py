@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pointsdf_cli.errors import InputError
 
 JOINT_RECOVERY, CONTACT_RECOVERY = 96.0, 38.4
-"""Of an error of position in a joint, of an overlap in a contact: what is taken back [1/s].
+"""Correction rates [1/s] of position errors in joints and of overlaps in contacts.
 
 PyBullet asks for the share a step (these are its defaults, 0.2 and 0.08, at 1/480 s), with which
 half the step would be another, stiffer model, and a study of the step would compare the two.
@@ -20,11 +20,12 @@ class PhysicsConfig:
 
     Attributes:
         step: Time step [s].
-        iterations: Of the contact solver, a step. Of the whole arm with 40, half the step changes
-            9% of labels, and objects of many pieces slip that hold with 200; with 200, half the
-            step changes 4%, and moving the object by 0.1 mm 3%.
+        iterations: Iterations of the contact solver in each step. For the whole arm with 40, half
+            the step changes 9% of labels, and objects of many pieces slip that hold with 200; with
+            200, half the step changes 4%, and moving the object by 0.1 mm 3%.
         hand_friction, object_friction, table_friction: Lateral; two bodies' values multiply.
-        rolling_friction, spinning_friction: Of the object, small: soft contacts resist a little.
+        rolling_friction, spinning_friction: Friction of the object, small: soft contacts resist a
+            little.
         gravity: [m/s²].
         skin: How far PyBullet makes convex hulls, and a URDF's cylinders, stand out on all sides
             [m], measured; they are drawn in by it (`skin.py`). With 0 they stand out.

@@ -21,7 +21,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.simulation.decomposition import Pieces, with_few_corners, with_few_faces
 
 SLIVER = 1e-9
-"""What is smaller [m³] is no piece."""
+"""Smallest volume of a piece [m³]."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class QuickCutConfig:
         most_pieces: No more cuts once there are so many pieces.
         close_enough: The hulls may exceed the solid by this share of its volume.
         worth: A part whose hull exceeds it by less than this share of the whole is not cut.
-        places: Where a part may be cut, as shares of its extent along each axis; of equally good
+        places: Possible cuts of a part, as shares of its extent along each axis; among equally good
             cuts the first is taken.
-        most_corners: Of a piece.
+        most_corners: Largest number of corners of a piece.
         most_faces: The solid is simplified to about this many faces first.
     """
 

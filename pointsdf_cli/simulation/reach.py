@@ -32,7 +32,7 @@ class ReachConfig:
         resolution: Largest joint motion [rad] between two checked configurations.
         sliding: The same of joints that slide [m].
         lift_height: [m], for which the arm must have room.
-        waypoints: Of the straight stretches.
+        waypoints: Waypoints of the straight stretches.
     """
 
     candidates: int = 6

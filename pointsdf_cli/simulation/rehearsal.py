@@ -32,7 +32,7 @@ from pointsdf_cli.simulation.world import World
 
 @dataclass(frozen=True)
 class RehearsalConfig:
-    """What is tried, and how much the truth may differ from what is believed.
+    """Disturbances to try: how much the truth may differ from the reconstruction.
 
     Attributes:
         repeats: Disturbances that a grasp is tried under, of which the first is none at all.
@@ -81,7 +81,7 @@ class Rehearsed(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Of tries in which it held."""
+        """Share of tries in which it held."""
         return self.held / self.tries if self.tries else 0.0
 
 
@@ -102,7 +102,7 @@ class Rehearsal:
 
     Args:
         robot: The robot.
-        config: What is tried.
+        config: Disturbances to try.
         execution: How grasps are carried out: as it will be.
     """
 
@@ -131,7 +131,7 @@ class Rehearsal:
             vertices: [V, 3], of the reconstructed surface, world frame.
             faces: [F, 3].
             q: [C, J], configurations in which the hand begins to close.
-            seed: Of the disturbances; all grasps meet the same.
+            seed: Random seed of the disturbances; all grasps meet the same.
 
         Raises:
             InputError: The surface is flat.

@@ -50,7 +50,7 @@ def prepare_object(
 
     Args:
         mesh: A closed mesh.
-        cache: Where CoACD's pieces are kept; see `convex_pieces`.
+        cache: Cache folder of CoACD's pieces; see `convex_pieces`.
         cut: Cut in this way instead of by CoACD.
 
     Raises:

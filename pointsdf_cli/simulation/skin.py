@@ -12,15 +12,14 @@ from pointsdf_cli.geometry.arrays import Array
 Faces = NDArray[np.int64]
 
 DEEPEST = 0.9
-"""What is hardly thicker than two skins, or thinner, is drawn in by this share of the way to its
-middle."""
+"""Share of the way to its middle by which a shape about as thin as two skins is drawn in."""
 FARTHEST = 3.0
 """No corner is drawn in by more skins than this: a square one needs 1.7, the end of an edge of 45°
 2.8; of a sharper wedge all would be lost that is thinner than two skins."""
 WORTH = 0.2
 """A corner that would be missed by this many skins is worth its time."""
 SIDES = 32
-"""Of the prism that PyBullet takes a URDF's cylinder for, its corners on the circle."""
+"""Corners on the circle of the prism that PyBullet uses for a URDF's cylinder."""
 
 
 def drawn_in(corners: Array, faces: Faces, skin: float) -> tuple[Array, Faces]:

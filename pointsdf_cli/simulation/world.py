@@ -102,7 +102,7 @@ class World:
             item: The object, if there is one.
             T_world_object: [4, 4], its mesh frame in the world.
             q: [J], the robot's configuration; home if None.
-            robot: What is there of the robot: all of it; its hand, carried as by an arm that does
+            robot: Simulated part of the robot: all of it; its hand, carried as by an arm that does
                 not yield, several times as fast; or nothing.
         """
         b, c = self._bullet, self._client
@@ -162,11 +162,11 @@ class World:
         self._robot.place(q)
 
     def configuration(self) -> Array:
-        """Where the joints are, [J]."""
+        """Joint positions, [J]."""
         return self._robot.state()[0]
 
     def joint_state(self) -> tuple[Array, Array]:
-        """Where the joints are and how fast they move, [J] each."""
+        """Joint positions and velocities, [J] each."""
         return self._robot.state()
 
     def palm_pose(self) -> Array:
@@ -201,7 +201,7 @@ class World:
         yield from self._robot.follow(arm)
 
     def collisions(self, q: ArrayLike, clearance: float = 0.0) -> set[str]:
-        """What the robot would touch at a configuration: of "table", "object", "self".
+        """Contacts of the robot at a configuration: any of "table", "object", "self".
 
         Args:
             q: [J]; the robot is left there. What is not there of it touches nothing.

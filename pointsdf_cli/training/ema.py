@@ -36,7 +36,7 @@ class WeightAverage(Generic[Model]):
         return dict(self.model.state_dict())
 
     def state(self) -> dict[str, Tensor]:
-        """What `load` takes."""
+        """State for `load`."""
         return dict(self.model.state_dict())
 
     def load(self, state: dict[str, Tensor]) -> None:

@@ -42,16 +42,16 @@ Surface = tuple[NDArray[np.float64], NDArray[np.integer]]
 
 @dataclass(frozen=True)
 class EvalConfig:
-    """What is evaluated, and how finely.
+    """Subject and resolution of an evaluation.
 
     Attributes:
         checkpoints: Label and directory of each network.
-        resolution: Of the extracted meshes.
+        resolution: Resolution of the extracted meshes.
         views: Views of each object, the first so many; 0 takes all.
         samples: Points that each metric counts.
-        precision: Of the networks: auto, bfloat16 or float32.
+        precision: Precision of the networks: auto, bfloat16 or float32.
         exact: Ask the networks everywhere, see `mesh_reconstruction`.
-        seed: Of the resampled clouds and of the metrics' points.
+        seed: Random seed of the resampled clouds and of the metrics' points.
 
     Raises:
         InputError: A number is out of its range.

@@ -1,4 +1,4 @@
-"""What a success network must beat: always saying yes, the prior alone, known grasps nearby."""
+"""Baselines of a success network: always yes, the prior alone, known grasps nearby."""
 
 from __future__ import annotations
 

@@ -154,7 +154,7 @@ def split_grasps(data: GraspData, validation: float, seed: int) -> Split:
     Args:
         data: The grasps.
         validation: Share of the objects that are not held out.
-        seed: Of the choice.
+        seed: Random seed of the choice.
 
     Raises:
         InputError: Too few objects, or grasps of one label only in training or validation.

@@ -28,13 +28,13 @@ class Scored:
     """One method's answers for N grasps.
 
     Attributes:
-        name: Of the method.
+        name: Name of the method.
         score: [N], what it ranks by.
         chosen: bool [N], what it calls a success at its own threshold: 0.5 for a network trained
             on balanced classes (as in the figure), the threshold of highest F1 on known grasps for
             a baseline without probabilities.
         probability: [N], calibrated; None where there is none.
-        threshold: Of the probability, with the highest F1 on validation objects.
+        threshold: Threshold of the probability, with the highest F1 on validation objects.
     """
 
     name: str

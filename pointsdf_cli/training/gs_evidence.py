@@ -45,10 +45,10 @@ class EvidenceTask:
 
     Attributes:
         grasps: The file.
-        out: Where its evidence goes.
+        out: Path of its evidence.
         key: Hash of all that decides it.
         encoder: The shape network's checkpoint.
-        sweep: Where the hand's distances are asked for; None for embeddings only.
+        sweep: Points for the hand's distances; None for embeddings only.
         robot: The robot's YAML; None for the bundled one.
     """
 
@@ -76,7 +76,7 @@ def evidence_of(
         data: The grasps.
         encoder: Checkpoint directory of the shape network.
         cache: Folder of the cache.
-        sweep: Where distances are asked for; None for embeddings only.
+        sweep: Points for the distances; None for embeddings only.
         robot: The robot's YAML; None for the bundled one.
         jobs: Processes.
         on_done: Called with each file's name.

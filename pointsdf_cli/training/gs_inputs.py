@@ -1,4 +1,4 @@
-"""What the success networks read, as tensors: one row a grasp, ready for batches.
+"""Inputs of the success networks as tensors: one row a grasp, ready for batches.
 
 Two kinds. `FixedInputs` holds everything that the network reads, because nothing before it learns.
 `CloudInputs` holds the clouds, one a scene, and an encoder that is trained along.
@@ -35,7 +35,7 @@ class Learner(ABC):
     """A network with the inputs of all grasps.
 
     Attributes:
-        modules: What learns, by name.
+        modules: Trained modules by name.
     """
 
     modules: dict[str, nn.Module]
@@ -58,7 +58,7 @@ class Learner(ABC):
 
     @abstractmethod
     def pose_and_size(self) -> tuple[Tensor, Tensor]:
-        """Of a network on embeddings: grasp numbers [N, K + 9] and cloud sizes [N, 3]."""
+        """Inputs of a network on embeddings: grasp numbers [N, K + 9] and cloud sizes [N, 3]."""
 
     @property
     def parameters(self) -> list[nn.Parameter]:
@@ -78,8 +78,8 @@ class FixedInputs(Learner):
     from grasps of fold m and is judged by them, so that every object both teaches and validates.
 
     Args:
-        network: Of either kind.
-        columns: What its `forward` takes, each with N rows.
+        network: Network of either kind.
+        columns: Arguments of its `forward`, each with N rows.
         folds: [N], the member that each grasp validates; None if all learn from all.
     """
 
@@ -126,7 +126,7 @@ class CloudInputs(Learner):
 
     Args:
         network: Reads the embedding.
-        encoder: Of its parts only those that make the embedding learn.
+        encoder: Encoder; only the parts that make the embedding are trained.
         data: The grasps; of each scene the first grasp's cloud is read.
         low_precision: For autocast in the encoder; None for float32.
     """
@@ -216,7 +216,7 @@ def geometry_features(data: GraspData, evidence: Evidence, features: GraspFeatur
 
 
 def embedding_columns(data: GraspData, evidence: Evidence) -> tuple[Tensor, Tensor, Tensor]:
-    """What `EmbeddingNet` takes: grasp numbers [N, K + 9], embeddings [N, E], sizes [N, 3]."""
+    """Inputs of `EmbeddingNet`: grasp numbers [N, K + 9], embeddings [N, E], sizes [N, 3]."""
     to_camera = data.T_world_camera[:, :3, :3].transpose(0, 2, 1)
     offset = evidence.centre - data.T_world_camera[:, :3, 3]
     centre = np.einsum("nij,nj->ni", to_camera, offset)

@@ -36,7 +36,7 @@ class SuccessTraining:
         weight_decay: AdamW's.
         patience: Epochs without a better validation before the run ends.
         validation: Share of the training objects that validate.
-        seed: Of the split, the weights and the order.
+        seed: Random seed of the split, the weights and the order.
     """
 
     epochs: int = 60
@@ -67,15 +67,15 @@ class SuccessTraining:
 
 
 class Fitted(NamedTuple):
-    """What a run found.
+    """Result of a run.
 
     Attributes:
         finished: False if it was stopped; it then resumes from the last state.
-        weights: Of the best epoch, by module and name, such as `network.leave.bias`.
+        weights: Weights of the best epoch, by module and name, such as `network.leave.bias`.
         platt: Calibration of these weights on the validation objects.
         validation_logits: Raw, of the best epoch.
         history: One entry an epoch.
-        seconds: Of training, over all resumed parts.
+        seconds: Training time, over all resumed parts.
     """
 
     finished: bool

@@ -16,7 +16,7 @@ from scipy.stats import rankdata
 from pointsdf_cli.geometry.arrays import Array
 
 BINS = 10
-"""Of equally many predictions each, for the calibration error."""
+"""Bins of equally many predictions each, for the calibration error."""
 
 CANDIDATES = 20
 """Grasps of one object among which the ranking chooses."""
@@ -135,7 +135,7 @@ def over_objects(
     Args:
         measures: By name; each takes indices of grasps.
         groups: [N], the object of each grasp.
-        seed: Of the draws.
+        seed: Random seed.
         draws: How many.
     """
     rng = np.random.default_rng(seed)

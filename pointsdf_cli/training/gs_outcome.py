@@ -33,7 +33,7 @@ def resumable_state(out: Path, variant: Variant, sdf: Path | None = None) -> dic
 
     Args:
         out: The directory.
-        variant: What is to be trained.
+        variant: Variant to train.
         sdf: The reconstruction that is asked; the bundled one if None.
 
     Raises:
@@ -65,7 +65,7 @@ class Checkpointer:
 
     Args:
         out: The directory.
-        prepared, variant, robot, data, split, config, prior: Of the run.
+        prepared, variant, robot, data, split, config, prior: Inputs of the run.
         half: Store the networks' weights in float16.
     """
 

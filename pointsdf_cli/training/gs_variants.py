@@ -56,10 +56,11 @@ ARCHITECTURES = {
 """Which shape networks serve each choice; the first is built where none is given."""
 
 MEMBERS = 5
-"""Of the ensemble on features of geometry, and folds of objects that validate them."""
+"""Size of the ensemble on features of geometry, and number of validation folds of objects."""
 
 DROPOUT = 0.2
-"""Of the published network, which has none: 256 numbers a cloud overfit a few hundred objects."""
+"""Dropout of the success network. The published one has none; 256 numbers a cloud overfit a few
+hundred objects."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class Prepared(NamedTuple):
 
 @dataclass(frozen=True)
 class Sources:
-    """Where inputs come from.
+    """Source of inputs.
 
     Attributes:
         cache: Folder of kept evidence.

@@ -1,4 +1,4 @@
-"""What makes one processor core train fast: bfloat16 where it can, and no rival."""
+"""Fast training on one processor core: bfloat16 where supported, and no competing threads."""
 
 from __future__ import annotations
 

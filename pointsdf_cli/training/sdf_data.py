@@ -83,7 +83,7 @@ def split_views(
 
     Args:
         pack: The data.
-        share: Of the objects, in (0, 1); at least one is held out.
+        share: Share of the objects, in (0, 1); at least one is held out.
         seed: Which ones.
         held_before: Names that were held out from the weights that a run begins with. Where the
             data has any of them, these are held out and no others, whatever `share`: of the

@@ -48,7 +48,7 @@ class TrainConfig:
         loss: See `SdfLoss`.
         validate_every: Steps between validations, each followed by a checkpoint.
         precision: `auto` (bfloat16 where the processor has it), `bfloat16` or `float32`.
-        seed: Of the weights, the order and the queries.
+        seed: Random seed of the weights, the order and the queries.
     """
 
     steps: int = 20_000
@@ -100,11 +100,11 @@ LABEL_STRIDE = 101
 
 @dataclass(frozen=True)
 class Progress:
-    """What is known after a step.
+    """Progress after a step.
 
     Attributes:
         step: Steps done.
-        fraction: Of the whole run.
+        fraction: Share of the whole run that is done.
         loss: Mean training loss since the last report.
         clouds_per_second: Since the last report.
         seconds_left: Estimate.
@@ -126,7 +126,7 @@ class TrainResult:
     Attributes:
         finished: False if it was stopped; `--resume` then carries on.
         step: Steps done.
-        seconds: Of training, over all resumed parts.
+        seconds: Training time, over all resumed parts.
         history: One entry a validation: step, seconds, train_loss, and the validation's numbers.
         best: The entry whose weights were kept.
     """
@@ -166,7 +166,7 @@ def train_sdf(
         out: Checkpoint directory: best weights, and the state to resume from.
         provenance: Goes into config.json.
         resume: Carry on from the state in `out`.
-        device: Where to compute.
+        device: Device of the computation.
         workers: The processes that train together; the first one writes and reports.
         on_progress: Called every `report_every` seconds and after each validation.
         should_stop: Asked before each step; True writes the state and returns.

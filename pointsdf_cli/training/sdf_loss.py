@@ -36,7 +36,8 @@ class SdfLoss:
         near: Distance under which the relative error becomes absolute, network units.
         sign_weight: Weight of the sign's cross-entropy.
         temperature: Distance at which a sign counts as certain, network units.
-        quantile: Of the distance that is predicted, and chance of being inside at the surface.
+        quantile: Quantile of the distance that is predicted, and chance of being inside at the
+            surface.
     """
 
     kind: str = "relative"

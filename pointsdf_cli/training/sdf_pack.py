@@ -128,7 +128,7 @@ def open_pack(
 
     Args:
         pairs: View and label files of each object.
-        folder: Where packs lie; finished ones of other files are replaced.
+        folder: Folder of packs; finished ones of other files are replaced.
         views_per_object: Keep only the first so many views of each; by folder, "" for the rest.
         on_progress: Called with (objects done, objects).
         root: Objects are named by where their views lie below it; by default below the deepest

@@ -29,10 +29,11 @@ NO_LIFT = "no_lift"
 
 @dataclass(frozen=True)
 class Executed:
-    """What happened.
+    """Course of an attempt.
 
     Attributes:
-        outcome: Of closing, gripping and lifting; None if the arm could not lift from there.
+        outcome: Outcome of closing, gripping and lifting; None if the arm could not lift from
+            there.
         contact: The robot touched the object before the hand closed.
         moved: How far the object had moved by then [m].
         lifted: The object rose high enough at some time.

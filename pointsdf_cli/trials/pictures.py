@@ -1,4 +1,4 @@
-"""What a trial looked like: the view, what was believed against the truth, the grasp, the end."""
+"""Picture of a trial: the view, belief and truth, the grasp, the end."""
 
 from __future__ import annotations
 

@@ -48,17 +48,17 @@ from pointsdf_cli.trials.rehearsed import (
 
 @dataclass(frozen=True)
 class VariantOptions:
-    """What all variants share.
+    """Options shared by all variants.
 
     Attributes:
         solver: "sqp" or "slsqp".
         robot: YAML file; the bundled robot if None.
-        checkpoint: Of the reconstruction network; the bundled one if None.
-        grasp_checkpoint: Of the success network of the method "reconstruction"; bundled if None.
+        checkpoint: Reconstruction network; the bundled one if None.
+        grasp_checkpoint: Success network of the method "reconstruction"; the bundled one if None.
         clearance: Least distance of the robot to the object as the variant knows it [m].
         margin: Distance to it that is kept where it can be [m].
         rehearse: Grasps of a round that are rehearsed; 0 for none.
-        device: Where networks compute.
+        device: Device of the networks.
     """
 
     solver: str = "sqp"
@@ -139,7 +139,7 @@ class TrialPlanner:
 
     Args:
         variant: Who.
-        options: What all share.
+        options: Options shared by all variants.
         grasps: Success network to use instead of a checkpoint's.
         execution: How its grasps will be carried out, for rehearsals.
     """
@@ -171,7 +171,7 @@ class TrialPlanner:
         Args:
             view: The segmented object.
             truth: The object's true surface in the world; only the oracle asks.
-            seed: Of all draws.
+            seed: Random seed.
         """
         field: Field | Literal["none"] | None = None
         surface: Surface | None = None
@@ -210,7 +210,7 @@ class Indifferent:
     def on(
         self, points: Array, T_world_camera: Array, field: Field | None = None, seed: int = 0
     ) -> ObjectGrasps:
-        """Of one object."""
+        """The same score for every grasp of one object."""
         return _IndifferentScore(self._model.on(points, T_world_camera, field=field, seed=seed))
 
 

@@ -100,12 +100,12 @@ class Trial:
     """One trial.
 
     Attributes:
-        object: What is grasped.
+        object: Object to grasp.
         yaw_index, yaws: Which of how many yaws.
         repeat: Which repetition; each has its own place, yaw offset and noise.
         camera: A key of `CAMERAS`.
         variant: Who plans.
-        seed: Of the whole experiment.
+        seed: Random seed of the whole experiment.
     """
 
     object: TrialObject
@@ -123,12 +123,12 @@ class Trial:
 
     @property
     def pair_name(self) -> str:
-        """What variants share: the scene and the view of it."""
+        """Name shared by the variants of a pair: the scene and the view of it."""
         return f"{self.scene_name}_{self.camera}"
 
     @property
     def name(self) -> str:
-        """Of this trial's file."""
+        """Name of this trial's file."""
         variant = self.variant.name.replace("/", "+")
         if self.variant.ablation.startswith(CHECKPOINT):
             # A path is no part of a file name; its check sum tells two apart.

@@ -62,7 +62,7 @@ class RehearsedPlannerConfig:
         resampled_views: Further samples of the cloud's points that are completed and checked. A
             grasp that violates the clearance in any of them never ends the search.
         most_motions: Grasps to which motions are looked for.
-        resolution: Of the surface that is rehearsed on, cells along the network's box.
+        resolution: Cells along the network's box for the surface to rehearse on.
         rehearsal: See there.
         execution: How grasps will be carried out: they are rehearsed so, shaken if they will be.
     """
@@ -91,8 +91,8 @@ class RehearsedAnswer(Answer):
     """A plan, and how its grasp did.
 
     Attributes:
-        rehearsed: Of the grasp taken; None where nothing was rehearsed.
-        surface: What the planner believed the object to be; None where it has no idea.
+        rehearsed: Rehearsal of the chosen grasp; None without one.
+        surface: Reconstructed surface; None without one.
     """
 
     rehearsed: Rehearsed | None = None
@@ -100,7 +100,7 @@ class RehearsedAnswer(Answer):
 
 
 CONTRADICTED = 0.5
-"""What a grasp counts for that another draw of the points contradicts, of what it would without."""
+"""Factor on the rehearsed score of a grasp that the resampled-view check rejects."""
 
 REHEARSED_SEARCH = SynthesisConfig(rounds=5, seeds=SeedConfig(palms=40, seeds=12))
 """More grasps a round than the paper's search needs: a rehearsal tells them apart."""
@@ -110,7 +110,8 @@ class RehearsedPlanner(GraspPlanner):
     """A `GraspPlanner` whose grasps are rehearsed before motions are looked for.
 
     Args:
-        options: Of the method "reconstruction": partial views enclose nothing to rehearse on.
+        options: Options with the method "reconstruction": partial views enclose nothing to rehearse
+            on.
         grasps: The success network to use instead of a checkpoint's.
         config: How long to look.
 
@@ -273,9 +274,9 @@ def believed_surface(
     """The reconstructed surface; None where the network sees no inside.
 
     Args:
-        reconstruction: Of the first view.
+        reconstruction: Reconstruction of the first view.
         resolution: Cells along its box.
-        fused: What all views say together, where there are several.
+        fused: Mean field of all views, if there are several.
     """
     try:
         mesh = mesh_reconstruction(reconstruction, resolution, field=fused)

@@ -46,7 +46,7 @@ def html_report(
     Args:
         rows: All trials.
         pictures: Caption and PNG of every trial to show.
-        title: Of the page.
+        title: Title of the page.
         refused: Objects that could not be used, with the reason.
     """
     summaries = [summary for summary in summarise(rows) if not summary.ablation]

@@ -95,10 +95,10 @@ class TrialTask:
     """One trial for one worker process.
 
     Attributes:
-        trial: What is tried.
+        trial: The trial.
         out: Its file.
         config: How.
-        film: Where to put a film of it; None for none.
+        film: Path of a film to write; None for none.
         force: Do it again even if the file is there.
     """
 
@@ -266,7 +266,8 @@ def run_trial_task(task: TrialTask) -> TrialRow | None:
 
 
 def require_same_options(tasks: list[TrialTask]) -> None:
-    """What lies there of these trials was made as they would be: other shards' work is counted.
+    """Require that existing files of these trials have the same options: other shards' work is
+    counted.
 
     Raises:
         OptionsDifferError: A file was made with other options.

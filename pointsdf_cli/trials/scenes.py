@@ -46,10 +46,10 @@ slid out of every grasp, since each seam is two more contacts for a solver of fe
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """Where things stand.
+    """Poses of the camera and the table.
 
     Attributes:
-        place: Where the object is put [m].
+        place: Place of the object [m].
         place_spread: Standard deviation of that, level [m].
         camera_distance: Level, from the object to the camera [m].
         azimuth: The camera stands within this [rad] of straight opposite the robot.

@@ -74,7 +74,7 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
     """The exact McNemar test of two methods' outcomes on the same trials, in the same order.
 
     Raises:
-        InputError: Of different lengths.
+        InputError: Different lengths.
     """
     a, b = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
     if a.shape != b.shape or a.ndim != 1:

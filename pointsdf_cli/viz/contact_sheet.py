@@ -39,7 +39,7 @@ class SheetItem:
         faces: [F, 3] vertex indices, counter-clockwise seen from outside.
         label: The line in bold under the tile; tiles with equal `group` share a colour.
         caption: A fainter second line; the size in centimetres when empty.
-        group: What the colour is chosen by; the label when empty.
+        group: Group that decides the colour; the label if empty.
     """
 
     vertices: np.ndarray

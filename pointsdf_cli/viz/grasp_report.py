@@ -29,7 +29,7 @@ class Film:
     """One attempt to draw.
 
     Attributes:
-        title: What it shows.
+        title: Title of the strip or film.
         mesh: The object.
         frames: Moments of it, in order.
     """
@@ -92,7 +92,7 @@ def grasp_report(
         items: Name, attempts and description of every object.
         refused: Name and reason of every mesh that could not be used.
         strips: Captions and pictures.
-        title: Of the page.
+        title: Title of the page.
     """
     parts = [
         html.heading("Rates"),
@@ -168,7 +168,7 @@ def _causes(items: Sequence[tuple[str, Grasps, GraspsMeta]]) -> list[tuple[objec
 
 
 EYES = ((0.55, -0.65, 0.35), (0.55, 0.65, 0.35), (0.85, 0.0, 0.35), (0.0, -0.85, 0.35))
-"""Where pictures may be taken from, relative to what they look at [m]."""
+"""Possible camera positions relative to the target [m]."""
 
 
 def _viewpoint(robot: RobotMeshes, film: Film) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -193,7 +193,7 @@ def _viewpoint(robot: RobotMeshes, film: Film) -> tuple[NDArray[np.float64], NDA
 
 
 def _target(film: Film) -> NDArray[np.float64]:
-    """Where to look: a little above where the object stood first."""
+    """Camera target: a little above the object's first position."""
     middle = (film.mesh.vertices.min(axis=0) + film.mesh.vertices.max(axis=0)) / 2
     pose = film.frames[0][1]
     place = pose[:3, :3] @ middle + pose[:3, 3]

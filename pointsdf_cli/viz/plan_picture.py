@@ -36,7 +36,7 @@ TRANSLUCENT = 0.62
 
 @dataclass(frozen=True)
 class PlanScene:
-    """What a plan picture shows besides the robot; all in the world, m.
+    """Contents of a plan picture besides the robot; all in the world, m.
 
     Attributes:
         points: [N, 3], the seen points of the object.

@@ -1,4 +1,4 @@
-"""What was seen, what was made of it, and what was there: one row an object, drawn headless.
+"""Gallery of input, reconstruction and truth: one row an object, drawn headless.
 
 Each row shows the input cloud from the camera, the reconstruction and the truth from the camera's
 side and from the far side that it could not see, and a slice of the signed distance field along

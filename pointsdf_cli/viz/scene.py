@@ -22,7 +22,7 @@ class Part:
     """One thing to draw.
 
     Attributes:
-        name: What it is.
+        name: Name of the part.
         layer: Parts of one layer are shown and hidden together.
         kind: One of `KINDS`. Lines join vertices 0-1, 2-3, and so on.
         vertices: f4 [V, 3], in the body's frame, m.
@@ -58,12 +58,12 @@ class Scene:
     """Everything that a viewer needs.
 
     Attributes:
-        title: What it shows.
-        parts: What is drawn.
+        title: Title of the scene.
+        parts: Parts to draw.
         bodies: Names of what moves; B of them.
         poses: f8 [F, B, 4, 4], body in world, for each of F frames; NaN where a body is not there.
         captions: [F], what each frame is.
-        slider: What a step of the frames is, such as "time" or "view".
+        slider: Meaning of a frame, such as "time" or "view".
         rate: Frames a second when played.
         facts: Names and values to print beside the picture.
     """

@@ -1,4 +1,4 @@
-"""What scenes of artifacts share: options, meshes known by their hash, a selection of frames."""
+"""Shared parts of artifact scenes: options, meshes known by their hash, a selection of frames."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MESH_COLOUR = (0.55, 0.66, 0.78)
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """What artifacts do not say themselves.
+    """Facts that artifacts do not contain.
 
     Attributes:
         robot: The robot of plans and grasps.

@@ -1,4 +1,4 @@
-"""What stands on a table, numbered in the image that it was seen in."""
+"""Picture of the objects on a table, numbered in the image of the view."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from pointsdf_cli.geometry.open3d_core import o3d
 
 SKY = np.array([1.0, 1.0, 1.0])
 LIGHT = np.array([0.35, -0.45, 1.0]) / np.linalg.norm([0.35, -0.45, 1.0])
-"""Where the light comes from, in the world (z up)."""
+"""Direction towards the light, in the world (z up)."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Stage:
     """Painted meshes, ready to be looked at from several sides.
 
     Args:
-        meshes: What is seen.
+        meshes: Visible meshes.
     """
 
     def __init__(self, meshes: Sequence[Painted]) -> None:

@@ -18,7 +18,7 @@ from pointsdf_cli.viz.contact_sheet import shaded_view
 from pointsdf_cli.viz.shape_scenes import cloud_place
 
 AZIMUTHS = (-60.0, 30.0, 120.0)
-"""Of the pictures of a mesh [degrees]."""
+"""Camera angles of the pictures of a mesh [degrees]."""
 
 
 def shape_report(path: Path, unit: str, title: str) -> str:
@@ -26,8 +26,8 @@ def shape_report(path: Path, unit: str, title: str) -> str:
 
     Args:
         path: The file.
-        unit: Of its coordinates.
-        title: Of the page.
+        unit: Unit of its coordinates.
+        title: Title of the page.
 
     Raises:
         InputError: It cannot be read.

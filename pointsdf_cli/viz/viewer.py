@@ -19,12 +19,12 @@ class Viewer:
     """Serves one scene: a slider over its frames, a button to play them, a box a layer.
 
     Args:
-        scene: What to show.
+        scene: Scene to show.
         host: The address to listen at; "127.0.0.1" is seen from this machine only.
         port: To listen at; the next free one is taken if it is in use.
 
     Attributes:
-        port: Where it listens.
+        port: Port to listen on.
 
     Raises:
         RgraspError: viser is not installed.

@@ -26,7 +26,7 @@ def may_connect(origin: str | None, host_header: str | None, bound: str) -> bool
     """Whether a WebSocket may be opened.
 
     Args:
-        origin: Of the page that asks; None where it is no browser that asks.
+        origin: Origin of the page that asks; None without a browser.
         host_header: The address that the browser thinks it talks to.
         bound: The address that the server listens at.
     """
