@@ -12,7 +12,7 @@ from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.ray_evidence import image_coordinates
 from pointsdf_cli.models.surroundings import (
     forgotten,
-    lowered,
+    lower_plane,
     no_surroundings,
     plane_evidence,
     surroundings_of,
@@ -159,7 +159,7 @@ def test_a_lower_support_plane_is_lower_by_as_much() -> None:
         plane=torch.tensor([[0.0, -1.0, 0.0, -0.3], [0.0, -1.0, 0.0, -0.3]]),
         known=torch.tensor([[0.0, 1.0], [0.0, 0.0]]),
     )
-    down = lowered(around, torch.tensor([0.2, 0.2]))
+    down = lower_plane(around, torch.tensor([0.2, 0.2]))
     # n points up and n·x = d, so a lower plane has a smaller d; one that is not known stays.
     assert torch.allclose(down.plane[:, 3], torch.tensor([-0.5, -0.3]))
     x = torch.tensor([[[0.0, 0.1, 0.0]]])

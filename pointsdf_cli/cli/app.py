@@ -31,7 +31,7 @@ from pointsdf_cli.cli import (
 
 app = typer.Typer(
     name="rgrasp",
-    help="From one partial point cloud to a grasp of an object that nobody has modelled.",
+    help="Grasp planning for unknown objects from one partial point cloud.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -50,7 +50,7 @@ def _root(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version and leave."
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
         ),
     ] = False,
     largest_input: Annotated[

@@ -20,13 +20,13 @@ PIXELS_A_SQUARE = 420
 def calibrate(
     images: Annotated[
         Path | None,
-        typer.Argument(help="A folder of images of the board.", show_default=False),
+        typer.Argument(help="Folder of images of the board.", show_default=False),
     ] = None,
     intrinsics: Annotated[
         str | None,
         typer.Option(
             metavar="K.json",
-            help="Of these images, as for rgrasp cloud; OpenCV's distortion may be in it.",
+            help="Camera intrinsics as for rgrasp cloud; may include OpenCV's distortion.",
         ),
     ] = None,
     robot_poses: Annotated[
@@ -41,8 +41,8 @@ def calibrate(
         bool,
         typer.Option(
             "--eye-in-hand",
-            help="The camera is on the wrist and the board stands still; else the camera stands "
-            "still and the gripper holds the board.",
+            help="Camera on the wrist, board fixed. Without it: camera fixed, board in the "
+            "gripper.",
         ),
     ] = False,
     at: Annotated[
@@ -53,14 +53,14 @@ def calibrate(
             "the gripper there is written.",
         ),
     ] = None,
-    squares: Annotated[str, typer.Option(help="The board: columns x rows.")] = "5x7",
+    squares: Annotated[str, typer.Option(help="Size of the board: columns x rows.")] = "5x7",
     square: Annotated[float, typer.Option(help="Side of a square, as measured [m].")] = 0.035,
     marker: Annotated[float, typer.Option(help="Side of a marker [m].")] = 0.026,
     dictionary: Annotated[
         str, typer.Option(help="ArUco dictionary of the markers: 4X4_50 to 7X7_1000.")
     ] = "5X5_100",
     legacy_board: Annotated[
-        bool, typer.Option("--legacy-board", help="The board was made by OpenCV before 4.6.")
+        bool, typer.Option("--legacy-board", help="Board layout of OpenCV before 4.6.")
     ] = False,
     pose_unit: Annotated[
         str, typer.Option(help="Unit of the robot's translations: m, cm, mm or inch.")
@@ -69,8 +69,8 @@ def calibrate(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="The pose [default: T_world_camera.json; with --eye-in-hand and without --at "
-            "T_gripper_camera.json].",
+            help="Output pose [default: T_world_camera.json; with --eye-in-hand and without "
+            "--at T_gripper_camera.json].",
             show_default=False,
         ),
     ] = None,

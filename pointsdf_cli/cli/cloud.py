@@ -34,41 +34,43 @@ def cloud(
     ] = None,
     camera_pose: common.CameraPose = None,
     color: Annotated[
-        Path | None, typer.Option(help="Colour image, registered to the depth image.")
+        Path | None, typer.Option(help="Colour image registered to the depth image.")
     ] = None,
     depth_scale: Annotated[
         float | None,
         typer.Option(
-            help="Metres a unit [default: 0.001 for whole numbers, 1 for floats].",
+            help="Metres per unit [default: 0.001 for integers, 1 for floats].",
             show_default=False,
         ),
     ] = None,
-    near: Annotated[float, typer.Option(help="Nearer readings are dropped [m].")] = 0.1,
-    far: Annotated[float, typer.Option(help="Farther readings are dropped [m].")] = 2.5,
+    near: Annotated[float, typer.Option(help="Smallest depth to keep [m].")] = 0.1,
+    far: Annotated[float, typer.Option(help="Largest depth to keep [m].")] = 2.5,
     mask: common.Mask = None,
     no_clean: common.NoClean = False,
     out: Annotated[
-        Path | None, typer.Option(help="The cloud [default: cloud.ply, here].", show_default=False)
+        Path | None, typer.Option(help="Output cloud [default: cloud.ply].", show_default=False)
     ] = None,
     topic: Annotated[
         str | None,
-        typer.Option(help="Of a bag: the depth images [default: the only topic named so]."),
+        typer.Option(
+            help='Bag: topic of the depth images [default: the only one with "depth" in its name].'
+        ),
     ] = None,
     world_frame: Annotated[
         str | None,
-        typer.Option(help="Of a bag: the frame, such as base_link, to find the pose in."),
+        typer.Option(help="Bag: world frame of the camera pose, such as base_link."),
     ] = None,
-    index: Annotated[int, typer.Option(help="Of a bag: which image; -1 is the last.")] = 0,
+    index: Annotated[int, typer.Option(help="Bag: number of the image; -1 is the last.")] = 0,
     time: Annotated[
         float | None,
-        typer.Option(help="Of a bag: the first image so many seconds after its beginning."),
+        typer.Option(help="Bag: first image this many seconds after the beginning."),
     ] = None,
     frames: Annotated[
-        int, typer.Option(help="Of a bag: the median of so many images, which removes noise.")
+        int, typer.Option(help="Bag: number of images to take the median of, against noise.")
     ] = 1,
     info_topic: Annotated[
         str | None,
-        typer.Option(help="Of a bag: camera_info [default: beside the images]."),
+        typer.Option(help="Bag: topic of camera_info [default: beside the images]."),
     ] = None,
     force: common.Force = False,
     quiet: common.Quiet = False,

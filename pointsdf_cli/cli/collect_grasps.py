@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 
 def collect_grasps(
-    meshes: Annotated[Path, typer.Option(help="A folder of meshes, or one mesh.")],
-    out: Annotated[Path, typer.Option(help="One HDF5 of grasps per mesh goes here.")] = Path(
+    meshes: Annotated[Path, typer.Option(help="Folder of meshes, or one mesh.")],
+    out: Annotated[Path, typer.Option(help="Output folder: one HDF5 of grasps per mesh.")] = Path(
         "grasps"
     ),
     count: Annotated[
-        int, typer.Option(help="Executed grasps in all, a fifth of them of held-out objects.")
+        int, typer.Option(help="Total number of executed grasps; a fifth are of held-out objects.")
     ] = 9111,
     robot: common.Robot = None,
     sensor: common.Sensor = "ideal",
@@ -36,9 +36,11 @@ def collect_grasps(
         int, typer.Option(min=0, help="Write this many attempts as GIF films beside the report.")
     ] = 0,
     pictures: Annotated[
-        bool, typer.Option(help="Six successes and six failures as pictures in report.html.")
+        bool, typer.Option(help="Draw six successes and six failures in report.html.")
     ] = True,
-    pattern: Annotated[str, typer.Option(help="Only meshes of such names, such as '*.ply'.")] = "*",
+    pattern: Annotated[
+        str, typer.Option(help="Only meshes whose names match this pattern, such as '*.ply'.")
+    ] = "*",
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     shard: common.Shard = None,

@@ -21,29 +21,29 @@ from pointsdf_cli.io.strict_json import to_json
 if TYPE_CHECKING:
     from pointsdf_cli.io.batch import StageReport
 
-Seed = Annotated[int, typer.Option(help="Of all that is drawn at random.")]
-Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Processes; 0 takes all cores.")]
-Threads = Annotated[int, typer.Option(min=0, help="Processor threads; 0 takes those that idle.")]
-Robot = Annotated[
-    Path | None, typer.Option(help="A robot's YAML.  [default: LBR4 with Allegro hand]")
+Seed = Annotated[int, typer.Option(help="Random seed.")]
+Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Number of processes; 0 uses all cores.")]
+Threads = Annotated[
+    int, typer.Option(min=0, help="Number of processor threads; 0 uses the idle ones.")
 ]
-Device = Annotated[str, typer.Option(help="cpu, cuda or cuda:N.")]
+Robot = Annotated[Path | None, typer.Option(help="Robot YAML.  [default: LBR4 with Allegro hand]")]
+Device = Annotated[str, typer.Option(help="Compute device: cpu, cuda or cuda:N.")]
 Sensor = Annotated[
     str,
     typer.Option(
         metavar="ideal|structured-light|stereo",
-        help="The depth camera whose errors are simulated.",
+        help="Depth camera to simulate.",
     ),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")]
-Json = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
-Force = Annotated[bool, typer.Option("--force", help="Make anew what is there already.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress on stderr.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite existing output.")]
 Workspace = Annotated[
     str | None,
     typer.Option(
         metavar="X0,Y0,Z0,X1,Y1,Z1",
-        help="With --segment auto: what is looked at, a box of the world [m] "
-        "[default: 0.2,-0.9,-0.05,1.6,0.9,0.6].",
+        help="With --segment auto: workspace, a box in the world [m] [default: "
+        "0.2,-0.9,-0.05,1.6,0.9,0.6].",
         show_default=False,
     ),
 ]
@@ -51,15 +51,15 @@ Intrinsics = Annotated[
     str | None,
     typer.Option(
         metavar="K.json",
-        help="Of a depth image: K matrix, ROS camera_info, RealSense or Open3D intrinsics (JSON or "
-        "YAML), or kinect2.",
+        help="Intrinsics of a depth image: K matrix, ROS camera_info, RealSense or Open3D "
+        "intrinsics (JSON or YAML), or kinect2.",
         show_default=False,
     ),
 ]
 DepthScale = Annotated[
     float | None,
     typer.Option(
-        help="Metres a unit of a depth image [default: 0.001 for whole numbers, 1 for floats].",
+        help="Metres per unit of a depth image [default: 0.001 for integers, 1 for floats].",
         show_default=False,
     ),
 ]
@@ -67,8 +67,8 @@ Mask = Annotated[
     str | None,
     typer.Option(
         metavar="MASK.png",
-        help="The object's pixels in the depth image, from any segmenter: all that are not 0, "
-        "or of MASK.png:7 those that are 7.",
+        help="Mask image of the object, from any segmenter: its nonzero pixels; MASK.png:7 "
+        "takes the pixels of value 7.",
         show_default=False,
     ),
 ]
@@ -76,8 +76,8 @@ CameraPose = Annotated[
     str | None,
     typer.Option(
         metavar="POSE",
-        help="Camera in the world: X,Y,Z,QW,QX,QY,QZ, or a file; or table[:X,Y], for trying out: "
-        "z = 0 is the table that is seen, the object at 0.6,0 or X,Y.",
+        help="Camera pose in the world: X,Y,Z,QW,QX,QY,QZ, or a file. For trying out, "
+        "table[:X,Y]: z = 0 is the observed table, the object at 0.6,0 or X,Y.",
         show_default=False,
     ),
 ]
@@ -85,10 +85,11 @@ NoClean = Annotated[
     bool, typer.Option("--no-clean", help="Keep flying pixels, outliers and specks.")
 ]
 Shard = Annotated[
-    str | None, typer.Option(metavar="i/n", help="Only every n-th file, from the i-th (0-based).")
+    str | None,
+    typer.Option(metavar="i/n", help="Process only every n-th file, from the i-th (0-based)."),
 ]
 SkipBad = Annotated[
-    bool, typer.Option("--skip-bad", help="Exit 0 although some inputs could not be used.")
+    bool, typer.Option("--skip-bad", help="Exit with 0 even if some inputs could not be used.")
 ]
 
 

@@ -12,27 +12,28 @@ from pointsdf_cli.cli import common
 
 def eval_gs(
     checkpoint: Annotated[
-        list[Path], typer.Option(help="Of train-gs; may be repeated, one row of the table each.")
+        list[Path],
+        typer.Option(help="Checkpoint of train-gs; may be repeated, one row of the table each."),
     ],
-    grasps: Annotated[Path, typer.Option(help="Grasps that `rgrasp collect-grasps` made.")],
+    grasps: Annotated[Path, typer.Option(help="Folder of grasps made by `rgrasp collect-grasps`.")],
     out: Annotated[
-        Path, typer.Option(help="The table; OUT's name with .png goes beside it.")
+        Path, typer.Option(help="Output table; a .png of the same name is written beside it.")
     ] = Path("table.json"),
     sdf: Annotated[
         Path | None,
-        typer.Option(help="The frozen reconstruction network, if it is not where it was."),
+        typer.Option(help="New path of the frozen reconstruction network, if it has moved."),
     ] = None,
     robot: common.Robot = None,
     cache: Annotated[
         Path | None,
-        typer.Option(help="Where the network's answers are kept.  [default: GRASPS-cache]"),
+        typer.Option(help="Cache folder of the network's features.  [default: GRASPS-cache]"),
     ] = None,
     every: Annotated[
         bool,
         typer.Option(
             "--all",
-            help="Score all objects' grasps, not the held-out ones' alone: where no network has "
-            "learned from any of them.",
+            help="Score the grasps of all objects instead of the held-out ones, for data that "
+            "no network was trained on.",
         ),
     ] = False,
     threads: common.Threads = 0,

@@ -12,31 +12,40 @@ from pointsdf_cli.cli import common
 
 def eval_sdf(
     checkpoint: Annotated[
-        list[Path], typer.Option(help="Weights; may be repeated, one row of the table each.")
+        list[Path], typer.Option(help="Checkpoint; may be repeated, one row of the table each.")
     ],
-    views: Annotated[Path, typer.Option(help="Views that `rgrasp render` made of the meshes.")],
-    meshes: Annotated[Path, typer.Option(help="The true meshes.")],
+    views: Annotated[Path, typer.Option(help="Folder of views made by `rgrasp render`.")],
+    meshes: Annotated[Path, typer.Option(help="Folder of the true meshes.")],
     out: Annotated[
-        Path, typer.Option(help="The table; OUT's name with .csv and .png goes beside it.")
+        Path,
+        typer.Option(
+            help="Output table; a .csv and a .png of the same name are written beside it."
+        ),
     ] = Path("table.json"),
-    count: Annotated[int, typer.Option(help="Views of each object; 0 takes all.")] = 10,
-    resolution: Annotated[int, typer.Option(help="Of the meshes that are scored.")] = 128,
-    samples: Annotated[int, typer.Option(help="Points that each metric counts.")] = 100_000,
+    count: Annotated[int, typer.Option(help="Number of views of each object; 0 uses all.")] = 10,
+    resolution: Annotated[int, typer.Option(help="Resolution of the scored meshes.")] = 128,
+    samples: Annotated[int, typer.Option(help="Number of points for each metric.")] = 100_000,
     exact: Annotated[
-        bool, typer.Option("--exact", help="As of mesh: ask the networks everywhere.")
+        bool,
+        typer.Option(
+            "--exact", help="Evaluate the networks on the full grid, as in `rgrasp mesh --exact`."
+        ),
     ] = False,
     precision: Annotated[
-        str, typer.Option(help="auto (bfloat16 where the processor has it), bfloat16 or float32.")
+        str,
+        typer.Option(
+            help="Precision: auto (bfloat16 if the processor supports it), bfloat16 or float32."
+        ),
     ] = "auto",
     apart: Annotated[
         list[str] | None,
-        typer.Option(help="An object to report apart, such as a poor scan; may be repeated."),
+        typer.Option(help="Object to report separately, such as a poor scan; may be repeated."),
     ] = None,
     beside: Annotated[
-        str | None, typer.Option(help="Print the published rows too: ycb or graspdb.")
+        str | None, typer.Option(help="Also print the published rows: ycb or graspdb.")
     ] = None,
     gallery: Annotated[
-        int, typer.Option(help="Best, median and worst views in the picture, so many each.")
+        int, typer.Option(help="Number of best, median and worst views each in the picture.")
     ] = 3,
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,

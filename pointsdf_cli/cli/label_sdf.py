@@ -11,10 +11,10 @@ from pointsdf_cli.cli import common
 
 
 def label_sdf(
-    views: Annotated[Path, typer.Option(help="The views that `rgrasp render` made.")],
-    meshes: Annotated[Path, typer.Option(help="The meshes that they were rendered from.")],
-    out: Annotated[Path, typer.Option(help="One HDF5 of labelled points per mesh goes here.")],
-    points: Annotated[int, typer.Option(help="Labelled points per mesh.")] = 50_000,
+    views: Annotated[Path, typer.Option(help="Folder of views made by `rgrasp render`.")],
+    meshes: Annotated[Path, typer.Option(help="Folder of the rendered meshes.")],
+    out: Annotated[Path, typer.Option(help="Output folder: one HDF5 of labelled points per mesh.")],
+    points: Annotated[int, typer.Option(help="Number of labelled points per mesh.")] = 50_000,
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     shard: common.Shard = None,

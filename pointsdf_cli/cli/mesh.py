@@ -27,23 +27,28 @@ def mesh(
         ),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="The mesh [default: mesh.ply, here].", show_default=False)
+        Path | None, typer.Option(help="Output mesh [default: mesh.ply].", show_default=False)
     ] = None,
     resolution: Annotated[
         int, typer.Option(help="Cells along the box: 32, 64, 128, 256 or 512.")
     ] = 128,
     form: Annotated[
         str | None,
-        typer.Option("--format", help="ply, obj, stl or glb [default: by the name of --out]."),
+        typer.Option(
+            "--format", help="Format: ply, obj, stl or glb [default: by the name of --out]."
+        ),
     ] = None,
     checkpoint: Annotated[
-        Path | None, typer.Option(help="Weights [default: the bundled ones].", show_default=False)
+        Path | None, typer.Option(help="Checkpoint [default: the bundled one].", show_default=False)
     ] = None,
     unit: Annotated[
         str, typer.Option(help="Unit of the cloud, and so of the mesh: m, cm, mm or inch.")
     ] = "m",
     frame: Annotated[
-        str | None, typer.Option(help="camera or world [default: as the file says, else camera].")
+        str | None,
+        typer.Option(
+            help="Frame of the cloud: camera or world [default: as the file says, else camera]."
+        ),
     ] = None,
     camera_pose: common.CameraPose = None,
     intrinsics: common.Intrinsics = None,
@@ -56,9 +61,9 @@ def mesh(
     segment: Annotated[
         str | None,
         typer.Option(
-            help="auto: cut the object out of a view of a table, which needs its pose; none: the "
-            "object is alone [default: auto of a depth image without --mask, or with --camera-pose "
-            "table; else none].",
+            help="auto: segment the object in a view of a table, which needs the camera pose; "
+            "none: the object is alone [default: auto for a depth image without --mask, "
+            "or with --camera-pose table; else none].",
             show_default=False,
         ),
     ] = None,
@@ -74,8 +79,8 @@ def mesh(
     robot: Annotated[
         Path | None,
         typer.Option(
-            help="With --segment auto: whose points are left out, at home [default: LBR4 + "
-            "Allegro].",
+            help="With --segment auto: YAML of the robot at home, to remove its points "
+            "[default: LBR4 + Allegro].",
             show_default=False,
         ),
     ] = None,
@@ -86,19 +91,22 @@ def mesh(
         bool,
         typer.Option(
             "--exact",
-            help="Search wider, and ask the network at every corner there; "
-            "else smooth places are interpolated.",
+            help="Evaluate the network at every corner of a wider search; else smooth regions "
+            "are interpolated.",
         ),
     ] = False,
     smooth: Annotated[
-        int, typer.Option(help="Passes that take ripples off the surface; 0 for none.")
+        int, typer.Option(help="Number of smoothing passes over the surface; 0 for none.")
     ] = 25,
     picture: Annotated[
         Path | None,
         typer.Option(help="Also draw the cloud and the mesh from both sides into this PNG."),
     ] = None,
     precision: Annotated[
-        str, typer.Option(help="auto (bfloat16 where the processor has it), bfloat16 or float32.")
+        str,
+        typer.Option(
+            help="Precision: auto (bfloat16 if the processor supports it), bfloat16 or float32."
+        ),
     ] = "auto",
     threads: common.Threads = 0,
     seed: common.Seed = 0,

@@ -18,15 +18,16 @@ app = typer.Typer(
 SheetFile = Annotated[
     Path | None, typer.Option(help="Also draw the first 60 objects into this PNG.")
 ]
-Out = Annotated[Path, typer.Option(help="One PLY per object goes here.")]
+Out = Annotated[Path, typer.Option(help="Output folder: one PLY per object.")]
 
 
 @app.command("make")
 def make(
     out: Out = Path("meshes"),
-    count: Annotated[int, typer.Option("--count", "-n", help="How many objects.")] = 100,
+    count: Annotated[int, typer.Option("--count", "-n", help="Number of objects.")] = 100,
     families: Annotated[
-        str | None, typer.Option(metavar="a,b,…", help="Only these families, such as mug,bowl.")
+        str | None,
+        typer.Option(metavar="a,b,…", help="Families to make, such as mug,bowl; all if not given."),
     ] = None,
     sheet: SheetFile = None,
     seed: common.Seed = 0,
@@ -75,10 +76,12 @@ def fetch(
     out: Out = Path("ycb"),
     objects: Annotated[
         str | None,
-        typer.Option(metavar="003,006,…", help="Only these, by number or name; all if not given."),
+        typer.Option(
+            metavar="003,006,…", help="Objects to fetch, by number or name; all if not given."
+        ),
     ] = None,
     base_url: Annotated[
-        str | None, typer.Option(help="Where the archives NAME_google_16k.tgz lie.")
+        str | None, typer.Option(help="Address of the archives NAME_google_16k.tgz.")
     ] = None,
     sheet: SheetFile = None,
     force: common.Force = False,

@@ -26,11 +26,16 @@ def plan(
             "PLY, PCD, XYZ, TXT, CSV or NPY."
         ),
     ],
-    out: Annotated[Path, typer.Option(help="The plan.")] = Path("plan.h5"),
-    method: Annotated[str, typer.Option(help="reconstruction or partial-view.")] = "reconstruction",
-    solver: Annotated[str, typer.Option(help="sqp, or slsqp: the paper's, slow.")] = "sqp",
+    out: Annotated[Path, typer.Option(help="Output plan.")] = Path("plan.h5"),
+    method: Annotated[
+        str, typer.Option(help="Method: reconstruction or partial-view.")
+    ] = "reconstruction",
+    solver: Annotated[str, typer.Option(help="Solver: sqp, or slsqp (the paper's, slow).")] = "sqp",
     kind: Annotated[
-        str, typer.Option(help="side, top, or auto: the better of both, below 3 cm top first.")
+        str,
+        typer.Option(
+            help="Kind of grasp: side, top, or auto (the better of both; below 3 cm top first)."
+        ),
     ] = "auto",
     target: Annotated[
         str | None,
@@ -44,9 +49,9 @@ def plan(
         list[str] | None,
         typer.Option(
             metavar="POSE",
-            help="Camera in the world: X,Y,Z,QW,QX,QY,QZ, or a file, one for each view; or "
-            "table[:X,Y], for trying out: z = 0 is the table that is seen, the object at 0.6,0 or "
-            "X,Y.",
+            help="Camera pose in the world: X,Y,Z,QW,QX,QY,QZ, or a file, one for each view. "
+            "For trying out, table[:X,Y]: z = 0 is the observed table, the object at "
+            "0.6,0 or X,Y.",
             show_default=False,
         ),
     ] = None,
@@ -54,8 +59,8 @@ def plan(
         list[str] | None,
         typer.Option(
             metavar="K.json",
-            help="Of depth images, one for all or one for each: K matrix, ROS camera_info, "
-            "RealSense or Open3D intrinsics (JSON or YAML), or kinect2.",
+            help="Intrinsics of depth images, one for all or one for each: K matrix, ROS "
+            "camera_info, RealSense or Open3D intrinsics (JSON or YAML), or kinect2.",
             show_default=False,
         ),
     ] = None,
@@ -64,41 +69,48 @@ def plan(
         list[str] | None,
         typer.Option(
             metavar="MASK.png",
-            help="The object's pixels in the depth image, from any segmenter, one for each view: "
-            "all that are not 0, or of MASK.png:7 those that are 7.",
+            help="Mask image of the object, from any segmenter, one for each view: its nonzero "
+            "pixels; MASK.png:7 takes the pixels of value 7.",
             show_default=False,
         ),
     ] = None,
     no_clean: common.NoClean = False,
     frame: Annotated[
-        str | None, typer.Option(help="camera or world [default: as the file says, else camera].")
+        str | None,
+        typer.Option(
+            help="Frame of the cloud: camera or world [default: as the file says, else camera]."
+        ),
     ] = None,
     unit: Annotated[str, typer.Option(help="Unit of the clouds: m, cm, mm or inch.")] = "m",
     drop_invalid: Annotated[
         bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
     ] = False,
     segment: Annotated[
-        str, typer.Option(help="auto, or none: the clouds hold the object alone.")
+        str, typer.Option(help="Segmentation: auto, or none for clouds of the object alone.")
     ] = "auto",
     environment: Annotated[
         Path | None, typer.Option(help="YAML of the table and known obstacles.", show_default=False)
     ] = None,
     workspace: common.Workspace = None,
     ignore_others: Annotated[
-        bool, typer.Option("--ignore-others", help="Other things that are seen are no obstacles.")
+        bool,
+        typer.Option(
+            "--ignore-others", help="Ignore other observed objects instead of avoiding them."
+        ),
     ] = False,
     clearance: Annotated[
         float | None,
         typer.Option(
-            help="Least distance to everything [m] [default: object and self 0.001, table 0.002].",
+            help="Smallest distance to everything [m] [default: object and self 0.001, table "
+            "0.002].",
             show_default=False,
         ),
     ] = None,
     margin: Annotated[
-        float, typer.Option(help="Distance to the object that is kept where it can be [m].")
+        float, typer.Option(help="Preferred distance to the object, down to the clearance [m].")
     ] = 0.004,
     speed: Annotated[
-        float, typer.Option(help="Share of the joints' speed limits that the motion uses.")
+        float, typer.Option(help="Speed of the motion as a share of the joints' speed limits.")
     ] = 0.5,
     rehearse: Annotated[
         int,
@@ -116,11 +128,15 @@ def plan(
     ] = None,
     accept_unlikely: Annotated[
         bool,
-        typer.Option("--accept-unlikely", help="Exit 0, not 4, if no grasp is likely to hold."),
+        typer.Option(
+            "--accept-unlikely", help="Exit with 0 instead of 4 if no grasp is likely to hold."
+        ),
     ] = False,
     start: Annotated[
         str | None,
-        typer.Option(metavar="Q", help="Where the robot is [rad], or a file [default: its home]."),
+        typer.Option(
+            metavar="Q", help="Start configuration [rad], or a file [default: the robot's home]."
+        ),
     ] = None,
     robot: Annotated[
         Path | None, typer.Option(help="Robot YAML [default: LBR4 + Allegro].", show_default=False)
@@ -138,9 +154,9 @@ def plan(
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option(help="Where to draw it [default: beside the plan].", show_default=False),
+        typer.Option(help="Output picture [default: beside the plan].", show_default=False),
     ] = None,
-    no_picture: Annotated[bool, typer.Option("--no-picture", help="Draw nothing.")] = False,
+    no_picture: Annotated[bool, typer.Option("--no-picture", help="Draw no picture.")] = False,
     threads: common.Threads = 0,
     seed: common.Seed = 0,
     device: common.Device = "cpu",

@@ -13,24 +13,25 @@ SCENES = ("void", "table")
 
 
 def render(
-    meshes: Annotated[Path, typer.Option(help="A folder of meshes, or one mesh.")],
-    out: Annotated[Path, typer.Option(help="One HDF5 of views per mesh goes here.")] = Path(
+    meshes: Annotated[Path, typer.Option(help="Folder of meshes, or one mesh.")],
+    out: Annotated[Path, typer.Option(help="Output folder: one HDF5 of views per mesh.")] = Path(
         "views"
     ),
-    views: Annotated[int, typer.Option(help="Views per mesh.")] = 200,
+    views: Annotated[int, typer.Option(help="Number of views per mesh.")] = 200,
     camera: Annotated[
         str,
         typer.Option(
-            help="reference, kinect2, xtion, realsense, or a JSON file with K, width and height."
+            help="Camera: reference, kinect2, xtion, realsense, or a JSON file with K, width "
+            "and height."
         ),
     ] = "reference",
-    distance: Annotated[float, typer.Option(help="Camera to object [m].")] = 1.5,
+    distance: Annotated[float, typer.Option(help="Distance from camera to object [m].")] = 1.5,
     sensor: Annotated[
         str,
         typer.Option(
             metavar="ideal|structured-light|stereo",
-            help="The depth camera whose errors are simulated. With --scene table several, with "
-            "commas between: each view is measured by one of them.",
+            help="Depth camera to simulate. With --scene table: several, separated by commas, "
+            "one of them for each view.",
         ),
     ] = "ideal",
     exact: Annotated[
@@ -42,26 +43,31 @@ def render(
     noise: Annotated[
         float | None,
         typer.Option(
-            help="With --sensor ideal: deviation of the depth at 1.5 m [m]; grows with its "
-            "square.  [default: 0.001]",
+            help="With --sensor ideal: standard deviation of the depth at 1.5 m [m]; grows "
+            "with its square.  [default: 0.001]",
             show_default=False,
         ),
     ] = None,
     scene: Annotated[
         str,
         typer.Option(
-            help="void: the object alone. table: resting on a table with neighbours, at 0.4 to "
-            "1.6 m, segmented with errors of a few pixels."
+            help="Scene: void (the object alone), or table (resting on a table with "
+            "neighbours, at 0.4 to 1.6 m, segmented with errors of a few pixels)."
         ),
     ] = "void",
     above: Annotated[
-        bool, typer.Option("--above", help="Only from above the horizon, z up as meshes stand.")
+        bool,
+        typer.Option(
+            "--above", help="Render only views from above the horizon; z is up in the meshes."
+        ),
     ] = False,
     keep_depth: Annotated[
-        bool, typer.Option("--keep-depth", help="Store the depth images too (large).")
+        bool, typer.Option("--keep-depth", help="Also store the depth images (large).")
     ] = False,
     unit: Annotated[str, typer.Option(help="Unit of the mesh files: m, cm, mm or inch.")] = "m",
-    pattern: Annotated[str, typer.Option(help="Only meshes of such names, such as '*.ply'.")] = "*",
+    pattern: Annotated[
+        str, typer.Option(help="Only meshes whose names match this pattern, such as '*.ply'.")
+    ] = "*",
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     shard: common.Shard = None,

@@ -20,24 +20,27 @@ def report(
     artifacts: Annotated[
         Path,
         typer.Argument(
-            help="A folder of artifacts, a checkpoint, or one artifact, cloud or mesh.",
+            help="Folder of artifacts, a checkpoint, or one artifact, cloud or mesh.",
             metavar="ARTIFACTS",
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(help="The page.  [default: report.html in the folder, NAME.html by the file]"),
+        typer.Option(
+            help="Output page.  [default: report.html in the folder, NAME.html by the file]"
+        ),
     ] = None,
     pictures: Annotated[
-        Path | None, typer.Option(help="A folder for the page's pictures as PNG files too.")
+        Path | None, typer.Option(help="Folder for the page's pictures as PNG files.")
     ] = None,
     meshes: Annotated[
-        Path | None, typer.Option(help="The meshes of views and labels, if they lie elsewhere.")
+        Path | None,
+        typer.Option(help="Folder of the meshes of views and labels, if they have moved."),
     ] = None,
-    unit: Annotated[str, typer.Option(help="Of a cloud or mesh: m, cm, mm or inch.")] = "m",
+    unit: Annotated[str, typer.Option(help="Unit of a cloud or mesh: m, cm, mm or inch.")] = "m",
     robot: Annotated[
         Path | None,
-        typer.Option(help="Robot YAML of a plan [default: LBR4 + Allegro].", show_default=False),
+        typer.Option(help="Robot YAML for a plan [default: LBR4 + Allegro].", show_default=False),
     ] = None,
     force: common.Force = False,
     quiet: common.Quiet = False,

@@ -9,15 +9,15 @@ import typer
 
 from pointsdf_cli.cli import common
 
-app = typer.Typer(help="Check a robot's description, or begin one.", no_args_is_help=True)
+app = typer.Typer(help="Check a robot's description, or start one.", no_args_is_help=True)
 
 
 @app.command()
 def check(
-    robot: Annotated[Path, typer.Argument(help="A robot's YAML beside its URDF.")],
+    robot: Annotated[Path, typer.Argument(help="Robot YAML beside its URDF.")],
     picture: Annotated[
         Path | None,
-        typer.Option(help="Draw frames, the ways of the fingertips and surface samples (PNG)."),
+        typer.Option(help="Draw frames, fingertip paths and surface samples (PNG)."),
     ] = None,
     seed: common.Seed = 0,
     force: common.Force = False,
@@ -101,13 +101,13 @@ def check(
 def init(
     urdf: Annotated[Path, typer.Argument(help="A robot's URDF: an arm with a hand.")],
     out: Annotated[
-        Path | None, typer.Option(help="The YAML to write.  [default: beside the URDF]")
+        Path | None, typer.Option(help="Output YAML.  [default: beside the URDF]")
     ] = None,
     palm: Annotated[
         str | None,
         typer.Option(
             metavar="LINK",
-            help="The link that carries the fingers.  [default: where they branch off]",
+            help="Link that carries the fingers.  [default: where they branch off]",
         ),
     ] = None,
     force: common.Force = False,

@@ -26,7 +26,10 @@ def segment(
     ] = None,
     mask: common.Mask = None,
     frame: Annotated[
-        str | None, typer.Option(help="camera or world [default: as the file says, else camera].")
+        str | None,
+        typer.Option(
+            help="Frame of the cloud: camera or world [default: as the file says, else camera]."
+        ),
     ] = None,
     unit: Annotated[str, typer.Option(help="Unit of a cloud: m, cm, mm or inch.")] = "m",
     drop_invalid: Annotated[
@@ -36,13 +39,13 @@ def segment(
     robot: Annotated[
         Path | None,
         typer.Option(
-            help="Whose points are left out, at home, and whose reach counts [default: LBR4 + "
-            "Allegro].",
+            help="YAML of the robot at home, to remove its points and to rank by its reach "
+            "[default: LBR4 + Allegro].",
             show_default=False,
         ),
     ] = None,
     no_clean: common.NoClean = False,
-    picture: Annotated[Path, typer.Option(help="Where the numbered objects are drawn.")] = Path(
+    picture: Annotated[Path, typer.Option(help="Output picture of the numbered objects.")] = Path(
         "segment.png"
     ),
     force: common.Force = False,

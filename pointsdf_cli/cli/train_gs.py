@@ -11,44 +11,49 @@ from pointsdf_cli.cli import common
 
 
 def train_gs(
-    grasps: Annotated[Path, typer.Option(help="Grasps that `rgrasp collect-grasps` made.")],
-    out: Annotated[Path, typer.Option(help="The checkpoint directory.")],
+    grasps: Annotated[Path, typer.Option(help="Folder of grasps made by `rgrasp collect-grasps`.")],
+    out: Annotated[Path, typer.Option(help="Output checkpoint directory.")],
     encoder: Annotated[
         str,
         typer.Option(
-            help="geometry (distances of the reconstruction at the grasp), or the published "
-            "embeddings pointsdf or voxelcnn."
+            help="Encoder: geometry (distances of the reconstruction at the grasp), or the "
+            "published embeddings pointsdf or voxelcnn."
         ),
     ] = "geometry",
     mode: Annotated[
         str,
-        typer.Option(help="Of the encoder: fixed, fine-tuned, or scratch (no reconstruction)."),
+        typer.Option(
+            help="Training of the encoder: fixed, fine-tuned, or scratch (no reconstruction)."
+        ),
     ] = "fixed",
     sdf: Annotated[
         Path | None,
-        typer.Option(help="The reconstruction network to build on.  [default: the bundled one]"),
+        typer.Option(help="Reconstruction network to build on.  [default: the bundled one]"),
     ] = None,
     robot: common.Robot = None,
     epochs: Annotated[
         int | None,
-        typer.Option(help="Passes over the grasps, at most.  [default: 20 for geometry, 60]"),
+        typer.Option(help="Largest number of epochs.  [default: 20 for geometry, 60]"),
     ] = None,
-    batch_size: Annotated[int | None, typer.Option(help="Grasps a step.")] = None,
-    learning_rate: Annotated[float | None, typer.Option(help="At its highest.")] = None,
+    batch_size: Annotated[int | None, typer.Option(help="Batch size in grasps.")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="Peak learning rate.")] = None,
     patience: Annotated[
-        int | None, typer.Option(help="Epochs without improvement that end the run.")
+        int | None,
+        typer.Option(help="Number of epochs without improvement after which training stops."),
     ] = None,
     validation: Annotated[
         float | None,
-        typer.Option(help="Share of the training objects that validate (geometry uses folds)."),
+        typer.Option(
+            help="Share of the training objects held out for validation (geometry uses folds)."
+        ),
     ] = None,
     half: Annotated[bool, typer.Option("--half", help="Store the weights in float16.")] = False,
     cache: Annotated[
         Path | None,
-        typer.Option(help="Where the network's answers are kept.  [default: GRASPS-cache]"),
+        typer.Option(help="Cache folder of the network's features.  [default: GRASPS-cache]"),
     ] = None,
     threads: common.Threads = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Carry on from OUT.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Resume from OUT.")] = False,
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     force: common.Force = False,

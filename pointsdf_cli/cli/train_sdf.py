@@ -11,48 +11,66 @@ from pointsdf_cli.cli import common
 
 
 def train_sdf(
-    views: Annotated[Path, typer.Option(help="Views that `rgrasp render` made.")],
-    labels: Annotated[Path, typer.Option(help="Labels that `rgrasp label-sdf` made of them.")],
-    out: Annotated[Path, typer.Option(help="The checkpoint directory.")],
-    model: Annotated[str, typer.Option(help="pointsdf-ray, pointsdf or voxelcnn.")] = (
-        "pointsdf-ray"
-    ),
-    preset: Annotated[str, typer.Option(help="small, or paper (the published recipe).")] = "small",
+    views: Annotated[Path, typer.Option(help="Folder of views made by `rgrasp render`.")],
+    labels: Annotated[Path, typer.Option(help="Folder of labels made by `rgrasp label-sdf`.")],
+    out: Annotated[Path, typer.Option(help="Output checkpoint directory.")],
+    model: Annotated[
+        str, typer.Option(help="Architecture: pointsdf-ray, pointsdf or voxelcnn.")
+    ] = ("pointsdf-ray"),
+    preset: Annotated[
+        str, typer.Option(help="Preset: small, or paper (the published recipe).")
+    ] = "small",
     steps: Annotated[
         int | None,
-        typer.Option(help="Optimiser steps [default: 20000; with --preset paper 100 epochs]."),
+        typer.Option(
+            help="Number of optimiser steps [default: 20000; with --preset paper 100 epochs]."
+        ),
     ] = None,
     minutes: Annotated[
-        float | None, typer.Option(help="Train so long instead; the schedule follows the clock.")
+        float | None,
+        typer.Option(help="Training time instead of --steps; the schedule follows the clock."),
     ] = None,
-    batch_size: Annotated[int | None, typer.Option(help="Clouds a step.")] = None,
-    queries: Annotated[int | None, typer.Option(help="Labelled points a cloud.")] = None,
-    learning_rate: Annotated[float | None, typer.Option(help="At its highest.")] = None,
+    batch_size: Annotated[int | None, typer.Option(help="Batch size in clouds.")] = None,
+    queries: Annotated[
+        int | None, typer.Option(help="Number of labelled points per cloud.")
+    ] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="Peak learning rate.")] = None,
     near: Annotated[
-        float | None, typer.Option(help="Loss: distances below it count in full (network units).")
+        float | None,
+        typer.Option(help="Loss: distance below which errors count in full (network units)."),
     ] = None,
     sign_weight: Annotated[float | None, typer.Option(help="Loss: weight of the sign.")] = None,
     temperature: Annotated[
-        float | None, typer.Option(help="Loss: distance at which a sign is sure (network units).")
+        float | None,
+        typer.Option(help="Loss: distance at which a sign counts as certain (network units)."),
     ] = None,
     quantile: Annotated[
-        float | None, typer.Option(help="Loss: chance of being inside where the surface is put.")
+        float | None,
+        typer.Option(help="Loss: probability of being inside at the predicted surface."),
     ] = None,
     start_from: Annotated[
-        Path | None, typer.Option(help="Begin with the weights of this checkpoint.")
+        Path | None, typer.Option(help="Checkpoint with the initial weights.")
     ] = None,
-    held_out: Annotated[float, typer.Option(help="Share of the objects kept to validate.")] = 0.05,
+    held_out: Annotated[
+        float, typer.Option(help="Share of the objects held out for validation.")
+    ] = 0.05,
     views_per_object: Annotated[
         list[str] | None,
-        typer.Option(metavar="N|FOLDER=N", help="Use at most N views an object; may be repeated."),
+        typer.Option(
+            metavar="N|FOLDER=N", help="Largest number of views per object; may be repeated."
+        ),
     ] = None,
-    validate_every: Annotated[int | None, typer.Option(help="Steps between validations.")] = None,
-    precision: Annotated[str | None, typer.Option(help="auto, bfloat16 or float32.")] = None,
+    validate_every: Annotated[
+        int | None, typer.Option(help="Number of steps between validations.")
+    ] = None,
+    precision: Annotated[
+        str | None, typer.Option(help="Precision: auto, bfloat16 or float32.")
+    ] = None,
     pack: Annotated[
-        Path | None, typer.Option(help="Where the packed data goes [default: OUT-pack].")
+        Path | None, typer.Option(help="Folder of the packed data [default: OUT-pack].")
     ] = None,
     threads: common.Threads = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Carry on from OUT.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Resume from OUT.")] = False,
     seed: common.Seed = 0,
     device: common.Device = "cpu",
     force: common.Force = False,

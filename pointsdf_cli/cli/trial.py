@@ -18,39 +18,50 @@ if TYPE_CHECKING:
 
 
 def trial(
-    out: Annotated[Path, typer.Option(help="Trials, table and report go here.")] = Path("trials"),
+    out: Annotated[Path, typer.Option(help="Output folder of trials, table and report.")] = Path(
+        "trials"
+    ),
     meshes: Annotated[
         Path | None,
-        typer.Option(help="A folder of meshes, YCB or any.  [default: stand-ins of the eight]"),
+        typer.Option(help="Folder of meshes, YCB or any.  [default: stand-ins of the eight]"),
     ] = None,
     objects: Annotated[
         str,
         typer.Option(
-            help="eight, all, others (all but the eight), names with commas, or auto: the eight "
-            "if the folder is of YCB, else all."
+            help="Objects: eight, all, others (all but the eight), names separated by commas, "
+            "or auto: the eight if the folder is of YCB, else all."
         ),
     ] = "auto",
-    method: Annotated[str, typer.Option(help="reconstruction, partial-view, or both.")] = "both",
+    method: Annotated[
+        str, typer.Option(help="Method: reconstruction, partial-view, or both.")
+    ] = "both",
     ablation: Annotated[
         list[str] | None,
         typer.Option(
-            help="Also the reconstruction method so changed: oracle, no-object-constraint, "
+            help="Ablation of the reconstruction method to add: oracle, no-object-constraint, "
             "no-success-network, no-rehearsal, all (of these), checkpoint=PATH.",
             show_default=False,
         ),
     ] = None,
-    yaws: Annotated[int, typer.Option(help="Yaws of each object, evenly spaced.")] = 3,
-    cameras: Annotated[str, typer.Option(help="high, low, or both with a comma.")] = "high,low",
-    repeats: Annotated[int, typer.Option(help="Each with its own yaws, place and noise.")] = 1,
-    solver: Annotated[str, typer.Option(help="sqp, or slsqp: the paper's, slow.")] = "sqp",
+    yaws: Annotated[int, typer.Option(help="Number of evenly spaced yaws of each object.")] = 3,
+    cameras: Annotated[
+        str, typer.Option(help="Cameras: high, low, or both separated by a comma.")
+    ] = "high,low",
+    repeats: Annotated[
+        int, typer.Option(help="Number of repetitions, each with its own yaws, place and noise.")
+    ] = 1,
+    solver: Annotated[str, typer.Option(help="Solver: sqp, or slsqp (the paper's, slow).")] = "sqp",
     rehearse: Annotated[
-        int, typer.Option(help="Grasps of a round to try on the reconstruction; 0 for none.")
+        int,
+        typer.Option(
+            help="Number of grasps per round to rehearse on the reconstruction; 0 for none."
+        ),
     ] = 12,
     clearance: Annotated[
-        float, typer.Option(help="Least distance to the object that plans keep [m].")
+        float, typer.Option(help="Smallest distance to the object in plans [m].")
     ] = 0.001,
     margin: Annotated[
-        float, typer.Option(help="Distance to the object that plans keep where they can [m].")
+        float, typer.Option(help="Preferred distance to the object in plans [m].")
     ] = 0.004,
     checkpoint: Annotated[
         Path | None, typer.Option(help="Reconstruction weights.", show_default="bundled")
@@ -65,9 +76,11 @@ def trial(
     shake: Annotated[
         float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
     ] = 0.0,
-    pattern: Annotated[str, typer.Option(help="Only meshes of such names, such as '*.ply'.")] = "*",
+    pattern: Annotated[
+        str, typer.Option(help="Only meshes whose names match this pattern, such as '*.ply'.")
+    ] = "*",
     record: Annotated[int, typer.Option(help="Write this many trials as GIF films.")] = 0,
-    pictures: Annotated[int, typer.Option(help="Failures to draw in the report.")] = 40,
+    pictures: Annotated[int, typer.Option(help="Number of failures to draw in the report.")] = 40,
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     shard: common.Shard = None,

@@ -14,7 +14,7 @@ def view(
     artifacts: Annotated[
         list[Path],
         typer.Argument(
-            help="Clouds, meshes, and the files of render, label-sdf, collect-grasps and plan; "
+            help="Clouds, meshes, and files of render, label-sdf, collect-grasps and plan; "
             "several are shown in one world.",
             metavar="ARTIFACT...",
         ),
@@ -28,15 +28,18 @@ def view(
         typer.Option(help="Robot YAML [default: the bundled LBR4 + Allegro].", show_default=False),
     ] = None,
     meshes: Annotated[
-        Path | None, typer.Option(help="Meshes that artifacts name.  [default: beside them]")
+        Path | None,
+        typer.Option(help="Folder of the meshes that artifacts name.  [default: beside them]"),
     ] = None,
-    most: Annotated[int, typer.Option(help="Views or attempts to show, spread over all.")] = 200,
-    unit: Annotated[str, typer.Option(help="Of clouds and meshes: m, cm, mm or inch.")] = "m",
+    most: Annotated[
+        int, typer.Option(help="Number of views or attempts to show, spread over all.")
+    ] = 200,
+    unit: Annotated[str, typer.Option(help="Unit of clouds and meshes: m, cm, mm or inch.")] = "m",
     port: Annotated[
-        int, typer.Option(help="To serve at; the next free one if it is taken.")
+        int, typer.Option(help="Port to serve at; the next free one if it is taken.")
     ] = 8080,
     host: Annotated[
-        str, typer.Option(help="Address to serve at; 0.0.0.0 lets other machines look.")
+        str, typer.Option(help="Address to serve at; 0.0.0.0 lets other machines connect.")
     ] = "127.0.0.1",
     force: common.Force = False,
     quiet: common.Quiet = False,

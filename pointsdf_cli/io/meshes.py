@@ -93,10 +93,10 @@ def find_meshes(folder: Path | str, pattern: str = "*") -> list[Path]:
         )
     by_name: dict[Path, Path] = {}
     for path in found:
-        twin = by_name.setdefault(path.with_suffix(""), path)
-        if twin is not path:
+        namesake = by_name.setdefault(path.with_suffix(""), path)
+        if namesake is not path:
             raise InputError(
-                f"two meshes of one name: {twin.name} and {path.name}",
+                f"two meshes of one name: {namesake.name} and {path.name}",
                 where=path.parent,
                 hint=f"move one of them away; or --pattern '*{path.suffix}', where there is one",
             )

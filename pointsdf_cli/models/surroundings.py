@@ -122,7 +122,7 @@ def forgotten(
     )
 
 
-def lowered(surroundings: Surroundings, by: Tensor) -> Surroundings:
+def lower_plane(surroundings: Surroundings, by: Tensor) -> Surroundings:
     """The same views with their support planes lower by `by` [B], network units."""
     by = by.to(surroundings.plane.dtype) * surroundings.known[:, 1]
     plane = torch.cat([surroundings.plane[:, :3], (surroundings.plane[:, 3] - by)[:, None]], dim=-1)

@@ -18,7 +18,7 @@ from torch import Tensor
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.normalise import MARGIN
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.models.surroundings import Surroundings, forgotten, lowered, transformed
+from pointsdf_cli.models.surroundings import Surroundings, forgotten, lower_plane, transformed
 from pointsdf_cli.training.sdf_pack import SURROUNDINGS, Pack
 
 FORGET_IMAGE, FORGET_ALL = 0.2, 0.15
@@ -171,7 +171,7 @@ def augment(batch: Batch, rng: np.random.Generator) -> Batch:
     lost = torch.from_numpy(rng.random(count))
     around = forgotten(around, lost > FORGET_IMAGE, lost > FORGET_ALL)
     raised = np.where(rng.random(count) < RAISED, rng.uniform(0.0, HIGHEST, count), 0.0)
-    around = lowered(around, torch.from_numpy(raised))
+    around = lower_plane(around, torch.from_numpy(raised))
     return batch._replace(
         around=around,
         cloud=(cloud - centre) * scale,
