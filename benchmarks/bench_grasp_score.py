@@ -1,4 +1,4 @@
-"""How long scores of many grasps of one cloud take, with gradients to preshape and palm.
+"""Time to score many grasps of one cloud, with gradients to preshape and palm.
 
     OMP_NUM_THREADS=2 python benchmarks/bench_grasp_score.py [--checkpoint CKPT ...] [--count 1000]
 

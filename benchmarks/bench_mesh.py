@@ -176,13 +176,13 @@ def time_literal(options: argparse.Namespace) -> dict[str, float]:
 
 
 def points_of_literal(options: argparse.Namespace, resolution: int) -> int:
-    """How many points the literal MISE asks: the same field, answered in batches."""
+    """Number of points that the literal MISE queries: the same field, answered in batches."""
     config = IsosurfaceConfig(resolution, rules=SearchRules(np.inf, reach=0), newton=False)
     return extract_isosurface(network_field(reconstruct(options)), config).queries
 
 
 def against_dense(options: argparse.Namespace) -> dict[str, Any]:
-    """How far the surface lies from the dense grid's, in network units, both ways."""
+    """Distance of the surface from the dense grid's, in network units, both ways."""
     field = network_field(reconstruct(options))
     config = IsosurfaceConfig(options.dense, smallest_part=0)
     sparse = extract_isosurface(field, config)

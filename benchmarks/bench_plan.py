@@ -54,7 +54,7 @@ class Judge:
         self._links = [(name, p) for name, p in links if name not in robot.links_on_table]
 
     def depths(self, plan: Plan, scene: TableScene) -> tuple[float, float]:
-        """How deep the robot stands in the true object and in the table [m], 0 if it does not."""
+        """Penetration of the robot into the true object and into the table [m], 0 if none."""
         with torch.no_grad():
             points = torch.cat(self._kinematics.points(torch.from_numpy(plan.q), self._links))
         points = points.numpy()
@@ -62,7 +62,7 @@ class Judge:
         return max(0.0, -float(inside.min())), max(0.0, -float(points[:, 2].min()))
 
     def beyond_limits(self, plan: Plan) -> float:
-        """How far any joint of the trajectory is beyond its hard limit [rad]."""
+        """Largest excess of a trajectory's joint over its hard limit [rad]."""
         low, high = self.robot.hard_lower, self.robot.hard_upper
         over = np.maximum(low - plan.trajectory, plan.trajectory - high)
         return max(0.0, float(over.max()))

@@ -1,4 +1,4 @@
-"""How long planning takes, and SQP against SLSQP on the same seeds.
+"""Planning times, and SQP against SLSQP on the same seeds.
 
     OMP_NUM_THREADS=1 python benchmarks/bench_planning.py [--scenes 12] [--compare 4] [--network]
 

@@ -1,4 +1,4 @@
-"""How well objects are completed from real depth, and from exact views whose masks err.
+"""Quality of completion from real depth, and from exact views whose masks err.
 
     python benchmarks/real_depth.py CAPTURES MESHES [--checkpoint DIR] [--picture page.png]
 

@@ -1,4 +1,4 @@
-"""How well objects on a table are completed, what was seen and what was hidden apart.
+"""Quality of completion on a table, for seen and hidden parts separately.
 
     python benchmarks/table_views.py MESHES [--checkpoint DIR] [--views N] [--sensor NAME]
 
@@ -77,7 +77,8 @@ def meshed(model: ShapeModel, view: SceneView, seed: int) -> tuple[Array, NDArra
 
 
 def visible(vertices: Array, faces: NDArray[np.int64], points: Array) -> NDArray[np.bool_]:
-    """Which points [N, 3] on a surface a camera at the origin sees: nothing lies 2 mm before."""
+    """Mask of the points [N, 3] on a surface that a camera at the origin sees: nothing lies 2 mm
+    before."""
     scene = o3d.t.geometry.RaycastingScene(nthreads=1)
     scene.add_triangles(vertices.astype(np.float32), faces.astype(np.uint32))
     rays = np.concatenate([np.zeros_like(points), points], axis=1).astype(np.float32)

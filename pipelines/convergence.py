@@ -44,7 +44,8 @@ AS_COLLECTED = "as collected"
 ASIDE = "0.1 mm aside"
 """The object so much off, physics as collected: what a label owes to luck, whatever the step."""
 WHOLE = "the whole arm"
-"""As a trial has it: the arm simulated, too, whose joints give way a little, at its own step."""
+"""Attempt as in a trial: the arm is simulated too, its joints give way a little, at its own
+step."""
 SKIN = "with PyBullet's skin"
 """Hulls stand out by it, as they did until they were drawn in."""
 FINER = {
@@ -223,7 +224,7 @@ def anew(
 
 
 def print_pairs(labels: dict[str, list[int]]) -> None:
-    """How many labels differ between any two."""
+    """Number of labels that differ between any two."""
     for first, second in itertools.combinations(labels, 2):
         differ = sum(a != b for a, b in zip(labels[first], labels[second], strict=True))
         count = len(labels[first])

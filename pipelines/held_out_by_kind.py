@@ -1,4 +1,4 @@
-"""Which kinds of objects does a network complete well? Label IoU of held-out objects by kind.
+"""Label IoU of held-out objects by kind of object.
 
     python pipelines/held_out_by_kind.py PACK CHECKPOINT... [--held-out 0.03] [--seed 0]
 

@@ -49,8 +49,8 @@ class Capture:
     Attributes:
         name: For the page.
         path: Depth image or cloud.
-        files: How it is read.
-        pose: As `--camera-pose` takes it; None of a cloud of an object alone.
+        files: Options for reading the file.
+        pose: Pose as for `--camera-pose`; None for a cloud of an object alone.
         colour: Colour image, if there is one.
     """
 

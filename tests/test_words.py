@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-BEGINNINGS = re.compile(r"(Of|Whose|What|Where|About)\b")
+BEGINNINGS = re.compile(r"(Of|Whose|What|Where|About|How|Which|Who)\b")
 ENTRY = re.compile(r"\s+[\w, *`]+: (?P<text>.*)")
 
 RETIRED = {

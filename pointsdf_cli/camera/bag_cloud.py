@@ -68,7 +68,7 @@ def cloud_of_bag(
     Args:
         path: The bag.
         options: Selection of images.
-        intrinsics: As for `read_intrinsics`; None takes camera_info.
+        intrinsics: Intrinsics as for `read_intrinsics`; None takes camera_info.
         nearest, farthest: Depths [m] beyond which a reading is not believed.
 
     Returns:

@@ -56,7 +56,7 @@ class CleaningConfig:
 
 @dataclass(frozen=True)
 class Cleaning:
-    """Which of N points are kept, and how many are not, by cause.
+    """Mask of the N points to keep, and counts of the others by cause.
 
     Attributes:
         kept: bool [N].
@@ -180,7 +180,8 @@ def _typical(distance: Array) -> float:
 
 
 def _count_flying(even: Array, isolated: Mask, near: float) -> int:
-    """How many isolated points have kept points beside them in the image, and so jump in depth."""
+    """Number of isolated points with kept neighbours in the image, which therefore jump in
+    depth."""
     lone = even[isolated, :2]
     if not len(lone) or isolated.all():
         return 0

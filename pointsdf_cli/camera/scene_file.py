@@ -19,7 +19,7 @@ from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES, read_colour, read_depth
 
 @dataclass(frozen=True)
 class SceneFileOptions:
-    """How a file is read. What concerns the other kind of file must be None or its default.
+    """Options for reading a file. Those for the other kind of file must be None or their default.
 
     Attributes:
         intrinsics: A file or a camera's name. With a depth image: its own. With a cloud: those of
@@ -58,7 +58,7 @@ def read_view(path: Path, options: SceneFileOptions, T_world_camera: Array | Non
 
     Args:
         path: A depth image or a cloud.
-        options: How.
+        options: Options for reading.
         T_world_camera: [4, 4], whatever a cloud says; None for what it says.
 
     Raises:

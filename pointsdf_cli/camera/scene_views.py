@@ -36,12 +36,12 @@ NO_ERRORS = SegmentationErrors(
 
 @dataclass(frozen=True)
 class SceneViewConfig:
-    """How a view is made.
+    """Settings of a view.
 
     Attributes:
         sensors: Names in `SENSORS`; each view is measured by one of them.
         scene: Placement of the objects.
-        errors: How far off the segmentation is.
+        errors: Errors of the segmentation.
         exact: Share of views that the ideal sensor measures, of the object alone with exactly its
             pixels: shapes are learned from these, errors from the others.
         exact_resting: Share of these in which the object rests on a table; in the others it is
@@ -87,7 +87,7 @@ class SceneViews:
     Args:
         mesh: The object.
         camera: Intrinsics.
-        config: How views are made.
+        config: Settings of the views.
     """
 
     def __init__(

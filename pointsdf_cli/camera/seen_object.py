@@ -27,7 +27,7 @@ from pointsdf_cli.geometry.visibility import (
 
 @dataclass(frozen=True)
 class SegmentationErrors:
-    """How far off a segmentation may be.
+    """Errors of a segmentation.
 
     Attributes:
         masked: Share of views that are segmented by a mask; the others by the table's plane, where
@@ -93,7 +93,7 @@ def segment_scene(
         scene: The exact scene.
         measured: f4 [h, w], what a sensor gives of its window, 0 where nothing returned.
         camera: Intrinsics.
-        errors: How far off the segmentation may be.
+        errors: Errors of the segmentation.
         rng: Random generator of the errors.
     """
     rows, columns = np.nonzero(measured > 0)

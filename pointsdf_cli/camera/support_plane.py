@@ -14,7 +14,7 @@ from pointsdf_cli.geometry.arrays import Array
 
 @dataclass(frozen=True)
 class SupportPlaneConfig:
-    """How the table is told from floors and walls.
+    """Thresholds that separate the table from floors and walls.
 
     Attributes:
         sample: So many points are looked at.

@@ -29,7 +29,7 @@ NOTHING, OBJECT, TABLE, OTHER = 0, 1, 2, 3
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """How scenes are drawn.
+    """Distribution of scenes.
 
     Attributes:
         resting: Share of scenes in which the object rests on a table; in the others it is turned

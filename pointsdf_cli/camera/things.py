@@ -32,10 +32,10 @@ class ThingsConfig:
         floating: A part that starts this high [m] above the table stands on nothing.
         bridge: It belongs to a thing below or beside it that is nearer than this [m]: the camera
             did not see what joins them.
-        hollow: How bowls are made whole.
+        hollow: Settings for completing bowls.
         flattest: Height [m] that anything must exceed somewhere to be more than unevenness of the
             table.
-        split: How things that touch are told apart.
+        split: Settings for separating objects that touch.
     """
 
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
@@ -63,7 +63,7 @@ class Things:
     unsplit: frozenset[int] = frozenset()
 
     def standing(self, points: Array, hidden: float = 0.08) -> NDArray[np.bool_]:
-        """Which things [T] begin near the table and over it; all where no table was seen.
+        """Mask of the objects [T] that begin near the table and over it; all if no table was seen.
 
         Args:
             points: [N, 3], world, m.

@@ -1,4 +1,4 @@
-"""One look at an object: its points, where the camera stood, and what else it saw."""
+"""View of an object: its points, the camera's pose, and the rest of what the camera saw."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pointsdf_cli.geometry.visibility import ViewEvidence
 
 @dataclass(frozen=True)
 class View:
-    """One look at the object.
+    """View of an object.
 
     Attributes:
         points: [N, 3], camera frame, m.

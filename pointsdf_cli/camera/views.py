@@ -35,7 +35,7 @@ EDGE_MARGIN = 6
 
 @dataclass(frozen=True)
 class ViewConfig:
-    """How the views of a mesh are made.
+    """Settings of a mesh's views.
 
     Attributes:
         views: Views a mesh.

@@ -171,7 +171,7 @@ def labels_of(checkpoints: list[Path]) -> list[str]:
     """Short names: each directory's own, or its whole path where two would be the same.
 
     Raises:
-        InputError: One is given twice.
+        InputError: A name is given twice.
     """
     from pointsdf_cli.errors import InputError
 
@@ -305,7 +305,7 @@ class Progress:
             self._task = self._bar.add_task(title, total=total)
 
     def advance(self, name: str, _result: object = None) -> None:
-        """One more is finished."""
+        """Count one more finished file."""
         self._count += 1
         if self._bar:
             self._bar.update(self._task, advance=1, description=f"{self._title} {name[-32:]}")

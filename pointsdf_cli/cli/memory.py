@@ -23,7 +23,7 @@ _SAID = (
 LEAST = 1 << 30
 """Bytes of address space: with less the libraries hang or end the process while they are loaded."""
 NEAR = 0.8
-"""Who has had this share of a limit of address space may have met it."""
+"""Share of a limit of address space from which a failure may be due to that limit."""
 
 
 def is_lack_of_memory(error: BaseException) -> bool:

@@ -336,7 +336,7 @@ def _require_places(files: dict[str, Path], force: bool) -> None:
 def _file_options(
     count: int, intrinsics: list[str] | None, masks: list[str] | None, **same: Any
 ) -> list[SceneFileOptions]:
-    """How each of the files is read.
+    """Reading options of each file.
 
     Raises:
         InputError: Neither one for all nor one for each.

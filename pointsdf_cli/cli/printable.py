@@ -18,7 +18,7 @@ def printable(text: str) -> str:
 
 
 def on_one_line(text: str) -> str:
-    """As `printable`, line ends escaped too: for a value that stands in a line of its own."""
+    """Escape line ends too, unlike `printable`: for a value that stands in a line of its own."""
     return printable(text).replace("\n", "\\n")
 
 

@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def strictly_inside(points: ArrayLike, low: ArrayLike, high: ArrayLike) -> NDArray[np.bool_]:
-    """Which points [N, 3] lie inside a box with the corners `low` and `high` [3], not on its faces.
+    """Mask of the points [N, 3] inside a box with the corners `low` and `high` [3], its faces
+    excluded.
 
     Points that are not numbers lie nowhere: False. One axis after the other, as NumPy takes three
     times as long to reduce many short rows.

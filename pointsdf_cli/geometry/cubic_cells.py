@@ -40,8 +40,8 @@ def cubic_cells(around: NDArray[np.float32], factor: int) -> NDArray[np.float32]
 
 
 def bends(around: NDArray[np.float32]) -> NDArray[np.float32]:
-    """How far fields are from parabolas: the largest third difference along any line [C], of those
-    lines whose four values are no NaN; zero where there is none.
+    """Deviation of fields from parabolas: the largest third difference along any line [C], of those
+    lines whose four values are no NaN; zero without any.
 
     Of a field whose slope jumps by one it is one cell where the jump is at a corner, less between
     corners and nothing midway; an SDF with a radius of curvature of ten cells has a hundredth of

@@ -97,7 +97,7 @@ def _interpolated(grid: SampledGrid, cells: Cells, factor: int) -> NDArray[np.fl
 
 
 def _straddling(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which of the finer cells [C, f, f, f] the surface crosses."""
+    """Mask of the finer cells [C, f, f, f] that the surface crosses."""
     any_of, all_of = inside, inside
     for axis in (1, 2, 3):
         low = [slice(None)] * 4

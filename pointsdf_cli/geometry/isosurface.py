@@ -33,7 +33,7 @@ class EmptySurfaceError(RgraspError):
 
 @dataclass(frozen=True)
 class IsosurfaceConfig:
-    """How to look for the zero level.
+    """Settings of the search for the zero level.
 
     Attributes:
         resolution: Cells along each side of the box: `coarse` times a power of two, at most 512.
@@ -42,7 +42,8 @@ class IsosurfaceConfig:
         rules: When MISE asks and where it looks.
         asked: The finest grid on which the field itself is asked; beyond it corners are
             interpolated (`fine_cells.py`).
-        newton: One Newton step along each edge (one more query a vertex), unless interpolated.
+        newton: Refine each vertex by one Newton step along its edge (one more query), unless
+            interpolated.
         smallest_part: Parts that enclose less than this share of the largest part's volume are
             dropped; 1 keeps the largest alone, 0 everything.
         batch: Points asked at once.
@@ -86,8 +87,8 @@ class Isosurface:
     Attributes:
         vertices: [V, 3] f8, in the field's units.
         faces: [F, 3] i4, counter-clockwise seen from outside.
-        queries: How many points the field was asked for.
-        parts_dropped: How many parts were too small to keep.
+        queries: Number of points at which the field was evaluated.
+        parts_dropped: Number of parts that were too small to keep.
     """
 
     vertices: NDArray[np.float64]

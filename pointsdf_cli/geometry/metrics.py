@@ -1,4 +1,4 @@
-"""How well a reconstruction matches the truth (docs/method.md, "Table I"; Mescheder et al. 2019).
+"""Metrics of a reconstruction against the truth (docs/method.md, "Table I"; Mescheder et al. 2019).
 
 Volumetric IoU, Chamfer-L1 and normal consistency of two closed meshes in one frame. A failed
 reconstruction is not skipped but scored as the worst: an average over successes alone would
@@ -99,7 +99,7 @@ def compare(
         prediction: Reconstructed mesh.
         truth: True mesh.
         rng: Draws the points that the volumes are counted with.
-        samples: How many of those.
+        samples: Number of those.
     """
     forth, at_truth = truth.nearest(prediction.points)
     back, at_prediction = prediction.nearest(truth.points)

@@ -52,7 +52,7 @@ _ACROSS = [(2 * side - 1) * np.eye(3, dtype=np.int32)[axis] for axis, side in _F
 
 @dataclass(frozen=True)
 class SearchRules:
-    """How far the field's values are trusted.
+    """Thresholds of trust in the field's values.
 
     Attributes:
         slope: The steepest change of the field that bounds are made with; 1 for an exact SDF,
@@ -176,7 +176,7 @@ class SampledGrid:
         return self.values[rows]
 
     def cases(self, rows: NDArray[np.integer]) -> NDArray[np.uint8]:
-        """Which corners of the cells with corner rows [C, 8] are inside (`cell_cases`) [C]."""
+        """Mask of the cells with corner rows [C, 8] that are inside (`cell_cases`) [C]."""
         # Bytes before they are picked: a quarter of the memory that is jumped about in.
         return cell_cases((self.values < 0)[rows])
 
@@ -258,7 +258,7 @@ def sparse_zeros(count: int) -> NDArray[np.int32]:
 
 
 def one_entry_each(slot: NDArray[np.int32], flat: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Which entry of `flat` [N] stands for each of the places that it names, some more than once.
+    """Mask of the entries of `flat` [N], one for each distinct place.
 
     A sort takes ten times as long as writing each entry's number at its place in `slot`, and
     reading them back; there they stay.
@@ -354,7 +354,7 @@ def _interpolate_smooth(grid: SampledGrid, cells: Cells, stride: int, smooth: fl
 
 
 def _straddling(cases: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Which cells the zero level crosses."""
+    """Mask of the cells that the zero level crosses."""
     return (cases != 0) & (cases != 255)
 
 

@@ -64,7 +64,7 @@ def aligned_distance(one: Points, other: Points, iterations: int = 40) -> float:
 
 
 def spacing(points: Points) -> float:
-    """How far apart two samples of this surface, each as dense as this one, are on average.
+    """Mean distance between two samples of this surface, each as dense as this one.
 
     Measured between the two halves of the sample; nearest distances on a surface shrink with the
     square root of the density.

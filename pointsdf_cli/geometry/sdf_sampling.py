@@ -17,7 +17,7 @@ MARGIN = 1.03
 
 @dataclass(frozen=True)
 class SamplingConfig:
-    """How many labelled points a mesh gets, and where.
+    """Numbers and places of a mesh's labelled points.
 
     The lengths are in units of the mesh scaled so that its longest side is 1/1.03.
 

@@ -76,7 +76,7 @@ class SignedDistance:
         return odd
 
     def _winding_number(self, local: NDArray[np.float32]) -> NDArray[np.int64]:
-        """How many times the surface is wound around each point: the median of three rays.
+        """Winding number of the surface around each point: the median of three rays.
 
         A ray that leaves through a face crosses with its normal (+1), one that enters against it
         (−1); the sum does not care how often closed pieces touch or overlap.

@@ -1,4 +1,4 @@
-"""How an object stands on a table, drawn so that what is made to stand, stands.
+"""Resting poses of an object on a table, sampled so that objects made to stand do stand.
 
 The most probable resting pose of a thing that falls is lying; people put cans and bottles upright,
 and a hand can then reach around them. So the tallest pose that is firm is preferred.
@@ -19,7 +19,7 @@ from pointsdf_cli.geometry.frames import transform
 
 @dataclass(frozen=True)
 class StandingConfig:
-    """How a pose is drawn.
+    """Distribution of a pose.
 
     Attributes:
         firm: A pose is firm if the object must be tilted by more than this [rad] to fall over.
@@ -45,7 +45,7 @@ class StablePose:
 
     Attributes:
         T_table_object: [4, 4], the mesh on a table whose top is z = 0.
-        probability: That a falling object comes to rest so.
+        probability: Probability that a falling object comes to rest so.
         height: Height of the object's top above the table [m].
         margin: By how much it must be tilted to fall over [rad].
     """

@@ -26,7 +26,7 @@ def require_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | str | 
             what is no file are passed over.
 
     Raises:
-        InputError: One of them is.
+        InputError: An output is also an input.
     """
     there = [path for path in outputs if path is not None and path.exists()]
     if not there:

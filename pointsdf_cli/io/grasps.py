@@ -95,7 +95,7 @@ class Grasps:
         return np.asarray(self.label >= LOST)
 
     def count(self) -> dict[str, int]:
-        """How many attempts ended in each cause, and how many there are."""
+        """Number of attempts that ended in each cause, and their total."""
         by_cause = np.bincount(self.cause, minlength=len(CAUSES))
         return {cause: int(n) for cause, n in zip(CAUSES, by_cause, strict=True)}
 

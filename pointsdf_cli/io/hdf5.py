@@ -41,7 +41,7 @@ class Dataset:
     Attributes:
         array: The numbers.
         units: Unit of the numbers, such as "m".
-        frame: That they are in, such as "camera".
+        frame: Frame of the numbers, such as "camera".
         compress: Worth it for images and integers; noisy floats shrink by a tenth and cost more
             time to squeeze than to compute.
     """
@@ -160,7 +160,8 @@ def sense_of(path: Path | str) -> Iterator[None]:
     """For the lines that make numbers and names of an artifact's attributes.
 
     Raises:
-        InputError: One of them is missing or of another kind: not a file that rgrasp wrote.
+        InputError: A dataset or attribute is missing or of another kind: not a file that rgrasp
+            wrote.
     """
     try:
         yield

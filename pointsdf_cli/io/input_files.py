@@ -89,7 +89,7 @@ def open_input(path: Path | str, kind: str) -> BinaryIO:
 
 
 def check_input(path: Path | str, kind: str) -> None:
-    """As `open_input`, for libraries that open files themselves.
+    """Open an input file as `open_input` does, for libraries that open files themselves.
 
     Raises:
         InputError: As `open_input`.

@@ -140,7 +140,7 @@ def load_mesh(path: Path | str, unit: str = "m") -> LoadedMesh:
 
 
 def load_body(path: Path | str, scale: float = 1.0) -> LoadedMesh:
-    """As `load_mesh`, of any size: nothing to grasp, but something that stands in the way.
+    """Load a mesh of any size as an obstacle, otherwise as `load_mesh`.
 
     Args:
         path: The file.

@@ -65,7 +65,7 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
 
     Args:
         data: Compressed bytes.
-        size: How long the result is.
+        size: Size of the result.
 
     Raises:
         ValueError: The data do not unpack to that size.

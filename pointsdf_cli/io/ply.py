@@ -125,7 +125,7 @@ def stacked(columns: Any, a: str, b: str, c: str, path: Path) -> NDArray[np.floa
     """Three columns as f8 [N, 3].
 
     Raises:
-        InputError: One of them is missing.
+        InputError: A property is missing.
     """
     try:
         with np.errstate(invalid="ignore"):  # damaged bytes may be signalling NaNs

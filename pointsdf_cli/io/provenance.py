@@ -1,4 +1,4 @@
-"""Who made a file: the version, the commit and the contents it came from."""
+"""Provenance of a file: the version, the commit and the contents it came from."""
 
 from __future__ import annotations
 

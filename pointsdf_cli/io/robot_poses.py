@@ -145,7 +145,7 @@ def _number(word: str) -> float | None:
 
 
 def _pose(value: Any) -> Array | None:
-    """One pose [4, 4]; None if it is none."""
+    """Pose [4, 4]; None if the numbers are no pose."""
     try:
         if isinstance(value, Mapping):
             inner = next((value[k] for k in ("pose", "transform", "matrix") if k in value), None)

@@ -126,7 +126,7 @@ class Bag:
             topic: Topic of the depth images.
             index: The first one, from 0; from -1 backwards counts from the end.
             time: If given, the first image this many seconds after the bag's beginning instead.
-            count: How many.
+            count: Number of images.
 
         Raises:
             InputError: There are not so many images, they are no depth images, or differ in size.

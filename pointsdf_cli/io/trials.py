@@ -50,11 +50,11 @@ class TrialRow:
         success_probability: Predicted; NaN where there is none.
         rehearsed: Share of rehearsals in which the grasp held; NaN where there were none.
         contact: The robot touched the object before the hand closed.
-        moved: How far the object had moved by then [m].
+        moved: Distance that the object had moved by then [m].
         penetration: Depth of the planned grasp in the true mesh [m], 0 if none.
         lifted: The object rose at least 0.105 m at some time.
         held: It was still held in the end.
-        final_height: How much it had risen in the end [m].
+        final_height: Height by which it had risen in the end [m].
         seed: Random seed of the experiment.
     """
 
@@ -172,7 +172,7 @@ def _row(values: Mapping[str, Any]) -> TrialRow:
     """A row of values that are of the types they should be.
 
     Raises:
-        ValueError: One of them is not.
+        ValueError: A value is of another type.
     """
     allowed: dict[str, tuple[type, ...]] = {
         "str": (str,), "int": (int,), "float": (int, float), "bool": (bool,),

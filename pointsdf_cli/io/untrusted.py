@@ -91,7 +91,7 @@ def read_npy_array(path: Path, kind: str = "array") -> NDArray[Any]:
 
 
 def _mapped(handle: BinaryIO) -> NDArray[Any]:
-    """As `np.lib.format.open_memmap`, of a file that is open."""
+    """Map an array of an open NPY file into memory, like `np.lib.format.open_memmap`."""
     version = np.lib.format.read_magic(handle)
     read = (
         np.lib.format.read_array_header_1_0

@@ -22,12 +22,12 @@ class Completion:
 
     Attributes:
         vertices: f8 [V, 3], m.
-        faces: i8 [F, 3], a closed surface.
+        faces: i4 [F, 3], a closed surface.
         reconstruction: The network's signed distance function.
     """
 
     vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    faces: NDArray[np.int32]
     reconstruction: Reconstruction
 
     def sdf(self, x: ArrayLike) -> NDArray[np.float32]:

@@ -181,7 +181,8 @@ class GraspFeatures:
 
 
 def _touching(pads: Tensor) -> tuple[Tensor, Tensor]:
-    """How surely each pad touches while the hand closes, and how late, both [M, B] in 0 to 1.
+    """Certainty of each pad's contact while the hand closes, and its lateness, both [M, B] in 0 to
+    1.
 
     A moment's distance gives the chance that it touches there; what did not touch at any moment so
     far is still free. The mean of that over all moments is the expected time of first touch.

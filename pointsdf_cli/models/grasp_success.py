@@ -116,7 +116,7 @@ class GeometryNet(nn.Module):
 
     Args:
         features: F.
-        members: How many networks.
+        members: Number of networks.
         widths: Widths of the hidden layers.
         dropout: On hidden layers.
         input_dropout: On the features.

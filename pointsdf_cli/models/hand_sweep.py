@@ -33,7 +33,7 @@ PAD = 0.15
 
 @dataclass(frozen=True)
 class SweepConfig:
-    """How finely the closing hand is followed.
+    """Resolution of the closing motion.
 
     Attributes:
         stages: Moments of the closing motion, the preshape among them.
@@ -71,7 +71,7 @@ class HandSweep:
 
     Args:
         robot: The robot.
-        config: How finely.
+        config: Resolution.
 
     Attributes:
         region: f4 [G, 3], points of the box that the pads sweep, fixed in the palm frame.
@@ -118,7 +118,7 @@ class HandSweep:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """How many still points, and how many moving ones at each stage."""
+        """Number of fixed points, and of moving ones at each stage."""
         return len(self._still), len(self._moving)
 
     def __call__(self, preshape: Tensor) -> tuple[Tensor, Tensor]:
@@ -237,7 +237,7 @@ class HandSweep:
         self._slides = self._chain.slides[self._preshape]
 
     def _link_motion(self, robot: RobotDescription) -> Callable[[int], Motion]:
-        """How the points of a link move, in its own frame, after a quarter of the closing."""
+        """Motion of a link's points, in its own frame, after a quarter of the closing."""
         middle = torch.tensor(robot.preshape_ranges.mean(axis=1), dtype=torch.float32)
         start = self._rest.index_copy(0, self._preshape, middle)
         begin = self.config.stages // 4

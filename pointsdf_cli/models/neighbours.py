@@ -171,7 +171,7 @@ def gather(values: Tensor, index: Tensor) -> Tensor:
 
 @torch.no_grad()
 def inverse_density(points: Tensor, bandwidth: float) -> Tensor:
-    """One over the Gaussian kernel density at each point, scaled to at most 1 in each cloud.
+    """Inverse Gaussian kernel density at each point, scaled to at most 1 in each cloud.
 
     PointConv's density compensation (Wu et al. 2018, section 3.1).
 

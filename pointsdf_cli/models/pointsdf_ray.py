@@ -67,7 +67,7 @@ class PointSDFRay(ShapeModel):
         blocks: Residual blocks of the decoder.
         local: Width of each local feature.
         heads: Heads of the attention over the third layer's centres; 0 leaves it out.
-        search: How neighbours are chosen: `exact`, or `subsets`, which is faster and about as good.
+        search: Neighbour search: `exact`, or `subsets`, which is faster and about as good.
         revolution: Whether the decoder reads the evidence at a query's symmetric point too.
         sideways: Preference of its axis, see `revolution_axis`.
         box: Whether the decoder also reads where a query lies in the box around the cloud (with

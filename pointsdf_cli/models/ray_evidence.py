@@ -61,7 +61,7 @@ def ray_evidence(
         camera: [B, 3], network frame.
         cloud_image: [B, P, 3], `image_coordinates` of the cloud.
         cloud_plane: [B, P, 2], the first two of these.
-        search: How neighbours are chosen, a key of `SEARCHES`.
+        search: Neighbour search, a key of `SEARCHES`.
 
     Returns:
         [B, Q, EVIDENCE_SIZE], float32.

@@ -1,4 +1,4 @@
-"""One reconstructed object in metres: the door through which everything else uses a shape network.
+"""Reconstructed object in metres: the interface of the shape networks for everything else.
 
     shape = Reconstruction.from_cloud(load_model(), points, camera_position, R_frame_camera)
     s = shape.sdf(x)                        # [Q] metres, negative inside

@@ -1,4 +1,4 @@
-"""Which architectures exist, and how one is rebuilt from a checkpoint's config.json."""
+"""Registry of architectures, and their reconstruction from a checkpoint's config.json."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def build_model(
 
     Args:
         architecture: A key of `ARCHITECTURES`.
-        arguments: As its `config()` gave them; the defaults where None.
+        arguments: Arguments as its `config()` gave them; the defaults if None.
         seed: Random seed of the initial weights.
 
     Raises:
@@ -66,7 +66,7 @@ def load_model(path: Path | str | None = None, device: str = "cpu") -> ShapeMode
 
 
 def model_from_checkpoint(checkpoint: Checkpoint) -> ShapeModel:
-    """As `load_model`, for a checkpoint that was read already."""
+    """Rebuild a model like `load_model`, from a checkpoint that was read already."""
     config = checkpoint.config
     try:
         model = build_model(str(config.get("architecture")), config.get("model"))

@@ -1,4 +1,4 @@
-"""One mesh out of a downloaded tar archive, without trusting the archive."""
+"""Extraction of one mesh from a downloaded tar archive, without trusting the archive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""One file over HTTP: streamed, resumed where it broke off, retried a bounded number of times."""
+"""Download of one file over HTTP: streamed, resumed where it broke off, retried a limited number of
+times."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ from pointsdf_cli.io.atomic import unwritable
 
 @dataclass(frozen=True)
 class Patience:
-    """How hard to try.
+    """Limits of the attempts.
 
     Attributes:
         attempts: Tries in all; one that brought at least a byte does not count.

@@ -39,7 +39,7 @@ class Draw:
         return self._record(name, int(self.rng.integers(low, high + 1)))
 
     def choice(self, name: str, options: Sequence[Option]) -> Option:
-        """One of the options, all equally likely."""
+        """Random choice among equally likely options."""
         return self._record(name, options[int(self.rng.integers(len(options)))])
 
     def chance(self, name: str, probability: float) -> bool:

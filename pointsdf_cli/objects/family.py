@@ -18,10 +18,10 @@ class Family:
     """A kind of household object, made by drawing parameters.
 
     Attributes:
-        name: As in file names and `--families`.
+        name: Name in files and for `--families`.
         build: Draws the parameters and returns the closed solid: metres, +z up, in the pose in
             which the object stands or lies on a table. Its place is free.
-        weight: How often the family is drawn, relative to the others.
+        weight: Relative frequency of the family.
         kind: Kind of shape, for the balance of the mix.
         summary: One line for the documentation.
         unevenness: Largest displacement of the surface by its smooth irregularities, as a fraction

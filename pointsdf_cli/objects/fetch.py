@@ -156,7 +156,7 @@ def _fetch_one(
 
 
 def _add_to_lock(out: Path, name: str, entry: LockEntry) -> None:
-    """One more entry; those that another run has added since this one began stay."""
+    """Add one entry; those that another run has added since this one began stay."""
     guard = os.open(out, os.O_RDONLY)
     try:
         fcntl.flock(guard, fcntl.LOCK_EX)

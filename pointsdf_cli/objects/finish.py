@@ -115,7 +115,8 @@ def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def closed_surface_problem(vertices: np.ndarray, faces: np.ndarray) -> str:
-    """Why the mesh is not one closed, outward-facing surface with volume; empty if it is one."""
+    """Reason why the mesh is not one closed, outward-facing surface with volume; empty if it is
+    one."""
     if len(np.unique(vertices, axis=0)) != len(vertices):
         return "two vertices at one place"
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)

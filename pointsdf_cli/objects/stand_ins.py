@@ -120,24 +120,24 @@ class FixedDraw(Draw):
         self._given = dict(values)
 
     def uniform(self, name: str, low: float, high: float) -> float:
-        """As given, or the mean of the limits."""
+        """The given value, or the mean of the limits."""
         return self._record(name, float(self._given.get(name, (low + high) / 2)))
 
     def log_uniform(self, name: str, low: float, high: float) -> float:
-        """As given, or the geometric mean of the limits."""
+        """The given value, or the geometric mean of the limits."""
         return self._record(name, float(self._given.get(name, float(np.sqrt(low * high)))))
 
     def integer(self, name: str, low: int, high: int) -> int:
-        """As given, or the middle whole number."""
+        """The given value, or the middle whole number."""
         return self._record(name, int(self._given.get(name, (low + high) // 2)))
 
     def choice(self, name: str, options: Sequence[Option]) -> Option:
-        """As given, or the first option."""
+        """The given value, or the first option."""
         given: Option = self._given.get(name, options[0])  # type: ignore[assignment]
         return self._record(name, given)
 
     def chance(self, name: str, probability: float) -> bool:
-        """As given, or whatever is likelier."""
+        """The given value, or the likelier one."""
         return self._record(name, bool(self._given.get(name, probability > 0.5)))
 
 

@@ -27,7 +27,7 @@ MOST_OBJECTS = 10_000_000
 
 @dataclass(frozen=True)
 class ObjectTask:
-    """Which object goes into which file."""
+    """Assignment of objects to files."""
 
     seed: int
     index: int

@@ -30,7 +30,7 @@ def choose_ycb(wanted: Sequence[str] | None) -> list[str]:
     """Whole names for names, numbers (`003`, `065-a`) or number groups (`065`); all for None.
 
     Raises:
-        InputError: One that fits no object, with the nearest; or none at all.
+        InputError: A name that fits no object, with the nearest ones; or none at all.
     """
     if wanted is None:
         return list(YCB_OBJECTS)

@@ -14,7 +14,7 @@ from pointsdf_cli.robot.arm_chain import ArmChain
 
 @dataclass(frozen=True)
 class ApproachConfig:
-    """How the last stretch runs.
+    """Settings of the last stretch.
 
     Attributes:
         length: Length of the straight stretch [m].

@@ -12,7 +12,7 @@ def check_scene_inputs(clouds: Sequence[Cloud], names: Sequence[str], segment: s
     """Refuse clouds that no grasp can be planned from.
 
     Args:
-        clouds: One a camera.
+        clouds: Clouds, one for each camera.
         names: Names of the clouds, for messages.
         segment: "auto" of clouds of a whole table, "none" of clouds of the object alone.
 

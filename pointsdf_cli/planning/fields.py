@@ -174,7 +174,7 @@ class RefinedField:
     one is returned. Everywhere else the exact field answers. So what is below `beyond` is exact.
 
     Attributes:
-        queries: How often the exact field was asked.
+        queries: Number of queries of the exact field.
     """
 
     def __init__(self, quick: BoundedField, exact: Field, beyond: float) -> None:

@@ -100,7 +100,7 @@ class PlanOptions:
         margin: Distance to the object that is kept where it can be [m].
         successive_halving: Iterations after which the worse half of the seeds stops.
         device: Device of the networks.
-        synthesis: How long to look, and what is good enough.
+        synthesis: Effort of the search, and thresholds of a good grasp.
         speed: Share of the joints' speed limits that the motion uses.
         resampled_views: Further samples of the cloud's points to complete, for the resampled-view
             check.
@@ -294,7 +294,7 @@ class GraspPlanner:
         rank: Rank | None = None,
         stop: StopCondition | None = None,
     ) -> Answer:
-        """As `plan`, for what `see` made: `rank` and `stop` may then know the target."""
+        """Plan like `plan`, for a perceived object: `rank` and `stop` may then know the target."""
         search = self.search(perceived.points)
         plan = self.planner.plan(perceived.target, environment, start, seed, search, rank, stop)
         timings = {**perceived.timings, **plan.timings}
@@ -313,7 +313,7 @@ class GraspPlanner:
         return narrowest(points) > self.planner.geometry.hand.span
 
     def search(self, points: Array) -> SynthesisConfig:
-        """How to look for grasps of an object seen at points [N, 3] of the world."""
+        """Search settings for an object seen at points [N, 3] of the world."""
         search = replace(self.options.synthesis, kinds=self.kinds(points))
         if not self.too_large(points):
             return search

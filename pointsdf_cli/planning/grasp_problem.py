@@ -73,7 +73,7 @@ class GraspProblem:
         environment: Obstacles and table.
         clearances: Margins.
         objective: α and β.
-        critical: How many constraints `evaluate` reports of each configuration.
+        critical: Number of constraints that `evaluate` reports of each configuration.
         slope: The largest slope of the field.
         reach: Distances to the object up to here [m] are looked at closely, others are bounded.
     """
@@ -139,7 +139,7 @@ class GraspProblem:
         return poses, join([self.object(poses, gradients), self.bodies(poses)])
 
     def residuals(self, x: Array) -> Residuals:
-        """How far x [B, n] is from violating each kind of constraint."""
+        """Slack of each kind of constraint at x [B, n]."""
         _, contacts = self.contacts(x, gradients=False)
         slack = contacts.distance - self._margin
         relevant, fixed = self._relevant, ~(self.is_object | self.is_table | self._is_self)
@@ -184,7 +184,7 @@ class GraspProblem:
         )
 
     def _movable(self) -> NDArray[np.bool_]:
-        """Which distances the variables can change at all."""
+        """Mask of the distances that the variables can change."""
         moved = self._jacobian.moved[:, self.variables.columns]
         link = np.concatenate([self.object.link, self.bodies.link])
         none = np.full(len(self.object.link), WORLD)

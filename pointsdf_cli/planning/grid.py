@@ -30,7 +30,7 @@ _CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 @dataclass(frozen=True)
 class GridConfig:
-    """How fine the grid is.
+    """Resolution of the grid.
 
     Attributes:
         step: Side of the finest cells [m].
@@ -60,10 +60,10 @@ class GridField:
     Args:
         field: Field to sample; evaluated only here.
         low, high: [3], the box [m]; it must enclose the surface.
-        config: How fine.
+        config: Resolution.
 
     Attributes:
-        queries: How often the field was asked.
+        queries: Number of queries of the field.
         measured_slope: The steepest change between asked corners of the finest cells. The field's
             true slope is no less: where this exceeds `config.slope`, the bound does not hold.
     """

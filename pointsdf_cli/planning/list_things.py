@@ -48,7 +48,7 @@ def list_things(
 
     Args:
         path, files: The view and how it is read.
-        pose: As typed; see `scene_input.read_scene`.
+        pose: Pose as typed; see `scene_input.read_scene`.
         workspace: Corners [m] of what is looked at; the usual ones if None.
         robot: Its YAML; the bundled one if None.
         cleaned: Whether flying pixels and outliers are dropped.

@@ -23,7 +23,7 @@ from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
 @dataclass(frozen=True)
 class MotionConfig:
-    """How hard to try.
+    """Effort of the search.
 
     Attributes:
         attempts: Searches with another seed each (the paper: three).

@@ -63,7 +63,7 @@ class Solutions:
         objective: [B].
         violation: [B], the largest, in the constraints' unit.
         converged: bool [B]; the solver's own tolerances were met.
-        evaluations: How often the problem was evaluated, summed over starts.
+        evaluations: Number of evaluations of the problem, summed over starts.
     """
 
     x: Array
@@ -74,7 +74,7 @@ class Solutions:
 
 
 class Solver(Protocol):
-    """One way to solve such problems."""
+    """Protocol of a solver."""
 
     def solve(self, problem: Problem, starts: Array, iterations: int | None = None) -> Solutions:
         """Solve from all starts [B, n]; equal input gives equal output.

@@ -1,4 +1,4 @@
-"""Which of the things on the table is meant, and which is taken where nothing was said."""
+"""Choice of the object to grasp, by the user or by default."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Thing:
         label: In `Things.label`.
         centre: [3], of its box, world, m.
         size: [3], of its box: the longer and the shorter level side, and its height, m.
-        points: How many were seen, thinned.
+        points: Number of observed points, thinned.
         stands: It stands on the table; others come last.
         unsplit: It looks like several in touch.
         image: [2], where it is in the image, in units of half the image: (0, 0) is the middle.
@@ -220,7 +220,7 @@ def _sides(points: Array) -> Array:
 
 
 def _merit(thing: Thing, reach: tuple[float, float] | None) -> float:
-    """How much speaks for a thing: 1 is the most."""
+    """Merit of an object: 1 is the best."""
     centred = float(np.exp(-((np.linalg.norm(thing.image) / 0.6) ** 2)))
     near = 1.0
     if reach is not None:

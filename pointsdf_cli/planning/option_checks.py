@@ -15,7 +15,7 @@ LARGEST_CLEARANCE = 0.015
 
 
 def check_method(method: str) -> None:
-    """One of `METHODS`.
+    """Require one of `METHODS`.
 
     Raises:
         InputError: It is none of them.
@@ -24,7 +24,7 @@ def check_method(method: str) -> None:
 
 
 def check_solver(solver: str) -> None:
-    """One of `SOLVERS`.
+    """Require one of `SOLVERS`.
 
     Raises:
         InputError: It is none of them.
@@ -78,7 +78,7 @@ def check_min_success(probability: float | None) -> None:
 
 
 def check_segment(segment: str, target: bool, workspace: bool) -> None:
-    """How the object is found in its cloud.
+    """Check the options of segmentation.
 
     Args:
         segment: One of `SEGMENT`.

@@ -28,7 +28,7 @@ from pointsdf_cli.planning.robot_geometry import RobotGeometry
 
 @dataclass(frozen=True)
 class PathCheckConfig:
-    """How closely to look.
+    """Resolution of the check.
 
     Attributes:
         resolution: Ways on which nothing moves farther than this [m] are not halved any more.
@@ -52,7 +52,7 @@ class PathChecker:
             object's clearance.
         environment: Obstacles and table.
         clearances: Least distances.
-        config: How closely to look.
+        config: Resolution.
 
     Attributes:
         looked_at: Configurations evaluated so far.
@@ -114,7 +114,8 @@ class PathChecker:
         return bound
 
     def _columns(self, moving: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-        """Which pairs count, and are moved against each other by some of these joints: bool [C]."""
+        """Mask of the pairs that count and are moved against each other by some of these joints:
+        bool [C]."""
         counts = np.ones(len(self._reach), dtype=bool)
         counts[: self._object_columns] = self._with_object
         if moving is not None:

@@ -74,7 +74,7 @@ class PlannerConfig:
         clearances: Least distances.
         margin: Distance to the object that solver and motion keep wherever they can [m]; what
             comes nearer, down to the clearance, is taken all the same.
-        grid: How the object's field is kept for `sqp`.
+        grid: Grid of the object's field for `sqp`.
         successive_halving: Iterations of `sqp` after which the worse half of the seeds stops.
         lift_height: A grasp that the arm can raise so far [m] goes before one that it cannot; at 0
             none is asked to.
@@ -164,7 +164,7 @@ class Planner:
             environment: Obstacles and table; the table alone if None.
             start: [J], where the robot is; its home if None.
             seed: Equal seeds give equal plans.
-            search: How long to look and for what; as configured if None.
+            search: Effort and kind of the search; as configured if None.
             rank: Applied to the accepted candidates before motions are looked for.
             stop: As in `synthesise`.
 
@@ -270,8 +270,8 @@ class Planner:
         )
 
     def _lift(self, checker: PathChecker, candidate: Candidate) -> Array | None:
-        """How the arm raises the hand from a grasp and touches nothing but the object, [K, J]; None
-        if it cannot, or need not."""
+        """Joint path [K, J] by which the arm raises the hand from a grasp, touching nothing but the
+        object; None if it cannot, or need not."""
         height, chain, robot = self.config.lift_height, self.inverse.chain, self.robot
         beside = checker.beside_object()  # the object comes along
 

@@ -1,4 +1,4 @@
-"""Why there is no plan, as a code for programs and a sentence that a person can act on.
+"""Reason why there is no plan, as a code for programs and a sentence that a person can act on.
 
 Two things are known when all rounds have failed: what the drawn grasps met before any solver moved
 them, and how near to acceptance the solver's best solution came. Where hardly any drawn grasp is

@@ -39,7 +39,7 @@ class ResampledViewCheck:
 
         Args:
             q: [C, J], configurations.
-            clearance: That all of them keep by the draw that they were planned with.
+            clearance: Clearance that all of them keep in the sample that they were planned with.
 
         Returns:
             bool [C].

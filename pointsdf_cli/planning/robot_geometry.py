@@ -95,7 +95,8 @@ class RobotGeometry:
 
 
 def link_reach(kinematics: Kinematics) -> Array:
-    """How far any point of a link can be from a joint's axis [L + 1, J], m; 1 for sliding joints.
+    """Largest distance of any point of a link from a joint's axis [L + 1, J], m; 1 for sliding
+    joints.
 
     By the triangle inequality along the chain: the offsets of the joints between, the travel of
     those that slide, and the farthest corner of the link's box. Joints that do not move the link,

@@ -47,7 +47,7 @@ class Scene:
         pixels: [M, 2], (u, v); None where no image is known.
         things: Object of each thinned point, or one of the negative labels.
         listed: The things, best to grasp first.
-        flying: How many of the N points were flying pixels or outliers.
+        flying: Number of the N points that were flying pixels or outliers.
         T_world_camera: [4, 4].
         image: The depth image; None where there was none.
         mask: bool [N], points that the user says are the object's; None where he did not.
@@ -120,7 +120,7 @@ def sort_scene(
         cloud: Cloud of the table top; its pose is known.
         name: Name of the cloud, for messages.
         workspace: Part of the scene to use.
-        on_robot: Which points [M, 3] of the world are the robot's own.
+        on_robot: Mask of the points [M, 3] of the world that are the robot's own.
         reach: From `object_choice.reach_of`; None where the robot's place is not known.
         cleaned: Whether flying pixels and outliers are dropped.
 
@@ -161,7 +161,7 @@ def sort_scene(
 
 
 def thin_and_clean(points: Array, cloud: Cloud, cleaned: bool) -> tuple[Thinned, Cleaning]:
-    """One point a voxel of points [N, 3] (camera frame), without those that no surface returned.
+    """Thin points [N, 3] (camera frame) to one a voxel, without those that no surface returned.
 
     Returns:
         The thinned points, `voxel` being -1 for those that were dropped, and how many these are.

@@ -33,7 +33,7 @@ class SceneInput:
     """Input of a command: clouds, target and notes.
 
     Attributes:
-        clouds: One a camera.
+        clouds: Clouds, one for each camera.
         target: The object that is meant; None where nothing was said.
         notes: Sentences that the user should see.
     """
@@ -75,7 +75,7 @@ def read_scene(
         poses: The cameras in the world as typed, one for each path, or none at all. `table` takes
             the table that is seen for z = 0 and puts the object in the robot's reach; `table:X,Y`
             puts it there.
-        options: How each file is read.
+        options: Reading options of each file.
         target: The object that is meant, as typed.
         workspace, cleaned, robot: As in `look_at_table`, where the pose is `table`.
 

@@ -69,7 +69,7 @@ def lifted(outline: Array, palm: Array, gap: float) -> Array:
 
 
 def depth_in(field: Field, outline: Array, palm: Array) -> Array:
-    """How deep each hand [N, P, 3] at its palm stands in an object [N], m; 0 if it does not."""
+    """Penetration of each hand [N, P, 3] at its palm into an object [N], m; 0 if none."""
     count, points = outline.shape[:2]
     world = outline @ palm[:, :3, :3].transpose(0, 2, 1) + palm[:, None, :3, 3]
     values = field(world.reshape(-1, 3)).reshape(count, points)

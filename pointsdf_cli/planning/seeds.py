@@ -35,7 +35,7 @@ class GraspSampler(Protocol):
 
 @dataclass(frozen=True)
 class SeedConfig:
-    """How many.
+    """Numbers of samples.
 
     Attributes:
         drawn: Grasps drawn from the prior in a round.

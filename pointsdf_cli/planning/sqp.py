@@ -24,7 +24,7 @@ from pointsdf_cli.planning.step_qp import StepQp
 
 @dataclass(frozen=True)
 class SqpConfig:
-    """How long and how far.
+    """Limits of iterations and steps.
 
     Attributes:
         iterations: At most so many.

@@ -84,7 +84,8 @@ def hidden_below(solid: Array, views: Sequence[tuple[Array, Array]]) -> Array:
 
 
 def _is_hidden(places: Array, eye: Array, seen: Array) -> NDArray[np.bool_]:
-    """Which places [M, 3] lie behind a seen point [P, 3], in the same direction from the eye."""
+    """Mask of the places [M, 3] that lie behind a seen point [P, 3], in the same direction from the
+    eye."""
     way, seen_way = places - eye, seen - eye
     distance, seen_distance = (np.linalg.norm(w, axis=1) for w in (way, seen_way))
     directions = KDTree(seen_way / seen_distance[:, None])

@@ -44,7 +44,7 @@ STALLED = 0.8
 
 @dataclass(frozen=True)
 class SynthesisConfig:
-    """How long to look.
+    """Effort of the search.
 
     Attributes:
         rounds: Rounds of seeds (the paper: up to five).
@@ -52,7 +52,7 @@ class SynthesisConfig:
             gains little where all that is free is poor; before, a good one does.
         polished: Solutions of a round that are solved again with the exact field, at most.
         polish_iterations: Iterations of that second solution; it starts near its end.
-        seeds: How seeds are drawn.
+        seeds: Sampling of seeds.
         acceptance: Thresholds of a good grasp.
         kinds: "side", "top" or "either", one a round, over and over.
     """
@@ -103,7 +103,7 @@ StopCondition = Callable[[list[Candidate]], bool]
 
 @dataclass(frozen=True)
 class Problems:
-    """One planning problem at two prices.
+    """Planning problem in a quick and an exact version.
 
     Attributes:
         quick: With a quick field and a little more clearance than was asked for.
@@ -143,7 +143,7 @@ def synthesise(
         whole: Problems of the first round.
         prior, kinematics, solver: Source of the seeds, and their solver.
         rng: Random generator of the seeds.
-        config: How long to look.
+        config: Effort of the search.
         stop: Asked after every round that has added to the accepted candidates whether to
             stop; if None, what the configuration says of good grasps and of enough rounds.
     """

@@ -1,4 +1,4 @@
-"""One question to the planner: clouds of a table top in, an answer with its surroundings out."""
+"""Planning session on a table: clouds of a table top in, an answer with its surroundings out."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def plan_on_table(
 
     Args:
         planner: Loaded.
-        clouds: One a camera, each with its pose.
+        clouds: Clouds, one for each camera, each with its pose.
         names: Names of the clouds, for messages.
         environment: Known obstacles and table; the table alone if None.
         start: Start configuration as typed; the robot's home if None.

@@ -84,7 +84,7 @@ def look_at_table(
     """Find the object in each cloud.
 
     Args:
-        clouds: One a camera, each with its pose.
+        clouds: Clouds, one for each camera, each with its pose.
         names: Names of the clouds, for messages.
         robot: The robot.
         start: [J], where it is: points on it are left out.
@@ -291,7 +291,7 @@ def chosen_thing(
     Args:
         scene: Sorted.
         wanted: The user's choice; the best object to grasp if None.
-        workspace: That the scene was sorted with, for messages.
+        workspace: Workspace that the scene was sorted with, for messages.
         again: Another camera named the target, which then says more than a mask.
 
     Raises:

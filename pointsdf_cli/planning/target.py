@@ -1,4 +1,4 @@
-"""One object as planning sees it: a field that may not be touched, and a score of grasps of it."""
+"""An object for planning: a field that may not be touched, and a score of its grasps."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ BOX_MARGIN = 0.01
 """Around a reconstruction's surface [m]: beyond, distances are bounded by the way to the box."""
 
 KEPT_GRID = GridConfig(step=0.01, levels=3, band=0.0)
-"""How the field of an object is kept on a grid."""
+"""Grid of an object's field."""
 
 FINEST = 0.004
 """Cells of the grid of a thin object are no smaller than this [m]."""
@@ -131,8 +131,8 @@ def reconstructed_object(
     """An object completed by a network from one view or more, in the world's frame.
 
     Args:
-        reconstructions: One a view.
-        grid: How the field is kept.
+        reconstructions: Reconstructions, one for each view.
+        grid: Grid of the field.
         seen: Points [N, 3] m that the box must enclose besides the surface.
 
     Raises:
@@ -148,7 +148,7 @@ def completed_field(reconstructions: Sequence[Reconstruction]) -> Field:
     solid.
 
     Args:
-        reconstructions: One a view.
+        reconstructions: Reconstructions, one for each view.
     """
     field = _mean_field(reconstructions)
     try:

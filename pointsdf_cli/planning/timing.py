@@ -18,7 +18,7 @@ from pointsdf_cli.geometry.arrays import Array
 
 @dataclass(frozen=True)
 class TimingConfig:
-    """How briskly to move.
+    """Speed and smoothness of a motion.
 
     Attributes:
         speed: Share of the joints' speed limits.

@@ -16,7 +16,7 @@ class Variables:
     Attributes:
         columns: [n], where each variable stands in q: the arm's joints, then the preshape's.
         lower, upper: [n], q_min ≤ q ≤ q_max of the paper.
-        arm_count: How many of the variables are the arm's.
+        arm_count: Number of the arm's variables.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
@@ -44,7 +44,7 @@ class Variables:
         return q
 
     def configuration_tensor(self, x: Tensor) -> Tensor:
-        """As `configuration`, with gradients."""
+        """Map to a configuration like `configuration`, with gradients."""
         return x @ self._spread.to(x.dtype) + torch.as_tensor(self._rest, dtype=x.dtype)
 
     def of(self, q: Array) -> Array:

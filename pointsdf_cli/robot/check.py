@@ -24,7 +24,7 @@ POSES, ANYWHERE = 60, 24
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong, or may be.
+    """Problem of a description, certain or possible.
 
     Attributes:
         level: "error" stops planning or makes it meaningless; "warning" may be meant.
@@ -43,7 +43,7 @@ class RobotCheck:
 
     Attributes:
         findings: Errors first.
-        closing: How the hand closes.
+        closing: Closing motion of the hand.
         samples: Surface samples of all links.
         farthest: The farthest that any point of a link's surface was found from them [m].
         reached: Share of random palm poses, taken from within the limits, that inverse kinematics

@@ -1,4 +1,5 @@
-"""How a hand closes: where its fingertips are, in the palm's frame, from open to closed."""
+"""Closing motion of a hand: positions of its fingertips in the palm's frame, from open to
+closed."""
 
 from __future__ import annotations
 

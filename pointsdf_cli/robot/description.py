@@ -44,8 +44,8 @@ class RobotDescription:
         palm_link: The link that carries the palm frame and, beyond it, all fingers.
         T_link_palm: [4, 4], the palm frame (x out of the palm, z along the fingers, y towards the
             thumb's side) in that link.
-        palm_reach: How far along z [m] from the palm frame's origin the middle of what is
-            grasped belongs; None leaves it to the heuristic.
+        palm_reach: Distance along z [m] from the palm frame's origin to the middle of the grasped
+            object; None leaves it to the heuristic.
         lower, upper: [J], limits to plan within.
         hard_lower, hard_upper: [J], limits of the URDF.
         velocity, effort: [J], largest speeds and torques.

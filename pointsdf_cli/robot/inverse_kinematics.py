@@ -17,7 +17,7 @@ from pointsdf_cli.robot.description import RobotDescription
 
 @dataclass(frozen=True)
 class IkConfig:
-    """How hard to try.
+    """Effort of the search.
 
     Attributes:
         starts: Start configurations for each palm pose; a redundant arm ends in as many elbow
@@ -70,7 +70,7 @@ class InverseKinematics:
 
     Args:
         robot: The robot; its planning limits are kept.
-        config: How hard to try.
+        config: Effort of the search.
         seed: Random seed of the pool.
 
     Attributes:
@@ -159,7 +159,7 @@ class InverseKinematics:
         return np.concatenate([way, weight * turn], axis=1), jacobian, done
 
     def _step(self, q: Array, error: Array, jacobian: Array) -> Array:
-        """One step; joints that press against a limit take no part in it."""
+        """One Newton step; joints that press against a limit take no part in it."""
         transpose = np.swapaxes(jacobian, 1, 2)
         gradient = np.einsum("bij,bj->bi", transpose, error)
         stuck = ((q <= self._lower) & (gradient < 0)) | ((q >= self._upper) & (gradient > 0))

@@ -1,4 +1,4 @@
-"""How the arm lifts what the hand holds: up, straight if it can, and level if it can.
+"""Lift of a grasped object: upwards, straight if possible, and level if possible.
 
 Near the robot an arm folds as the hand rises, until its elbow is at its limit. Then the hand must
 move outwards while it rises, or turn.

@@ -1,4 +1,4 @@
-"""Which points of a cloud are the robot's own: it knows where it is."""
+"""Removal of the robot's own points from a cloud, by its known configuration."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def robot_points(robot: RobotDescription, q: Array) -> Array:
 
 
 def off_robot(points: Array, own: Array) -> NDArray[np.bool_]:
-    """Which of the points [N, 3] of a cloud are not the robot's, given its samples [P, 3]; world.
+    """Mask of the points [N, 3] of a cloud that are not the robot's, given its samples [P, 3];
+    world.
 
     Points that are not finite are nobody's: True.
     """

@@ -64,7 +64,7 @@ class CollectTask:
     force: bool = False
 
     def most_attempts(self, executed: int) -> int:
-        """How many attempts may be made when so many were executed."""
+        """Largest number of attempts for a number of executed grasps."""
         return self.patience[0] + self.patience[1] * executed
 
 
@@ -183,7 +183,7 @@ def split_of(names: Sequence[str], seed: int) -> dict[str, str]:
 
 
 def first_quotas(splits: dict[str, str], count: int) -> dict[str, int]:
-    """How many executed grasps to ask of every object so that the splits sum to 80% and 20%.
+    """Number of executed grasps to ask of every object so that the splits sum to 80% and 20%.
 
     Raises:
         InputError: No grasps.
@@ -238,7 +238,7 @@ def _finished(grasps: Grasps, task: CollectTask) -> bool:
 
 @functools.lru_cache(maxsize=1)
 def _attempter(robot: Path | None, config: AttemptConfig, seed: int) -> Attempter:
-    """One per process: the inverse kinematics' pool and the physics client are kept."""
+    """The process's own attempter: the inverse kinematics' pool and the physics client are kept."""
     return Attempter(load_robot(robot), config, seed)
 
 

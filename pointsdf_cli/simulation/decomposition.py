@@ -31,7 +31,7 @@ Pieces = list[tuple[NDArray[np.float64], NDArray[np.int64]]]
 
 @dataclass(frozen=True)
 class DecompositionConfig:
-    """How finely a mesh is cut.
+    """Settings of the decomposition.
 
     Attributes:
         convex_enough: A mesh that fills this much of its convex hull is that hull.
@@ -63,7 +63,7 @@ def convex_pieces(
 
     Args:
         mesh: A closed mesh.
-        config: How finely to cut.
+        config: Settings of the decomposition.
         cache: Folder of earlier results; `cache_folder()` if None.
 
     Returns:

@@ -17,7 +17,7 @@ from pointsdf_cli.simulation.world import World
 
 @dataclass(frozen=True)
 class ExecutorConfig:
-    """How a grasp is carried out (as the paper's robot does).
+    """Execution of a grasp (as the paper's robot does).
 
     Attributes:
         speed_up: Closing speed over the real robot's; the simulated hand may close faster.
@@ -68,8 +68,8 @@ class Outcome:
         valid: The simulation can be believed; if not, `held` is False.
         cause: "held", or why not: "missed" (nothing touched when the lift began), "slipped",
             "dropped", "flung", "penetration".
-        lift_height: How much the object's centre of mass rose [m].
-        slip: How far it moved in the palm's frame from the grip to the end [m].
+        lift_height: Height by which the object's centre of mass rose [m].
+        slip: Distance it moved in the palm's frame from the grip to the end [m].
         links: Links of the hand that touch the object at the end.
         duration: Simulated time [s].
     """
@@ -290,7 +290,7 @@ class Executor:
 
 
 def _sideways(chain: ArmChain, path: Array) -> float:
-    """How far [m] the hand moves aside on the way along arm joints [K, A], at most.
+    """Largest sideways deviation [m] of the hand along arm joints [K, A].
 
     The arm behind it may move farther; what only the arm could still meet is lost all the same.
     """

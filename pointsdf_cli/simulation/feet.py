@@ -18,7 +18,7 @@ FOOT = 5e-4
 
 
 def nearest_pose(item: SimObject, T_world_object: NDArray[np.float64]) -> int:
-    """Which of the object's resting poses one in the world [4, 4] is, whatever its yaw."""
+    """Index of the object's resting pose that a pose in the world [4, 4] is, whatever its yaw."""
     ups = np.array([pose.T_table_object[2, :3] for pose in item.poses])
     return int((ups @ T_world_object[2, :3]).argmax())
 

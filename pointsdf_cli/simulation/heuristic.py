@@ -34,9 +34,9 @@ class HeuristicConfig:
         low_object: An object lower than this [m] is grasped from the top only, by a hand that is
             raised until it clears the table and what of the object is below it: a thumb that
             points down 0.145 m would be in the table in every attempt.
-        finger_reach: How far along the fingers from the palm's origin the object's middle is
-            put [m]: between the fingers and the thumb rather than at the fingers' roots. A hand
-            that says so itself (`palm: {reach: …}`) is believed.
+        finger_reach: Distance along the fingers from the palm's origin to the object's middle [m]:
+            between the fingers and the thumb rather than at the fingers' roots. A hand's own `palm:
+            {reach: …}` takes precedence.
         table_gap: Height [m] of the whole opened hand above what is below it, wherever the palm is
             raised (from the side, and above low objects).
     """
@@ -215,7 +215,8 @@ def draw_preshape(
 
 
 def _to_clear(outline: Array, box: Box, gap: float) -> float:
-    """How far a hand with points [P, 3] must rise to be `gap` above the table and the box."""
+    """Height by which a hand with points [P, 3] must rise to be `gap` above the table and the
+    box."""
     aside = np.abs((outline - box.centre) @ box.axes[:2].T)
     over = (aside <= box.half[:2]).all(axis=1)
     ground = np.where(over, box.centre[2] + box.half[2], 0.0)

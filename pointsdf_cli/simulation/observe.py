@@ -68,7 +68,7 @@ class Observer:
     Args:
         robot: The robot, seen at the configuration that it waits in.
         placement: The camera.
-        segmentation: How the object is found in the cloud.
+        segmentation: Segmentation of the object in the cloud.
     """
 
     def __init__(

@@ -27,8 +27,8 @@ class PhysicsConfig:
         rolling_friction, spinning_friction: Friction of the object, small: soft contacts resist a
             little.
         gravity: [m/s²].
-        skin: How far PyBullet makes convex hulls, and a URDF's cylinders, stand out on all sides
-            [m], measured; they are drawn in by it (`skin.py`). With 0 they stand out.
+        skin: Thickness [m], measured, by which PyBullet inflates convex hulls, and a URDF's
+            cylinders; they are drawn in by it (`skin.py`). With 0 they stand out.
     """
 
     step: float = 1 / 480

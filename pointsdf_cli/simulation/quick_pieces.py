@@ -26,7 +26,7 @@ SLIVER = 1e-9
 
 @dataclass(frozen=True)
 class QuickCutConfig:
-    """How finely to cut.
+    """Settings of the decomposition.
 
     Attributes:
         most_pieces: No more cuts once there are so many pieces.

@@ -1,4 +1,4 @@
-"""How the arm gets to a preshape: inverse kinematics, a checked path, and room to lift.
+"""Way of the arm to a preshape: inverse kinematics, a checked path, and a possible lift.
 
 The path is home → retreat → preshape, straight in joint space to the retreat and straight in
 space from there, or by way of a point above the retreat; it is looked at every few hundredths of a
@@ -23,7 +23,7 @@ from pointsdf_cli.simulation.world import World
 
 @dataclass(frozen=True)
 class ReachConfig:
-    """How a preshape is reached.
+    """Settings of the way to a preshape.
 
     Attributes:
         candidates: Arm configurations that are tried for a palm pose, the nearest to home first.
@@ -80,7 +80,7 @@ class Reacher:
     Args:
         world: Holds the scene that paths are checked in.
         solver: Inverse kinematics of the world's robot.
-        config: How.
+        config: Settings.
     """
 
     def __init__(

@@ -65,11 +65,11 @@ class RehearsalConfig:
 
 
 class Rehearsed(NamedTuple):
-    """How one grasp did.
+    """Result of one rehearsed grasp.
 
     Attributes:
-        tries: How often it was tried; 0 where the arm has no room to lift from there, or where an
-            earlier grasp never failed.
+        tries: Number of tries; 0 if the arm cannot lift from there, or if an earlier grasp never
+            failed.
         held: In how many of them it held.
         rise: Mean height that the object rose [m], up to the lift's height: between grasps that
             hold equally often, the one that nearly held once more is better.
@@ -103,7 +103,7 @@ class Rehearsal:
     Args:
         robot: The robot.
         config: Disturbances to try.
-        execution: How grasps are carried out: as it will be.
+        execution: Execution of grasps, the same as later in earnest.
     """
 
     def __init__(
@@ -181,9 +181,9 @@ def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -
     five, and no try at all comes last.
 
     Args:
-        tried: How each did.
-        chances: That what it was tried on is true as far as this grasp is concerned, a factor of
-            its share; 1 each if None.
+        tried: Result of each grasp.
+        chances: Factor on each grasp's share: the probability that the object is as reconstructed
+            where this grasp touches it; 1 each if None.
     """
     chances = [1.0] * len(tried) if chances is None else chances
 

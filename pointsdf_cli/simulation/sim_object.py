@@ -32,7 +32,7 @@ class SimObject:
         T_mesh_body: [4, 4], the body frame in the mesh frame.
         mass: [kg].
         inertia: [3], principal moments [kg m²].
-        poses: How it can rest on a table.
+        poses: Its resting poses on a table.
     """
 
     mesh: LoadedMesh

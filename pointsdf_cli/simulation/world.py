@@ -29,11 +29,11 @@ TABLE_LOW, TABLE_HIGH = (-0.35, -0.75), (1.25, 0.75)
 
 @dataclass(frozen=True)
 class RobotContact:
-    """How the robot and the object touch.
+    """Contact model of robot and object.
 
     Attributes:
         links: Number of the robot's links that touch the object.
-        hand_links: Those of them that are the hand's.
+        hand_links: Those of them that belong to the hand.
         depth: Deepest overlap of any robot link with the object [m], 0 if none.
         force: Sum of normal forces [N].
     """
@@ -249,7 +249,7 @@ class World:
         return self._there.speed()
 
     def robot_contact(self) -> RobotContact:
-        """How the robot touches the object now."""
+        """Present contacts of the robot with the object."""
         points = [
             point
             for body in self._robot.bodies

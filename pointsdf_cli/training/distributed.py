@@ -1,4 +1,4 @@
-"""One training run by several processes, as `torchrun` starts them: on several GPUs, or machines.
+"""Distributed training by several processes started by `torchrun`: on several GPUs, or machines.
 
 Every worker holds the whole network and sees its share of each batch; gradients are averaged before
 each step, so that all take the same step. What a batch holds depends on seed and step alone, so n
@@ -23,7 +23,8 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.training.sdf_data import Batch
 
 PATIENCE = timedelta(minutes=60)
-"""How long workers wait for each other: the first packs the data while the others wait."""
+"""Time limit for workers that wait for each other: the first packs the data while the others
+wait."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,8 @@ class Workers:
     """The processes of one run, seen from one of them; a run of one process is the default.
 
     Attributes:
-        rank: Which one this is, from 0.
-        count: How many there are.
+        rank: Rank of this process, from 0.
+        count: Number of processes.
         local_rank, local_count: The same among those of this machine.
     """
 

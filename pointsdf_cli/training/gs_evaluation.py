@@ -25,7 +25,7 @@ PUBLISHED = {
 
 @dataclass(frozen=True)
 class Scored:
-    """One method's answers for N grasps.
+    """Predictions of one method for N grasps.
 
     Attributes:
         name: Name of the method.
@@ -109,7 +109,7 @@ def measure(data: GraspData, rows: NDArray[np.int64], scored: Scored, seed: int)
 
 
 def describe_grasps(data: GraspData, rows: NDArray[np.int64]) -> dict[str, Any]:
-    """How many grasps, and how often they held, by kind."""
+    """Number of grasps and share that held, by kind."""
     label, kind = data.label[rows], data.kind[rows]
     found: dict[str, Any] = {
         "objects": len(np.unique(data.object_of[rows])),

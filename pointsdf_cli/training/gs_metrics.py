@@ -1,4 +1,4 @@
-"""How good predicted probabilities of success are: counts, rankings, calibration, intervals.
+"""Quality of predicted success probabilities: counts, rankings, calibration, intervals.
 
 All functions take labels [N] (1 held, 0 lost) and scores or probabilities [N]. Equal scores share
 a rank, so a constant score gives exactly the base rate and an area of one half.
@@ -136,7 +136,7 @@ def over_objects(
         measures: By name; each takes indices of grasps.
         groups: [N], the object of each grasp.
         seed: Random seed.
-        draws: How many.
+        draws: Number of draws.
     """
     rng = np.random.default_rng(seed)
     rows = [np.flatnonzero(groups == group) for group in np.unique(groups)]

@@ -41,7 +41,7 @@ def fit_prior(
         kind: [N], indices into `KINDS`.
         places: N, the object of each grasp.
         ranges: [K, 2], of the preshape joints.
-        shares: How often each kind is drawn, in proportion; as often as it is given if None.
+        shares: Relative frequency of each kind; its frequency in the data if None.
 
     Raises:
         InputError: Fewer than `FEWEST` grasps of every kind.

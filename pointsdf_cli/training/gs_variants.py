@@ -53,7 +53,7 @@ ARCHITECTURES = {
     POINTSDF: ("pointsdf-ray", "pointsdf"),
     VOXELCNN: ("voxelcnn",),
 }
-"""Which shape networks serve each choice; the first is built where none is given."""
+"""Shape networks for each choice; the first is built where none is given."""
 
 MEMBERS = 5
 """Size of the ensemble on features of geometry, and number of validation folds of objects."""
@@ -91,7 +91,7 @@ class Variant:
 
     @property
     def title(self) -> str:
-        """As the paper calls it."""
+        """Name in the paper."""
         names = {POINTSDF: "PointSDF", VOXELCNN: "VoxelCNN"}
         if self.encoder == GEOMETRY:
             return "Geometry"

@@ -42,7 +42,7 @@ def autocast_dtype(precision: str, device: torch.device) -> torch.dtype | None:
 
 
 def idle_processors() -> int:
-    """How many processors nobody uses now, at least 1; looks for a tenth of a second.
+    """Number of idle processors, at least 1; measured for a tenth of a second.
 
     Two threads that share a processor with another process are several times slower than one that
     does not, so this errs on the side of fewer. The load of the past minute would not do: it is

@@ -11,7 +11,7 @@ from pointsdf_cli.training.sdf_loop import TrainConfig
 from pointsdf_cli.training.sdf_loss import SdfLoss
 
 PAPER_EPOCHS = 100
-"""How often preset `paper` sees every view."""
+"""Epochs of preset `paper`."""
 
 MODELS = ("pointsdf-ray", "pointsdf", "voxelcnn")
 PRESETS = ("small", "paper")

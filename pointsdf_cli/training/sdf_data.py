@@ -62,7 +62,7 @@ class Batch(NamedTuple):
 
 
 class Split(NamedTuple):
-    """Which views of a pack do what; indices into the pack's views.
+    """Split of a pack's views; indices into the pack's views.
 
     Attributes:
         train: Trained on.
@@ -84,7 +84,7 @@ def split_views(
     Args:
         pack: The data.
         share: Share of the objects, in (0, 1); at least one is held out.
-        seed: Which ones.
+        seed: Random seed of the split.
         held_before: Names that were held out from the weights that a run begins with. Where the
             data has any of them, these are held out and no others, whatever `share`: of the
             others nobody knows what those weights have learned from.

@@ -121,7 +121,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class TrainResult:
-    """How a run ended.
+    """Result of a run.
 
     Attributes:
         finished: False if it was stopped; `--resume` then carries on.
@@ -160,7 +160,7 @@ def train_sdf(
 
     Args:
         pack: The data.
-        split: Which views train and which validate.
+        split: Views for training and for validation.
         model: Freshly built; its weights are overwritten when resuming.
         config: See `TrainConfig`.
         out: Checkpoint directory: best weights, and the state to resume from.

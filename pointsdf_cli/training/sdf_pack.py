@@ -276,7 +276,7 @@ def _check_limits(names: Sequence[str], limits: Mapping[str, int]) -> None:
 
 
 def _limit(name: str, limits: Mapping[str, int]) -> int | None:
-    """How many views an object may give: the limit of the longest folder that it lies in."""
+    """Largest number of views of an object: the limit of the longest folder that it lies in."""
     fitting = [
         prefix for prefix in limits if not prefix or name.startswith(prefix.rstrip("/") + "/")
     ]

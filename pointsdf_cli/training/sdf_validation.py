@@ -1,4 +1,4 @@
-"""How well a network does on views it was not trained on: of known objects, and of new ones."""
+"""Quality of a network on views it was not trained on: of known objects, and of new ones."""
 
 from __future__ import annotations
 

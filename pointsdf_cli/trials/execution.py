@@ -35,7 +35,7 @@ class Executed:
         outcome: Outcome of closing, gripping and lifting; None if the arm could not lift from
             there.
         contact: The robot touched the object before the hand closed.
-        moved: How far the object had moved by then [m].
+        moved: Distance that the object had moved by then [m].
         lifted: The object rose high enough at some time.
         lag: Farthest that a joint was from where it should have been when the hand closed [rad].
         moments: The end of each phase, in order.

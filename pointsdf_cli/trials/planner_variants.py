@@ -1,4 +1,4 @@
-"""Who plans in a trial: the two methods, and what the ablations change in them."""
+"""Planners in a trial: the two methods, and the ablations."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class VariantOptions:
 
 
 def plan_options(variant: PlannerVariant, options: VariantOptions) -> PlanOptions:
-    """How a variant plans.
+    """Planning options of a variant.
 
     Raises:
         InputError: An option that cannot be.
@@ -127,7 +127,7 @@ def check_variant(variant: PlannerVariant, options: VariantOptions) -> None:
 def rehearsal_of(
     variant: PlannerVariant, options: VariantOptions, execution: ExecutorConfig | None = None
 ) -> RehearsedPlannerConfig | None:
-    """How a variant rehearses; None for one that does not."""
+    """Rehearsal settings of a variant; None for one that does not rehearse."""
     reconstructs = variant.method == protocol.RECONSTRUCTION
     if not reconstructs or not options.rehearse or variant.ablation == protocol.NO_REHEARSAL:
         return None
@@ -138,10 +138,10 @@ class TrialPlanner:
     """A variant ready to plan; networks are loaded once.
 
     Args:
-        variant: Who.
+        variant: The variant.
         options: Options shared by all variants.
         grasps: Success network to use instead of a checkpoint's.
-        execution: How its grasps will be carried out, for rehearsals.
+        execution: Execution of its grasps, for rehearsals.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Which trials there are: objects × yaws × repeats × cameras × variants (the paper, section V-C).
+"""List of trials: objects × yaws × repeats × cameras × variants (the paper, section V-C).
 
 Both variants of a pair meet the same object in the same place, seen by the same camera with the
 same noise. Everything is drawn from (seed, object, repeat, yaw, camera), never from the order in
@@ -47,7 +47,7 @@ class TrialObject:
     """One object of the protocol.
 
     Attributes:
-        name: As in the results.
+        name: Name in the results.
         mesh: Its file; None for the stand-in of that name.
         upright: Whether the mesh's z axis is known to be up: YCB is scanned upright, as stand-ins
             are made. Other meshes may lie in any way.
@@ -101,10 +101,10 @@ class Trial:
 
     Attributes:
         object: Object to grasp.
-        yaw_index, yaws: Which of how many yaws.
-        repeat: Which repetition; each has its own place, yaw offset and noise.
+        yaw_index, yaws: Index of the yaw, and number of yaws.
+        repeat: Number of the repetition; each has its own place, yaw offset and noise.
         camera: A key of `CAMERAS`.
-        variant: Who plans.
+        variant: Planner variant.
         seed: Random seed of the whole experiment.
     """
 

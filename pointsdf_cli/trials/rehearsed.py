@@ -52,7 +52,7 @@ Surface = tuple[Array, NDArray[np.int32]]
 
 @dataclass(frozen=True)
 class RehearsedPlannerConfig:
-    """How long to look.
+    """Effort of the search.
 
     Attributes:
         count: Grasps of a round that are rehearsed, the best by the objective.
@@ -64,7 +64,7 @@ class RehearsedPlannerConfig:
         most_motions: Grasps to which motions are looked for.
         resolution: Cells along the network's box for the surface to rehearse on.
         rehearsal: See there.
-        execution: How grasps will be carried out: they are rehearsed so, shaken if they will be.
+        execution: Execution of grasps; rehearsals use the same, shaking included.
     """
 
     count: int = 12
@@ -113,7 +113,7 @@ class RehearsedPlanner(GraspPlanner):
         options: Options with the method "reconstruction": partial views enclose nothing to rehearse
             on.
         grasps: The success network to use instead of a checkpoint's.
-        config: How long to look.
+        config: Effort of the search.
 
     Raises:
         InputError: Another method, or a robot or checkpoint that cannot be used.
@@ -155,10 +155,10 @@ class RehearsedPlanner(GraspPlanner):
         stop: StopCondition | None = None,
         surface: Surface | None = None,
     ) -> Answer:
-        """As `GraspPlanner.plan_seen`; the answer is a `RehearsedAnswer`.
+        """Plan like `GraspPlanner.plan_seen`; the answer is a `RehearsedAnswer`.
 
         Args:
-            perceived, environment, start, seed: As there.
+            perceived, environment, start, seed: As in `GraspPlanner.plan_seen`.
             rank, stop: Must be None: rehearsals decide.
             surface: To rehearse on, world frame, instead of the reconstruction's: the oracle.
         """
@@ -248,7 +248,7 @@ class _Pool:
         return order[: self._config.most_motions]
 
     def of(self, plan: Plan) -> Rehearsed | None:
-        """How a plan's grasp did."""
+        """Rehearsal of a plan's grasp."""
         for candidate, tried in zip(self._candidates, self._tried, strict=True):
             if np.array_equal(candidate.q, plan.q):
                 return tried

@@ -97,7 +97,7 @@ class TrialTask:
     Attributes:
         trial: The trial.
         out: Its file.
-        config: How.
+        config: Settings.
         film: Path of a film to write; None for none.
         force: Do it again even if the file is there.
     """
@@ -113,7 +113,7 @@ class TrialRunner:
     """Runs trials in one process; trial by trial the same, whoever runs it.
 
     Args:
-        config: How.
+        config: Settings.
         grasps: A success network to use instead of checkpoints.
     """
 
@@ -179,7 +179,7 @@ class TrialRunner:
         return row, evidence
 
     def penetration(self, q: Array, surface: Surface) -> float:
-        """How deep the robot at q [J] is in a closed surface in the world [m]; 0 if it is not."""
+        """Penetration of the robot at q [J] into a closed surface in the world [m]; 0 if none."""
         distances = ObjectDistances(self._geometry, MeshField(*surface))
         found = distances(link_poses(self._kinematics, q[None]), gradients=False)
         return max(0.0, -float(found.distance.min()))

@@ -38,8 +38,8 @@ TRUE_CUT = QuickCutConfig(
     most_corners=64,
     most_faces=3000,
 )
-"""How the true object is cut for contacts: nine tenths of the hulls' surface are less than 2 mm
-outside of the mesh. With the sixteen pieces of the collection a biplane's wings are one block
+"""Decomposition of the true object for contacts: nine tenths of the hulls' surface are less than 2
+mm outside of the mesh. With the sixteen pieces of the collection a biplane's wings are one block
 (docs/trials.md). What is convex but for a scanner's noise stays one piece: cut in twenty, a can
 slid out of every grasp, since each seam is two more contacts for a solver of few iterations."""
 
@@ -55,7 +55,7 @@ class SceneConfig:
         azimuth: The camera stands within this [rad] of straight opposite the robot.
         look_height: It looks at the object at this height [m].
         lowest: An object that is lower than this [m] as modelled is stood on its side.
-        cut: How the object is cut into convex pieces.
+        cut: Decomposition of the object into convex pieces.
         standing: As in the collection of grasps, but what can stand always does.
         settling: When an object rests.
     """

@@ -1,4 +1,5 @@
-"""How sure a share is, and whether two methods differ on the same trials."""
+"""Confidence interval of a share, and test for a difference between two methods on the same
+trials."""
 
 from __future__ import annotations
 

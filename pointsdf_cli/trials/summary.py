@@ -24,8 +24,8 @@ class Summary:
         by_camera, by_object: The same by camera and object.
         no_plan: Share without a plan.
         contact: Share of trials with a plan in which the robot touched the object too early.
-        reasons: How often each reason for no plan was given.
-        causes: How often executed trials ended in each cause.
+        reasons: Count of each reason for no plan.
+        causes: Count of each cause that ended an executed trial.
         seconds, cpu_seconds: Median planning time, wall and processor.
         penetration: Largest and mean penetration of the true mesh by planned grasps [m].
         penetrated: Share of planned grasps that enter the true mesh at all.
@@ -64,10 +64,10 @@ class Comparison(NamedTuple):
     """Two variants on the trials that both have.
 
     Attributes:
-        paired: As if every trial stood for itself.
+        paired: Test that treats every trial as independent.
         by_object: p of the differences of whole objects (`sign_flips`): what says something about
             other objects.
-        objects: How many there are, and in how many the variants differ.
+        objects: Number of objects, and of those on which the variants differ.
     """
 
     paired: Paired

@@ -67,7 +67,7 @@ def scenes_of(paths: Sequence[Path], options: SceneOptions) -> Scene:
     A mesh beside a cloud is taken to lie in the cloud's frame, as `rgrasp mesh` writes it.
 
     Raises:
-        InputError: One of them cannot be shown, or two of them move.
+        InputError: An artifact cannot be shown, or two of them move.
     """
     scenes, T_world_mesh = [scene_of(path, options) for path in paths], np.eye(4)
     for path, scene in zip(paths, scenes, strict=True):

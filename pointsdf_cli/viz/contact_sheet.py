@@ -51,7 +51,7 @@ class SheetItem:
 
 @dataclass(frozen=True)
 class SheetStyle:
-    """How a sheet is laid out: tiles per row, tile size in pixels and the camera's direction."""
+    """Layout of a sheet: tiles per row, tile size in pixels and the camera's direction."""
 
     columns: int = 6
     tile: int = 200

@@ -90,7 +90,7 @@ class Scene:
 
     @property
     def frames(self) -> int:
-        """How many there are."""
+        """Number of frames."""
         return len(self.captions)
 
     @property

@@ -21,7 +21,7 @@ def draw_success_figure(
 
     Args:
         path: The picture, .png, .pdf or .svg.
-        table: As `gs_evaluation.measure` makes it, by method.
+        table: Table of `gs_evaluation.measure`, by method.
         published: The paper's F1 by method.
     """
     figure = Figure(figsize=(13, 4.2), layout="constrained")

@@ -1,4 +1,4 @@
-"""Who may talk to the viewer's server: pages that it served itself, and nobody else's.
+"""Access to the viewer's server: only for pages that it served itself.
 
 A browser lets any page open a WebSocket to any address, this machine's own among them, and says in
 `Origin` whose page it is. viser does not ask, so that a page from elsewhere could read the scene
