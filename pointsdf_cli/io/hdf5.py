@@ -163,9 +163,10 @@ def sense_of(path: Path | str) -> Iterator[None]:
         InputError: A dataset or attribute is missing or of another kind: not a file that rgrasp
             wrote.
     """
+    senseless = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
     try:
         yield
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError) as error:
+    except (*senseless, ArithmeticError) as error:
         raise InputError(
             "lacks an attribute, or holds one that makes no sense "
             f"({type(error).__name__}: {str(error)[:80]})",
