@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.nonlinear import Array, Evaluation, Problem, Solutions
 from pointsdf_cli.planning.step_qp import StepQp
 
@@ -83,6 +84,7 @@ class Sqp:
         penalty = np.full(count, config.penalty)
         done, ended = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
         for turn in range(iterations or config.iterations):
+            stop_if_cancelled()
             if turn in config.halvings:
                 ended |= self._worse(now, config.halvings.index(turn) + 1)
             live = np.flatnonzero(~(done | ended))
