@@ -35,6 +35,15 @@ Sensor = Annotated[
         help="Depth camera to simulate.",
     ),
 ]
+Server = Annotated[
+    str | None,
+    typer.Option(
+        metavar="URL",
+        help="Have it done by `rgrasp serve`, such as http://127.0.0.1:8765; with a token in "
+        "RGRASP_TOKEN where it asks for one.",
+        show_default=False,
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress on stderr.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite existing output.")]
