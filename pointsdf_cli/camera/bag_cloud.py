@@ -155,7 +155,7 @@ def _camera(bag: Bag, frames: DepthFrames, wanted: str | None) -> Camera:
 
 
 def _pose(bag: Bag, frames: DepthFrames, world: str | None) -> tuple[Array | None, list[str]]:
-    """T_world_camera [4, 4], or None where no frame is asked for; and what there is to say."""
+    """T_world_camera [4, 4], or None without a world frame; and notes for the user."""
     transforms = bag.transforms(int(frames.stamps[0]), int(frames.times[0]))
     known = sorted({name for edge in transforms for name in edge})
     if world is None:

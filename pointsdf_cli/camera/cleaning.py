@@ -192,7 +192,7 @@ def _count_flying(even: Array, isolated: Mask, near: float) -> int:
 def _specks(
     points: Array, neighbour: NDArray[np.intp], close: Mask, kept: Mask, config: CleaningConfig
 ) -> Mask:
-    """Kept points in small groups that are detached from the largest group and what is near it."""
+    """Kept points in small groups that are detached from the largest group and its surroundings."""
     count = len(points)
     rows = np.repeat(np.arange(count), neighbour.shape[1])
     joined = close.ravel() & kept[rows] & kept[neighbour.ravel()]

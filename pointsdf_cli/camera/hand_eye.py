@@ -37,7 +37,7 @@ SMALLEST_SPREAD = np.radians(5)
 LARGEST_ERROR = 10.0
 """Median reprojection error [px] beyond which the poses do not belong to the images."""
 OUTLIER, OUTLIER_PIXELS = 4.0, 1.0
-"""An image is left out if its error is so many times the median, and so many pixels."""
+"""Factor over the median error, and error in pixels, above which an image is left out."""
 SUBSETS = 60
 """Random triples of images that the fit may start from, so that one wrong pose spoils none."""
 
@@ -219,7 +219,7 @@ def _start(seen: _Observations, alone: Array, rng: np.random.Generator) -> HandE
 
 
 def _agreeing(rms: Array, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The images whose error is not far above those of the ones used; never fewer than half."""
+    """Images with an error close to that of the images in use; never fewer than half."""
     limit = max(OUTLIER * float(np.median(rms[used])), OUTLIER_PIXELS, float(np.median(rms)))
     return np.asarray(rms <= limit)
 
@@ -267,7 +267,7 @@ def _standard_deviations(
 
 
 def _does_not_fit(seen: _Observations, alone: Array, error: float, fitting: int) -> InputError:
-    """The message for poses that do not belong to the images, with what would fit, if anything."""
+    """Message for poses that do not belong to the images, with the matching pairing, if any."""
     inverted = _Observations(
         invert_transform(seen.T_fixed_moving), seen.camera, seen.corners, seen.pixels
     )

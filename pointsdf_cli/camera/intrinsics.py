@@ -77,7 +77,7 @@ def read_lens(name: str, width: int, height: int) -> tuple[Camera, tuple[float, 
 def _read(
     name: str, width: int | None, height: int | None, image: str
 ) -> tuple[Camera, Mapping[str, Any]]:
-    """The camera without its distortion, and what else its file holds."""
+    """The camera without its distortion, and the other contents of its file."""
     if name in CAMERAS:
         camera = CAMERAS[name]
         size = (width or camera.width, height or camera.height)

@@ -15,7 +15,7 @@ REFERENCE_DEPTH = 1.5
 
 @dataclass(frozen=True)
 class DepthNoise:
-    """Gaussian noise along the ray's z whose deviation grows with the square of the depth.
+    """Gaussian noise along the ray's z; its deviation grows with the square of the depth.
 
     A camera that triangulates measures disparity d = f·b/z with an error that does not depend on
     z, so σ_z = z²/(f·b)·σ_d (Khoshelham and Elberink 2012, "Accuracy and resolution of Kinect

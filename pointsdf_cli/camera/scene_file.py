@@ -86,7 +86,7 @@ def masked(cloud: Cloud) -> Cloud:
 
 
 def cleaned_view(cloud: Cloud, whole_scene: bool) -> tuple[Cloud, str]:
-    """A cloud in the camera's frame without points that no surface returned, and what went.
+    """Cloud in the camera's frame without points that no surface returned, and their count.
 
     Args:
         cloud: Cloud of a depth image.

@@ -1,4 +1,4 @@
-"""Depth sensors: what a real depth camera measures where the exact depth is known."""
+"""Simulated depth sensors: the measurement of a real depth camera from the exact depth."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ class DepthSensor:
         )
 
     def with_noise(self, noise: DepthNoise) -> DepthSensor:
-        """The ideal camera with another noise; a real one has its own and stays as it is."""
+        """The ideal camera with another noise; other sensors keep their own."""
         return replace(self, noise=noise) if self.is_ideal else self
 
     def deviation(self, depth: float) -> float:

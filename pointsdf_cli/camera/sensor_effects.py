@@ -137,7 +137,8 @@ def displaced(
 
 
 def grown(inverse: Image, radius: float, relative: float) -> Image:
-    """Near surfaces grown by `radius` pixels over what is farther by `relative` of its depth."""
+    """Depth with near surfaces grown by `radius` pixels over surfaces farther by `relative` of
+    their depth."""
     found = inverse
     for _ in range(round(radius)):
         near = _dilated(found)

@@ -95,7 +95,7 @@ class Things:
 
 
 def find_things(points: Array, camera: Array, config: ThingsConfig | None = None) -> Things:
-    """Crop to the workspace, remove the table, and group what is left.
+    """Crop to the workspace, remove the table, and group the remaining points.
 
     Args:
         points: [N, 3], world, m, one a voxel of a few millimetres; finite.
@@ -153,7 +153,7 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
 
 
 def masked_thing(mask: NDArray[np.bool_], found: Things) -> Things:
-    """The things [N] with one more, the last: what a mask covers above the table.
+    """Add to the things [N] a last one: the points of a mask above the table.
 
     Raises:
         InputError: The mask covers nothing above the table.
@@ -203,7 +203,7 @@ def _bridged(
     config: ThingsConfig,
     on_table: bool,
 ) -> NDArray[np.int64]:
-    """Labels [N] in which parts that float belong to what is nearest to them, if it is near."""
+    """Labels [N] with floating parts assigned to the nearest object, if it is near."""
     if not on_table or len(counts) == 1:
         return label
     lowest = np.full(len(counts), np.inf)

@@ -82,7 +82,7 @@ class ViewConfig:
         return load_sensor(self.sensor).with_noise(self.noise)
 
     def as_dict(self) -> dict[str, Any]:
-        """For `config_json`; what files of earlier versions could not say is left out."""
+        """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
         known = asdict(self)
         if not self.above:
             del known["above"]

@@ -179,7 +179,7 @@ def _cloud_of_bag(
     far: float,
     out: Path,
 ) -> None:
-    """Write the cloud of a bag's depth images, and say what it is made of."""
+    """Write the cloud of a bag's depth images and report its sources."""
     from dataclasses import replace
 
     import numpy as np

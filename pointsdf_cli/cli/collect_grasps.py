@@ -144,7 +144,7 @@ def _collect(
     reporter: common.Reporter,
     whole: bool,
 ) -> dict[str, str]:
-    """Run rounds until every quota is met or exhausted; the reasons of what was refused.
+    """Run rounds until every quota is met or exhausted; returns the reasons of refused files.
 
     A shard makes only its first quotas: only who sees all objects can make up for others.
     """
@@ -195,7 +195,7 @@ def _one_more(
 
 
 class _Rates:
-    """Live rates of what ends how, said every ten seconds."""
+    """Progress report every ten seconds: rates of each outcome."""
 
     _EVERY = 10.0
 

@@ -125,7 +125,7 @@ def check_seed(seed: int) -> int:
 
 
 def check_table_name(out: Path, beside: tuple[str, ...]) -> None:
-    """Refuse a table the name of what is written beside it, which has one of these suffixes.
+    """Refuse a table path with one of these suffixes, which are written beside it.
 
     Raises:
         InputError: It has such a suffix.
@@ -218,7 +218,7 @@ def check_picture(path: Path | None, force: bool) -> Path | None:
 
 
 def check_device(name: str) -> None:
-    """Refuse what names no kind of device, without asking torch which there are.
+    """Refuse an unknown kind of device, without importing torch.
 
     Raises:
         InputError: Neither cpu nor cuda nor cuda:N.
@@ -343,7 +343,7 @@ def finish_stage(
     values: Mapping[str, Any],
     lines: list[str],
 ) -> None:
-    """Print a stage's result, then complain of what it could not use.
+    """Print a stage's result, then the inputs it could not use.
 
     Raises:
         InputError: Some inputs were refused and `--skip-bad` was not given.

@@ -1,4 +1,4 @@
-"""`rgrasp info`: what an artifact holds and where it came from."""
+"""`rgrasp info`: contents and provenance of an artifact."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ _NO_PLACE = (
 
 
 def _open_closed_streams() -> None:
-    """`rgrasp … >&-`: what is closed is taken for /dev/null.
+    """Replace closed streams (`rgrasp … >&-`) by /dev/null.
 
     Else the next file that is opened, which may be the output, would get the number of the stream,
     and whatever a library prints would be written into it.
@@ -139,7 +139,7 @@ def _nobody_reads() -> NoReturn:
 
 
 def _unheard(error: OSError) -> NoReturn:
-    """The files are there; what could not be written is what the command says."""
+    """Report that the output cannot be written; the files are complete."""
     print(f"rgrasp: the output cannot be written ({error.strerror})", file=sys.stderr)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.exit(1)

@@ -46,7 +46,7 @@ def report(
     quiet: common.Quiet = False,
     as_json: common.Json = False,
 ) -> None:
-    """Write one self-contained HTML page on what an artifact, or a folder of them, holds.
+    """Write one self-contained HTML page about an artifact, or a folder of them.
 
     Example: rgrasp report demo/
     """
@@ -91,8 +91,8 @@ def report(
 def _content(
     path: Path, robot: Path | None, meshes: Path | None, unit: str, title: str
 ) -> str | DataFolder:
-    """The page on a file, or on a folder of grasps or trials or a checkpoint; or the views and
-    labels that a page is to be made of.
+    """Page on a file, or on a folder of grasps or trials or a checkpoint; or the views and labels
+    for a page.
 
     Raises:
         InputError: Nothing that there is a page on.

@@ -24,7 +24,7 @@ def check(
     quiet: common.Quiet = False,
     as_json: common.Json = False,
 ) -> None:
-    """Read a robot's description, try it, and say what is wrong with it and how to mend it.
+    """Read a robot's description, test it, and report problems with their fixes.
 
     Example: rgrasp robot check my_robot.yaml --picture my_robot.png
     """

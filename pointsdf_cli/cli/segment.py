@@ -1,4 +1,4 @@
-"""`rgrasp segment`: what stands on the table, numbered."""
+"""`rgrasp segment`: numbered list of the objects on a table."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def segment(
     quiet: common.Quiet = False,
     as_json: common.Json = False,
 ) -> None:
-    """List what stands on the table: number, centre, size, points; and draw it with the numbers.
+    """List the objects on a table: number, centre, size, points; and draw them with their numbers.
 
     `rgrasp mesh` and `rgrasp plan` take a number as --target; 1 is what they take without.
 

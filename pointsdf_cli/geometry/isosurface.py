@@ -170,7 +170,7 @@ def _newton_step(
 def _keep_large_parts(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], smallest: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], int]:
-    """The connected parts that enclose at least `smallest` of what the largest encloses.
+    """Connected parts that enclose at least `smallest` of the largest part's volume.
 
     Cavities count by the volume they enclose, like bodies: those kept keep the solid as the field
     says it is, and no body is dropped without its cavities.

@@ -38,7 +38,7 @@ class Score:
 
 
 class Shape:
-    """A closed mesh with what comparing it needs, made once however often it is compared.
+    """A closed mesh with its precomputed samples and distances for comparisons.
 
     Args:
         vertices: [V, 3], m.

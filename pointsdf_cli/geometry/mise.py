@@ -206,7 +206,8 @@ class SampledGrid:
         return (cells[:, None] + stride * CORNERS.astype(np.int32)).reshape(-1, 3)
 
     def settle(self, rows: NDArray[np.integer]) -> NDArray[np.integer]:
-        """Ask those of the corners `rows` that hold bounds; the rows whose sign was wrong."""
+        """Evaluate the field at those corners `rows` that hold bounds; returns the rows whose sign
+        was wrong."""
         wanted = np.zeros(len(self.values), dtype=bool)
         wanted[rows] = True
         rows = np.flatnonzero(wanted & ~self.exact)

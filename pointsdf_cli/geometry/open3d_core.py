@@ -1,4 +1,4 @@
-"""Open3D, loaded where it is first used, and without what it draws notebooks with.
+"""Lazy import of Open3D without its notebook drawing.
 
 `import open3d` also imports plotly, dash and IPython for one function that shows figures in a
 notebook: more than half of its time. That one module is left out while Open3D loads.

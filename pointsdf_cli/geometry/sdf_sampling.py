@@ -12,7 +12,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.signed_distance import SignedDistance, sample_surface
 
 MARGIN = 1.03
-"""The unit box is this much larger than what is scaled into it (docs/method.md, "object frame")."""
+"""Margin factor of the unit box over the object scaled into it (docs/method.md, "object frame")."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Free, seen, unknown: what one depth image knows about the space around an object.
+"""Free, seen, unknown: the evidence of one depth image about the space around an object.
 
 A depth image says more than points. Of each pixel it knows one of three things: a point of the
 *object* was seen there; something else was seen, so the ray is *free* up to it; or nothing came
@@ -26,11 +26,11 @@ SIZE = 64
 """Cells along each side of a visibility image."""
 
 WIDTH = 1.8
-"""Side of the image over the object's largest extent in it: what is hidden at the silhouette's edge
+"""Side of the image over the object's largest extent in it: surface hidden at the silhouette's edge
 still lies inside."""
 
 REACH = 1.5
-"""A cell knows what the nearest pixel shows if that is within this many cells or pixels."""
+"""Largest distance, in cells or pixels, to the pixel whose evidence a cell takes over."""
 
 PLANE_BAND = 0.006
 """Points nearer to the support plane than this [m] belong to it."""

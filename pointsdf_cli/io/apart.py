@@ -1,4 +1,5 @@
-"""Outputs that are inputs are refused, whatever --force says: by what a file is, not by its name.
+"""Refusal of outputs that are also inputs, even with --force: decided by the file itself, not by
+its name.
 
 A link, another spelling of a path or a second name of the same file do not hide what would be lost.
 """
@@ -14,7 +15,7 @@ from pointsdf_cli.io.meshes import MESH_SUFFIXES
 
 CHECKPOINT = ("config.json", "model.safetensors", "train_state.pt")
 READ = (".h5", ".hdf5", ".urdf", ".yaml", *MESH_SUFFIXES)
-"""Suffixes of what is read of an input folder; tables and pages may be written there."""
+"""Suffixes of the files read from an input folder; tables and pages may be written there."""
 
 
 def require_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | str | None]) -> None:
@@ -48,7 +49,7 @@ def _identity(path: Path) -> tuple[int, int]:
 
 
 def _files_of(source: Path | str | None) -> Iterator[Path]:
-    """A file with what it may name beside it, or a folder with what is read of it."""
+    """A file with the files it may name beside it, or a folder with its input files."""
     if source is None or not os.path.exists(source):  # unlike Path's, it takes names of any length
         return
     source = Path(source)

@@ -74,7 +74,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
 
 
 def temporary_beside(path: Path) -> Path:
-    """A name for what this process builds, and then puts at `path`."""
+    """Temporary name for a file that this process builds and then moves to `path`."""
     ending = f"{TEMPORARY_MARK}{_builder(os.getpid())}-{uuid.uuid4().hex[:8]}{path.suffix}"
     stem = path.stem
     while len(os.fsencode(stem)) > max(1, LONGEST_NAME - 1 - len(os.fsencode(ending))):
@@ -115,7 +115,7 @@ def remove_leftovers(folder: Path | str) -> None:
 
 
 def is_abandoned(temporary: Path) -> bool:
-    """Whether nobody builds any more what `temporary_beside` named."""
+    """Whether the builder of a file named by `temporary_beside` has ended."""
     name = _NAME.fullmatch(temporary.name)
     if name is None:  # nobody's who writes like this
         return False
@@ -135,7 +135,7 @@ def is_abandoned(temporary: Path) -> bool:
 
 
 def _builder(process: int) -> str:
-    """A process's part of the names of what it builds: where, its number and when it began."""
+    """Part of a temporary name that identifies the process: machine, number and start time."""
     status = _status(process)
     return f"{_HOST}-{process}-{status[19] if status else 0}"
 

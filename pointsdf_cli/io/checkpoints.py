@@ -256,12 +256,12 @@ def read_train_state(path: Path | str) -> dict[str, Any]:
 
 
 def forget_train_state(path: Path | str) -> None:
-    """Remove what could be resumed: another run begins there, and must not be taken for it."""
+    """Remove resumable state before another run begins."""
     (Path(path) / TRAIN_STATE).unlink(missing_ok=True)
 
 
 def require_no_run(path: Path | str) -> None:
-    """Refuse a directory in which a run, or what is left of one, would be overwritten.
+    """Refuse a directory that holds a run, or the remains of one, to be overwritten.
 
     Raises:
         InputError: It holds weights, or something to resume.

@@ -25,7 +25,7 @@ MOST_COLUMNS = 16
 """A row of more numbers is a row of an image, and no point."""
 
 _HEAD_LINES = 100
-"""Comments and column titles may take up so many lines."""
+"""Largest number of comment and title lines."""
 _LONGEST_LINE = 1 << 20
 """Characters; a row of a depth image, which is told apart, is shorter."""
 

@@ -59,7 +59,7 @@ class DepthImage:
 
 @dataclass(frozen=True)
 class Cloud:
-    """Points with what is known about where they lie.
+    """Points with their frame and camera pose, as far as known.
 
     Attributes:
         points: f8 [N, 3], m, in `frame`.
@@ -198,7 +198,7 @@ def _without_false_viewpoint(cloud: Cloud) -> Cloud:
 
 
 def _camera_before(points: NDArray[np.float64]) -> str:
-    """A pose, as it is typed, from which points [N, 3] of the world are seen along −x."""
+    """Pose, as typed, of a camera that looks at points [N, 3] of the world along −x."""
     low, high = points.min(axis=0), points.max(axis=0)
     x, y, z = (low + high) / 2 + [0.5 + (high - low).max(), 0.0, 0.0]
     return f"{x:.3g},{y:.3g},{z:.3g},0.5,-0.5,-0.5,0.5"

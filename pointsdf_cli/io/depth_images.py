@@ -1,4 +1,4 @@
-"""Depth and colour images from files: what cameras' own tools and ROS write."""
+"""Depth and colour images from files in the formats of camera tools and ROS."""
 
 from __future__ import annotations
 
@@ -140,8 +140,8 @@ def _image(path: Path) -> NDArray:
 
 
 def _as_stored(values: NDArray, path: Path) -> NDArray:
-    """The numbers that a PGM file holds: Pillow stretches them so that the header's greatest value
-    becomes 255 or 65535, and a depth is what was written."""
+    """Values stored in a PGM file: Pillow stretches them so that the header's greatest value
+    becomes 255 or 65535, but depths need the stored ones."""
     head = re.sub(rb"#[^\n]*", b" ", read_input(path, "image")[:LONGEST_HEAD]).split(maxsplit=4)
     if len(head) < 4 or not head[3].isdigit():
         raise InputError(

@@ -1,4 +1,4 @@
-"""The `grasps` artifact: attempts to grasp one object, with what became of each."""
+"""The `grasps` artifact: attempts to grasp one object, with their outcomes."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ NO_SEED = -1
 
 @dataclass(frozen=True)
 class Dataset:
-    """An array with what its numbers mean.
+    """An array with its unit and frame.
 
     Attributes:
         array: The numbers.
@@ -178,7 +178,7 @@ def sense_of(path: Path | str) -> Iterator[None]:
 
 @contextmanager
 def open_hdf5(path: Path | str) -> Iterator[h5py.File]:
-    """An HDF5 file open for reading, all of whose data are its own.
+    """An HDF5 file open for reading; all its data must be stored in the file itself.
 
     Raises:
         InputError: No ordinary file, not HDF5, cut short, damaged where it is read, or it leads to

@@ -31,7 +31,7 @@ LARGEST: Mapping[str, int] = {
 }
 """Bytes of the largest input of each kind, unless `--largest-input` allows more."""
 VARIABLE = "RGRASP_LARGEST_INPUT"
-"""Holds what `--largest-input` allows, so that worker processes know it too."""
+"""Environment variable with the value of `--largest-input`, for worker processes."""
 
 _NEEDED = {
     "cloud": "a point cloud",

@@ -18,7 +18,7 @@ Layout = Mapping[str, str]
 
 _KINDS = {"f": "f", "i": "iu", "S": "S", "b": "b"}
 _MOST_SQUEEZED = 1100
-"""gzip shrinks by no more than about 1030: what promises more holds nothing."""
+"""Largest compression ratio of gzip, about 1030: a higher one means a damaged file."""
 
 
 def check_layout(path: Path, file: h5py.File, layout: Layout) -> None:

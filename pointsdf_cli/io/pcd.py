@@ -61,7 +61,7 @@ def read_pcd(path: Path) -> RawCloud:
 
 
 def lzf_decompress(data: bytes, size: int) -> bytes:
-    """LZF (Lehmann), the compression of PCL: literals, and copies of what came before.
+    """LZF (Lehmann), the compression of PCL: literals, and copies of earlier bytes.
 
     Args:
         data: Compressed bytes.
@@ -201,7 +201,7 @@ def _compressed_columns(body: bytes, header: _Header, path: Path) -> Any:
 
 
 def _colours(columns: Any, names: tuple[str, ...]) -> NDArray[np.uint8] | None:
-    """The packed 0xRRGGBB of PCL, whose type says float or unsigned but whose bits count."""
+    """Packed 0xRRGGBB of PCL: bits that matter, whether the type says float or unsigned."""
     name = next((n for n in ("rgb", "rgba") if n in names), None)
     if name is None:
         return None

@@ -1,4 +1,5 @@
-"""The `plan` artifact: a grasp with the motion to it, or why there is none; and its JSON forms."""
+"""The `plan` artifact: a grasp with its motion, or the reason why there is none; and its JSON
+forms."""
 
 from __future__ import annotations
 
@@ -252,7 +253,7 @@ def read_plan(path: Path | str) -> Plan:
 
 
 def plan_as_json(plan: Plan) -> dict[str, Any]:
-    """The plan in plain types, as `--json` prints it; what does not exist is null."""
+    """The plan in plain types, as `--json` prints it; missing values are null."""
     found = plan.status == OK
     links = zip(plan.link_names, plan.link_clearance_object, plan.link_clearance_table, strict=True)
     rejected, accepted = plan.rejected, plan.accepted

@@ -54,8 +54,7 @@ def file_sha256(path: Path | str) -> str:
 
 
 def data_sha256(names: Iterable[str], *arrays: ArrayLike) -> str:
-    """The SHA-256 of what a training run learns from, in hexadecimal: names, and arrays that say
-    which part of them does what."""
+    """SHA-256 of the training data, in hexadecimal: names, and arrays of their roles."""
     digest = hashlib.sha256("\0".join(names).encode())
     for array in arrays:
         values = np.ascontiguousarray(array)

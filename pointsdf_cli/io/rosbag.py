@@ -68,7 +68,7 @@ class CameraInfo:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is to be read as a bag: a folder, .mcap or .db3 (or .bag, of ROS 1)."""
+    """Whether a path is a bag: a folder, .mcap or .db3 (or .bag, of ROS 1)."""
     return path.is_dir() or path.suffix.lower() in (*SUFFIXES, ".bag")
 
 

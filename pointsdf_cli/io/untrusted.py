@@ -70,7 +70,7 @@ def read_xml(path: Path) -> ET.Element:
 
 
 def read_npy_array(path: Path, kind: str = "array") -> NDArray[Any]:
-    """The array in a .npy file, mapped, not read: what is not stored is not allocated.
+    """Memory-mapped array of a .npy file: nothing beyond the stored bytes is allocated.
 
     Args:
         path: The file.

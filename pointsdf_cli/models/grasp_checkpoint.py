@@ -171,7 +171,7 @@ def _check_config(config: Mapping[str, Any], where: object) -> None:
 
 
 def check_hand(sweep: HandSweep, config: Mapping[str, Any], where: object) -> None:
-    """Refuse a checkpoint that learned with a hand whose fingers pass elsewhere.
+    """Refuse a checkpoint trained with a hand whose fingers move differently.
 
     Raises:
         InputError: They do.
@@ -191,13 +191,13 @@ def check_hand(sweep: HandSweep, config: Mapping[str, Any], where: object) -> No
 
 
 COURSE_OFF = 3e-3
-"""Hands whose pads pass the same places within this [m] are the same hand."""
+"""Largest distance [m] between the pad positions of hands that count as the same."""
 
 
 def check_robot(
     robot: RobotDescription, name: str, preshape_joints: list[str] | tuple[str, ...], where: object
 ) -> None:
-    """Refuse what was made with another hand.
+    """Refuse data made with another hand.
 
     Raises:
         InputError: The names differ.

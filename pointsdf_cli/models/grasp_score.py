@@ -1,4 +1,4 @@
-"""A trained success network and its prior, for one object in the world: what planning asks.
+"""A trained success network and its prior, for one object in the world, as planning uses them.
 
     grasps = load_grasp_model().on(points, T_world_camera)
     grasps.log_success(preshape, T_world_palm)      [B], differentiable
@@ -139,7 +139,7 @@ class EmbeddingGrasps(ObjectGrasps):
 
 
 class GeometryGrasps(ObjectGrasps):
-    """Scores by what the reconstruction says at the grasp itself."""
+    """Scores from features of the reconstruction at the grasp itself."""
 
     def __init__(
         self,

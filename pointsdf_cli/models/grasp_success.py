@@ -55,7 +55,7 @@ class Standardise(nn.Module):
 
     @torch.no_grad()
     def fit(self, x: Tensor) -> None:
-        """Take the numbers of x [N, size]; what hardly varies is not blown up."""
+        """Fit the normalisation to x [N, size]; nearly constant columns are not amplified."""
         self.mean.copy_(x.mean(0))
         self.inverse.copy_(1.0 / (x.std(0) + 0.02))
 

@@ -28,7 +28,8 @@ from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.surface import robot_surface
 
 PAD = 0.15
-"""Share of a link's surface, what goes ahead most, that its pad is the middle of."""
+"""Share of a link's surface samples that lead the closing motion most; its pad is in their
+middle."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from torch import Tensor
 from pointsdf_cli.models.search_trees import nearest_by_tree
 
 TREE_FROM = 32
-"""So many queries of one cloud are asked of a tree; fewer are as fast without."""
+"""Number of queries per cloud from which a search tree pays off."""
 
 
 def squared_distances(queries: Tensor, points: Tensor) -> Tensor:
@@ -132,7 +132,8 @@ def farthest_point_order(points: Tensor, count: int, start: int = 0) -> Tensor:
 
 
 class _GatherRows(torch.autograd.Function):
-    """Row gather whose backward pass is one `index_add_`; PyTorch's own is several times slower."""
+    """Row gather with a backward pass of one `index_add_`; PyTorch's own is several times
+    slower."""
 
     @staticmethod
     def forward(ctx, rows: Tensor, index: Tensor) -> Tensor:  # type: ignore[no-untyped-def]

@@ -13,7 +13,7 @@ from torch import Tensor
 
 
 def use_threads(count: int) -> None:
-    """Let PyTorch use so many threads; more than are free makes it several times slower."""
+    """Set PyTorch's number of threads; more than are free makes it several times slower."""
     keep_large_allocations()
     torch.set_num_threads(max(1, count))
 
@@ -51,14 +51,14 @@ def one_thread() -> Iterator[None]:
 FEWEST = 256
 """Rows that are worth a thread of their own."""
 ALIGNED = 64
-"""Parts are of so many rows or a multiple: kernels compute the rows that are left over at a part's
-end by other instructions, and a value must not depend on how many threads there are."""
+"""Multiple of rows in a part: kernels compute remaining rows at a part's end by other instructions,
+and a value must not depend on the number of threads."""
 
 
 def even_parts(rows: Tensor, most: int) -> list[Tensor]:
-    """Rows [N, ...] in parts of at most `most`: as many for each of PyTorch's threads and all about
-    as long, so that none waits for another's last part. On another device than the CPU, whose
-    parts do not run side by side, of `most`."""
+    """Rows [N, ...] in parts of at most `most`: equally many for each of PyTorch's threads and all
+    about as long, so that no thread waits for another's last part. On a device other than the CPU,
+    parts of `most`."""
     if rows.device.type != "cpu":
         return list(rows.split(most))
     threads = max(1, min(torch.get_num_threads(), len(rows) // FEWEST))

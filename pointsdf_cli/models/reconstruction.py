@@ -27,7 +27,7 @@ from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 from pointsdf_cli.models.surroundings import surroundings_of
 
 CHUNK = 4096
-"""Queries decoded at once: few enough that what is between two layers stays in the cache."""
+"""Queries decoded at once: few enough that intermediate layers stay in the cache."""
 
 
 @dataclass(frozen=True)

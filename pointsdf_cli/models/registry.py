@@ -24,7 +24,8 @@ DEFAULT_ARCHITECTURE = PointSDFRay.architecture
 
 
 def default_checkpoint() -> Path:
-    """The shipped reconstruction, whose fields the shipped success network has learned to read."""
+    """The bundled reconstruction network, whose fields the bundled success network was trained
+    on."""
     return asset_path("weights/pointsdf_ray")
 
 

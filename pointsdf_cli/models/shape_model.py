@@ -55,7 +55,7 @@ class ShapeModel(nn.Module, ABC):
     """The submodules that the embedding depends on."""
 
     def embed(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Tensor:
-        """The embedding [B, 256] alone, of what `encode` takes."""
+        """Embedding [B, 256] alone, for the inputs of `encode`."""
         return self.encode(cloud, camera, neighbours).embedding
 
     def begin_with(self, other: ShapeModel) -> None:
@@ -89,8 +89,8 @@ class ShapeModel(nn.Module, ABC):
         """
 
     def in_precision(self, encoding: Encoding, dtype: torch.dtype) -> Encoding:
-        """The encoding with those tables in `dtype` that the decoder's products take in it anyway
-        where autocast computes in it; geometry stays as it is."""
+        """The encoding with its product tables in `dtype`, as autocast would convert them anyway;
+        geometry stays as it is."""
         return encoding
 
     @abstractmethod

@@ -18,12 +18,13 @@ from pointsdf_cli.models.surroundings import Surroundings
 
 GRID = 32
 VIEW_VOXELS = 26
-"""The partial view's largest extent spans so many voxels; the rest is room for the unseen."""
+"""Number of voxels that the partial view's largest extent spans; the rest is for the unseen
+part."""
 
 EXTENT_IN_NETWORK_UNITS = 1.0 / 1.03
 VOXEL = EXTENT_IN_NETWORK_UNITS / VIEW_VOXELS
 LOGIT_SLOPE = 0.02
-"""Network units a logit: what `SdfLoss.temperature` divides by again."""
+"""Network units per logit; `SdfLoss.temperature` divides by it again."""
 
 
 class VoxelCNN(ShapeModel):

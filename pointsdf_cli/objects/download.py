@@ -98,7 +98,7 @@ def _fetch_rest(
     largest: int,
     on_bytes: Callable[[int], None] | None,
 ) -> None:
-    """Append what is missing to `part`, which is whole when this returns."""
+    """Append the missing bytes to `part`, which is complete when this returns."""
     have = part.stat().st_size if part.exists() else 0
     validator = tag.read_text(encoding="ascii") if have and tag.exists() else ""
     headers = {"Accept-Encoding": "identity"}

@@ -62,7 +62,7 @@ def stand(solid: Manifold) -> Manifold:
 
 
 def fit_size(solid: Manifold) -> Manifold:
-    """Scale a solid whose largest extent is outside 3–35 cm to the nearer end of that range."""
+    """Scale a solid to the nearer end of 3–35 cm if its largest extent is outside."""
     low, high = np.reshape(solid.bounding_box(), (2, 3))
     size = float((high - low).max())
     wanted = float(np.clip(size, SMALLEST_EXTENT * 1.001, LARGEST_EXTENT * 0.999))

@@ -23,7 +23,7 @@ def refine(solid: Manifold, longest: float) -> Manifold:
 def split_long_edges(
     vertices: np.ndarray, faces: np.ndarray, longest: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Halve every edge longer than `longest` until there is none.
+    """Halve every edge longer than `longest` until none remains.
 
     Args:
         vertices: [V, 3].

@@ -1,4 +1,4 @@
-"""Outlines and curves in the plane: what solids are turned, extruded and swept from."""
+"""Outlines and curves in the plane, for turned, extruded and swept solids."""
 
 from __future__ import annotations
 

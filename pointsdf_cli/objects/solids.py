@@ -66,7 +66,7 @@ def ellipsoid(radii: Vector, centre: Vector = (0, 0, 0), segments: int = 32) -> 
 
 
 def star_solid(radius: Callable[[np.ndarray], np.ndarray], segments: int = 48) -> Manifold:
-    """The body whose surface lies at `radius(direction)` from the origin.
+    """Body with its surface at `radius(direction)` from the origin.
 
     Args:
         radius: Maps unit vectors [N, 3] to distances [N] in metres.

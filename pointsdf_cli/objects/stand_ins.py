@@ -113,7 +113,7 @@ STAND_INS: dict[str, StandIn] = {
 
 
 class FixedDraw(Draw):
-    """Draws that are no draws: what is named is given, the rest is the middle of its range."""
+    """Deterministic draws: named values as given, all others at the middle of their range."""
 
     def __init__(self, values: Mapping[str, Value]) -> None:
         super().__init__(np.random.default_rng(0))

@@ -37,7 +37,7 @@ class ObjectTask:
 
 
 def check_count(count: int) -> int:
-    """`count`, if so many objects can be made.
+    """Return `count`, if that many objects can be made.
 
     Raises:
         InputError: They cannot.

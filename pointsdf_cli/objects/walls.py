@@ -1,4 +1,4 @@
-"""Walls of even thickness, and handles: what cups, bowls and jugs are made of."""
+"""Walls of even thickness, and handles, for cups, bowls and jugs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def cavity(line: np.ndarray, wall: float) -> Manifold:
 
 
 def solid_of(line: np.ndarray, wall: float) -> Manifold:
-    """The vessel filled up to its rim: what a scanner sees of a closed one."""
+    """The vessel filled up to its rim, as a scanner sees a closed one."""
     inside = polygon(np.concatenate([line, [(0, line[-1, 1])]]))
     return turn(inside + stroke(line, wall))
 

@@ -93,7 +93,7 @@ def judge(
     config: AcceptanceConfig | None = None,
     kinds: Sequence[str] = (),
 ) -> list[Candidate]:
-    """Check solutions x [B, n] against the problem as it is, whatever the solver made of it.
+    """Check solutions x [B, n] against the exact problem, independently of the solver.
 
     Args:
         problem: With the exact field and the clearances that were asked for.

@@ -18,7 +18,7 @@ from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.robot.kinematics import Kinematics
 
 WORLD = -1
-"""The link index of what does not move."""
+"""Link index of fixed bodies."""
 
 FAR = 1.0
 """The distance [m] that stands for "nothing near"."""

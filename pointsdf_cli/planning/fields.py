@@ -92,7 +92,7 @@ class SeenField:
 
 
 class UnionField:
-    """The lower of a field and the distance to seen points: what occupies space by either."""
+    """Union of a field and seen points: the lower of the two distances."""
 
     def __init__(self, first: Field, seen: SeenField) -> None:
         self._first, self._seen = first, seen

@@ -1,4 +1,4 @@
-"""From a cloud of one object to a plan: the two methods of the paper, and what they are made of.
+"""Grasp planner: from a cloud of one object to a plan, by the two methods of the paper.
 
     planner = GraspPlanner(PlanOptions(method="reconstruction"))       # loads networks, once
     answer = planner.plan([View(points, T_world_camera)], seed=0)
@@ -150,7 +150,7 @@ class PerceivedObject:
 
 @dataclass(frozen=True)
 class Answer:
-    """A plan and what it was made from.
+    """A plan and its inputs.
 
     Attributes:
         plan: The artifact; its status says whether there is a plan.

@@ -192,7 +192,7 @@ class GraspProblem:
         return np.asarray((moved[link] != moved[other]).any(axis=1))
 
     def _make_groups(self) -> list[NDArray[np.int64]]:
-        """Columns by link and what they are distances to; the robot itself counts as one."""
+        """Columns by link and by the other body; the robot itself counts as one."""
         groups: dict[tuple[str, str], list[int]] = {}
         for m in np.flatnonzero(self._relevant):
             link, other = self.names[m]

@@ -1,4 +1,4 @@
-"""The list of what stands on a table, and its picture."""
+"""List of the objects on a table, and its picture."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def list_things(
     robot: Path | None = None,
     cleaned: bool = True,
 ) -> Listing:
-    """Find what stands on the table of one view.
+    """Find the objects on the table of one view.
 
     Args:
         path, files: The view and how it is read.

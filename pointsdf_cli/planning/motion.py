@@ -51,7 +51,7 @@ class MotionConfig:
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion, or why there is none.
+    """A motion, or the reason why there is none.
 
     Attributes:
         trajectory: None if there is none.

@@ -34,7 +34,7 @@ class Evaluation(NamedTuple):
 
     @property
     def violation(self) -> Array:
-        """[B], the largest violation; 0 where there is none."""
+        """Largest violation [B]; 0 without any."""
         return np.maximum(0.0, -self.constraints.min(axis=1, initial=0.0))
 
 

@@ -13,16 +13,16 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.robot.description import RobotDescription
 
 TARGET_REACH = 0.1
-"""--target names the thing whose nearest seen point is no farther than this [m]."""
+"""Largest distance [m] from --target to the nearest seen point of the object it names."""
 
 PIXEL_REACH = 15.0
 """--target names the thing that was seen no farther than this [px] from a pixel."""
 
 EQUAL = 1.4
-"""Things whose merits differ by less than this factor are equally good to grasp."""
+"""Factor below which the merits of two objects count as equal."""
 
 SMALLEST_THING, LARGEST_THING = 0.015, 0.35
-"""Things between these sizes [m] are what one wants to grasp."""
+"""Smallest and largest size [m] of an object worth grasping."""
 
 
 class NoObjectError(RgraspError):

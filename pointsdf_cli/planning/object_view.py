@@ -41,8 +41,8 @@ class ObjectView:
 
 
 def is_scene(path: Path, files: SceneFileOptions, pose: str | None) -> bool:
-    """Whether a file shows a table where nothing else was said: a depth image that has a pose or no
-    mask, or one that is to be posed over its table."""
+    """Whether a file shows a table by default: a depth image that has a pose or no mask, or one to
+    be posed over its table."""
     if pose is not None and table_place(pose) is not None:
         return True
     return is_depth_image(path, files.intrinsics) and (pose is not None or files.mask is None)

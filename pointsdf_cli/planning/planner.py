@@ -45,16 +45,16 @@ Rank = Callable[[list[Candidate]], list[Candidate]]
 """Puts accepted candidates in the order in which motions are looked for, and may leave some out."""
 
 SUCCESSIVE_HALVING = (6, 11)
-"""Iterations of `sqp` after which half of the seeds are left where they are: what costs three times
-as much as the best after six iterations does not catch up."""
+"""Iterations of `sqp` after which the worse half of the seeds stops: seeds that cost three times as
+much as the best after six iterations do not catch up."""
 
 MARGIN = 0.004
 """Distance to the object that plans keep where they can [m]: reconstructions err by a few
 millimetres on the unseen side, and arms lag behind their trajectory by as much."""
 
 PREFERRED_SLACK = 0.006
-"""Up to here [m] a candidate's distance to the object is exact, whatever the clearance; rehearsal
-prefers grasps with so much."""
+"""Distance to the object [m] up to which a candidate's slack is exact, for any clearance; rehearsal
+prefers grasps with this much."""
 
 QUICK_LOOKS = 1000
 """Configurations that a brief search for a motion may look at, with the margin and without: most
@@ -101,7 +101,7 @@ class PlannerConfig:
 
 
 class Planner:
-    """Plans for one robot; what does not depend on the object is made once.
+    """Planner for one robot; parts that do not depend on the object are made once.
 
     Args:
         robot: The robot.

@@ -17,7 +17,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 
 ABOVE = 0.08
-"""An object whose lowest seen point is higher than this [m] above the table may hang in the air."""
+"""Height [m] above the table from which an object's lowest seen point suggests that it floats."""
 BELOW = 0.01
 """A camera that is lower than the table by more than this [m] looks up through it."""
 STEEP = np.deg2rad(60)
@@ -25,7 +25,7 @@ STEEP = np.deg2rad(60)
 APART = 0.05
 """Points of one object that a camera sees are not parted by more than about this [m]."""
 PART, FEWEST = 0.1, 50
-"""A part of a cloud has this share of its points, and so many."""
+"""Smallest share of a cloud's points, and smallest number, that make a part of it."""
 ROUND = 0.03
 """A sphere fits points that are nearer to it than this share of its radius, as a rule."""
 OTHER_TABLE = 0.6

@@ -30,7 +30,7 @@ REASONS = (
 raise the hand from there) are rejected grasps' only."""
 
 FREE_SHARE = 0.05
-"""If fewer of the reached grasps than this are free as drawn, what they meet is the reason."""
+"""Share of free grasps among the reached ones below which their collisions are the reason."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from pointsdf_cli.planning.screen import depth_in, lifted
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
 EITHER = "either"
-"""Half of the grasps are drawn from each kind; what they are worth decides which are tried."""
+"""Kind for half of the grasps from each kind; their merit decides which are tried."""
 
 
 class GraspSampler(Protocol):
@@ -150,7 +150,8 @@ def _promising(
 
 
 def _fate(rows: NDArray[np.intp], slack: Array) -> tuple[int, int, int, int, int]:
-    """Palms that touch nothing in some elbow position; the others by what they enter deepest.
+    """Number of palms without collision in some elbow position; and of the others by their deepest
+    collision.
 
     Args:
         rows: [E], the palm of each configuration.

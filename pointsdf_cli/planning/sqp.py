@@ -239,7 +239,7 @@ class Sqp:
         now: Evaluation,
         new: Evaluation,
     ) -> None:
-        """Damped BFGS of what the given curvature does not explain (Powell 1978)."""
+        """Damped BFGS of the curvature beyond the given one (Powell 1978)."""
         s = trial - x[live]
         y = new.gradient - now.gradient[live]
         y = y - (new.curvature @ s[..., None])[..., 0]

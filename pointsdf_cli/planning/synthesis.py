@@ -31,16 +31,17 @@ SOLVER_MARGIN = 0.0005
 """Extra clearance kept by the solver [m]: twice its own tolerance."""
 
 WORTH = 0.05
-"""A solution is solved again only if its objective is better than the best so far by this."""
+"""Improvement over the best objective so far that makes a second solution worthwhile."""
 
 MARGINS = (1.0, 0.5, 0.0)
 """Share of the margin to the object that is kept in each round."""
 
 FALLBACKS = 4
-"""Grasps kept for want of an accepted one: if no motion leads to these, none does."""
+"""Number of fallbacks kept for lack of an accepted grasp: if no motion leads to these, none
+does."""
 
 STALLED = 0.8
-"""A round whose best free grasp costs more than this share of the best before has gained little."""
+"""Ratio of a round's best free cost to the best before, above which the round has gained little."""
 
 
 @dataclass(frozen=True)

@@ -175,7 +175,7 @@ def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: 
 
 
 def _with_surface(answer: Answer) -> Plan:
-    """The plan with the object as it was planned around."""
+    """The plan with the object's surface that it was planned around."""
     began = time.perf_counter()
     surface = None if answer.target is None else surface_of(answer.target)
     if surface is None:

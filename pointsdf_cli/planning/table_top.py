@@ -1,4 +1,4 @@
-"""From clouds as cameras give them to the object that is to be grasped, and to what is in the way.
+"""From camera clouds to the object to be grasped, and its obstacles.
 
 A cloud of the whole table is segmented (camera/segmentation.py); what else stands there becomes
 obstacles; points on the robot itself are neither. A cloud that was cut out already goes through
@@ -228,7 +228,7 @@ def _check_options(segment: str, target: object, workspace: SegmentationConfig) 
 
 
 def require_pose(cloud: Cloud, name: str) -> None:
-    """Refuse a cloud whose camera's place is not known.
+    """Refuse a cloud without a known camera pose.
 
     Raises:
         InputError: It is not.

@@ -44,8 +44,8 @@ FINEST = 0.004
 """Cells of the grid of a thin object are no smaller than this [m]."""
 
 CELLS_ACROSS = 5
-"""The thinnest side of an object spans so many cells: a fork lies between the nodes of a grid that
-is fine enough for a box."""
+"""Number of cells across the thinnest side of an object: a fork lies between the nodes of a grid
+that is fine enough for a box."""
 
 
 COARSE_CELLS = 16
@@ -118,7 +118,7 @@ class Target:
 
 
 def grid_for(thickness: float) -> GridConfig:
-    """A grid for an object whose thinnest seen side is this [m]."""
+    """Grid for an object with this thinnest seen side [m]."""
     step = float(np.clip(thickness / CELLS_ACROSS, FINEST, KEPT_GRID.step))
     return replace(KEPT_GRID, step=step)
 
@@ -245,7 +245,7 @@ def surface_of(target: Target, step: float = 0.004) -> tuple[Array, NDArray[np.i
 def reconstruction_target(
     reconstruction: Reconstruction, score: GraspScore, prior: GraspSampler
 ) -> Target:
-    """The target whose shape a network has completed from a cloud in the world's frame."""
+    """Target with a shape that a network completed from a cloud in the world's frame."""
     return Target.of(reconstructed_object([reconstruction]), score, prior)
 
 

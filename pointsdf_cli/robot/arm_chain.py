@@ -123,7 +123,7 @@ def _moving_joints(robot: RobotDescription) -> tuple[list[_MovingJoint], Array]:
 
 
 def _cross_matrix(axis: Array) -> Array:
-    """[3, 3], whose product with a vector is the axis × the vector."""
+    """Matrix [3, 3] of the cross product with the axis."""
     x, y, z = axis
     return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 

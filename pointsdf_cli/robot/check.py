@@ -1,4 +1,4 @@
-"""Whether a robot's description makes sense: what a reader of files cannot see."""
+"""Plausibility of a robot's description beyond the syntax of its files."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def check_robot(robot: RobotDescription, seed: int = 0) -> RobotCheck:
 
 
 def _closes(robot: RobotDescription, closing: Closing) -> list[Finding]:
-    """Fingers close towards what is in front of the palm."""
+    """Check that the fingers close towards the space in front of the palm."""
     found = []
     for joint, nearer in closing.nearer.items():
         if nearer < NEARER:

@@ -104,8 +104,8 @@ def beyond(robot: RobotDescription, joint: str) -> tuple[str, ...]:
 
 
 def to_palm_axis(robot: RobotDescription, points: Array) -> Array:
-    """Distances [...] of points [..., 3], palm frame, to the half-line out of the palm along which
-    what is grasped comes: from (0, 0, reach) in the direction of x."""
+    """Distances [...] of points [..., 3], palm frame, to the half-line on which objects approach
+    the palm: from (0, 0, reach) in the direction of x."""
     local = points - [0.0, 0.0, robot.palm_reach or 0.0]
     local = np.concatenate([np.minimum(local[..., :1], 0.0), local[..., 1:]], axis=-1)
     return np.asarray(np.linalg.norm(local, axis=-1))

@@ -99,7 +99,7 @@ class RobotDescription:
 
     @cached_property
     def hand_links(self) -> tuple[str, ...]:
-        """The palm's link, what is fixed to it and all links beyond: what a grasp touches with."""
+        """Hand links: the palm's link, all links fixed to it and all links beyond."""
         inside = {self.palm_link}
         for joint in self.tree.joints:
             if joint.parent in inside:

@@ -1,4 +1,4 @@
-"""A first description of a robot from its URDF alone: what can be guessed, to be looked at after.
+"""First description of a robot, guessed from its URDF alone, for review.
 
 Which joints are the arm's and which the hand's follows from where the fingers branch off. How each
 finger joint closes, the palm frame, a place to wait and the pairs that may touch are measured on
@@ -207,7 +207,7 @@ def _home(robot: RobotDescription) -> Array:
 
 
 def as_yaml(data: dict[str, Any]) -> str:
-    """The text of the file, with what a person must look at beside each key."""
+    """Text of the file, with a comment for the reviewer beside each key."""
 
     def flow(value: Any) -> str:
         text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10_000)

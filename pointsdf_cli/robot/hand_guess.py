@@ -113,7 +113,7 @@ def preshapes(tree: Tree, closing: dict[str, float]) -> dict[str, list[float]]:
 
 
 def open_home(robot: RobotDescription) -> Array:
-    """The arm as it is, the closing joints at their open ends."""
+    """Configuration with the arm as given and the closing joints at their open ends."""
     q = robot.home.copy()
     columns = robot.closing_columns
     q[columns] = np.where(robot.closing_speeds > 0, robot.lower[columns], robot.upper[columns])
@@ -170,7 +170,7 @@ def _root(robot: RobotDescription, link: str) -> str:
 
 
 def _level(vector: Array, normal: Array) -> Array:
-    """The part of a vector [3] across `normal`; any such direction where there is none."""
+    """Part of a vector [3] perpendicular to `normal`; an arbitrary perpendicular if it vanishes."""
     across = vector - (vector @ normal) * normal
     if np.linalg.norm(across) > 1e-4:
         return np.asarray(across)

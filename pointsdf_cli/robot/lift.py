@@ -21,9 +21,9 @@ WAYS = ((0.0, 1.0), (0.05, 1.0), (0.1, 1.0), (0.0, 0.1), (0.05, 0.02), (0.1, 0.0
 """Attempts in turn: how far outwards the palm moves on the way [m], and the cost of a turn by 1 rad
 in metres off the line; at 1 it may not turn."""
 OFF_LINE = 0.003
-"""Farther off the line [m] no step of a path may be."""
+"""Largest deviation [m] of a path's step from the line."""
 MOST_TURN = 0.6
-"""A palm that turns by more than this [rad] on the way pours out what it holds."""
+"""Largest turn [rad] of the palm on the way; more pours out the contents of the object."""
 
 
 def lift_path(

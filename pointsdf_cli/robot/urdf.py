@@ -1,4 +1,4 @@
-"""Reads what grasping needs of a URDF: the tree of joints, their limits, the collision shapes."""
+"""Reader of a URDF for grasping: the tree of joints, their limits, the collision shapes."""
 
 from __future__ import annotations
 

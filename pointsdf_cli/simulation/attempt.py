@@ -71,14 +71,14 @@ class AttemptConfig:
         return replace(self, hand_alone=False, physics=PhysicsConfig())
 
     def as_dict(self) -> dict[str, Any]:
-        """For `config_json`; what files of earlier versions could not say is left out."""
+        """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
         plain = asdict(self)
         return plain | {"placement": without_ideal(plain["placement"])}
 
 
 @dataclass(frozen=True)
 class Scene:
-    """An object on the table, and what the camera found of it.
+    """An object on the table, and its observation by the camera.
 
     Attributes:
         T_world_object, T_world_camera: [4, 4].
@@ -92,7 +92,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One attempt with one object; see `Grasps` for what is kept of it."""
+    """One attempt with one object; its record is in `Grasps`."""
 
     index: int
     scene: Scene
@@ -154,7 +154,7 @@ class Attempter:
         self.checks.close()
 
     def check(self, item: SimObject) -> None:
-        """Refuse what cannot be simulated or grasped at all.
+        """Refuse objects that cannot be simulated or grasped at all.
 
         Raises:
             InputError: It is wider than the hand opens in every direction.

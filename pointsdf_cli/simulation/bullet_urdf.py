@@ -227,7 +227,7 @@ def _at_its_place(visual: ET.Element, urdf: Path) -> bool:
 
 
 def _inertial(shapes: tuple[Shape, ...]) -> ET.Element:
-    """Mass, centre of mass and inertia of what a link's collision shapes enclose."""
+    """Mass, centre of mass and inertia of the volume of a link's collision shapes."""
     mass, centre, inertia = FRAME_MASS, np.zeros(3), FRAME_INERTIA * np.eye(3)
     if shapes:
         body = trimesh.util.concatenate([shape.as_mesh() for shape in shapes])

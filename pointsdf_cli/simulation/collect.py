@@ -159,7 +159,7 @@ def require_same_options(tasks: Iterable[CollectTask]) -> None:
 
 
 def _options_of(task: CollectTask) -> dict[str, Any]:
-    """All that decides what is made of one object."""
+    """All settings that decide the grasps of one object."""
     config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
     config |= {"split": task.split}  # which other meshes there are decides it
     return config | {"mesh": file_sha256(task.mesh), "robot": robot_digest(task.robot)}

@@ -21,7 +21,7 @@ from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.meshes import LoadedMesh
 
 VOLUME_OFF = 0.15
-"""A simplified mesh whose volume is off by more than this share is not that mesh."""
+"""Largest relative change of volume that a simplified mesh may have."""
 SHARES = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016)
 """Share of a mesh's longest side; smaller details are given up in turn."""
 VERSION = 3

@@ -94,13 +94,13 @@ HELD_FRACTION = 0.7
 STEADY_SPEED = 0.03
 """A slower object [m/s] rests in the hand."""
 OFF_TABLE = -0.05
-"""An object whose centre of mass is below this [m] has fallen off the table."""
+"""Height [m] of the centre of mass below which an object has fallen off the table."""
 CLEAR_HEIGHT = 0.05
-"""A hand this far [m] above where it gripped no longer reaches what it left on the table."""
+"""Height [m] above the grip from which the hand no longer reaches an object left on the table."""
 CLEAR_ASIDE = 0.005
 """Nor does one that rises straight with no link under it, or less far [m] beside it."""
 PALM_TO_TIP = 0.25
-"""A turn of the palm moves what is farthest from it by so many metres a radian."""
+"""Lever arm: distance in metres that the farthest point moves per radian of the palm's turn."""
 
 
 class Executor:

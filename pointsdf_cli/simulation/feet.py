@@ -24,7 +24,7 @@ def nearest_pose(item: SimObject, T_world_object: NDArray[np.float64]) -> int:
 
 
 def on_its_foot(item: SimObject, pose: StablePose) -> SimObject:
-    """The object with pieces that stand in this pose: as it is if they do, else with a flat foot.
+    """The object with pieces that stand in this pose: unchanged if they do, else with a flat foot.
 
     A can's scanned bottom gives it many resting poses that lean a little this way and that, and a
     hull made flat for all of them is flat for none.
@@ -51,7 +51,7 @@ def on_its_foot(item: SimObject, pose: StablePose) -> SimObject:
 
 
 def with_flat_foot(pieces: Pieces, vertices: NDArray[np.float64], pose: StablePose) -> Pieces:
-    """Convex pieces that stand on what the mesh stands on; all in the mesh frame.
+    """Convex pieces that stand on the same points as the mesh; all in the mesh frame.
 
     A scan's bottom is a little round, and a hull of few corners leaves most of its rim out: a can
     that stands in the world would rest on three corners here, and fall over. So the rim of the

@@ -112,7 +112,7 @@ class Observer:
         T_world_camera: Array,
         rng: np.random.Generator,
     ) -> View:
-        """The object found in a view of the scene, cleaned, with what else the camera knows.
+        """The object found in a view of the scene, cleaned, with the observed space around it.
 
         Raises:
             InputError: The camera sees no object: it is hidden, or too flat to tell from the

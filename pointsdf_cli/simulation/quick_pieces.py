@@ -95,7 +95,7 @@ class _Part:
 
 
 def _best_cut(part: _Part, places: tuple[float, ...]) -> list[_Part] | None:
-    """The pieces whose hulls waste least, of cuts along the part's principal axes."""
+    """Pieces whose hulls waste least volume, among cuts along the part's principal axes."""
     corners = np.asarray(part.solid.to_mesh().vert_properties)[:, :3].astype(float)
     _, axes = np.linalg.eigh(np.cov(corners.T))
     best: list[_Part] | None = None

@@ -55,7 +55,7 @@ class ReachConfig:
 
 @dataclass(frozen=True)
 class Reach:
-    """A way to a preshape, or why there is none.
+    """A way to a preshape, or the reason why there is none.
 
     Attributes:
         label: 0 if there is one; else `NO_MOTION` or `NO_CONFIGURATION`.

@@ -234,8 +234,8 @@ def believed_object(
 
 
 def _put_down(corners: Array, foot: float) -> trimesh.Trimesh | None:
-    """A hull of which nothing is below the table, and what nearly stands on it does; None if
-    nothing of it is left."""
+    """Hull clipped at the table, with its nearly resting points put onto it; None if nothing is
+    left."""
     corners = np.array(corners)
     corners[corners[:, 2] < foot, 2] = 0.0
     if not corners[:, 2].any():  # all of it is foot, or was below

@@ -80,7 +80,7 @@ class Workers:
         return self._reduced(value, dist.ReduceOp.SUM) / self.count if self.count > 1 else value
 
     def most(self, value: float) -> float:
-        """The largest of a number over all workers: what one says counts for all."""
+        """Maximum of a number over all workers."""
         return self._reduced(value, dist.ReduceOp.MAX) if self.count > 1 else value
 
     def wait(self) -> None:

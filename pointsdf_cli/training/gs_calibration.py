@@ -1,4 +1,4 @@
-"""Making probabilities mean what they say: a temperature and a shift, by likelihood.
+"""Calibration of probabilities: a temperature and a shift, by likelihood.
 
 A network trained on balanced classes does not know the base rate, and one trained for long is too
 sure. Both are mended by two numbers, log h = log σ(a z + b), fitted to held-out objects (Platt

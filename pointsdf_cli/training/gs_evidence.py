@@ -115,7 +115,7 @@ def evidence_of(
 
 
 def make_evidence(task: EvidenceTask) -> int:
-    """Ask the network about the executed grasps of one file and write what it says."""
+    """Compute a network's features for the executed grasps of one file and write them."""
     use_threads(1)
     model = load_cached(task.encoder)
     robot = load_robot(task.robot)

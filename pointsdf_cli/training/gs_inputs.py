@@ -49,7 +49,7 @@ class Learner(ABC):
         """Raw logits [n] in evaluation mode."""
 
     def validation_logits(self, index: Index) -> NDArray[np.float64]:
-        """Raw logits [n] of what has not learned from these grasps."""
+        """Raw logits [n] of networks that were not trained on these grasps."""
         return self.logits(index)
 
     def member_weights(self, index: Index) -> Tensor:

@@ -61,7 +61,7 @@ class SuccessTraining:
             )
 
     def rate(self, step: int, steps: int) -> float:
-        """The learning rate at a step of so many."""
+        """Learning rate at a step."""
         warm = min(1.0, (step + 1) / max(1, self.warmup))
         return self.learning_rate * warm * (0.01 + 0.495 * (1 + math.cos(math.pi * step / steps)))
 

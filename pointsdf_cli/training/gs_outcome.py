@@ -1,4 +1,4 @@
-"""Writing what `train-gs` found: the checkpoint, again and again while it trains."""
+"""Writer of the checkpoint of `train-gs`, repeatedly during training."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Checkpointer:
             self._written = time.monotonic()
 
     def finish(self, fitted: Fitted) -> dict[str, Any]:
-        """At the end, or when stopped: write, and tell what was found on the validation objects."""
+        """Write at the end, or when stopped, and report the results on the validation objects."""
         found: dict[str, Any] = {"finished": fitted.finished, "seconds": round(fitted.seconds, 1)}
         if not fitted.history:
             return found | {"epochs": 0}

@@ -1,4 +1,4 @@
-"""The variants of the success network: what they read, and whether their encoder learns.
+"""Variants of the success network: their inputs, and whether their encoder is trained.
 
 | name | encoder | mode |
 |---|---|---|

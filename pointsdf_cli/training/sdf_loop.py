@@ -95,7 +95,7 @@ class TrainConfig:
 
 
 LABEL_STRIDE = 101
-"""Every so many-th label tells one set of data from another."""
+"""Stride of the labels that identify a data set."""
 
 
 @dataclass(frozen=True)
@@ -355,8 +355,8 @@ def _plain(value: Any) -> Any:
 
 
 def _check_same_data(state: Mapping[str, Any], learned_from: str, out: Path | str) -> None:
-    """Refuse to carry on with other objects, views or labels, or another choice of what is held
-    out: the run would be judged by what it has learned."""
+    """Refuse to resume with other objects, views or labels, or another split: the run would be
+    judged by its training data."""
     if state.get("data", learned_from) != learned_from:
         raise InputError(
             "was trained on other data, or with another part of it held out",

@@ -1,4 +1,4 @@
-"""The loss of `train-sdf`, and what is measured while it falls."""
+"""The loss of `train-sdf`, and the measures that accompany it."""
 
 from __future__ import annotations
 

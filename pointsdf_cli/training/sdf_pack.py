@@ -184,7 +184,7 @@ def _place(building: Path, home: Path) -> None:
 
 
 def _packs_in(folder: Path) -> list[Path]:
-    """The packs in a folder: what is named and filled as one."""
+    """Packs in a folder: those that are named and filled as one."""
     named = (path for path in sorted(folder.iterdir()) if NAME.fullmatch(path.name))
     return [path for path in named if (path / INDEX).is_file() and (path / "clouds.npy").is_file()]
 

@@ -1,4 +1,4 @@
-"""Table I: what many scored reconstructions say about each method (docs/method.md, "Table I")."""
+"""Table I: scores of many reconstructions by method (docs/method.md, "Table I")."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ Watch = Callable[[World, str], None]
 
 APPROACH = "approach"
 NO_LIFT = "no_lift"
-"""Cause of a trial whose arm has no room to lift from where it grasped."""
+"""Cause of a trial in which the arm cannot lift from its grasp."""
 
 
 @dataclass(frozen=True)

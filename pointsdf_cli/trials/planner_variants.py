@@ -111,7 +111,7 @@ def weights_of(variant: PlannerVariant, options: VariantOptions) -> str:
 
 
 def check_variant(variant: PlannerVariant, options: VariantOptions) -> None:
-    """Refuse what no trial could be run with, before any is.
+    """Refuse variants that no trial could run with, before the first trial.
 
     Raises:
         InputError: An unknown solver, or a checkpoint that cannot be read.
@@ -166,7 +166,7 @@ class TrialPlanner:
             self._planner = GraspPlanner(asked, grasps)
 
     def plan(self, view: View, truth: Callable[[], Surface], seed: int) -> Answer:
-        """A plan for what one camera saw of the object.
+        """Plan for one camera's view of the object.
 
         Args:
             view: The segmented object.

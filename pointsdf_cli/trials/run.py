@@ -82,7 +82,7 @@ class TrialConfig:
         load_sensor(self.sensor)
 
     def as_dict(self) -> dict[str, Any]:
-        """For `config_json`; what files of earlier versions could not say is left out."""
+        """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
         plain: dict[str, Any] = without_ideal(asdict(self))
         options = plain["contenders"] = plain.pop("variants")  # key of the trials artifact
         for name in ("robot", "checkpoint", "grasp_checkpoint"):

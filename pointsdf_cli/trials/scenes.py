@@ -1,4 +1,4 @@
-"""An object in its place on the table, and what one of the two cameras sees of it.
+"""An object in its place on the table, and its view from one of the two cameras.
 
 The camera stands opposite the robot and looks back at it, so that the side which the hand comes
 from is the side that is not seen.

@@ -1,4 +1,4 @@
-"""The report on a checkpoint: what it is, how it was trained, and how the loss fell."""
+"""Report on a checkpoint: contents, training, and loss curve."""
 
 from __future__ import annotations
 

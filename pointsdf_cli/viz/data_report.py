@@ -1,4 +1,4 @@
-"""The report on a folder of views and labels: what is there, and pictures of it."""
+"""Report on a folder of views and labels: contents and pictures."""
 
 from __future__ import annotations
 

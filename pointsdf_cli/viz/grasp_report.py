@@ -86,7 +86,7 @@ def grasp_report(
     strips: Sequence[tuple[str, NDArray[np.uint8]]],
     title: str,
 ) -> str:
-    """The page: rates by split, kind, cause and object; pictures; what was skipped and why.
+    """Page on grasps: rates by split, kind, cause and object; pictures; skipped files with reasons.
 
     Args:
         items: Name, attempts and description of every object.

@@ -53,8 +53,8 @@ def grasps_scene(path: Path, options: SceneOptions) -> Scene:
 
 
 def plan_scene(path: Path, options: SceneOptions) -> Scene:
-    """The motion to the grasp and the object as it was completed; where there is no motion, the
-    robot at home and the reason."""
+    """Scene of the motion to the grasp and the completed object; without a motion, the robot at
+    home and the reason."""
     plan = read_plan(path)
     require_joints(path, plan.joint_names, options.robot)
     robot = MovingRobot(options.robot)

@@ -13,7 +13,7 @@ FONT = "mpl-data/fonts/ttf/DejaVuSans.ttf"
 
 @cache
 def lettering(size: int) -> ImageFont.ImageFont | ImageFont.FreeTypeFont:
-    """DejaVu Sans of so many pixels; Pillow's own font where matplotlib keeps none."""
+    """DejaVu Sans at this size in pixels; Pillow's own font if matplotlib has none."""
     spec = find_spec("matplotlib")
     for folder in (spec.submodule_search_locations or ()) if spec else ():
         if (Path(folder) / FONT).is_file():

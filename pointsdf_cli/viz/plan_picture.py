@@ -31,7 +31,7 @@ OBSTACLE_COLOUR = (0.72, 0.55, 0.55)
 POINT_SIZE = 0.0014
 MOST_POINTS = 1500
 TRANSLUCENT = 0.62
-"""Opacity of the robot over what is behind it, in the close-ups."""
+"""Opacity of the robot over the objects behind it, in the close-ups."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The report on one plan: what was decided, how near it comes to things, what was rejected."""
+"""Report on one plan: the decision, its distances, and the rejected seeds."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
 
 
 def _completed(plan: Plan) -> list[Painted]:
-    """The object as it was completed, where the plan keeps it."""
+    """The completed object, if the plan keeps it."""
     if not len(plan.object_faces):
         return []
     vertices, faces = plan.object_vertices.astype(np.float64), plan.object_faces.astype(np.int64)
