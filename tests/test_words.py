@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+ARRAYS = Path("pointsdf_cli/geometry/arrays.py")
 BEGINNINGS = re.compile(r"(Of|Whose|What|Where|About|How|Which|Who)\b")
 ENTRY = re.compile(r"\s+[\w, *`]+: (?P<text>.*)")
 
@@ -109,5 +110,17 @@ def test_retired_names_stay_away() -> None:
         for path, tree in trees().items()
         for line, name in identifiers(tree)
         if name in RETIRED
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_array_types_have_one_home() -> None:
+    shared = {"Array", "Mask", "Indices"}
+    wrong = [
+        f"{path}:{node.lineno}"
+        for path, tree in trees().items()
+        for node in tree.body
+        if isinstance(node, ast.Assign) and {ast.unparse(one) for one in node.targets} & shared
+        if path != ARRAYS
     ]
     assert not wrong, "\n".join(wrong)

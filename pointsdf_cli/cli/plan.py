@@ -402,7 +402,7 @@ def _plan_here(
 
 
 def _config(options: dict[str, Any], clouds: list[Path], seed: int) -> dict[str, Any]:
-    """What the plan file keeps of how it was made."""
+    """Provenance for the plan file."""
     from pointsdf_cli.io.provenance import file_sha256
 
     sums = [file_sha256(path) for path in clouds]

@@ -16,7 +16,7 @@ def serve(
     host: Annotated[
         str,
         typer.Option(
-            help="Where to listen; other addresses than this machine's own need a "
+            help="Address to listen on; other addresses than this machine's own need a "
             "token in RGRASP_TOKEN."
         ),
     ] = "127.0.0.1",

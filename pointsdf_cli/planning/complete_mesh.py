@@ -19,13 +19,13 @@ from pointsdf_cli.training.precision import autocast_dtype
 
 @dataclass(frozen=True)
 class MeshChoices:
-    """How an object is meshed.
+    """Meshing options of an object.
 
     Attributes:
         resolution, smooth, exact: As in `mesh_reconstruction`.
         all_parts: Keep small loose parts too.
         precision: "auto", "bfloat16" or "float32".
-        seed: Of the resampling of the cloud.
+        seed: Random seed of the cloud's resampling.
     """
 
     resolution: int = 128
@@ -43,7 +43,7 @@ class CompletedMesh:
     Attributes:
         mesh: Camera frame, m.
         reconstruction: Its field.
-        seconds: Of the computation.
+        seconds: Duration of the computation.
     """
 
     mesh: ReconstructedMesh
@@ -64,8 +64,8 @@ def complete_mesh(
     Args:
         model: The loaded network.
         view: The object.
-        choices: How it is meshed.
-        name: Of the cloud, for messages.
+        choices: Meshing options.
+        name: Name of the cloud, for messages.
 
     Raises:
         EmptySurfaceError: The network sees nothing solid.

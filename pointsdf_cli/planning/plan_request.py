@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.planning import option_checks
@@ -21,13 +21,12 @@ if TYPE_CHECKING:
     from pointsdf_cli.planning.acceptance import AcceptanceConfig
     from pointsdf_cli.viz.plan_picture import PlanScene
 
-Array = NDArray[np.float64]
 Corners = tuple[tuple[float, ...], tuple[float, ...]]
 
 
 @dataclass(frozen=True)
 class PlanChoices:
-    """What a user decides about the search, apart from the robot and the networks.
+    """The user's options of the search, apart from the robot and the networks.
 
     Attributes:
         method, solver, kind: As in `PlanOptions`.
@@ -78,9 +77,9 @@ class PlanRequest:
 
     Attributes:
         clouds: One a camera, each with its pose.
-        names: Of the clouds, for messages.
-        choices: About the search.
-        environment: What is known to stand around.
+        names: Names of the clouds, for messages.
+        choices: Options of the search.
+        environment: Known obstacles and table.
         start: [J], where the robot is [rad]; its home if None.
         seed: Equal seeds give equal plans.
         segment: "auto", or "none" where the clouds hold the object alone.
@@ -142,7 +141,7 @@ class PlanResult:
     least: float
 
     def scene(self) -> PlanScene:
-        """What the picture shows."""
+        """Contents of the picture."""
         from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
         from pointsdf_cli.viz.plan_picture import PlanScene
 

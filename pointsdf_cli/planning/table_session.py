@@ -75,14 +75,14 @@ class TableSession:
         )
 
     def scene(self) -> PlanScene:
-        """What the picture shows."""
+        """Contents of the picture."""
         return self.result(PlanOptions()).scene()
 
 
 def answer_request(
     planner: GraspPlanner, request: PlanRequest, warn: Callable[[str], None] | None = None
 ) -> PlanResult:
-    """What `planner` answers to a request that passed its own check; see `plan_on_table`."""
+    """Answer of `planner` to a request that passed its own check; see `plan_on_table`."""
     typed = None if request.start is None else ",".join(repr(float(v)) for v in request.start)
     session = plan_on_table(
         planner,

@@ -55,9 +55,9 @@ def make_app(
 
     Args:
         resident: Answers.
-        desk: Who does the work, one request after the other.
+        desk: Worker that handles one request after the other.
         host: The address that is listened at: decides whose pages may ask.
-        token: What a request must bear in `Authorization: Bearer`; None for nothing.
+        token: Token required in `Authorization: Bearer`; None for none.
         largest: Bytes of a body.
     """
     app = FastAPI(

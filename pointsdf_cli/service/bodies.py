@@ -134,7 +134,7 @@ class EnvironmentBody(_Body):
 
 
 class Served(_Body):
-    """What the client takes for granted of the server; what is not said is not checked."""
+    """The client's expectations of the server; omitted ones are not checked."""
 
     version: str | None = None
     robot: str | None = None
@@ -161,7 +161,7 @@ class SceneBody(_Body):
         """Refuse what makes no sense before it waits for its turn.
 
         Raises:
-            InputError: Of that.
+            InputError: A value is unusable, or contradicts another one.
         """
         for each in self.clouds:
             each.cloud()
@@ -217,7 +217,7 @@ class PlanBody(SceneBody):
     environment: EnvironmentBody = Field(default_factory=EnvironmentBody)
 
     def choices(self) -> PlanChoices:
-        """What is decided about the search.
+        """Options of the search.
 
         Raises:
             InputError: As `PlanChoices`.
@@ -298,7 +298,7 @@ def read_body(kind: type[Body], data: bytes, content_type: str) -> Body:
 
 
 def schema_of(kind: type[_Body]) -> dict[str, Any]:
-    """What OpenAPI says of a body."""
+    """OpenAPI schema of a body."""
     binary = {"type": "string", "format": "binary"}
     content = {JSON: {"schema": _schema(kind)}, NPZ: {"schema": binary}}
     return {"requestBody": {"required": True, "content": content}}

@@ -1,4 +1,5 @@
-"""What a planner's answers depend on beside the request: version, robot, weights, as digests."""
+"""Identity of a planner, on which its answers depend beside the request: version, robot, weights,
+as digests."""
 
 from __future__ import annotations
 

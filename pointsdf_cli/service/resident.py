@@ -6,11 +6,10 @@ from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.complete_mesh import CompletedMesh, MeshChoices, complete_mesh
@@ -23,8 +22,6 @@ from pointsdf_cli.planning.table_session import answer_request
 from pointsdf_cli.planning.table_top import look_at_table, workspace_of
 from pointsdf_cli.planning.variables import Variables
 
-Array = NDArray[np.float64]
-
 KEPT = 4
 """Planners that are kept, one for each set of choices; a hundred megabytes each at most."""
 
@@ -34,9 +31,9 @@ class Resident:
 
     Args:
         robot: Its YAML file; the bundled one if None.
-        checkpoint: Of the reconstruction network; the bundled one if None.
-        grasp_checkpoint: Of the success network; the method's bundled one if None.
-        device: Where the networks are.
+        checkpoint: Reconstruction network; the bundled one if None.
+        grasp_checkpoint: Success network; the method's bundled one if None.
+        device: Device of the networks.
     """
 
     def __init__(
@@ -77,7 +74,7 @@ class Resident:
         return answer_request(self.planner(request.choices), request, warn)
 
     def score(self, request: PlanRequest, q: Array) -> Array:
-        """How likely grasps are to hold.
+        """Success probabilities of grasps.
 
         Args:
             request: The scene, checked.
@@ -122,8 +119,8 @@ class Resident:
 
         Args:
             view: The object.
-            choices: How it is meshed.
-            name: Of the cloud, for messages.
+            choices: Meshing options.
+            name: Name of the cloud, for messages.
 
         Raises:
             EmptySurfaceError: The network sees nothing solid.
