@@ -27,6 +27,7 @@ from pointsdf_cli.camera.pinhole import CAMERAS
 from pointsdf_cli.camera.scene_views import SceneView, SceneViewConfig, SceneViews
 from pointsdf_cli.camera.table_scene import SceneConfig
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.metrics import Shape, compare, iou
@@ -36,7 +37,6 @@ from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 
-Array = NDArray[np.float64]
 SAMPLES = 20_000
 WITHIN = 0.003
 VESSELS = ("bowl", "mug", "cup", "plate", "pitcher", "pot", "glass", "jar")

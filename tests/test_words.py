@@ -121,6 +121,6 @@ def test_array_types_have_one_home() -> None:
         for path, tree in trees().items()
         for node in tree.body
         if isinstance(node, ast.Assign) and {ast.unparse(one) for one in node.targets} & shared
-        if path != ARRAYS
+        if path != ARRAYS and "NDArray" in ast.unparse(node.value)
     ]
     assert not wrong, "\n".join(wrong)
