@@ -9,5 +9,5 @@ shift || true
 constraints=${CONSTRAINTS:-constraints-min.txt}
 [ -x "$venv/bin/python" ] || python3.11 -m venv "$venv" || exit 3
 "$venv/bin/pip" install --quiet -c "$constraints" torch || exit 3
-"$venv/bin/pip" install --quiet -c "$constraints" -e '.[sim]' pytest pytest-xdist hypothesis || exit 3
+"$venv/bin/pip" install --quiet -c "$constraints" -e '.[sim,serve]' pytest pytest-xdist hypothesis || exit 3
 OMP_NUM_THREADS=1 "$venv/bin/python" -m pytest -n auto --dist worksteal "$@"

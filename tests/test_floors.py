@@ -21,6 +21,7 @@ FLOORS = [
     {"training", "viz"},
     {"planning", "simulation"},
     {"trials", "doctor"},
+    {"service"},
     {"cli"},
 ]
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}

@@ -23,6 +23,7 @@ from pointsdf_cli.cli import (
     report,
     robot,
     segment,
+    serve,
     train_gs,
     train_sdf,
     trial,
@@ -77,6 +78,7 @@ app.command("collect-grasps")(collect_grasps.collect_grasps)
 app.command("train-gs")(train_gs.train_gs)
 app.command("eval-gs")(eval_gs.eval_gs)
 app.command("plan")(plan.plan)
+app.command("serve")(serve.serve)
 app.command("trial")(trial.trial)
 app.command("info")(info.info)
 app.command("doctor")(doctor.doctor)

@@ -120,14 +120,12 @@ def mesh(
     Example: rgrasp mesh cloud.ply --out mesh.ply
     Example: rgrasp mesh depth.png --intrinsics K.json --camera-pose table
     """
-    import time
-
     import numpy as np
 
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.geometry.frames import apply_transform
-    from pointsdf_cli.geometry.isosurface import EmptySurfaceError, IsosurfaceConfig
+    from pointsdf_cli.geometry.isosurface import IsosurfaceConfig
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new
     from pointsdf_cli.io.checkpoints import read_config
@@ -156,44 +154,24 @@ def mesh(
         reporter.say(f"{cloud}: wide for one object; of a whole table, add --segment auto")
 
     # Seconds of imports: only for a cloud that can be used.
-    import torch
-
-    from pointsdf_cli.models.meshing import mesh_reconstruction
-    from pointsdf_cli.models.reconstruction import Reconstruction
     from pointsdf_cli.models.registry import load_model, use_threads
-    from pointsdf_cli.training.precision import autocast_dtype, idle_processors
+    from pointsdf_cli.planning.complete_mesh import MeshChoices, complete_mesh
+    from pointsdf_cli.training.precision import idle_processors
 
-    seed, device = common.check_seed(seed), common.torch_device(device)
-    low_precision = autocast_dtype(precision, torch.device(device))
+    choices = MeshChoices(resolution, smooth, all_parts, exact, precision, seed)
     use_threads(threads or idle_processors())
-    model = load_model(checkpoint, device)
-    started = time.perf_counter()
-    reconstruction = Reconstruction.from_cloud(
-        model, points, np.zeros(3), seed=seed, evidence=seen.evidence
-    )
-    try:
-        made = mesh_reconstruction(
-            reconstruction,
-            resolution,
-            0.0 if all_parts else 0.05,
-            smooth,
-            low_precision,
-            exact=exact,
-        )
-    except EmptySurfaceError as error:
-        raise EmptySurfaceError(
-            "the network sees nothing solid in this cloud, so there is no mesh",
-            where=cloud,
-            hint="check that the cloud shows one object, in metres, in the camera's frame",
-        ) from error
-    seconds = time.perf_counter() - started
+    model = load_model(checkpoint, common.torch_device(device))
+    completed = complete_mesh(model, seen, choices, str(cloud))
+    made, seconds = completed.mesh, completed.seconds
     vertices = apply_transform(T_frame_camera, made.vertices) / UNITS[unit]
     save_mesh(out, vertices, made.faces)
     if picture:
         # Matplotlib and Open3D take longer to load than the mesh takes to make.
         from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
-        row = GalleryRow(cloud.stem, points, (made.vertices, made.faces), None, reconstruction.sdf)
+        row = GalleryRow(
+            cloud.stem, points, (made.vertices, made.faces), None, completed.reconstruction.sdf
+        )
         draw_gallery(picture, [row])
     extent = np.ptp(vertices, axis=0)
     reporter.result(

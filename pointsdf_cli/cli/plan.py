@@ -13,9 +13,8 @@ from pointsdf_cli.cli import common
 if TYPE_CHECKING:
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.io.plans import Plan
-    from pointsdf_cli.planning.acceptance import AcceptanceConfig
+    from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult
     from pointsdf_cli.planning.scene_input import SceneInput
-    from pointsdf_cli.planning.table_session import TableSession
 
 
 def plan(
@@ -157,6 +156,7 @@ def plan(
         typer.Option(help="Output picture [default: beside the plan].", show_default=False),
     ] = None,
     no_picture: Annotated[bool, typer.Option("--no-picture", help="Draw no picture.")] = False,
+    server: common.Server = None,
     threads: common.Threads = 0,
     seed: common.Seed = 0,
     device: common.Device = "cpu",
@@ -180,6 +180,7 @@ def plan(
     from pointsdf_cli.planning.cloud_checks import check_scene_inputs
     from pointsdf_cli.planning.environment import Environment, read_environment
     from pointsdf_cli.planning.option_checks import check_segment
+    from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
 
@@ -201,11 +202,14 @@ def plan(
     if trajectory is not None:
         common.check_suffix(trajectory, "--trajectory", (".json",))
     looked_at = None if workspace is None else box(workspace, "--workspace")
-    _check_choices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
+    choices = PlanChoices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
+    if server is not None:
+        _check_server(server, threads, device)
     check_segment(segment, target is not None, workspace is not None)
     common.check_device(device)
     around = Environment() if environment is None else read_environment(environment)
-    start_configuration(start, load_robot(robot))
+    described = load_robot(robot)
+    start_at = start_configuration(start, described)
     for weights in (checkpoint, grasp_checkpoint):
         if weights is not None:
             read_config(weights)
@@ -221,57 +225,31 @@ def plan(
     given = _read_scene(clouds, camera_pose, options_of_files, target, looked_at, no_clean, robot)
     for note in given.notes:
         reporter.say(note)
-    check_scene_inputs(given.clouds, [str(path) for path in clouds], segment)
-
-    # Seconds of imports: only for clouds and options that can be used.
-    from pointsdf_cli.models.registry import use_threads
-    from pointsdf_cli.planning.grasp_planner import RECONSTRUCTION, GraspPlanner, PlanOptions
-    from pointsdf_cli.planning.grasp_problem import Clearances
-    from pointsdf_cli.planning.synthesis import SynthesisConfig
-    from pointsdf_cli.planning.table_session import plan_on_table
-    from pointsdf_cli.planning.table_top import workspace_of
-    from pointsdf_cli.training.precision import idle_processors
-
-    options = PlanOptions(
-        method=method,
-        solver=solver,
-        kind=kind,
-        robot=robot,
-        checkpoint=checkpoint,
-        grasp_checkpoint=grasp_checkpoint,
-        clearances=Clearances() if clearance is None else Clearances(*[clearance] * 3),
-        device=common.torch_device(device),
-        margin=margin,
-        speed=speed,
-        synthesis=SynthesisConfig(acceptance=_acceptance(min_success)),
-    )
-    use_threads(threads or idle_processors())
-    if rehearse:
-        from pointsdf_cli.trials.rehearsed import RehearsedPlanner, RehearsedPlannerConfig
-
-        wanted_grasps = RehearsedPlannerConfig(count=rehearse)
-        planner: GraspPlanner = RehearsedPlanner(options, config=wanted_grasps)
-    else:
-        planner = GraspPlanner(options)
-    if method == RECONSTRUCTION:
-        common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
-    session = plan_on_table(
-        planner,
+    request = PlanRequest(
         given.clouds,
         [str(path) for path in clouds],
+        choices,
         around,
-        start=start,
-        seed=seed,
-        segment=segment,
-        target=given.target,
-        others=not ignore_others,
-        workspace=workspace_of(looked_at),
-        cleaned=not no_clean,
-        warn=lambda sentence: reporter.say(f"warning: {sentence}"),
+        None if start is None else start_at,
+        seed,
+        segment,
+        given.target,
+        not ignore_others,
+        looked_at,
+        not no_clean,
     )
-    for line in session.report:
+    request.check()
+    if server is None:
+        result = _plan_here(reporter, request, robot, checkpoint, grasp_checkpoint, device, threads)
+    else:
+        from pointsdf_cli.service.client import plan_at
+
+        result = plan_at(server, request, robot, checkpoint, grasp_checkpoint)
+        for sentence in result.warnings:
+            reporter.say(f"warning: {sentence}")
+    for line in result.report:
         reporter.say(line)
-    answer = session.answer.plan
+    answer = result.plan
     asked: dict[str, Any] = {
         "rehearse": rehearse,
         "target": target,
@@ -283,7 +261,7 @@ def plan(
     asked |= {"unit": unit, "frame": frame, "camera_pose": camera_pose}
     asked |= {"intrinsics": intrinsics, "depth_scale": depth_scale, "mask": mask}
     asked |= {"clean": not no_clean}
-    config = _config(planner.options, clouds, seed) | asked
+    config = _config(result.options, clouds, seed) | asked
     for stale in (trajectory, picture):  # a motion to another object must not outlive its plan
         if stale is not None:
             stale.resolve().unlink(missing_ok=True)  # of a link, what it leads to
@@ -294,19 +272,19 @@ def plan(
     stale_picture = out.with_suffix(".png")
     if no_picture and stale_picture.exists():
         reporter.say(f"{stale_picture} was there before and does not show this plan")
-    _report(reporter, answer, session, out, picture, trajectory if found else None)
+    _report(reporter, result, out, picture, trajectory if found else None)
     if picture is not None:
         sys.stdout.flush()  # the plan is on disk: who reads this need not wait for the picture
         from pointsdf_cli.viz.plan_picture import plan_picture
         from pointsdf_cli.viz.robot_picture import RobotMeshes
 
         title = _headline(answer)
-        below = "; ".join((*session.report, *session.warnings))
-        q = answer.q if found else session.start
-        plan_picture(picture, RobotMeshes(planner.robot), q, session.scene(), title, below)
+        below = "; ".join((*result.report, *result.warnings))
+        q = answer.q if found else result.start
+        plan_picture(picture, RobotMeshes(described), q, result.scene(), title, below)
     if not found:
         raise NoPlanError(f"no plan ({answer.reason}): {answer.sentence.rstrip('.')}", where=out)
-    least = options.synthesis.acceptance.least
+    least = result.least
     if answer.success_probability < least and not accept_unlikely:
         raise UnlikelyPlanError(
             f"the plan is not likely to hold: probability {answer.success_probability:.2f}, below "
@@ -383,54 +361,53 @@ def _read_scene(
     )
 
 
-def _check_choices(
-    method: str,
-    solver: str,
-    kind: str,
-    clearance: float | None,
-    margin: float,
-    speed: float,
-    rehearse: int,
-    min_success: float | None,
-) -> None:
-    """Refuse unusable options before the planner is loaded.
+def _check_server(server: str, threads: int, device: str) -> None:
+    """Refuse an address that is none, and options that are the server's own.
 
     Raises:
-        InputError: A name that is none, or a number out of its range.
+        InputError: One of these.
     """
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.planning import option_checks
+    from pointsdf_cli.service.address import server_address
 
-    option_checks.check_method(method)
-    option_checks.check_solver(solver)
-    option_checks.check_kind(kind)
-    option_checks.check_speed(speed)
-    option_checks.check_distance("margin", margin)
-    if clearance is not None:
-        option_checks.check_distance("clearance", clearance)
-    option_checks.check_min_success(min_success)
-    if rehearse < 0:
-        raise InputError(f"{rehearse} grasps", where="--rehearse", allowed="0 or more")
+    server_address(server)
+    for option, given in (("--threads", threads != 0), ("--device", device != "cpu")):
+        if given:
+            raise InputError(
+                f"{option} with --server", hint=f"give {option} to `rgrasp serve`, or leave it out"
+            )
 
 
-def _acceptance(min_success: float | None) -> AcceptanceConfig:
-    """The usual thresholds, or with no exception for want of better."""
-    from pointsdf_cli.planning.acceptance import AcceptanceConfig
+def _plan_here(
+    reporter: common.Reporter,
+    request: PlanRequest,
+    robot: Path | None,
+    checkpoint: Path | None,
+    grasp_checkpoint: Path | None,
+    device: str,
+    threads: int,
+) -> PlanResult:
+    """The answer of this process, which loads what it needs first."""
+    # Seconds of imports: only for clouds and options that can be used.
+    from pointsdf_cli.models.registry import use_threads
+    from pointsdf_cli.planning.option_checks import RECONSTRUCTION
+    from pointsdf_cli.service.resident import Resident
+    from pointsdf_cli.training.precision import idle_processors
 
-    if min_success is None:
-        return AcceptanceConfig()
-    return AcceptanceConfig(max(min_success, 0.6), min_success, floor=min_success)
+    resident = Resident(robot, checkpoint, grasp_checkpoint, common.torch_device(device))
+    use_threads(threads or idle_processors())
+    resident.planner(request.choices)  # what cannot be loaded is told first
+    if request.choices.method == RECONSTRUCTION:
+        common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
+    return resident.plan(request, lambda sentence: reporter.say(f"warning: {sentence}"))
 
 
-def _config(options: Any, clouds: list[Path], seed: int) -> dict[str, Any]:
+def _config(options: dict[str, Any], clouds: list[Path], seed: int) -> dict[str, Any]:
     """Provenance for the plan file."""
-    from dataclasses import asdict
-
     from pointsdf_cli.io.provenance import file_sha256
 
-    config = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
     sums = [file_sha256(path) for path in clouds]
-    return config | {"clouds": [str(path) for path in clouds], "cloud_sha256": sums, "seed": seed}
+    return options | {"clouds": [str(path) for path in clouds], "cloud_sha256": sums, "seed": seed}
 
 
 def _headline(plan: Plan) -> str:
@@ -444,17 +421,15 @@ def _headline(plan: Plan) -> str:
 
 def _report(
     reporter: common.Reporter,
-    plan: Plan,
-    session: TableSession,
+    result: PlanResult,
     out: Path,
     picture: Path | None,
     trajectory: Path | None,
 ) -> None:
     from pointsdf_cli.io.plans import plan_as_json
-    from pointsdf_cli.planning.table_session import as_sentences
+    from pointsdf_cli.planning.plan_request import as_sentences
 
-    warnings = session.warnings
-
+    plan, warnings = result.plan, result.warnings
     files = {"out": out, "picture": picture, "trajectory_file": trajectory}
     lines = []  # why there is no plan is the message with which the command fails
     if not plan.reason:
@@ -475,6 +450,6 @@ def _report(
         if path
     ]
     reporter.result(
-        {**plan_as_json(plan), "clouds": list(session.report), "warnings": list(warnings), **files},
+        {**plan_as_json(plan), "clouds": list(result.report), "warnings": list(warnings), **files},
         lines,
     )

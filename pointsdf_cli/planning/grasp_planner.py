@@ -29,6 +29,7 @@ from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.grid import GridConfig
@@ -235,6 +236,7 @@ class GraspPlanner:
                 resampled = tuple(completed_field(each) for each in again)
         else:
             own = seen_object(world, grid)
+        stop_if_cancelled()
         timings = {"reconstruction": time.perf_counter() - began}
         began = time.perf_counter()
         first = views[0]

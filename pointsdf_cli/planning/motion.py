@@ -16,6 +16,7 @@ from ompl import util as ou
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.approach import ApproachConfig, retreat
+from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.timing import TimingConfig, Trajectory, time_path
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
@@ -98,6 +99,7 @@ def plan_motion(
     if not checker.is_free(np.stack([start, shaped])):
         return _failed("the hand cannot take its preshape where the robot starts", 0)
     for attempt in range(config.attempts):
+        stop_if_cancelled()
         middle = _connect(checker, shaped, back[-1], 1 + seed + 7919 * attempt, config)
         if middle is None:
             continue

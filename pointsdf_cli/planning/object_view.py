@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions, is_depth_image, masked, read_view
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.visibility import ViewEvidence
-from pointsdf_cli.io.clouds import check_object_cloud
+from pointsdf_cli.io.clouds import Cloud, check_object_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place
+
+if TYPE_CHECKING:
+    from pointsdf_cli.camera.segmentation import SegmentationConfig
+    from pointsdf_cli.planning.object_choice import Target
+    from pointsdf_cli.robot.description import RobotDescription
 
 
 @dataclass(frozen=True)
@@ -50,17 +56,26 @@ def bare_view(
     Raises:
         InputError: It cannot be read, or is no cloud of an object.
     """
+    view = read_view(path, files, None if pose is None else camera_pose(pose))
+    return bare_cloud(view, str(path), cleaned)
+
+
+def bare_cloud(view: Cloud, name: str, cleaned: bool = True) -> ObjectView:
+    """As `bare_view`, of a cloud that was read already; `name` is for messages.
+
+    Raises:
+        InputError: It is no cloud of an object.
+    """
     from pointsdf_cli.planning.table_top import bare_object
 
-    view = read_view(path, files, None if pose is None else camera_pose(pose))
     alone = masked(view)
     _, T_frame_camera = alone.in_camera_frame()
     if view.mask is None:  # what a mask takes in by mistake may be far away
-        check_object_cloud(alone, path)
+        check_object_cloud(alone, name)
     points, said = bare_object(alone, cleaned)
     notes = [*view.notes, *([said] if said else [])]
     return ObjectView(
-        points, T_frame_camera, view.frame, tuple(f"{path}: {note}" for note in notes), True
+        points, T_frame_camera, view.frame, tuple(f"{name}: {note}" for note in notes), True
     )
 
 
@@ -89,7 +104,7 @@ def segmented_view(
     """
     from pointsdf_cli.planning.object_choice import NoObjectError
     from pointsdf_cli.planning.scene_input import read_scene
-    from pointsdf_cli.planning.table_top import look_at_table, workspace_of
+    from pointsdf_cli.planning.table_top import workspace_of
     from pointsdf_cli.robot.description import load_robot
 
     around = workspace_of(workspace)
@@ -98,27 +113,47 @@ def segmented_view(
         given = read_scene(
             [path], [] if pose is None else [pose], [files], target, around, cleaned, described
         )
+    except NoObjectError as error:
+        raise InputError(
+            error.what, where=error.where, allowed=error.allowed, hint=error.hint
+        ) from error
+    cut = segmented_cloud(
+        given.clouds[0], str(path), described, segment, given.target, around, cleaned
+    )
+    return replace(cut, said=(*given.notes, *cut.said))
+
+
+def segmented_cloud(
+    cloud: Cloud,
+    name: str,
+    robot: RobotDescription,
+    segment: str,
+    target: Target | None,
+    workspace: SegmentationConfig,
+    cleaned: bool = True,
+) -> ObjectView:
+    """As `segmented_view`, of a cloud that was read already; `name` is for messages.
+
+    Raises:
+        InputError: It has no pose, or shows no such object.
+    """
+    from pointsdf_cli.planning.object_choice import NoObjectError
+    from pointsdf_cli.planning.table_top import look_at_table
+
+    try:
         found = look_at_table(
-            given.clouds,
-            [str(path)],
-            described,
-            described.home,
-            segment,
-            given.target,
-            around,
-            cleaned,
+            [cloud], [name], robot, robot.home, segment, target, workspace, cleaned
         )
     except NoObjectError as error:
         raise InputError(
             error.what, where=error.where, allowed=error.allowed, hint=error.hint
         ) from error
     view = found.views[0]
-    cloud = given.clouds[0]
     return ObjectView(
         view.points,
         cloud.in_camera_frame()[1],
         cloud.frame,
-        (*given.notes, *found.report),
+        found.report,
         False,
         view.evidence,
     )

@@ -18,6 +18,7 @@ import numpy as np
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.nonlinear import Evaluation, Problem, Solutions
 from pointsdf_cli.planning.step_qp import StepQp
 
@@ -84,6 +85,7 @@ class Sqp:
         penalty = np.full(count, config.penalty)
         done, ended = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
         for turn in range(iterations or config.iterations):
+            stop_if_cancelled()
             if turn in config.successive_halving:
                 ended |= self._worse(now, config.successive_halving.index(turn) + 1)
             live = np.flatnonzero(~(done | ended))

@@ -20,6 +20,7 @@ from pointsdf_cli.planning.acceptance import (
     Candidate,
     judge,
 )
+from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.nonlinear import Solutions, Solver
 from pointsdf_cli.planning.reasons import SeedStatistics, is_hemmed_in, why_none
@@ -154,6 +155,7 @@ def synthesise(
     tried, statistics = 0, SeedStatistics()
     least = whole.exact.clearances.object + SOLVER_MARGIN
     for turn in range(config.rounds):
+        stop_if_cancelled()
         kind = config.kinds[turn % len(config.kinds)]
         start = time.perf_counter()
         problems = whole.in_round(turn, least)
@@ -162,7 +164,9 @@ def synthesise(
         tried, statistics = tried + len(seeds.x), statistics + seeds.statistics
         if not len(seeds.x):
             continue
+        stop_if_cancelled()
         found = solver.solve(problems.quick, seeds.x)
+        stop_if_cancelled()
         start = _lap(timings, "solve", start)
         order = _ranked(found)
         kinds = [seeds.kinds[k] for k in order]

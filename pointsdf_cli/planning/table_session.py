@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -14,11 +15,17 @@ from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.planning.environment import Environment, Obstacle
-from pointsdf_cli.planning.grasp_planner import Answer, GraspPlanner
+from pointsdf_cli.planning.grasp_planner import Answer, GraspPlanner, PlanOptions
 from pointsdf_cli.planning.object_choice import NoObjectError, Target
-from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
+from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult, as_sentences
 from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
-from pointsdf_cli.planning.table_top import WORKSPACE, TableTop, clutter, look_at_table
+from pointsdf_cli.planning.table_top import (
+    WORKSPACE,
+    TableTop,
+    clutter,
+    look_at_table,
+    workspace_of,
+)
 from pointsdf_cli.planning.target import surface_of
 from pointsdf_cli.robot.start import start_configuration
 from pointsdf_cli.viz.plan_picture import PlanScene
@@ -52,16 +59,46 @@ class TableSession:
     obstacles: tuple[Obstacle, ...]
     warnings: tuple[str, ...] = ()
 
-    def scene(self) -> PlanScene:
-        """For the picture."""
-        plan = self.answer.plan
-        believed = (plan.object_vertices.astype(np.float64), plan.object_faces)
-        return PlanScene(
+    def result(self, options: PlanOptions) -> PlanResult:
+        """The same in plain data, with the options that it was planned with."""
+        plain = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
+        return PlanResult(
+            self.answer.plan,
+            self.report,
+            self.warnings,
+            self.start,
             self.points,
             self.camera,
-            believed if len(plan.object_faces) else None,
-            [obstacle_mesh(obstacle) for obstacle in self.obstacles],
+            self.obstacles,
+            plain,
+            options.synthesis.acceptance.least,
         )
+
+    def scene(self) -> PlanScene:
+        """What the picture shows."""
+        return self.result(PlanOptions()).scene()
+
+
+def answer_request(
+    planner: GraspPlanner, request: PlanRequest, warn: Callable[[str], None] | None = None
+) -> PlanResult:
+    """What `planner` answers to a request that passed its own check; see `plan_on_table`."""
+    typed = None if request.start is None else ",".join(repr(float(v)) for v in request.start)
+    session = plan_on_table(
+        planner,
+        request.clouds,
+        request.names,
+        request.environment,
+        start=typed,
+        seed=request.seed,
+        segment=request.segment,
+        target=request.target,
+        others=request.others,
+        workspace=workspace_of(request.workspace),
+        cleaned=request.cleaned,
+        warn=warn,
+    )
+    return session.result(planner.options)
 
 
 def plan_on_table(
@@ -127,13 +164,6 @@ def plan_on_table(
     camera = seen.views[0].T_world_camera[:3, 3]
     return TableSession(
         answer, tuple(report), q, points, camera, environment.obstacles, tuple(warnings)
-    )
-
-
-def as_sentences(warnings: Sequence[str]) -> str:
-    """Warnings as a plan keeps them."""
-    return " ".join(
-        f"{each[0].upper()}{each[1:]}{'' if each[-1] in '.?' else '.'}" for each in warnings
     )
 
 

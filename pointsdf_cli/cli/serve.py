@@ -1,0 +1,99 @@
+"""`rgrasp serve`: a planner that stays loaded and answers over HTTP."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pointsdf_cli.cli import common
+
+
+def serve(
+    host: Annotated[
+        str,
+        typer.Option(
+            help="Where to listen; other addresses than this machine's own need a "
+            "token in RGRASP_TOKEN."
+        ),
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="0 takes a free one.")] = 8765,
+    queue: Annotated[
+        int, typer.Option(help="Requests that may wait; the next are refused with 429.")
+    ] = 8,
+    largest_body: Annotated[int, typer.Option(help="Largest body of a request [MiB].")] = 64,
+    robot: common.Robot = None,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(help="Reconstruction weights [default: bundled].", show_default=False),
+    ] = None,
+    grasp_checkpoint: Annotated[
+        Path | None, typer.Option(help="Success weights [default: bundled].", show_default=False)
+    ] = None,
+    threads: common.Threads = 0,
+    device: common.Device = "cpu",
+    quiet: common.Quiet = False,
+    as_json: common.Json = False,
+) -> None:
+    """Keep networks and robot loaded and answer plans, meshes and success scores over HTTP.
+
+    /plan, /mesh, /score and /health; /docs describes them. SIGTERM and Ctrl-C finish what runs.
+
+    Example: rgrasp serve & rgrasp plan cloud.ply --server http://127.0.0.1:8765
+    """
+    from pointsdf_cli.errors import InputError, RgraspError
+    from pointsdf_cli.io.checkpoints import read_config
+    from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.service.address import LOOPBACK, TOKEN
+
+    reporter = common.Reporter(quiet, as_json)
+    token = os.environ.get(TOKEN) or None
+    for option, value, low, high in (
+        ("--port", port, 0, 65535), ("--queue", queue, 0, 1000),
+        ("--largest-body", largest_body, 1, 4096),
+    ):  # fmt: skip
+        if not low <= value <= high:
+            raise InputError(f"{value}", where=option, allowed=f"{low} to {high}")
+    if host not in LOOPBACK and token is None:
+        raise InputError(
+            "other machines could ask, and there is no token",
+            where=f"--host {host}",
+            allowed="127.0.0.1, or any address with a token",
+            hint=f"export {TOKEN}=$(openssl rand -hex 16), for the server and its clients",
+        )
+    common.check_device(device)
+    load_robot(robot)
+    for weights in (checkpoint, grasp_checkpoint):
+        if weights is not None:
+            read_config(weights)
+    try:
+        import fastapi
+        import uvicorn
+    except ImportError as error:
+        raise RgraspError(
+            f"the server needs FastAPI and uvicorn, and {error.name} is not installed",
+            hint="in rgrasp's folder: pip install -c constraints.txt '.[serve]'",
+        ) from error
+    del fastapi, uvicorn
+
+    # Seconds of imports: only for options that can be used.
+    from pointsdf_cli.cli.signals import stop_requests
+    from pointsdf_cli.models.registry import use_threads
+    from pointsdf_cli.planning.plan_request import PlanChoices
+    from pointsdf_cli.service.resident import Resident
+    from pointsdf_cli.service.server import Server
+    from pointsdf_cli.training.precision import idle_processors
+
+    resident = Resident(robot, checkpoint, grasp_checkpoint, common.torch_device(device))
+    use_threads(threads or idle_processors())
+    resident.planner(PlanChoices())
+    with stop_requests() as stopped:
+        server = Server(resident, host, port, token, queue, largest_body << 20)
+        with server:
+            reporter.result({"url": server.url}, [f"{server.url}: ready; {server.url}/docs"])
+            sys.stdout.flush()  # scripts wait for this line
+            server.wait(stopped)
+            reporter.say("stopping: what runs is finished")

@@ -1,0 +1,121 @@
+"""Nested dictionaries and lists with arrays in them, as one NPZ or as JSON.
+
+In the NPZ, `tree.npy` holds the JSON text, in which {"$array": "a0"} stands for the array `a0.npy`.
+Nothing in it is compressed or pickled, so that what is read is never larger than what was sent.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import tokenize
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+
+REFERENCE = "$array"
+MOST_ARRAYS = 10_000
+_BROKEN = (
+    ValueError, KeyError, EOFError, OSError, SyntaxError, TypeError, OverflowError, RecursionError,
+    MemoryError, NotImplementedError, RuntimeError, UnicodeError, tokenize.TokenError,
+    zipfile.BadZipFile,
+)  # fmt: skip
+
+
+def tree_to_npz(tree: Any) -> bytes:
+    """The bytes of an NPZ that holds dictionaries, lists, plain values and arrays."""
+    arrays: dict[str, NDArray[Any]] = {}
+
+    def plain(node: Any) -> Any:
+        if isinstance(node, np.ndarray):
+            name = f"a{len(arrays)}"
+            arrays[name] = node
+            return {REFERENCE: name}
+        if isinstance(node, dict):
+            return {str(key): plain(value) for key, value in node.items()}
+        if isinstance(node, (list, tuple)):
+            return [plain(value) for value in node]
+        if isinstance(node, np.generic):
+            return node.item()
+        return str(node) if isinstance(node, Path) else node
+
+    text = json.dumps(plain(tree)).encode()
+    stored = io.BytesIO()
+    np.savez(stored, allow_pickle=False, tree=np.frombuffer(text, np.uint8), **arrays)
+    return stored.getvalue()
+
+
+def tree_of_npz(data: bytes, where: str) -> Any:
+    """The tree of `tree_to_npz`.
+
+    Args:
+        data: From a stranger.
+        where: It came from, for messages.
+
+    Raises:
+        InputError: Damaged, compressed, of Python objects, or without the tree.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            entries = archive.infolist()
+            if len(entries) > MOST_ARRAYS:
+                raise ValueError(f"{len(entries)} arrays")
+            if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):
+                raise ValueError("it is compressed: use numpy.savez, not savez_compressed")
+            if sum(entry.file_size for entry in entries) > len(data):
+                raise ValueError("its arrays overlap")
+            arrays = {e.filename.removesuffix(".npy"): _array(archive.read(e)) for e in entries}
+        return _filled(json.loads(arrays["tree"].tobytes()), arrays)
+    except _BROKEN as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0][:120]
+        raise InputError(
+            f"is no NPZ that can be used ({said})",
+            where=where,
+            allowed="arrays, and in `tree` the JSON text that names them",
+        ) from error
+
+
+def tree_of_json(data: bytes, where: str) -> Any:
+    """The data of a JSON text; arrays are lists there.
+
+    Raises:
+        InputError: Not JSON.
+    """
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError) as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0][:120]
+        raise InputError(f"is no readable JSON ({said})", where=where) from error
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    """The array of an NPY file, no larger than the file."""
+    handle = io.BytesIO(data)
+    version = np.lib.format.read_magic(handle)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"version {version}")
+    read = (
+        np.lib.format.read_array_header_1_0
+        if version == (1, 0)
+        else np.lib.format.read_array_header_2_0
+    )
+    shape, by_columns, dtype = read(handle)
+    if dtype.kind not in "biuf":
+        raise ValueError(f"an array of {dtype}")
+    values = np.frombuffer(data, dtype, offset=handle.tell())
+    return values.reshape(shape, order="F" if by_columns else "C").copy()
+
+
+def _filled(node: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+    if isinstance(node, dict):
+        if set(node) == {REFERENCE}:
+            return arrays[node[REFERENCE]]
+        return {key: _filled(value, arrays) for key, value in node.items()}
+    if isinstance(node, list):
+        return [_filled(value, arrays) for value in node]
+    return node

@@ -1,0 +1,41 @@
+"""A way to stop a plan that nobody waits for any more.
+
+    with cancellable(stopped): planner.plan(...)     # raises CancelledError once stopped() is true
+
+Planning asks between its stages, rounds and motions, which last a fraction of a second each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from pointsdf_cli.errors import RgraspError
+
+_stopped: ContextVar[Callable[[], bool] | None] = ContextVar("stopped", default=None)
+
+
+class CancelledError(RgraspError):
+    """Whoever asked does not wait any more."""
+
+
+def stop_if_cancelled() -> None:
+    """Return, or end the work that is going on in this thread.
+
+    Raises:
+        CancelledError: It was cancelled.
+    """
+    stopped = _stopped.get()
+    if stopped is not None and stopped():
+        raise CancelledError("cancelled")
+
+
+@contextmanager
+def cancellable(stopped: Callable[[], bool]) -> Iterator[None]:
+    """Within, in this thread, `stop_if_cancelled` asks `stopped`."""
+    token = _stopped.set(stopped)
+    try:
+        yield
+    finally:
+        _stopped.reset(token)

@@ -1,0 +1,95 @@
+"""The whole shape of one object in a view, as a mesh: what `rgrasp mesh` computes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.geometry.isosurface import EmptySurfaceError
+from pointsdf_cli.models.meshing import ReconstructedMesh, mesh_reconstruction
+from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.planning.object_view import ObjectView
+from pointsdf_cli.training.precision import autocast_dtype
+
+
+@dataclass(frozen=True)
+class MeshChoices:
+    """How an object is meshed.
+
+    Attributes:
+        resolution, smooth, exact: As in `mesh_reconstruction`.
+        all_parts: Keep small loose parts too.
+        precision: "auto", "bfloat16" or "float32".
+        seed: Of the resampling of the cloud.
+    """
+
+    resolution: int = 128
+    smooth: int = 25
+    all_parts: bool = False
+    exact: bool = False
+    precision: str = "auto"
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class CompletedMesh:
+    """A mesh and what it was made from.
+
+    Attributes:
+        mesh: Camera frame, m.
+        reconstruction: Its field.
+        seconds: Of the computation.
+    """
+
+    mesh: ReconstructedMesh
+    reconstruction: Reconstruction
+    seconds: float
+
+    @property
+    def faces(self) -> NDArray[np.int32]:
+        """[F, 3]."""
+        return self.mesh.faces
+
+
+def complete_mesh(
+    model: ShapeModel, view: ObjectView, choices: MeshChoices, name: str
+) -> CompletedMesh:
+    """The object's whole surface in the camera's frame.
+
+    Args:
+        model: The loaded network.
+        view: The object.
+        choices: How it is meshed.
+        name: Of the cloud, for messages.
+
+    Raises:
+        EmptySurfaceError: The network sees nothing solid.
+        InputError: A resolution that there is no grid of, or an unknown precision.
+    """
+    device = next(model.parameters()).device
+    low_precision = autocast_dtype(choices.precision, torch.device(device))
+    started = time.perf_counter()
+    reconstruction = Reconstruction.from_cloud(
+        model, view.points, np.zeros(3), seed=choices.seed, evidence=view.evidence
+    )
+    try:
+        made = mesh_reconstruction(
+            reconstruction,
+            choices.resolution,
+            0.0 if choices.all_parts else 0.05,
+            choices.smooth,
+            low_precision,
+            exact=choices.exact,
+        )
+    except EmptySurfaceError as error:
+        raise EmptySurfaceError(
+            "the network sees nothing solid in this cloud, so there is no mesh",
+            where=name,
+            hint="check that the cloud shows one object, in metres, in the camera's frame",
+        ) from error
+    return CompletedMesh(made, reconstruction, time.perf_counter() - started)

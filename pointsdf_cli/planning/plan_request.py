@@ -1,0 +1,160 @@
+"""One question to a planner and its answer, in plain data: what `plan` and `serve` exchange."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.io.plans import Plan
+from pointsdf_cli.planning import option_checks
+from pointsdf_cli.planning.object_choice import Target
+from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.cloud_checks import check_scene_inputs
+
+if TYPE_CHECKING:
+    from pointsdf_cli.planning.acceptance import AcceptanceConfig
+    from pointsdf_cli.viz.plan_picture import PlanScene
+
+Array = NDArray[np.float64]
+Corners = tuple[tuple[float, ...], tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class PlanChoices:
+    """What a user decides about the search, apart from the robot and the networks.
+
+    Attributes:
+        method, solver, kind: As in `PlanOptions`.
+        clearance: Least distance to everything [m]; the usual ones if None.
+        margin: Distance to the object that is kept where it can be [m].
+        speed: Share of the joints' speed limits that the motion uses.
+        rehearse: Grasps of a round that are tried in simulation; 0 for none.
+        min_success: Least predicted probability; the usual thresholds if None.
+
+    Raises:
+        InputError: A name that is none, or a number out of its range.
+    """
+
+    method: str = option_checks.RECONSTRUCTION
+    solver: str = "sqp"
+    kind: str = "auto"
+    clearance: float | None = None
+    margin: float = 0.004
+    speed: float = 0.5
+    rehearse: int = 0
+    min_success: float | None = None
+
+    def __post_init__(self) -> None:
+        option_checks.check_method(self.method)
+        option_checks.check_solver(self.solver)
+        option_checks.check_kind(self.kind)
+        option_checks.check_speed(self.speed)
+        option_checks.check_distance("margin", self.margin)
+        if self.clearance is not None:
+            option_checks.check_distance("clearance", self.clearance)
+        option_checks.check_min_success(self.min_success)
+        if self.rehearse < 0:
+            raise InputError(f"{self.rehearse} grasps", where="--rehearse", allowed="0 or more")
+
+    def acceptance(self) -> AcceptanceConfig:
+        """The usual thresholds, or with `min_success` no exception for want of better."""
+        from pointsdf_cli.planning.acceptance import AcceptanceConfig
+
+        least = self.min_success
+        if least is None:
+            return AcceptanceConfig()
+        return AcceptanceConfig(max(least, 0.6), least, floor=least)
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """Everything a plan depends on but the robot, the networks and the number of threads.
+
+    Attributes:
+        clouds: One a camera, each with its pose.
+        names: Of the clouds, for messages.
+        choices: About the search.
+        environment: What is known to stand around.
+        start: [J], where the robot is [rad]; its home if None.
+        seed: Equal seeds give equal plans.
+        segment: "auto", or "none" where the clouds hold the object alone.
+        target: The object that is meant.
+        others: Whether other things that are seen are obstacles.
+        workspace: Corners [m] of what is looked at; the usual ones if None.
+        cleaned: Whether flying pixels, outliers and specks are dropped.
+    """
+
+    clouds: Sequence[Cloud]
+    names: Sequence[str]
+    choices: PlanChoices = field(default_factory=PlanChoices)
+    environment: Environment = field(default_factory=Environment)
+    start: Array | None = None
+    seed: int = 0
+    segment: str = "auto"
+    target: Target | None = None
+    others: bool = True
+    workspace: Corners | None = None
+    cleaned: bool = True
+
+    def check(self) -> None:
+        """Refuse what cannot be planned from, before anything heavy is imported.
+
+        Raises:
+            InputError: Options that do not go together, or a cloud without a pose, in another unit
+                than metres, or of too few points.
+        """
+        option_checks.check_segment(self.segment, self.target is not None, self.workspace is not None)
+        check_scene_inputs(self.clouds, self.names, self.segment)
+
+
+@dataclass(frozen=True)
+class PlanResult:
+    """A plan and what it was made from.
+
+    Attributes:
+        plan: The artifact; its status says whether there is a plan.
+        report: Sentences about what was seen.
+        warnings: Sentences about what cannot be as it was given.
+        start: [J], where the robot is.
+        points: [N, 3], the object's seen points, world, m.
+        camera: [3], the first camera's place.
+        obstacles: Everything that stood around.
+        options: The planner's options in plain types, as the plan file keeps them.
+        least: Probability below which a grasp is not likely to hold.
+    """
+
+    plan: Plan
+    report: tuple[str, ...]
+    warnings: tuple[str, ...]
+    start: Array
+    points: Array
+    camera: Array
+    obstacles: tuple[Obstacle, ...]
+    options: dict[str, Any]
+    least: float
+
+    def scene(self) -> PlanScene:
+        """What the picture shows."""
+        from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
+        from pointsdf_cli.viz.plan_picture import PlanScene
+
+        believed = (self.plan.object_vertices.astype(np.float64), self.plan.object_faces)
+        return PlanScene(
+            self.points,
+            self.camera,
+            believed if len(self.plan.object_faces) else None,
+            [obstacle_mesh(obstacle) for obstacle in self.obstacles],
+        )
+
+
+def as_sentences(warnings: Sequence[str]) -> str:
+    """Warnings as a plan keeps them."""
+    return " ".join(
+        f"{each[0].upper()}{each[1:]}{'' if each[-1] in '.?' else '.'}" for each in warnings
+    )

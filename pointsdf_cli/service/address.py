@@ -1,0 +1,33 @@
+"""The address of a server, as it is typed."""
+
+from __future__ import annotations
+
+from urllib.parse import urlsplit
+
+from pointsdf_cli.errors import InputError
+
+PORT = 8765
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+TOKEN = "RGRASP_TOKEN"
+"""The variable of the environment that holds a server's token."""
+
+
+def server_address(url: str) -> str:
+    """`url` without what follows the port.
+
+    Raises:
+        InputError: Not http or https with a host, or more than that.
+    """
+    try:
+        parts = urlsplit(url)
+        known = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        known = False
+    if not known or parts.path not in ("", "/") or parts.query or parts.fragment or parts.username:
+        raise InputError(
+            f"{url!r} is no address of a server",
+            where="--server",
+            allowed=f"such as http://127.0.0.1:{PORT}",
+            hint="`rgrasp serve` prints its address when it starts",
+        )
+    return f"{parts.scheme}://{parts.netloc}"

@@ -1,0 +1,229 @@
+"""The HTTP interface: /plan, /mesh, /score, /health, and an OpenAPI page at /docs."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+from collections.abc import Callable
+from typing import Any
+
+from fastapi import FastAPI, Request, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from pointsdf_cli import __version__
+from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.planning.cancellation import CancelledError
+from pointsdf_cli.service.answers import mesh_answer, plan_answer, score_answer
+from pointsdf_cli.service.bodies import (
+    HDF5,
+    JSON,
+    NPZ,
+    Body,
+    MeshBody,
+    PlanBody,
+    ScoreBody,
+    parts_of,
+    read_body,
+    schema_of,
+)
+from pointsdf_cli.service.desk import BusyError, ClosingError, Desk
+from pointsdf_cli.service.resident import Resident
+from pointsdf_cli.viz.viewer_access import may_connect
+
+LARGEST_BODY = 64 << 20
+"""Bytes of a body: a depth image of two million pixels with all that is sent with it."""
+
+SLOWEST_BODY = 60.0
+"""Seconds in which a body must arrive: it has a place in the queue meanwhile."""
+
+Answer = tuple[bytes, str]
+
+
+class TooLargeError(InputError):
+    """A body beyond the limit."""
+
+
+def make_app(
+    resident: Resident,
+    desk: Desk,
+    host: str = "127.0.0.1",
+    token: str | None = None,
+    largest: int = LARGEST_BODY,
+) -> FastAPI:
+    """The application.
+
+    Args:
+        resident: Answers.
+        desk: Who does the work, one request after the other.
+        host: The address that is listened at: decides whose pages may ask.
+        token: What a request must bear in `Authorization: Bearer`; None for nothing.
+        largest: Bytes of a body.
+    """
+    app = FastAPI(
+        title="rgrasp",
+        version=__version__,
+        description="Grasps of objects that nobody has modelled. Lengths in metres, angles in "
+        "radians. Answers are JSON, or with `Accept: application/x-npz` arrays; of /plan also "
+        "`application/x-hdf5`, the file that `rgrasp plan` writes.",
+        redoc_url=None,
+    )
+    app.add_middleware(Gate, host=host, token=token)
+
+    @app.get("/health")
+    async def health() -> dict[str, Any]:
+        """Whether the server answers, and how many requests have a place."""
+        return {"status": "ok", "version": __version__, "waiting": desk.waiting, "done": desk.done}
+
+    def offer(path: str, kind: type[Body], answer: Callable[[Resident, Body, str], Answer]) -> None:
+        async def ask(request: Request) -> Response:
+            def work(data: bytes) -> Callable[[], Answer]:
+                body = read_body(kind, data, request.headers.get("content-type", ""))
+                body.check()
+                return lambda: answer(resident, body, _form(request))
+
+            return await _answered(request, desk, work, largest)
+
+        ask.__doc__ = answer.__doc__
+        app.post(path, name=path.strip("/"), openapi_extra=schema_of(kind))(ask)
+
+    offer("/plan", PlanBody, plan_answer)
+    offer("/mesh", MeshBody, mesh_answer)
+    offer("/score", ScoreBody, score_answer)
+    described = app.openapi
+
+    def openapi() -> dict[str, Any]:
+        schema = described()
+        parts = schema.setdefault("components", {}).setdefault("schemas", {})
+        for kind in (PlanBody, MeshBody, ScoreBody):
+            parts.update(parts_of(kind))
+        return schema
+
+    app.openapi = openapi  # type: ignore[method-assign]
+    return app
+
+
+class Gate:
+    """Lets in whoever bears the token, and no page of another origin."""
+
+    def __init__(self, app: ASGIApp, host: str, token: str | None) -> None:
+        self._app, self._host, self._token = app, host, token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        refused = self._refusal(scope)
+        if refused is None:
+            await self._app(scope, receive, send)
+        else:
+            code, error = refused
+            await _error_response(error, code)(scope, receive, send)
+
+    def _refusal(self, scope: Scope) -> tuple[int, RgraspError] | None:
+        headers: list[tuple[bytes, bytes]] = scope["headers"]
+        if self._token is not None:
+            given = next((value for name, value in headers if name == b"authorization"), b"")
+            known = hmac.compare_digest(given, b"Bearer " + self._token.encode())
+            if known or scope["path"] == "/health":
+                return None
+            return 401, InputError(
+                "the token is missing or wrong",
+                where="Authorization",
+                allowed="Bearer TOKEN",
+                hint="set RGRASP_TOKEN to the server's token",
+            )
+        origins = [value.decode("latin-1") for name, value in headers if name == b"origin"]
+        asked = next((value.decode("latin-1") for name, value in headers if name == b"host"), "")
+        # Without an origin the name that was asked for still tells a page that was rebound.
+        page = origins[0] if origins else f"http://{asked}"
+        if len(origins) < 2 and may_connect(page, asked, self._host):
+            return None
+        return 403, RgraspError("not from this page")
+
+
+async def _answered(
+    request: Request, desk: Desk, work: Callable[[bytes], Callable[[], Answer]], largest: int
+) -> Response:
+    """The response to one request, which has a place in the queue from its first byte on."""
+    try:
+        job = desk.take_place()
+    except BusyError as error:
+        return _error_response(error, 429, {"Retry-After": "2"})
+    except ClosingError as error:
+        return _error_response(error, 503)
+    try:
+        async with asyncio.timeout(SLOWEST_BODY):
+            data = await _body(request, largest)
+        ready = await asyncio.to_thread(work, data)
+        del data
+        waiting = asyncio.wrap_future(desk.submit(job, ready))
+        while not waiting.done():
+            await asyncio.wait({waiting}, timeout=0.05)
+            if not waiting.done() and await request.is_disconnected():
+                desk.leave(job)
+        answer, form = waiting.result()
+        return Response(answer, media_type=form)
+    except TimeoutError:
+        return _error_response(RgraspError("the body did not arrive in time"), 408)
+    except TooLargeError as error:
+        return _error_response(error, 413, {"Connection": "close"})
+    except CancelledError as error:
+        return _error_response(error, 499)
+    except ClosingError as error:
+        return _error_response(error, 503)
+    except InputError as error:
+        return _error_response(error, 400)
+    except RgraspError as error:
+        return _error_response(error, 422 if error.exit_code == 3 else 500)
+    except MemoryError:
+        return _error_response(RgraspError("not enough memory for this request"), 500)
+    finally:
+        desk.leave(job)
+
+
+async def _body(request: Request, largest: int) -> bytes:
+    """The body of a request.
+
+    Raises:
+        TooLargeError: Larger than `largest`.
+    """
+    length = request.headers.get("content-length", "0")
+    parts, size = [], int(length) if length.isdecimal() else 0
+    if size <= largest:
+        size = 0
+        async for part in request.stream():
+            size += len(part)
+            if size > largest:
+                break
+            parts.append(part)
+    if size > largest:
+        raise TooLargeError(
+            "the body is too large",
+            where="body",
+            allowed=f"{largest >> 20} MiB",
+            hint="send fewer points, arrays instead of JSON, or start `rgrasp serve` with a larger "
+            "--largest-body",
+        )
+    return b"".join(parts)
+
+
+def _form(request: Request) -> str:
+    """The type of answer that is wanted."""
+    accepted = request.headers.get("accept", "")
+    return next((form for form in (NPZ, HDF5) if form in accepted), JSON)
+
+
+def _error_response(
+    error: RgraspError, code: int, headers: dict[str, str] | None = None
+) -> Response:
+    told = {
+        "what": error.what,
+        "where": error.where,
+        "allowed": error.allowed,
+        "hint": error.hint,
+        "exit_code": error.exit_code,
+        "message": error.message,
+    }
+    return Response(json.dumps({"error": told}), code, headers, JSON)

@@ -1,0 +1,138 @@
+"""A question to `rgrasp serve`, and its answer as the planner itself would have given it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from pointsdf_cli.errors import InputError, NoPlanError, RgraspError
+from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.io.trees import tree_of_npz, tree_to_npz
+from pointsdf_cli.planning.object_choice import Target
+from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult
+from pointsdf_cli.service.address import TOKEN, server_address
+from pointsdf_cli.service.identity import identity
+from pointsdf_cli.service.results import result_of
+
+NPZ = "application/x-npz"
+LONGEST = 600.0
+"""Seconds to wait for an answer: a plan takes about one, rehearsals in a full queue minutes."""
+
+
+def plan_at(
+    url: str,
+    request: PlanRequest,
+    robot: Path | None,
+    checkpoint: Path | None,
+    grasp_checkpoint: Path | None,
+) -> PlanResult:
+    """The answer of a server, which must have the same robot and weights.
+
+    Args:
+        url: Its address.
+        request: Checked.
+        robot, checkpoint, grasp_checkpoint: What is expected of it; the bundled ones if None.
+
+    Raises:
+        InputError: What the planner refuses, or a server with other weights.
+        RgraspError: No server answers there, or it is busy or fails.
+    """
+    own = identity(robot, checkpoint, grasp_checkpoint)
+    tree = request_tree(request) | {"expects": own}
+    answer = result_of(tree_of_npz(ask(url, "/plan", tree_to_npz(tree)), url))
+    ours = {"robot": robot, "checkpoint": checkpoint, "grasp_checkpoint": grasp_checkpoint}
+    named = {name: None if path is None else str(path) for name, path in ours.items()}
+    return replace(answer, options=answer.options | named)
+
+
+def ask(url: str, path: str, body: bytes) -> bytes:
+    """The answer to one body.
+
+    Raises:
+        InputError, NoPlanError, RgraspError: What the server says, with its exit code.
+    """
+    token = os.environ.get(TOKEN)
+    headers = {"Content-Type": NPZ, "Accept": NPZ}
+    if token:
+        headers["Authorization"] = f"Bearer {token}"
+    try:
+        limits = httpx.Timeout(LONGEST, connect=5.0)
+        # A proxy of the environment leads elsewhere than to this machine.
+        with httpx.Client(timeout=limits, trust_env=False) as client:
+            answer = client.post(server_address(url) + path, content=body, headers=headers)
+    except (httpx.HTTPError, OSError, UnicodeError) as error:
+        said = str(error) or type(error).__name__
+        raise RgraspError(
+            f"no answer from the server ({said})",
+            where=url,
+            hint="start it with `rgrasp serve`, or leave --server out",
+        ) from error
+    if answer.status_code == 200:
+        return answer.content
+    raise _error(answer, url)
+
+
+def request_tree(request: PlanRequest) -> dict[str, Any]:
+    """The body of a request."""
+    around = request.environment
+    return {
+        "clouds": [
+            _cloud_tree(cloud, name)
+            for cloud, name in zip(request.clouds, request.names, strict=True)
+        ],
+        **asdict(request.choices),
+        "environment": {"table": around.table, "obstacles": [asdict(o) for o in around.obstacles]},
+        "start": request.start,
+        "seed": request.seed,
+        "segment": request.segment,
+        "target": _target(request.target),
+        "ignore_others": not request.others,
+        "workspace": request.workspace,
+        "clean": request.cleaned,
+    }
+
+
+def _cloud_tree(cloud: Cloud, name: str) -> dict[str, Any]:
+    image = cloud.image
+    return {
+        "name": name,
+        "points": cloud.points,
+        "frame": cloud.frame,
+        "T_world_camera": cloud.T_world_camera,
+        "pixels": cloud.pixels,
+        "depth": None if image is None else image.depth,
+        "K": None if image is None else image.K,
+        "mask": cloud.mask,
+    }
+
+
+def _target(target: Target | None) -> int | list[float] | None:
+    if target is None:
+        return None
+    if target.number is not None:
+        return target.number
+    if target.pixel is not None:
+        return [float(value) for value in target.pixel]
+    return None if target.place is None else [float(value) for value in target.place]
+
+
+def _error(answer: httpx.Response, url: str) -> RgraspError:
+    """What a server says, as the error that it was there."""
+    try:
+        told = answer.json()["error"]
+        kind = {2: InputError, 3: NoPlanError}.get(told["exit_code"], RgraspError)
+        parts = {
+            key: None if told.get(key) is None else str(told[key])
+            for key in ("where", "allowed", "hint")
+        }
+        return kind(str(told["what"]), **parts)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return RgraspError(
+            f"the server answers with status {answer.status_code}",
+            where=url,
+            hint="is it `rgrasp serve` that listens there?",
+        )

@@ -1,0 +1,148 @@
+"""One worker and a short queue: what is asked is done one after the other, or refused at once."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+from pointsdf_cli.errors import RgraspError
+from pointsdf_cli.planning.cancellation import CancelledError, cancellable
+
+
+class BusyError(RgraspError):
+    """So many wait already that one more is refused."""
+
+
+class ClosingError(RgraspError):
+    """The server stops: what runs is finished, nothing more is begun."""
+
+
+class Job:
+    """A place in the queue; what it is for may be said later.
+
+    Attributes:
+        future: What the work returned or raised.
+    """
+
+    def __init__(self) -> None:
+        self.future: Future[Any] = Future()
+        self._cancelled = threading.Event()
+        self.work: Callable[[], Any] | None = None
+
+    def cancel(self) -> None:
+        """Nobody waits for it: it is not begun, or stopped where it can be."""
+        self._cancelled.set()
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether nobody waits for it."""
+        return self._cancelled.is_set()
+
+
+class Desk:
+    """Does one job at a time, in a thread of its own.
+
+    Args:
+        places: Jobs that may wait beside the one that runs.
+    """
+
+    def __init__(self, places: int = 8) -> None:
+        self.places = places
+        self._jobs: set[Job] = set()
+        self._ready: deque[Job] = deque()
+        self._changed = threading.Condition()
+        self._closing = False
+        self.done = 0
+        self._thread = threading.Thread(target=self._run, name="planner", daemon=True)
+        self._thread.start()
+
+    @property
+    def waiting(self) -> int:
+        """Jobs that have a place, the one that runs among them."""
+        return len(self._jobs)
+
+    def take_place(self) -> Job:
+        """A place in the queue, to be filled by `submit` or given back by `leave`.
+
+        Raises:
+            BusyError: All places are taken.
+            ClosingError: The server stops.
+        """
+        with self._changed:
+            if self._closing:
+                raise ClosingError("the server is stopping", hint="ask again when it is back")
+            if len(self._jobs) > self.places:
+                raise BusyError(
+                    f"{len(self._jobs)} requests are being answered or wait",
+                    hint="ask again in a few seconds",
+                )
+            job = Job()
+            self._jobs.add(job)
+            return job
+
+    def submit(self, job: Job, work: Callable[[], Any]) -> Future[Any]:
+        """Have `work` done in its turn."""
+        with self._changed:
+            if self._closing:
+                self._jobs.discard(job)
+                job.future.set_exception(ClosingError("the server is stopping"))
+                return job.future
+            job.work = work
+            self._ready.append(job)
+            self._changed.notify_all()
+        return job.future
+
+    def leave(self, job: Job) -> None:
+        """Give a place back; work that has begun stops where it can."""
+        job.cancel()
+        with self._changed:
+            if job.work is None:
+                self._jobs.discard(job)
+            elif job in self._ready:
+                self._ready.remove(job)
+                self._jobs.discard(job)
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Begin nothing more; what waits is told so, what runs is finished."""
+        with self._changed:
+            self._closing = True
+            waiting = list(self._ready)
+            self._ready.clear()
+            self._jobs.difference_update(waiting)
+            self._changed.notify_all()
+        for job in waiting:
+            job.future.set_exception(ClosingError("the server is stopping"))
+
+    def join(self) -> None:
+        """Wait until what ran when it was closed is finished."""
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                while not self._ready and not self._closing:
+                    self._changed.wait()
+                if not self._ready:
+                    return
+                job = self._ready.popleft()
+            self._do(job)
+            with self._changed:
+                self._jobs.discard(job)
+                self.done += 1
+
+    def _do(self, job: Job) -> None:
+        assert job.work is not None
+        try:
+            with cancellable(lambda: job.cancelled):
+                if job.cancelled:
+                    raise CancelledError("cancelled")
+                outcome = job.work()
+        except BaseException as error:  # the worker outlives whatever a request brings about
+            job.future.set_exception(error)
+        else:
+            job.future.set_result(outcome)
+        job.work = None

@@ -1,0 +1,155 @@
+"""A planner that stays loaded: one robot, its networks, and the planners made from them."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.models.registry import load_model
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
+from pointsdf_cli.planning.complete_mesh import CompletedMesh, MeshChoices, complete_mesh
+from pointsdf_cli.planning.grasp_problem import Clearances
+from pointsdf_cli.planning.object_view import ObjectView
+from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest, PlanResult
+from pointsdf_cli.planning.synthesis import SynthesisConfig
+from pointsdf_cli.planning.table_session import answer_request
+from pointsdf_cli.planning.table_top import look_at_table, workspace_of
+from pointsdf_cli.planning.variables import Variables
+
+Array = NDArray[np.float64]
+
+KEPT = 4
+"""Planners that are kept, one for each set of choices; a hundred megabytes each at most."""
+
+
+class Resident:
+    """Answers requests one after the other; not for several threads at once.
+
+    Args:
+        robot: Its YAML file; the bundled one if None.
+        checkpoint: Of the reconstruction network; the bundled one if None.
+        grasp_checkpoint: Of the success network; the method's bundled one if None.
+        device: Where the networks are.
+    """
+
+    def __init__(
+        self,
+        robot: Path | None = None,
+        checkpoint: Path | None = None,
+        grasp_checkpoint: Path | None = None,
+        device: str = "cpu",
+    ) -> None:
+        self.robot, self.checkpoint, self.grasp_checkpoint = robot, checkpoint, grasp_checkpoint
+        self.device = device
+        self._shape: ShapeModel | None = None
+        self._planners: OrderedDict[PlanChoices, GraspPlanner] = OrderedDict()
+
+    def planner(self, choices: PlanChoices) -> GraspPlanner:
+        """The planner for some choices, made where it is not kept.
+
+        Raises:
+            InputError: The robot or a checkpoint cannot be used.
+        """
+        if choices not in self._planners:
+            self._planners[choices] = self._made(choices)
+            while len(self._planners) > KEPT:
+                self._planners.popitem(last=False)
+        self._planners.move_to_end(choices)
+        return self._planners[choices]
+
+    def plan(self, request: PlanRequest, warn: Callable[[str], None] | None = None) -> PlanResult:
+        """The answer to a request.
+
+        Args:
+            request: Checked.
+            warn: Told what cannot be as it was given, before the planning.
+
+        Raises:
+            InputError: The clouds or the start cannot be used.
+        """
+        return answer_request(self.planner(request.choices), request, warn)
+
+    def score(self, request: PlanRequest, q: Array) -> Array:
+        """How likely grasps are to hold.
+
+        Args:
+            request: The scene, checked.
+            q: [G, J], rad.
+
+        Returns:
+            [G], probabilities.
+
+        Raises:
+            InputError: Another number of joints, or clouds that show no such object.
+        """
+        planner = self.planner(request.choices)
+        robot = planner.robot
+        joints = robot.joint_names
+        if q.shape[1] != len(joints):
+            raise InputError(
+                f"grasps of {q.shape[1]} joints",
+                where="q",
+                allowed=f"{len(joints)}: " + ", ".join(joints),
+            )
+        seen = look_at_table(
+            request.clouds,
+            request.names,
+            robot,
+            robot.home if request.start is None else request.start,
+            request.segment,
+            request.target,
+            workspace_of(request.workspace),
+            request.cleaned,
+        )
+        sight = planner.see(seen.views, request.seed, table=request.environment.table)
+        variables = Variables(robot)
+        with torch.no_grad():
+            hand = torch.from_numpy(q[:, robot.preshape_columns])
+            palm = planner.planner.kinematics.palm(
+                variables.configuration_tensor(torch.from_numpy(variables.of(q)))
+            )
+            return sight.target.score.log_success(hand, palm).double().exp().numpy()
+
+    def mesh(self, view: ObjectView, choices: MeshChoices, name: str) -> CompletedMesh:
+        """The whole shape of the object in a view.
+
+        Args:
+            view: The object.
+            choices: How it is meshed.
+            name: Of the cloud, for messages.
+
+        Raises:
+            EmptySurfaceError: The network sees nothing solid.
+        """
+        if self._shape is None:
+            self._shape = load_model(self.checkpoint, self.device)
+        return complete_mesh(self._shape, view, choices, name)
+
+    def _made(self, choices: PlanChoices) -> GraspPlanner:
+        clearance = choices.clearance
+        options = PlanOptions(
+            method=choices.method,
+            solver=choices.solver,
+            kind=choices.kind,
+            robot=self.robot,
+            checkpoint=self.checkpoint,
+            grasp_checkpoint=self.grasp_checkpoint,
+            clearances=Clearances() if clearance is None else Clearances(*[clearance] * 3),
+            device=self.device,
+            margin=choices.margin,
+            speed=choices.speed,
+            synthesis=SynthesisConfig(acceptance=choices.acceptance()),
+        )
+        if not choices.rehearse:
+            return GraspPlanner(options)
+        from pointsdf_cli.trials.rehearsed import RehearsedPlanner, RehearsedPlannerConfig
+
+        config = RehearsedPlannerConfig(count=choices.rehearse)
+        return RehearsedPlanner(options, config=config)

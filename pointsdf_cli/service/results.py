@@ -1,0 +1,58 @@
+"""The answers of a server as trees of plain values and arrays, there and back."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.io.plans import AcceptedGrasps, Plan, RejectedSeeds
+from pointsdf_cli.planning.environment import Obstacle
+from pointsdf_cli.planning.plan_request import PlanResult
+
+
+def result_tree(result: PlanResult) -> dict[str, Any]:
+    """The whole answer."""
+    tree = asdict(replace(result, plan=replace(result.plan, timings=dict(result.plan.timings))))
+    tree["obstacles"] = [obstacle_tree(obstacle) for obstacle in result.obstacles]
+    return tree
+
+
+def obstacle_tree(obstacle: Obstacle) -> dict[str, Any]:
+    """One body that does not move."""
+    return asdict(obstacle)
+
+
+def result_of(tree: Any) -> PlanResult:
+    """The answer of `result_tree`.
+
+    Raises:
+        RgraspError: It is none.
+    """
+    try:
+        plan = dict(tree["plan"])
+        rejected, accepted = dict(plan["rejected"]), dict(plan["accepted"])
+        rejected["reasons"], accepted["kinds"] = (
+            tuple(rejected["reasons"]),
+            tuple(accepted["kinds"]),
+        )
+        plan |= {name: tuple(plan[name]) for name in ("joint_names", "link_names")}
+        plan |= {"rejected": RejectedSeeds(**rejected), "accepted": AcceptedGrasps(**accepted)}
+        obstacles = tuple(
+            Obstacle(**{**each, "size": tuple(each["size"])}) for each in tree["obstacles"]
+        )
+        return PlanResult(
+            Plan(**plan),
+            tuple(map(str, tree["report"])),
+            tuple(map(str, tree["warnings"])),
+            np.asarray(tree["start"], dtype=np.float64),
+            np.asarray(tree["points"], dtype=np.float64),
+            np.asarray(tree["camera"], dtype=np.float64),
+            obstacles,
+            dict(tree["options"]),
+            float(tree["least"]),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
+        raise RgraspError(f"the server's answer is no plan ({error})") from error

@@ -1,0 +1,129 @@
+"""The server: uvicorn in a thread, until it is asked to stop."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import uvicorn
+
+from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.service.app import LARGEST_BODY, make_app
+from pointsdf_cli.service.desk import Desk
+from pointsdf_cli.service.resident import Resident
+
+CONNECTIONS = 64
+"""Connections at once; each may be sending a body."""
+
+
+class Server:
+    """Listens from `start` until `stop`, or within `with`.
+
+    Args:
+        resident: Answers.
+        host, port: Where; port 0 takes a free one.
+        token: As in `make_app`.
+        places: Requests that may wait.
+        largest: Bytes of a body.
+
+    Attributes:
+        port: Where it listens.
+
+    Raises:
+        InputError: It cannot listen there.
+    """
+
+    def __init__(
+        self,
+        resident: Resident,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        token: str | None = None,
+        places: int = 8,
+        largest: int = LARGEST_BODY,
+    ) -> None:
+        self._socket = _listening(host, port)
+        self.host, self.port = host, int(self._socket.getsockname()[1])
+        self.desk = Desk(places)
+        app: Any = make_app(resident, self.desk, host, token, largest)
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                app,
+                log_level="warning",
+                access_log=False,
+                limit_concurrency=CONNECTIONS,
+                timeout_keep_alive=5,
+                ws="none",
+                server_header=False,
+            )
+        )
+        self._thread = threading.Thread(
+            target=self._server.run, kwargs={"sockets": [self._socket]}, name="http", daemon=True
+        )
+
+    def __enter__(self) -> Server:
+        self.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    @property
+    def url(self) -> str:
+        """Its address."""
+        return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
+
+    def start(self) -> None:
+        """Listen.
+
+        Raises:
+            RgraspError: It ended at once.
+        """
+        self._thread.start()
+        while not self._server.started:
+            if not self._thread.is_alive():
+                raise RgraspError("the server did not start")
+            time.sleep(0.01)
+
+    def wait(self, stopped: Callable[[], bool]) -> None:
+        """Serve until `stopped` or until the server ended by itself."""
+        while self._thread.is_alive() and not stopped():
+            time.sleep(0.1)
+
+    def stop(self) -> None:
+        """Answer what runs, refuse what waits, and end."""
+        self.desk.close()
+        self._server.should_exit = True
+        if self._thread.ident is not None:
+            self._thread.join()
+        self.desk.join()
+        self._socket.close()
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    try:
+        kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        bound = socket.socket(kind)
+        try:
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            bound.bind(address)
+            bound.listen(128)  # who asks for a port that is taken must be told so
+        except OSError:
+            bound.close()
+            raise
+        return bound
+    except (OSError, UnicodeError, OverflowError) as error:
+        raise InputError(
+            f"cannot listen there ({getattr(error, 'strerror', None) or error})",
+            where=f"--host {host} --port {port}",
+            allowed="an address of this machine, such as 127.0.0.1, and a free port; 0 takes one",
+        ) from error

@@ -1,0 +1,365 @@
+"""`rgrasp serve`: real plans over HTTP, equal to those of the command, and refusals."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+import trimesh
+
+from pointsdf_cli.assets import asset_path
+from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
+from pointsdf_cli.io.hdf5 import read_artifact
+from pointsdf_cli.io.plans import read_plan
+from pointsdf_cli.io.trees import tree_of_npz, tree_to_npz
+from pointsdf_cli.planning.cancellation import CancelledError, stop_if_cancelled
+from pointsdf_cli.service.desk import BusyError, ClosingError, Desk
+
+pytest.importorskip("fastapi", reason="the extra `serve` is not installed")
+pytest.importorskip("uvicorn", reason="the extra `serve` is not installed")
+
+from pointsdf_cli.models.registry import use_threads
+from pointsdf_cli.service.resident import Resident
+from pointsdf_cli.service.server import Server
+
+TABLE, MUG = asset_path("clouds/table.ply"), asset_path("clouds/mug.ply")
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    use_threads(1)
+    with Server(Resident(), places=2, largest=4 << 20) as running:
+        yield running
+
+
+def cloud_body(path: Path, **more: object) -> dict[str, object]:
+    cloud = read_cloud(path)
+    one = {
+        "name": path.name,
+        "points": cloud.points,
+        "frame": cloud.frame,
+        "T_world_camera": cloud.T_world_camera,
+    }
+    return {"clouds": [one], **more}
+
+
+def post(server: Server, path: str, tree: object, **headers: str) -> httpx.Response:
+    body = tree_to_npz(tree)
+    given = {"Content-Type": "application/x-npz"} | headers
+    return httpx.post(server.url + path, content=body, headers=given, timeout=120)
+
+
+def test_a_served_plan_is_the_commands_to_the_bit(
+    cli: Callable, server: Server, tmp_path: Path
+) -> None:
+    here, there = tmp_path / "here.h5", tmp_path / "there.h5"
+    words = ("plan", TABLE, "--no-picture", "--min-success", "0.05")
+    # Another plan comes between: what is kept of one must not show in the next.
+    warm = post(server, "/plan", cloud_body(MUG, segment="none", min_success=0.05))
+    assert warm.status_code == 200, warm.text
+    served = cli(*words, "--out", there, "--server", server.url)
+    own = cli(*words, "--out", here, "--threads", 1)
+    assert (own.code, served.code) == (0, 0), own.err + served.err
+    assert own.err == served.err
+    a, b = (read_artifact(path, schema="plan", version=1) for path in (here, there))
+    assert sorted(a.datasets) == sorted(b.datasets)
+    for name, values in a.datasets.items():
+        assert values.dtype == b.datasets[name].dtype
+        assert values.tobytes() == b.datasets[name].tobytes(), name
+    timed = {"timings_json"}
+    assert {k: v for k, v in a.attributes.items() if k not in timed} == {
+        k: v for k, v in b.attributes.items() if k not in timed
+    }
+    # Two grasps of that very plan, and a hand on the other side of the room.
+    plan = read_plan(there)
+    astray = plan.q.copy()
+    astray[0] += 2.0
+    scored = post(server, "/score", cloud_body(TABLE, q=np.stack([plan.q, astray])))
+    likely, unlikely = scored.json()["success_probability"]
+    assert likely == pytest.approx(plan.success_probability, abs=1e-3)
+    assert unlikely < likely
+
+
+def test_no_plan_has_the_same_message_and_code(
+    cli: Callable, server: Server, tmp_path: Path
+) -> None:
+    scene = read_cloud(TABLE)
+    few = Cloud(scene.points[:60], frame=scene.frame, T_world_camera=scene.T_world_camera)
+    write_cloud(tmp_path / "bare.ply", few)
+    words = ("plan", tmp_path / "bare.ply", "--no-picture", "--force", "--out", tmp_path / "p.h5")
+    own, served = cli(*words, "--threads", 1), cli(*words, "--server", server.url)
+    assert own.code == served.code == 3
+    assert own.err == served.err
+    assert read_plan(tmp_path / "p.h5").reason == "no_object"
+
+
+def test_a_refused_cloud_has_the_same_message(server: Server, cli: Callable) -> None:
+    moved = read_cloud(TABLE)
+    assert moved.T_world_camera is not None
+    pose = moved.T_world_camera.copy()
+    pose[2, 3] += 0.5  # the table half a metre above z = 0
+    numbers = ",".join(map(str, pose[:3, 3]))
+    body = cloud_body(TABLE)
+    body["clouds"][0] |= {"T_world_camera": pose, "name": str(TABLE)}  # type: ignore[index]
+    answer = post(server, "/plan", body)
+    assert answer.status_code == 400, numbers
+    assert answer.json()["error"]["exit_code"] == 2
+    assert "z = 0" in answer.json()["error"]["message"]
+
+
+def test_a_mesh_is_closed_and_where_the_cloud_is(server: Server) -> None:
+    cloud = read_cloud(MUG)
+    answer = post(server, "/mesh", cloud_body(MUG, resolution=32), Accept="application/x-npz")
+    assert answer.status_code == 200, answer.text
+    made = tree_of_npz(answer.content, "answer")
+    mesh = trimesh.Trimesh(made["vertices"], made["faces"])
+    assert mesh.is_watertight
+    far = np.linalg.norm(mesh.vertices.mean(axis=0) - cloud.points.mean(axis=0))
+    assert far < 0.1
+
+
+@pytest.mark.parametrize(
+    ("tree", "words"),
+    [
+        ({}, "clouds"),
+        ({"clouds": []}, "clouds"),
+        ({"clouds": [{"points": [[1, 2]]}]}, "[N, 3]"),
+        ({"clouds": [{"points": "many"}]}, "not numbers"),
+        ({"clouds": [{"points": [[0, 0, 1]] * 9}]}, "nothing says where the camera stood"),
+        ({"clouds": [{"points": [[0, 0, 1]], "pose": 3}]}, "pose"),
+        ({**cloud_body(MUG), "method": "guess"}, "reconstruction, partial-view"),
+        ({**cloud_body(MUG), "margin": -1}, "--margin"),
+        ({**cloud_body(MUG), "target": [1, 2, 3, 4]}, "target"),
+        ({**cloud_body(MUG), "expects": {"robot": "another"}}, "another robot"),
+        ({**cloud_body(MUG), "start": [0.1, 0.2]}, "joint positions"),
+    ],
+)
+def test_a_bad_body_is_told_and_harms_nothing(server: Server, tree: object, words: str) -> None:
+    answer = post(server, "/plan", tree)
+    assert answer.status_code == 400, answer.text
+    assert words in answer.json()["error"]["message"]
+    health = httpx.get(server.url + "/health").json()
+    assert (health["status"], health["waiting"]) == ("ok", 0)
+
+
+def test_what_is_no_npz_or_json_or_too_large_is_refused(server: Server) -> None:
+    squeezed = io.BytesIO()
+    np.savez_compressed(squeezed, tree=np.zeros(1 << 22, np.uint8))
+    claims = tree_to_npz({"clouds": np.zeros((4, 3))}).replace(b"(4, 3)", b"(9**9)"[:6])
+    for body in (b"", b"PK\x03\x04", os.urandom(900), squeezed.getvalue(), claims):
+        answer = httpx.post(
+            server.url + "/plan", content=body, headers={"Content-Type": "application/x-npz"}
+        )
+        assert answer.status_code == 400
+    assert httpx.post(server.url + "/plan", content=b"[" * 99_999).status_code == 400
+    assert httpx.post(server.url + "/plan", content=b"{}\xff").status_code == 400
+    large = httpx.post(server.url + "/plan", content=b" " * (5 << 20))
+    assert large.status_code == 413
+    assert "4 MiB" in large.json()["error"]["message"]
+
+    def pieces() -> Iterator[bytes]:  # without a length that could be looked at
+        for _ in range(5):
+            yield b" " * (1 << 20)
+
+    with suppress(httpx.WriteError):  # it may hang up before all was sent
+        assert httpx.post(server.url + "/plan", content=pieces()).status_code == 413
+    assert httpx.get(server.url + "/health").json()["waiting"] == 0
+
+
+def test_pages_of_others_are_refused(server: Server) -> None:
+    for headers in ({"Origin": "http://elsewhere.example"}, {"Host": "elsewhere.example"}):
+        assert httpx.get(server.url + "/health", headers=headers).status_code == 403
+    assert httpx.get(server.url + "/docs").status_code == 200
+    schema = httpx.get(server.url + "/openapi.json").json()
+    assert {"/plan", "/mesh", "/score", "/health"} <= set(schema["paths"])
+    referred = set(_references(schema))
+    assert "#/components/schemas/CloudBody" in referred
+    known = {f"#/components/schemas/{name}" for name in schema["components"]["schemas"]}
+    assert referred <= known
+
+
+def _references(node: object) -> Iterator[str]:
+    if isinstance(node, dict):
+        yield from (str(v) for k, v in node.items() if k == "$ref")
+    for value in (
+        node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
+    ):
+        yield from _references(value)
+
+
+def test_a_token_is_asked_for(cli: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Server(Resident(), token="open sesame") as guarded:
+        assert httpx.get(guarded.url + "/health").status_code == 200
+        for headers in ({}, {"Authorization": "Bearer guess"}, {"Authorization": "open sesame"}):
+            for path in ("/plan", "/docs", "/openapi.json"):
+                assert httpx.get(guarded.url + path, headers=headers).status_code == 401
+        right = {"Authorization": "Bearer open sesame"}
+        assert httpx.get(guarded.url + "/openapi.json", headers=right).status_code == 200
+        monkeypatch.delenv("RGRASP_TOKEN", raising=False)
+        run = cli("plan", TABLE, "--no-picture", "--server", guarded.url)
+        assert run.code == 2
+        assert "RGRASP_TOKEN" in run.err
+
+
+def test_one_works_the_next_wait_and_more_are_refused() -> None:
+    desk, go = Desk(places=1), threading.Event()
+    first, second = desk.take_place(), desk.take_place()
+    running = desk.submit(first, lambda: go.wait(10))
+    with pytest.raises(BusyError):
+        desk.take_place()
+    waiting = desk.submit(second, lambda: "second")
+    desk.leave(second)  # its client hung up: the place is free at once, the work never begun
+    third = desk.submit(desk.take_place(), lambda: "third")
+    go.set()
+    assert (running.result(10), third.result(10)) == (True, "third")
+    assert not waiting.done()
+    with pytest.raises(ZeroDivisionError):
+        desk.submit(desk.take_place(), lambda: 1 // 0).result(10)
+    desk.close()
+    with pytest.raises(ClosingError):
+        desk.take_place()
+    desk.join()
+
+
+def test_work_that_nobody_waits_for_is_stopped() -> None:
+    desk, begun = Desk(places=1), threading.Event()
+
+    def endless() -> None:
+        begun.set()
+        while True:
+            stop_if_cancelled()
+            time.sleep(0.001)
+
+    job = desk.take_place()
+    running = desk.submit(job, endless)
+    assert begun.wait(10)
+    desk.leave(job)
+    with pytest.raises(CancelledError):
+        running.result(10)
+    desk.close()
+    desk.join()
+
+
+def test_closing_finishes_what_runs_and_tells_those_that_wait() -> None:
+    desk, go, begun = Desk(places=3), threading.Event(), threading.Event()
+    running = desk.submit(desk.take_place(), lambda: (begun.set(), go.wait(10)))
+    assert begun.wait(10)
+    waiting = desk.submit(desk.take_place(), lambda: "never")
+    late = desk.take_place()
+    desk.close()
+    with pytest.raises(ClosingError):
+        waiting.result(1)
+    with pytest.raises(ClosingError):
+        desk.submit(late, lambda: "never").result(1)
+    go.set()
+    assert running.result(10)[1]
+    desk.join()
+
+
+def test_a_client_that_hangs_up_frees_its_place(server: Server) -> None:
+    body = tree_to_npz(cloud_body(TABLE))
+    head = (
+        f"POST /plan HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nContent-Length: {len(body)}\r\n"
+        "Content-Type: application/x-npz\r\n\r\n"
+    ).encode()
+    done = server.desk.done
+    crowd = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(3)]
+    for line in crowd:
+        line.sendall(head + body)
+    until(lambda: server.desk.waiting == 3)
+    refused = post(server, "/plan", cloud_body(TABLE))
+    assert refused.status_code == 429
+    assert refused.headers["retry-after"]
+    for line in crowd:
+        line.close()
+    until(lambda: server.desk.waiting == 0)
+    # The one that ran was stopped or finished; those that waited were never begun.
+    assert server.desk.done - done <= 1
+
+
+def until(holds: Callable[[], bool], seconds: float = 20) -> None:
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--host", "0.0.0.0"], "RGRASP_TOKEN"),
+        (["--port", "70000"], "--port"),
+        (["--queue", "-1"], "--queue"),
+        (["--robot", "none.yaml"], "no such robot file"),
+        (["--checkpoint", "none"], "none"),
+        (["--device", "abacus"], "--device"),
+    ],
+)
+def test_serve_refuses_bad_options(
+    cli: Callable, monkeypatch: pytest.MonkeyPatch, words: list[str], told: str
+) -> None:
+    monkeypatch.delenv("RGRASP_TOKEN", raising=False)
+    run = cli("serve", *words)
+    assert run.code == 2
+    assert told in run.err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--server", "127.0.0.1:80"], "no address"),
+        (["--server", "http://127.0.0.1:8765", "--threads", "2"], "--threads"),
+        (["--server", "http://127.0.0.1:8765/plan"], "no address"),
+    ],
+)
+def test_plan_refuses_what_no_server_could_do(
+    cli: Callable, tmp_path: Path, words: list[str], told: str
+) -> None:
+    run = cli("plan", TABLE, "--out", tmp_path / "p.h5", "--no-picture", *words)
+    assert run.code == 2
+    assert told in run.err
+
+
+def test_sigterm_ends_a_server_that_answered_what_ran(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "pointsdf_cli.cli.main", "serve", "--port", "0", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            assert process.stdout is not None
+            url = json.loads(process.stdout.readline())["url"]
+            answers: list[httpx.Response] = []
+
+            def ask() -> None:
+                body = tree_to_npz(cloud_body(MUG, segment="none"))
+                headers = {"Content-Type": "application/x-npz", "Accept": "application/x-hdf5"}
+                answers.append(httpx.post(url + "/plan", content=body, headers=headers, timeout=60))
+
+            asking = threading.Thread(target=ask)
+            asking.start()
+            until(lambda: httpx.get(url + "/health").json()["waiting"] == 1)
+            time.sleep(0.2)
+            process.send_signal(signal.SIGTERM)
+            asking.join(60)
+            assert process.wait(30) == 0
+        finally:
+            process.kill()
+    assert answers[0].status_code in (200, 503)
+    if answers[0].status_code == 200:
+        (tmp_path / "plan.h5").write_bytes(answers[0].content)
+        assert read_plan(tmp_path / "plan.h5").joint_names
