@@ -104,6 +104,7 @@ class Desk:
             elif job in self._ready:
                 self._ready.remove(job)
                 self._jobs.discard(job)
+                job.future.set_exception(CancelledError("cancelled"))
             self._changed.notify_all()
 
     def close(self) -> None:
