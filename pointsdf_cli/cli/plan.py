@@ -177,7 +177,6 @@ def plan(
     from pointsdf_cli.io.checkpoints import read_config
     from pointsdf_cli.io.plans import OK, write_plan, write_trajectory
     from pointsdf_cli.io.poses import box
-    from pointsdf_cli.planning.cloud_checks import check_scene_inputs
     from pointsdf_cli.planning.environment import Environment, read_environment
     from pointsdf_cli.planning.option_checks import check_segment
     from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest

@@ -13,9 +13,9 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.planning import option_checks
-from pointsdf_cli.planning.object_choice import Target
-from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.cloud_checks import check_scene_inputs
+from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.object_choice import Target
 
 if TYPE_CHECKING:
     from pointsdf_cli.planning.acceptance import AcceptanceConfig
@@ -109,7 +109,9 @@ class PlanRequest:
             InputError: Options that do not go together, or a cloud without a pose, in another unit
                 than metres, or of too few points.
         """
-        option_checks.check_segment(self.segment, self.target is not None, self.workspace is not None)
+        option_checks.check_segment(
+            self.segment, self.target is not None, self.workspace is not None
+        )
         check_scene_inputs(self.clouds, self.names, self.segment)
 
 

@@ -12,8 +12,8 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import is_rigid
 from pointsdf_cli.io.clouds import Cloud, DepthImage
 from pointsdf_cli.io.trees import tree_of_json, tree_of_npz
-from pointsdf_cli.planning.object_choice import Target
 from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.object_choice import Target
 from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
 
 JSON, NPZ, HDF5 = "application/json", "application/x-npz", "application/x-hdf5"
