@@ -27,7 +27,7 @@ Corners = tuple[tuple[float, ...], tuple[float, ...]]
 
 @dataclass(frozen=True)
 class PlanChoices:
-    """What a user decides about the search, apart from the robot and the networks.
+    """Options of the search, apart from the robot and the networks.
 
     Attributes:
         method, solver, kind: As in `PlanOptions`.
@@ -78,9 +78,9 @@ class PlanRequest:
 
     Attributes:
         clouds: One a camera, each with its pose.
-        names: Of the clouds, for messages.
-        choices: About the search.
-        environment: What is known to stand around.
+        names: Names of the clouds, for messages.
+        choices: Options of the search.
+        environment: Known table and obstacles.
         start: [J], where the robot is [rad]; its home if None.
         seed: Equal seeds give equal plans.
         segment: "auto", or "none" where the clouds hold the object alone.
@@ -142,7 +142,7 @@ class PlanResult:
     least: float
 
     def scene(self) -> PlanScene:
-        """What the picture shows."""
+        """Contents of the picture."""
         from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
         from pointsdf_cli.viz.plan_picture import PlanScene
 

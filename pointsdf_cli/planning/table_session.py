@@ -75,14 +75,14 @@ class TableSession:
         )
 
     def scene(self) -> PlanScene:
-        """What the picture shows."""
+        """Contents of the picture."""
         return self.result(PlanOptions()).scene()
 
 
 def answer_request(
     planner: GraspPlanner, request: PlanRequest, warn: Callable[[str], None] | None = None
 ) -> PlanResult:
-    """What `planner` answers to a request that passed its own check; see `plan_on_table`."""
+    """Answer of a planner to a checked request; see `plan_on_table`."""
     typed = None if request.start is None else ",".join(repr(float(v)) for v in request.start)
     session = plan_on_table(
         planner,
@@ -148,8 +148,9 @@ def plan_on_table(
         return TableSession(answer, said, q, world, camera, environment.obstacles)
     report = list(seen.report)
     warnings = _warnings(seen, clouds, segment, environment.table)
-    for sentence in warnings if warn is not None else ():
-        warn(sentence)
+    if warn is not None:
+        for sentence in warnings:
+            warn(sentence)
     if others and len(seen.others):
         beside = clutter(seen.others, [one.name for one in environment.obstacles])
         if beside:

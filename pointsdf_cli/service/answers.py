@@ -1,4 +1,4 @@
-"""What is answered to each body, as bytes and their type."""
+"""Answers to requests, as bytes and their type."""
 
 from __future__ import annotations
 

@@ -58,9 +58,9 @@ def make_app(
 
     Args:
         resident: Answers.
-        desk: Who does the work, one request after the other.
+        desk: Queue and worker, one request after the other.
         host: The address that is listened at: decides whose pages may ask.
-        token: What a request must bear in `Authorization: Bearer`; None for nothing.
+        token: Secret that requests must bear in `Authorization: Bearer`; None for none.
         largest: Bytes of a body.
     """
     app = FastAPI(

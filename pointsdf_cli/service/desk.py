@@ -24,7 +24,7 @@ class Job:
     """A place in the queue; what it is for may be said later.
 
     Attributes:
-        future: What the work returned or raised.
+        future: Result or error of the work.
     """
 
     def __init__(self) -> None:

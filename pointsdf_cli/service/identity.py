@@ -1,4 +1,4 @@
-"""What a planner's answers depend on beside the request: version, robot, weights, as digests."""
+"""Version, robot and weights of a planner, as digests: all that its answers depend on but requests."""
 
 from __future__ import annotations
 

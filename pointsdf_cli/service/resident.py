@@ -34,9 +34,9 @@ class Resident:
 
     Args:
         robot: Its YAML file; the bundled one if None.
-        checkpoint: Of the reconstruction network; the bundled one if None.
-        grasp_checkpoint: Of the success network; the method's bundled one if None.
-        device: Where the networks are.
+        checkpoint: Reconstruction weights; the bundled one if None.
+        grasp_checkpoint: Success weights; the method's bundled one if None.
+        device: Device of the networks.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Resident:
         return answer_request(self.planner(request.choices), request, warn)
 
     def score(self, request: PlanRequest, q: Array) -> Array:
-        """How likely grasps are to hold.
+        """Success probability of grasps.
 
         Args:
             request: The scene, checked.
@@ -122,8 +122,8 @@ class Resident:
 
         Args:
             view: The object.
-            choices: How it is meshed.
-            name: Of the cloud, for messages.
+            choices: Meshing options.
+            name: Name of the cloud, for messages.
 
         Raises:
             EmptySurfaceError: The network sees nothing solid.
