@@ -1,4 +1,4 @@
-"""Version, robot and weights of a planner, as digests: all that its answers depend on but requests."""
+"""Version, robot and weights of a planner, as digests."""
 
 from __future__ import annotations
 
