@@ -35,6 +35,31 @@ COMMANDS = {
     "plan, wrong unit": ["plan", TABLE, "--out", "{}/no.h5", "--unit", "furlong"],
     "plan, no such weights": ["plan", TABLE, "--out", "{}/no.h5", "--checkpoint", "none"],
     "mesh, no such cloud": ["mesh", "none.ply"],
+    "serve, no token": ["serve", "--host", "0.0.0.0"],
+    "robot check, no such robot": ["robot", "check", "none.yaml"],
+    "trial, no such robot": ["trial", "--robot", "none.yaml"],
+    "segment, no such cloud": ["segment", "none.ply"],
+    "render, no such folder": ["render", "--meshes", "none"],
+    "label-sdf, no such folder": [
+        "label-sdf",
+        "--views",
+        "none",
+        "--meshes",
+        "none",
+        "--out",
+        "{}/l",
+    ],
+    "train-sdf, no such folder": [
+        "train-sdf",
+        "--views",
+        "none",
+        "--labels",
+        "none",
+        "--out",
+        "{}/c",
+    ],
+    "collect-grasps, no such folder": ["collect-grasps", "--meshes", "none", "--out", "{}/g"],
+    "view, no such file": ["view", "none.h5"],
 }
 
 
@@ -59,14 +84,14 @@ def main() -> None:
 
 def measure(trees: list[Path], rounds: int, folder: str) -> None:
     """Print wall and processor seconds of every command in every tree."""
-    print(f"{'command':24} {'wall [s]':>9} {'processor [s]':>14}   {'wall, processor against':>24}")
+    print(f"{'command':32} {'wall [s]':>9} {'processor [s]':>14}   {'wall, processor against':>24}")
     for name, words in COMMANDS.items():
         taken: dict[Path, list[tuple[float, float]]] = defaultdict(list)
         for _ in range(rounds):
             for tree in trees:
                 taken[tree].append(seconds(tree, [word.format(folder) for word in words]))
         wall, processor = ([median(t[k] for t in taken[tree]) for tree in trees] for k in (0, 1))
-        line = f"{name:24} {wall[0]:9.2f} {processor[0]:14.2f}"
+        line = f"{name:32} {wall[0]:9.2f} {processor[0]:14.2f}"
         if len(trees) > 1:
             line += f"   {wall[0] / wall[1]:.2f} of {wall[1]:.2f} s, "
             line += f"{processor[0] / processor[1]:.2f} of {processor[1]:.2f} s"

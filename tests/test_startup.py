@@ -44,7 +44,12 @@ def run(code: str, *words: str) -> list[str]:
         ["plan", TABLE, "--environment", "none.yaml"],
         ["plan", "{}/lost.xyz"],
         ["plan", "{}/millimetres.xyz", "--camera-pose", "0,0,1,0,1,0,0"],
+        ["plan", TABLE, "--server", "nowhere"],
         ["mesh", TABLE, "--checkpoint", "none"],
+        ["serve", "--port", "70000"],
+        ["serve", "--robot", "none.yaml"],
+        ["robot", "check", "none.yaml"],
+        ["trial", "--robot", "none.yaml"],
     ],
 )
 def test_a_mistake_is_told_before_anything_heavy_loads(words: list[str], tmp_path: Path) -> None:
@@ -52,7 +57,8 @@ def test_a_mistake_is_told_before_anything_heavy_loads(words: list[str], tmp_pat
     for name, factor in (("lost", 1), ("millimetres", 1000)):
         lines = [" ".join(f"{factor * value}" for value in place) for place in places]
         (tmp_path / f"{name}.xyz").write_text("\n".join(lines))
-    out = ["--out", str(tmp_path / ("no.h5" if words[0] == "plan" else "no.ply"))]
+    names = {"plan": "no.h5", "mesh": "no.ply"}
+    out = ["--out", str(tmp_path / names[words[0]])] if words[0] in names else []
     code = RUN.replace("{heavy}", repr(HEAVY))
     told = run(code, *(word.format(tmp_path) for word in words), *out)
     assert told == ["code 2", "loaded"]

@@ -39,8 +39,8 @@ Server = Annotated[
     str | None,
     typer.Option(
         metavar="URL",
-        help="Have it done by `rgrasp serve`, such as http://127.0.0.1:8765; with a token in "
-        "RGRASP_TOKEN where it asks for one.",
+        help="Plan on a running `rgrasp serve`, such as http://127.0.0.1:8765; its token is read "
+        "from RGRASP_TOKEN.",
         show_default=False,
     ),
 ]

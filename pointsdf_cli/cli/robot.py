@@ -33,14 +33,18 @@ def check(
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import atomic_path
-    from pointsdf_cli.robot.check import check_robot
     from pointsdf_cli.robot.description import load_robot
 
     reporter = common.Reporter(quiet, as_json)
     require_apart([picture], [robot])
     common.check_picture(picture, force)
+    common.check_seed(seed)
     described = load_robot(robot)
-    found = check_robot(described, common.check_seed(seed))
+
+    # Seconds of imports: only for a robot that can be read.
+    from pointsdf_cli.robot.check import check_robot
+
+    found = check_robot(described, seed)
     if picture:
         from PIL import Image
 

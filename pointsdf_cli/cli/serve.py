@@ -15,10 +15,7 @@ from pointsdf_cli.cli import common
 def serve(
     host: Annotated[
         str,
-        typer.Option(
-            help="Address to listen on; other addresses than this machine's own need a "
-            "token in RGRASP_TOKEN."
-        ),
+        typer.Option(help="Address to listen at; any but 127.0.0.1 needs a token in RGRASP_TOKEN."),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="0 takes a free one.")] = 8765,
     queue: Annotated[

@@ -98,6 +98,9 @@ def trial(
     for name, value in (("--rehearse", rehearse), ("--record", record), ("--pictures", pictures)):
         if value < 0:
             raise InputError(f"{value}", where=name, allowed="0 or more")
+    from pointsdf_cli.robot.description import load_robot
+
+    load_robot(robot)  # before seconds of imports
     jobs = common.job_count(jobs)
     reporter = common.Reporter(quiet, as_json)
 
@@ -105,7 +108,6 @@ def trial(
     from pointsdf_cli.io.atomic import require_folder, write_text_atomic
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.io.trials import write_trials
-    from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.simulation.executor import ExecutorConfig
     from pointsdf_cli.simulation.world import try_robot
     from pointsdf_cli.trials.planner_variants import VariantOptions, check_variant

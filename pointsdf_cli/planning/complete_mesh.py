@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.models.meshing import ReconstructedMesh, mesh_reconstruction
@@ -19,13 +18,13 @@ from pointsdf_cli.training.precision import autocast_dtype
 
 @dataclass(frozen=True)
 class MeshChoices:
-    """Meshing options of an object.
+    """Meshing options.
 
     Attributes:
         resolution, smooth, exact: As in `mesh_reconstruction`.
         all_parts: Keep small loose parts too.
         precision: "auto", "bfloat16" or "float32".
-        seed: Random seed of the cloud's resampling.
+        seed: Seed of the resampling of the cloud.
     """
 
     resolution: int = 128
@@ -43,17 +42,12 @@ class CompletedMesh:
     Attributes:
         mesh: Camera frame, m.
         reconstruction: Its field.
-        seconds: Duration of the computation.
+        seconds: Duration of the computation [s].
     """
 
     mesh: ReconstructedMesh
     reconstruction: Reconstruction
     seconds: float
-
-    @property
-    def faces(self) -> NDArray[np.int32]:
-        """[F, 3]."""
-        return self.mesh.faces
 
 
 def complete_mesh(

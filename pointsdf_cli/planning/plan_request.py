@@ -26,7 +26,7 @@ Corners = tuple[tuple[float, ...], tuple[float, ...]]
 
 @dataclass(frozen=True)
 class PlanChoices:
-    """The user's options of the search, apart from the robot and the networks.
+    """Options of the search, apart from the robot and the networks.
 
     Attributes:
         method, solver, kind: As in `PlanOptions`.
@@ -79,7 +79,7 @@ class PlanRequest:
         clouds: One a camera, each with its pose.
         names: Names of the clouds, for messages.
         choices: Options of the search.
-        environment: Known obstacles and table.
+        environment: Known table and obstacles.
         start: [J], where the robot is [rad]; its home if None.
         seed: Equal seeds give equal plans.
         segment: "auto", or "none" where the clouds hold the object alone.

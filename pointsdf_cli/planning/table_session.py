@@ -82,7 +82,7 @@ class TableSession:
 def answer_request(
     planner: GraspPlanner, request: PlanRequest, warn: Callable[[str], None] | None = None
 ) -> PlanResult:
-    """Answer of `planner` to a request that passed its own check; see `plan_on_table`."""
+    """Answer of a planner to a checked request; see `plan_on_table`."""
     typed = None if request.start is None else ",".join(repr(float(v)) for v in request.start)
     session = plan_on_table(
         planner,

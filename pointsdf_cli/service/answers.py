@@ -1,4 +1,4 @@
-"""Answer to each request body, as bytes and their type."""
+"""Answers to requests, as bytes and their type."""
 
 from __future__ import annotations
 

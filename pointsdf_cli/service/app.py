@@ -5,11 +5,10 @@ from __future__ import annotations
 import asyncio
 import hmac
 import json
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
-from starlette.types import ASGIApp, Receive, Scope, Send
 
 from pointsdf_cli import __version__
 from pointsdf_cli.errors import InputError, RgraspError
@@ -38,6 +37,10 @@ SLOWEST_BODY = 60.0
 """Seconds in which a body must arrive: it has a place in the queue meanwhile."""
 
 Answer = tuple[bytes, str]
+Scope = Any
+Receive = Callable[[], Awaitable[Any]]
+Send = Callable[[Any], Awaitable[None]]
+ASGIApp = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 
 class TooLargeError(InputError):
@@ -55,9 +58,9 @@ def make_app(
 
     Args:
         resident: Answers.
-        desk: Worker that handles one request after the other.
+        desk: Queue and worker, one request after the other.
         host: The address that is listened at: decides whose pages may ask.
-        token: Token required in `Authorization: Bearer`; None for none.
+        token: Secret that requests must bear in `Authorization: Bearer`; None for none.
         largest: Bytes of a body.
     """
     app = FastAPI(

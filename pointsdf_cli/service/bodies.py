@@ -81,9 +81,11 @@ class CloudBody(_Body):
                     where=self.name,
                     allowed="one for each",
                 )
-        image = None
-        if self.depth is not None and self.K is not None:
-            image = DepthImage(self.depth, self.K)
+        image = (
+            DepthImage(self.depth, self.K)
+            if self.depth is not None and self.K is not None
+            else None
+        )
         if image is not None and self.pixels is not None and len(self.pixels):
             height, width = image.depth.shape
             if (self.pixels < -0.5).any() or (self.pixels >= np.array([width, height])).any():
@@ -134,7 +136,7 @@ class EnvironmentBody(_Body):
 
 
 class Served(_Body):
-    """The client's expectations of the server; omitted ones are not checked."""
+    """Version, robot and weights that the client expects; those left out are not checked."""
 
     version: str | None = None
     robot: str | None = None
@@ -161,7 +163,7 @@ class SceneBody(_Body):
         """Refuse what makes no sense before it waits for its turn.
 
         Raises:
-            InputError: A value is unusable, or contradicts another one.
+            InputError: A view or an option makes no sense.
         """
         for each in self.clouds:
             each.cloud()
@@ -298,7 +300,7 @@ def read_body(kind: type[Body], data: bytes, content_type: str) -> Body:
 
 
 def schema_of(kind: type[_Body]) -> dict[str, Any]:
-    """OpenAPI schema of a body."""
+    """OpenAPI description of a body."""
     binary = {"type": "string", "format": "binary"}
     content = {JSON: {"schema": _schema(kind)}, NPZ: {"schema": binary}}
     return {"requestBody": {"required": True, "content": content}}

@@ -35,10 +35,10 @@ def plan_at(
     Args:
         url: Its address.
         request: Checked.
-        robot, checkpoint, grasp_checkpoint: Expected robot and networks; the bundled ones if None.
+        robot, checkpoint, grasp_checkpoint: Expected of the server; the bundled ones if None.
 
     Raises:
-        InputError: The planner's refusal, or a server with other weights.
+        InputError: The planner refuses the request, or the server has other weights.
         RgraspError: No server answers there, or it is busy or fails.
     """
     own = identity(robot, checkpoint, grasp_checkpoint)
@@ -53,7 +53,7 @@ def ask(url: str, path: str, body: bytes) -> bytes:
     """The answer to one body.
 
     Raises:
-        InputError, NoPlanError, RgraspError: The server's error, with its exit code.
+        RgraspError: The server's error, with its class and exit code.
     """
     token = os.environ.get(TOKEN)
     headers = {"Content-Type": NPZ, "Accept": NPZ}
@@ -121,7 +121,7 @@ def _target(target: Target | None) -> int | list[float] | None:
 
 
 def _error(answer: httpx.Response, url: str) -> RgraspError:
-    """A server's error response as the error raised there."""
+    """Error of the server, with its own class."""
     try:
         told = answer.json()["error"]
         kind = {2: InputError, 3: NoPlanError}.get(told["exit_code"], RgraspError)

@@ -24,7 +24,7 @@ class Job:
     """A place in the queue; what it is for may be said later.
 
     Attributes:
-        future: Result or exception of the work.
+        future: Result or error of the work.
     """
 
     def __init__(self) -> None:
@@ -104,6 +104,7 @@ class Desk:
             elif job in self._ready:
                 self._ready.remove(job)
                 self._jobs.discard(job)
+                job.future.set_exception(CancelledError("cancelled"))
             self._changed.notify_all()
 
     def close(self) -> None:

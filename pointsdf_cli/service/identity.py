@@ -1,5 +1,4 @@
-"""Identity of a planner, on which its answers depend beside the request: version, robot, weights,
-as digests."""
+"""Version, robot and weights of a planner, as digests."""
 
 from __future__ import annotations
 

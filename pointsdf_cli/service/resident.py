@@ -31,8 +31,8 @@ class Resident:
 
     Args:
         robot: Its YAML file; the bundled one if None.
-        checkpoint: Reconstruction network; the bundled one if None.
-        grasp_checkpoint: Success network; the method's bundled one if None.
+        checkpoint: Reconstruction weights; the bundled one if None.
+        grasp_checkpoint: Success weights; the method's bundled one if None.
         device: Device of the networks.
     """
 
@@ -74,7 +74,7 @@ class Resident:
         return answer_request(self.planner(request.choices), request, warn)
 
     def score(self, request: PlanRequest, q: Array) -> Array:
-        """Success probabilities of grasps.
+        """Success probability of grasps.
 
         Args:
             request: The scene, checked.

@@ -25,13 +25,13 @@ class Server:
 
     Args:
         resident: Answers.
-        host, port: Address to listen on; port 0 takes a free one.
+        host, port: Address to listen at; port 0 takes a free one.
         token: As in `make_app`.
         places: Requests that may wait.
         largest: Bytes of a body.
 
     Attributes:
-        port: Port it listens on.
+        port: Port that it listens at.
 
     Raises:
         InputError: It cannot listen there.

@@ -1,0 +1,118 @@
+"""Latency and memory of `rgrasp serve`: plans of a table asked by several clients at once.
+
+python benchmarks/bench_serve.py [--requests 200] [--clients 4] [--threads 1]
+
+Each client asks for its next plan when it has the last; a refusal (429) is waited out and asked
+again. Printed are the median and the 95th percentile of a request from a client's side and of the
+planning alone, how many were lost, and the server's memory after the first and the last plan.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import httpx
+import numpy as np
+
+from pointsdf_cli.assets import asset_path
+from pointsdf_cli.io.clouds import read_cloud
+from pointsdf_cli.io.trees import tree_to_npz
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--requests", type=int, default=200)
+    parser.add_argument("--clients", type=int, default=4)
+    parser.add_argument("--threads", type=int, default=1)
+    options = parser.parse_args()
+    command = [sys.executable, "-m", "pointsdf_cli.cli.main", "serve", "--port", "0", "--json"]
+    command += ["--threads", str(options.threads)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            url = json.loads(process.stdout.readline())["url"]
+            measure(url, process.pid, options.requests, options.clients)
+        finally:
+            process.terminate()
+
+
+def measure(url: str, process: int, requests: int, clients: int) -> None:
+    """Ask and print."""
+    bodies = table_bodies()
+    alone = [asked(url, bodies[0])[1] for _ in range(5)]  # the first loads what is loaded late
+    print(f"one client, warm: planning {np.median(alone[1:]):.2f} s median of 4")
+    before = resident_megabytes(process)
+    left, lock = list(range(requests)), threading.Lock()
+    seconds: list[tuple[float, float]] = []
+    lost: list[str] = []
+
+    def client() -> None:
+        while True:
+            with lock:
+                if not left:
+                    return
+                turn = left.pop()
+            try:
+                answer = asked(url, bodies[turn % len(bodies)])
+            except (httpx.HTTPError, ValueError, KeyError) as error:
+                with lock:
+                    lost.append(repr(error))
+                continue
+            with lock:
+                seconds.append(answer)
+
+    began = time.perf_counter()
+    threads = [threading.Thread(target=client) for _ in range(clients)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    wall = time.perf_counter() - began
+    print(f"{len(seconds)} of {requests} answered, {len(lost)} lost, {wall:.0f} s")
+    for name, column in (("request", 0), ("planning", 1)):
+        p50, p95 = np.percentile([each[column] for each in seconds], [50, 95])
+        print(f"{name:9} p50 {p50:.2f} s  p95 {p95:.2f} s")
+    print(f"memory {before:.0f} MB before, {resident_megabytes(process):.0f} MB after")
+    for error in lost[:5]:
+        print(error)
+
+
+def table_bodies() -> list[bytes]:
+    """Requests for plans of the demo table, each with another seed."""
+    cloud = read_cloud(asset_path("clouds/table.ply"))
+    view = {
+        "points": cloud.points,
+        "frame": cloud.frame,
+        "T_world_camera": cloud.T_world_camera,
+    }
+    return [tree_to_npz({"clouds": [view], "seed": seed}) for seed in range(10)]
+
+
+def asked(url: str, body: bytes) -> tuple[float, float]:
+    """Seconds of a request and of its planning."""
+    began = time.perf_counter()
+    while True:
+        headers = {"Content-Type": "application/x-npz"}
+        answer = httpx.post(url + "/plan", content=body, headers=headers, timeout=600)
+        if answer.status_code != 429:
+            break
+        time.sleep(float(answer.headers["retry-after"]))
+    timings = answer.raise_for_status().json()["timings"]
+    planning = timings["configuration"] + timings["motion"] + timings.get("surface", 0.0)
+    return time.perf_counter() - began, planning
+
+
+def resident_megabytes(process: int) -> float:
+    """Resident memory of a process (Linux)."""
+    lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    return float(next(line for line in lines if line.startswith("VmRSS")).split()[1]) / 1024
+
+
+if __name__ == "__main__":
+    main()
