@@ -67,7 +67,8 @@ def entries(block: str) -> list[Entry]:
         elif line.strip() and found:
             found[-1][1].append(line.strip())
     # A word that was broken at its hyphen is joined again.
-    return [_entry(head, re.sub(r"(\w-) ", r"\1", " ".join(lines))) for head, lines in found]
+    rows = [_entry(head, re.sub(r"(\w-) ", r"\1", " ".join(lines))) for head, lines in found]
+    return [row for row in rows if not row.names.endswith("--help")]
 
 
 def _entry(head: str, text: str) -> Entry:
@@ -109,7 +110,7 @@ def reference() -> str:
     uses = Counter(entry for text in helps.values() for entry in text.entries)
     shared = [entry for entry, count in uses.items() if count >= SHARED_BY]
     page = ["# Commands", "Made by `python pipelines/command_reference.py docs/commands.md`."]
-    page.append("Options that several commands share; each command names those that it takes:")
+    page.append("Every command takes `--help`. Options that several commands share:")
     page.append(_table(shared))
     for command, text in helps.items():
         page.append(f"## {' '.join(('rgrasp', *command))}")
