@@ -15,6 +15,10 @@ from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
+UNLISTED = ("--help", "-completion")
+"""Options of every command line that are left out."""
+UNNAMED = ("-q, --quiet", "--json")
+"""Shared options that nearly every command takes: they are explained, and not named again."""
 SHARED_BY = 3
 """Options with the same words in so many commands are explained once."""
 _HEADING = re.compile(r"^(Arguments|Options|Commands):$", re.MULTILINE)
@@ -68,7 +72,7 @@ def entries(block: str) -> list[Entry]:
             found[-1][1].append(line.strip())
     # A word that was broken at its hyphen is joined again.
     rows = [_entry(head, re.sub(r"(\w-) ", r"\1", " ".join(lines))) for head, lines in found]
-    return [row for row in rows if not row.names.endswith("--help")]
+    return [row for row in rows if not row.names.endswith(UNLISTED)]
 
 
 def _entry(head: str, text: str) -> Entry:
@@ -109,8 +113,11 @@ def reference() -> str:
         queue = [(*command, name) for name in helps[command].subcommands] + queue
     uses = Counter(entry for text in helps.values() for entry in text.entries)
     shared = [entry for entry, count in uses.items() if count >= SHARED_BY]
+    named = [entry for entry in shared if entry.names not in UNNAMED]
     page = ["# Commands", "Made by `python pipelines/command_reference.py docs/commands.md`."]
-    page.append("Every command takes `--help`. Options that several commands share:")
+    page.append(
+        "Every command takes `--help`, most `--quiet` and `--json`. Options that several share:"
+    )
     page.append(_table(shared))
     for command, text in helps.items():
         page.append(f"## {' '.join(('rgrasp', *command))}")
@@ -119,7 +126,7 @@ def reference() -> str:
             page.append("```text\n" + "\n".join(text.examples) + "\n```")
         if own := [entry for entry in text.entries if entry not in shared]:
             page.append(_table(own))
-        if also := [f"`{e.names.split(', ')[-1]}`" for e in text.entries if e in shared]:
+        if also := [f"`{e.names.split(', ')[-1]}`" for e in text.entries if e in named]:
             page.append(f"Shared: {' '.join(also)}")
     return "\n\n".join(part for part in page if part) + "\n"
 
