@@ -116,7 +116,7 @@ def reference() -> str:
     named = [entry for entry in shared if entry.names not in UNNAMED]
     page = ["# Commands", "Made by `python pipelines/command_reference.py docs/commands.md`."]
     page.append(
-        "Every command takes `--help`, most `--quiet` and `--json`. Options that several share:"
+        "Every command takes `--help`, most `--quiet` and `--json`. Shared options:"
     )
     page.append(_table(shared))
     for command, text in helps.items():
