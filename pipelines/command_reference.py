@@ -115,9 +115,7 @@ def reference() -> str:
     shared = [entry for entry, count in uses.items() if count >= SHARED_BY]
     named = [entry for entry in shared if entry.names not in UNNAMED]
     page = ["# Commands", "Made by `python pipelines/command_reference.py docs/commands.md`."]
-    page.append(
-        "Every command takes `--help`, most `--quiet` and `--json`. Shared options:"
-    )
+    page.append("Every command takes `--help`, most `--quiet` and `--json`. Shared options:")
     page.append(_table(shared))
     for command, text in helps.items():
         page.append(f"## {' '.join(('rgrasp', *command))}")
