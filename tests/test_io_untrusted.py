@@ -46,7 +46,7 @@ def test_the_undamaged_files_are_read(tmp_path: Path) -> None:
 
 
 def test_damaged_files_are_read_or_refused() -> None:
-    # A slice of `python -m tests.fuzz`; docs/robustness.md has the run over 20 000 files.
+    # A slice of `python -m tests.fuzz`; docs/scaling.md has the run over 20 000 files.
     outcome = fuzz(first=1_000_000, count=300, seed=1)
     assert outcome.failures == []
     assert outcome.refused + outcome.read == 300

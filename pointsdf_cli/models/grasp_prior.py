@@ -16,7 +16,7 @@ The density is exact: with respect to dt / ℓ³ · dR · d(preshape / width), d
 rotations. (A shift by b and a turn by R have unit Jacobian; the rotation's chart has the one in
 `rotations.py`.) With these units a preshape that is as good as any other counts for nothing,
 whatever the hand. Offsets are lengths, not shares of the object's size: it is the hand that sets
-them, and held-out grasps are likelier so (docs/grasp-success.md).
+them, and held-out grasps are likelier so (docs/notebook.md).
 """
 
 from __future__ import annotations

@@ -19,15 +19,15 @@ from pointsdf_cli.models.reconstruction import Reconstruction
 
 SMOOTHING = 25
 """Chosen on held-out training objects: it raises normal consistency by 0.07 and moves the other
-two metrics of Table I by less than their noise, for the better (docs/results.md)."""
+two metrics of Table I by less than their noise, for the better (docs/notebook.md)."""
 
 ASKED = 128
 """Cells along the box of the finest grid on which a network is asked; finer ones are interpolated.
-Asked on 512³ it takes five times as long and scores no better (docs/results.md)."""
+Asked on 512³ it takes five times as long and scores no better (docs/notebook.md)."""
 SMOOTH = 0.8
 """Cells of 64³ are halved by interpolation where the field bends by less than so many of their
 sides: none of 17 test views lost more than 0.0005 of IoU by it, with two thirds of the queries
-(docs/results.md)."""
+(docs/notebook.md)."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def mesh_reconstruction(
     Without smoothing the vertices are pulled to zero by a Newton step, unless values beyond 128³
     are interpolated. With it they are not: a network's field has small jumps, where a vertex at
     zero lies on the ripple, and one that is interpolated between its neighbours lies between
-    ripples (docs/reconstruction.md, "Measured").
+    ripples (docs/notebook.md, "Smoothing").
 
     Args:
         reconstruction: Reconstruction of one cloud.
@@ -86,7 +86,7 @@ def mesh_reconstruction(
         half_width=model.box,
         asked=ASKED if interpolated else MAX_RESOLUTION,
         # An SDF's own slope; what a network's steeper places hide by it is a thousandth of the
-        # crossed cells (docs/results.md).
+        # crossed cells (docs/notebook.md).
         rules=replace(rules, slope=1.0, smooth=SMOOTH) if interpolated else rules,
         newton=smoothing == 0,
         smallest_part=smallest_part,

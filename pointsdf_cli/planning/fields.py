@@ -42,7 +42,7 @@ class MeanField:
 
     The mean of distances of slope 1 has a slope of at most 1. What one view guesses wrongly behind
     the object, others saw; their mean is better than any one of them, and than one reconstruction
-    of the joined clouds, whose points no single camera could have seen (docs/planning.md).
+    of the joined clouds, whose points no single camera could have seen (docs/notebook.md).
     """
 
     def __init__(self, fields: Sequence[Field]) -> None:

@@ -4,7 +4,7 @@ A network reads 1000 of the points that were seen. Where something unseen may be
 another thousand make another guess. A solver that looks for a place for a hand finds the places
 where one guess is wrong; it has not seen the others, so they are independent witnesses. (Of 142
 grasps of trials four other draws contradict 3 of the 6 with which the hand touched the object too
-early, and none of the 136 others: docs/trials.md, "Other draws".)
+early, and none of the 136 others: docs/notebook.md, "Other draws".)
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ PATCH = 16
 
 SPACING = 0.006
 """Spacing of the samples [m]. Between samples a finger can be nearer to an object than any of them:
-in executed plans by up to 3.3 mm at 1 cm, 1.7 mm at 6 mm (docs/trials.md)."""
+in executed plans by up to 3.3 mm at 1 cm, 1.7 mm at 6 mm (docs/notebook.md)."""
 
 
 @dataclass(frozen=True)

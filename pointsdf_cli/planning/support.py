@@ -4,7 +4,7 @@ What rests on the table stands: its centre of mass is above the feet that it sta
 reconstruction that could not stand lacks a part of them, and the part is below it, where the camera
 could not look: the wheels of an aeroplane seen from above. So that is where the hand had better not
 reach. (Of 156 reconstructions in trials 8 could not stand, and 3 of the 6 early contacts were with
-these: docs/trials.md, "What it stands on".)
+these: docs/notebook.md, "What it stands on".)
 """
 
 from __future__ import annotations

@@ -218,7 +218,7 @@ def as_yaml(data: dict[str, Any]) -> str:
 
     return f"""\
 # A first guess by `rgrasp robot init`. Units: m, rad, rad/s (sliding joints: m/s).
-# Look at it with `rgrasp robot check`; what each key means: docs/robot.md.
+# Look at it with `rgrasp robot check`; what each key means: docs/your-robot.md.
 name: {flow(data["name"])}
 urdf: {flow(data["urdf"])}
 

@@ -46,7 +46,7 @@ class AttemptConfig:
         inverse: Inverse kinematics, in half as many steps as a plan allows: what is reached at
             all mostly has been by then.
         physics: With twice the step of a trial, which changes a little more labels than luck does,
-            and fewer iterations, which lose 0.8% of all grasps (docs/grasps.md); for the whole arm
+            and fewer iterations, which lose 0.8% of grasps (docs/notebook.md); for the whole arm
             see `with_the_whole_arm`.
     """
 

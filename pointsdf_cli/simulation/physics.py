@@ -16,7 +16,7 @@ half the step would be another, stiffer model, and a study of the step would com
 
 @dataclass(frozen=True)
 class PhysicsConfig:
-    """Numbers of the contact simulation, chosen by the convergence study in docs/grasps.md.
+    """Numbers of the contact simulation, chosen by the convergence study in docs/notebook.md.
 
     Attributes:
         step: Time step [s].

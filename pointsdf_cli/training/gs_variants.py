@@ -229,7 +229,7 @@ def prior_of(data: GraspData, robot: RobotDescription) -> GraspPrior:
     held, which stays as rare a kind as it holds.
 
     Fitted to successes it is likelier on held-out successes than fitted to all attempts
-    (docs/grasp-success.md), and its samples hold more often.
+    (docs/notebook.md), and its samples hold more often.
 
     Raises:
         InputError: Too few grasps.

@@ -40,7 +40,7 @@ TRUE_CUT = QuickCutConfig(
 )
 """Decomposition of the true object for contacts: nine tenths of the hulls' surface are less than 2
 mm outside of the mesh. With the sixteen pieces of the collection a biplane's wings are one block
-(docs/trials.md). What is convex but for a scanner's noise stays one piece: cut in twenty, a can
+(docs/notebook.md). What is convex but for a scanner's noise stays one piece: cut in twenty, a can
 slid out of every grasp, since each seam is two more contacts for a solver of few iterations."""
 
 

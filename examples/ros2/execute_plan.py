@@ -1,0 +1,162 @@
+"""Execute a plan with ROS 2: motion, closing until the fingers stall, grip, lift.
+
+    rgrasp plan depth.png --intrinsics K.json --camera-pose T_world_camera.json \\
+        --start "$START" --speed 0.1 --trajectory motion.json
+    python examples/ros2/execute_plan.py motion.json plan.h5 robot.yaml \\
+        --arm-controller /arm_controller --hand-controller /hand_controller
+
+Both controllers are joint_trajectory_controllers (ros2_control); positions are read from
+/joint_states. Ctrl-C cancels what is running, and the controllers stop. See docs/robot.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import rclpy
+from builtin_interfaces.msg import Duration, Time
+from control_msgs.action import FollowJointTrajectory
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from trajectories import (
+    Hand,
+    MessageTypes,
+    Trajectory,
+    closing,
+    farthest_from_start,
+    grip,
+    message,
+    read_hand,
+    read_lift,
+    read_motion,
+    stalled,
+)
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+TYPES = MessageTypes(JointTrajectory, JointTrajectoryPoint, Header, Time, Duration, list)
+STALLED_FOR = 0.2  # s
+GRIP_TIME = 0.5  # s
+
+
+class Executor(Node):
+    """Sends trajectories to two controllers and follows /joint_states."""
+
+    def __init__(self, arm: str, hand: str) -> None:
+        super().__init__("rgrasp_execute_plan")
+        self.positions: dict[str, float] = {}
+        self.velocities: dict[str, float] = {}
+        self.running: list = []
+        self.controllers = {
+            name: ActionClient(self, FollowJointTrajectory, f"{name}/follow_joint_trajectory")
+            for name in (arm, hand)
+        }
+        self.arm, self.hand = arm, hand
+        self.create_subscription(JointState, "/joint_states", self._joint_states, 10)
+
+    def _joint_states(self, state: JointState) -> None:
+        self.positions.update(zip(state.name, state.position, strict=False))
+        self.velocities.update(zip(state.name, state.velocity, strict=False))
+
+    def wait_for(self, names: tuple[str, ...], seconds: float = 5.0) -> None:
+        """Wait until the position and velocity of every joint is known."""
+        end = time.monotonic() + seconds
+        while not set(names) <= self.positions.keys() & self.velocities.keys():
+            rclpy.spin_once(self, timeout_sec=0.1)
+            if time.monotonic() > end:
+                missing = sorted(set(names) - (self.positions.keys() & self.velocities.keys()))
+                sys.exit(f"/joint_states has no position and velocity of {', '.join(missing)}")
+
+    def send(self, controller: str, trajectory: Trajectory) -> None:
+        """Start a trajectory on a controller."""
+        client = self.controllers[controller]
+        if not client.wait_for_server(timeout_sec=5.0):
+            sys.exit(f"no action server {controller}/follow_joint_trajectory")
+        goal = FollowJointTrajectory.Goal(trajectory=message(trajectory, TYPES))
+        future = client.send_goal_async(goal)
+        rclpy.spin_until_future_complete(self, future)
+        if not future.result().accepted:
+            sys.exit(f"{controller} refused the trajectory")
+        self.running.append(future.result())
+
+    def finish(self) -> None:
+        """Wait for what runs, and stop if a controller fails."""
+        for handle in self.running:
+            future = handle.get_result_async()
+            rclpy.spin_until_future_complete(self, future)
+            result = future.result().result
+            if result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
+                self.cancel()
+                sys.exit(f"a controller failed: {result.error_string} ({result.error_code})")
+        self.running = []
+
+    def cancel(self) -> None:
+        """Stop what runs; the controllers hold where they are."""
+        for handle in self.running:
+            rclpy.spin_until_future_complete(self, handle.cancel_goal_async(), timeout_sec=1.0)
+        self.running = []
+
+    def close(self, hand: Hand, joints: tuple[str, ...], squeeze: float) -> None:
+        """Close the hand until its fingers stall, then press."""
+        way = closing(hand, joints, [self.positions[name] for name in joints])
+        self.send(self.hand, way)
+        began = still_since = time.monotonic()
+        while time.monotonic() - began < way.times[-1]:
+            rclpy.spin_once(self, timeout_sec=0.05)
+            now = time.monotonic()
+            # Fingers need a moment to begin to move.
+            if now - began < STALLED_FOR or not stalled(hand, self.velocities):
+                still_since = now
+            elif now - still_since > STALLED_FOR:
+                break
+        self.cancel()
+        q = [self.positions[name] for name in joints]
+        self.send(self.hand, grip(hand, joints, q, squeeze, GRIP_TIME))
+        time.sleep(GRIP_TIME)  # its goal is never reached: the object is in the way
+        self.running = []
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("motion", type=Path, help="of rgrasp plan --trajectory")
+    parser.add_argument("plan", type=Path, help="plan.h5 of the same run")
+    parser.add_argument("robot", type=Path, help="the robot's YAML")
+    parser.add_argument("--arm-controller", default="/arm_controller")
+    parser.add_argument("--hand-controller", default="/hand_controller")
+    parser.add_argument("--lift-speed", type=float, default=0.1, help="fastest joint [rad/s]")
+    parser.add_argument("--squeeze", type=float, default=0.1, help="beyond the contact [rad or m]")
+    parser.add_argument("--tolerance", type=float, default=0.02, help="at the start [rad or m]")
+    options = parser.parse_args()
+
+    motion, lift = read_motion(options.motion), read_lift(options.plan, options.lift_speed)
+    arm, hand = read_hand(options.robot)
+    fingers = tuple(name for name in motion.names if name not in arm)
+    rclpy.init()
+    node = Executor(options.arm_controller, options.hand_controller)
+    try:
+        node.wait_for(motion.names)
+        joint, off = farthest_from_start(motion, node.positions)
+        if off > options.tolerance:
+            sys.exit(f"{joint} is {off:.3f} from the start of the motion: plan again with --start")
+        node.send(node.arm, motion.of(arm))
+        node.send(node.hand, motion.of(fingers))
+        node.finish()
+        node.close(hand, fingers, options.squeeze)
+        if lift is None:
+            print("The plan has no lift: lift by hand, or plan again.")
+        else:
+            node.send(node.arm, lift.of(arm))
+            node.finish()
+    except KeyboardInterrupt:
+        node.cancel()
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""What a robot does with a plan, as trajectory_msgs/JointTrajectory: motion, closing, grip, lift.
+
+Nothing here imports ROS or rgrasp. The message classes are passed in, so that the same code builds
+messages for rclpy and, in the tests, for the message definitions of the rosbags package.
+"""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Trajectory(NamedTuple):
+    """Joint positions over time.
+
+    names: the J joints; times: [T], s from the start; positions: [T, J], rad or m.
+    """
+
+    names: tuple[str, ...]
+    times: Array
+    positions: Array
+
+    def of(self, names: Sequence[str]) -> Trajectory:
+        """The columns of some joints, in their order: those that one controller moves."""
+        return self._replace(
+            names=tuple(names), positions=self.positions[:, [self.names.index(n) for n in names]]
+        )
+
+
+class Hand(NamedTuple):
+    """How the hand closes.
+
+    speeds: of each closing joint [rad/s or m/s], negative towards the lower limit; limits: where
+    each of them ends.
+    """
+
+    speeds: dict[str, float]
+    limits: dict[str, float]
+
+
+class MessageTypes(NamedTuple):
+    """Message classes, and what makes a float64[] of a list (rclpy: list, rosbags: np.array)."""
+
+    trajectory: Callable[..., Any]
+    point: Callable[..., Any]
+    header: Callable[..., Any]
+    time: Callable[..., Any]
+    duration: Callable[..., Any]
+    floats: Callable[[list[float]], Any]
+
+
+def read_motion(path: Path | str) -> Trajectory:
+    """Read the motion that `rgrasp plan --trajectory` wrote."""
+    motion = json.loads(Path(path).read_text(encoding="utf-8"))
+    times = [p["time_from_start"] for p in motion["points"]]
+    return Trajectory(
+        tuple(motion["joint_names"]),
+        np.array([t["sec"] + 1e-9 * t["nanosec"] for t in times]),
+        np.array([p["positions"] for p in motion["points"]], dtype=np.float64),
+    )
+
+
+def read_lift(path: Path | str, speed: float) -> Trajectory | None:
+    """Read a plan's lift, no joint faster than `speed` [rad/s]; None if it has none."""
+    with h5py.File(path) as file:
+        names = tuple(name.decode() for name in file["joint_names"][()])
+        lift = np.asarray(file["lift"][()], dtype=np.float64)
+    if not len(lift):
+        return None
+    steps = np.abs(np.diff(lift, axis=0)).max(axis=1) / speed
+    return Trajectory(names, np.concatenate([[0.0], np.cumsum(steps)]), lift)
+
+
+def read_hand(path: Path | str) -> tuple[tuple[str, ...], Hand]:
+    """Read the arm's joints, and how the hand closes, from a robot's YAML and its URDF."""
+    robot = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    urdf = ET.parse(Path(path).parent / robot["urdf"])
+    ends = {joint.get("name"): joint.find("limit") for joint in urdf.iter("joint")}
+    speeds = {name: float(speed) for name, speed in robot["closing_joints"].items()}
+    side = {name: "upper" if speed > 0 else "lower" for name, speed in speeds.items()}
+    limits = {name: float(ends[name].get(side[name], 0.0)) for name in speeds}  # type: ignore[union-attr]
+    return tuple(robot["arm_joints"]), Hand(speeds, limits)
+
+
+def farthest_from_start(motion: Trajectory, measured: Mapping[str, float]) -> tuple[str, float]:
+    """The joint that is farthest from where the motion begins, and by how much [rad or m]."""
+    off = {n: abs(measured[n] - q) for n, q in zip(motion.names, motion.positions[0], strict=True)}
+    return max(off.items(), key=lambda item: item[1])
+
+
+def closing(hand: Hand, names: Sequence[str], q: Sequence[float]) -> Trajectory:
+    """Every closing joint from q [J] to its end at its own speed; the other joints stay."""
+    start = np.asarray(q, dtype=np.float64)
+    end, speed = start.copy(), np.zeros(len(start))
+    for k, name in enumerate(names):
+        if name in hand.speeds:
+            end[k], speed[k] = hand.limits[name], abs(hand.speeds[name])
+    span = np.where(speed > 0, np.abs(end - start), 0.0)
+    needed = np.divide(span, speed, out=np.zeros_like(span), where=speed > 0)
+    times = np.unique(np.concatenate([[0.0], needed]))
+    travelled = np.minimum(times[:, None] * speed, span)
+    return Trajectory(tuple(names), times, start + np.sign(end - start) * travelled)
+
+
+def stalled(hand: Hand, velocities: Mapping[str, float], share: float = 0.1) -> bool:
+    """Whether every closing joint is slower than this share of its closing speed."""
+    return all(abs(velocities[name]) < share * abs(s) for name, s in hand.speeds.items())
+
+
+def grip(
+    hand: Hand, names: Sequence[str], q: Sequence[float], squeeze: float, time: float
+) -> Trajectory:
+    """Targets `squeeze` [rad or m] beyond q in the closing direction, so that the fingers press."""
+    target = np.asarray(q, dtype=np.float64).copy()
+    for k, name in enumerate(names):
+        if name in hand.speeds:
+            way = hand.limits[name] - target[k]
+            target[k] += np.sign(way) * min(abs(way), squeeze)
+    return Trajectory(tuple(names), np.array([time]), target[None])
+
+
+def message(trajectory: Trajectory, types: MessageTypes) -> Any:
+    """A JointTrajectory. A point at time 0 is left out: the robot is there already."""
+    points = []
+    for time, positions in zip(trajectory.times, trajectory.positions, strict=True):
+        if time <= 0:
+            continue
+        sec, nanosec = divmod(round(float(time) * 1e9), 10**9)
+        points.append(
+            types.point(
+                positions=types.floats([float(p) for p in positions]),
+                velocities=types.floats([]),
+                accelerations=types.floats([]),
+                effort=types.floats([]),
+                time_from_start=types.duration(sec=sec, nanosec=nanosec),
+            )
+        )
+    header = types.header(stamp=types.time(sec=0, nanosec=0), frame_id="")
+    return types.trajectory(header=header, joint_names=list(trajectory.names), points=points)

@@ -1,0 +1,137 @@
+"""The ROS 2 example: its messages by the definitions of rosbags, its timing by hand.
+
+ROS itself is not a dependency, so the node that sends the messages is only compiled here.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import py_compile
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import STORE, TYPES
+from plan_files import turning_plan
+
+from pointsdf_cli.assets import asset_path
+from pointsdf_cli.io.plans import Plan, write_plan, write_trajectory
+from pointsdf_cli.robot.description import BUNDLED, RobotDescription, load_robot
+
+FOLDER = Path(__file__).resolve().parents[1] / "examples" / "ros2"
+NAME = "trajectory_msgs/msg/JointTrajectory"
+
+
+@pytest.fixture(scope="module")
+def example() -> Iterator[Any]:
+    spec = importlib.util.spec_from_file_location("trajectories", FOLDER / "trajectories.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["trajectories"] = module  # NamedTuple looks its annotations up there
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["trajectories"]
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotDescription:
+    return load_robot()
+
+
+@pytest.fixture(scope="module")
+def plan(robot: RobotDescription) -> Plan:
+    plan = turning_plan(robot)
+    lift = np.repeat(plan.q[None], 4, axis=0)
+    lift[:, 1] += [0.0, 0.1, 0.3, 0.4]  # steps of 0.1, 0.2 and 0.1 rad
+    return replace(plan, lift=lift)
+
+
+def types(example: Any) -> Any:
+    prefix = "trajectory_msgs/msg/JointTrajectory"
+    return example.MessageTypes(
+        TYPES[prefix], TYPES[f"{prefix}Point"], TYPES["std_msgs/msg/Header"],
+        TYPES["builtin_interfaces/msg/Time"], TYPES["builtin_interfaces/msg/Duration"],
+        lambda values: np.array(values, dtype=np.float64),
+    )  # fmt: skip
+
+
+def sent(example: Any, trajectory: Any) -> Any:
+    """The message as a subscriber gets it: through ROS's own wire format."""
+    raw = STORE.serialize_cdr(example.message(trajectory, types(example)), NAME)
+    return STORE.deserialize_cdr(raw, NAME)
+
+
+def test_the_motion_arrives_as_it_was_planned(example: Any, plan: Plan, tmp_path: Path) -> None:
+    write_trajectory(tmp_path / "motion.json", plan)
+    motion = example.read_motion(tmp_path / "motion.json")
+    got = sent(example, motion)
+    assert tuple(got.joint_names) == plan.joint_names
+    # The first point is where the robot stands.
+    np.testing.assert_allclose([p.positions for p in got.points], plan.trajectory[1:])
+    seconds = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in got.points]
+    np.testing.assert_allclose(seconds, plan.times[1:], atol=1e-9)
+    assert all(len(p.velocities) == len(p.effort) == 0 for p in got.points)
+
+
+def test_a_controller_gets_its_own_joints(
+    example: Any, plan: Plan, robot: RobotDescription, tmp_path: Path
+) -> None:
+    write_trajectory(tmp_path / "motion.json", plan)
+    arm, hand = example.read_hand(asset_path(BUNDLED))
+    assert arm == robot.joint_names[:7]
+    assert tuple(hand.speeds) == robot.closing_joints
+    ends = [robot.hard_upper[robot.joint_names.index(name)] for name in hand.limits]
+    np.testing.assert_allclose(list(hand.limits.values()), ends)  # all close upwards
+    part = example.read_motion(tmp_path / "motion.json").of(arm[::-1])
+    np.testing.assert_allclose(part.positions, plan.trajectory[:, :7][:, ::-1])
+
+
+def test_no_joint_is_faster_than_the_lift_may_be(example: Any, plan: Plan, tmp_path: Path) -> None:
+    write_plan(tmp_path / "plan.h5", plan, seed=0)
+    lift = example.read_lift(tmp_path / "plan.h5", speed=0.2)
+    np.testing.assert_allclose(lift.times, [0, 0.5, 1.5, 2.0])
+    np.testing.assert_allclose(lift.positions, plan.lift)
+    write_plan(tmp_path / "none.h5", replace(plan, lift=plan.lift[:0]), seed=0)
+    assert example.read_lift(tmp_path / "none.h5", speed=0.2) is None
+
+
+def test_fingers_close_at_their_own_speeds_and_stop_at_their_ends(example: Any) -> None:
+    # a: 1 rad at 0.5 rad/s, 2 s; b: from 0.04 to 0 m at 0.01 m/s, 4 s; c does not close.
+    hand = example.Hand({"a": 0.5, "b": -0.01}, {"a": 1.0, "b": 0.0})
+    way = example.closing(hand, ["a", "b", "c"], [0.0, 0.04, 0.3])
+    np.testing.assert_allclose(way.times, [0, 2, 4])
+    np.testing.assert_allclose(way.positions, [[0, 0.04, 0.3], [1, 0.02, 0.3], [1, 0, 0.3]])
+    assert [p.time_from_start.sec for p in sent(example, way).points] == [2, 4]
+
+
+def test_a_grip_presses_and_stays_within_the_limits(example: Any) -> None:
+    hand = example.Hand({"a": 0.5, "b": -0.01}, {"a": 1.0, "b": 0.0})
+    target = example.grip(hand, ["a", "b", "c"], [0.5, 0.03, 0.3], squeeze=0.1, time=0.5)
+    np.testing.assert_allclose(target.positions, [[0.6, 0.0, 0.3]])
+    assert sent(example, target).points[0].time_from_start.nanosec == 500_000_000
+
+
+def test_a_hand_has_stalled_when_all_fingers_have(example: Any) -> None:
+    hand = example.Hand({"a": 0.5, "b": -0.01}, {"a": 1.0, "b": 0.0})
+    assert example.stalled(hand, {"a": 0.01, "b": -0.0005, "arm": 1.0})
+    assert not example.stalled(hand, {"a": 0.01, "b": -0.005})
+
+
+def test_another_start_is_noticed(example: Any, plan: Plan, tmp_path: Path) -> None:
+    write_trajectory(tmp_path / "motion.json", plan)
+    motion = example.read_motion(tmp_path / "motion.json")
+    measured = dict(zip(plan.joint_names, plan.trajectory[0], strict=True))
+    assert example.farthest_from_start(motion, measured)[1] == 0
+    measured[plan.joint_names[2]] += 0.25
+    joint, off = example.farthest_from_start(motion, measured)
+    assert joint == plan.joint_names[2]
+    assert off == pytest.approx(0.25)
+
+
+def test_the_node_compiles(tmp_path: Path) -> None:
+    py_compile.compile(str(FOLDER / "execute_plan.py"), str(tmp_path / "node.pyc"), doraise=True)
