@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
 
 SCHEMA, VERSION = "labels", 1
@@ -55,9 +56,11 @@ def read_labels(path: Path | str) -> Labels:
     """Read a labels file.
 
     Raises:
-        InputError: Not a labels file of this version.
+        InputError: Not a labels file of this version, or one without a label.
     """
     artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT)
+    if not len(artifact.datasets["sdf"]):
+        raise InputError("holds no labels", where=path, hint="make it again: rgrasp label-sdf")
     with sense_of(path):
         return Labels(
             points=artifact.datasets["points"],
