@@ -8,8 +8,9 @@ import pytest
 import trimesh
 
 from pointsdf_cli.geometry.cubic_cells import STENCIL, bends, cubic_cells
+from pointsdf_cli.geometry.field import FieldFunction
 from pointsdf_cli.geometry.isosurface import IsosurfaceConfig, extract_isosurface
-from pointsdf_cli.geometry.mise import Field, SearchRules
+from pointsdf_cli.geometry.mise import SearchRules
 
 RNG = np.random.default_rng(0)
 TILT = np.linalg.qr(RNG.normal(size=(3, 3)))[0].astype(np.float32)
@@ -49,7 +50,7 @@ def noisy(x: np.ndarray) -> np.ndarray:
     return ball(x) + 0.004 * ((steps % 101) / 50 - 1)
 
 
-def spiky(seed: int) -> Field:
+def spiky(seed: int) -> FieldFunction:
     """A ball with spikes at corners of 64³, where no bound is true."""
     drawn = np.random.default_rng(seed).uniform(-1, 1, 4099)
 
@@ -67,7 +68,7 @@ FIELDS = {"ball": ball, "ring": ring, "block": block, "plate": plate, "cut": cut
 FIELDS |= {"diamond": diamond, "noisy": noisy}
 
 
-def surface(field: Field, resolution: int, asked: int = 512, smooth: float = 0.0):
+def surface(field: FieldFunction, resolution: int, asked: int = 512, smooth: float = 0.0):
     rules = SearchRules(smooth=smooth)
     made = extract_isosurface(
         field, IsosurfaceConfig(resolution, asked=asked, rules=rules, newton=False)
@@ -96,7 +97,7 @@ def test_bounds_that_are_refuted_while_looking_for_smooth_cells_leave_no_hole(se
 
 
 @pytest.mark.parametrize("field", [ball, ring])
-def test_where_the_field_is_smooth_interpolation_finds_its_zero(field: Field) -> None:
+def test_where_the_field_is_smooth_interpolation_finds_its_zero(field: FieldFunction) -> None:
     """Radii of curvature of 0.12 and more on cells of 0.0125."""
     made, mesh = surface(field, 256, asked=128)
     exact, _ = surface(field, 256)

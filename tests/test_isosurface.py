@@ -10,6 +10,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.geometry.field import FieldFunction
 from pointsdf_cli.geometry.frames import random_rotation
 from pointsdf_cli.geometry.isosurface import (
     EmptySurfaceError,
@@ -18,16 +19,16 @@ from pointsdf_cli.geometry.isosurface import (
     extract_isosurface,
 )
 from pointsdf_cli.geometry.marching_cubes import CORNERS, cross_cells
-from pointsdf_cli.geometry.mise import Field, SearchRules
+from pointsdf_cli.geometry.mise import SearchRules
 
 ROTATION = random_rotation(np.random.default_rng(1)).astype("f4")
 
 
-def ball(radius: float, centre: tuple[float, float, float] = (0, 0, 0)) -> Field:
+def ball(radius: float, centre: tuple[float, float, float] = (0, 0, 0)) -> FieldFunction:
     return lambda x: np.linalg.norm(x - np.float32(centre), axis=1) - radius
 
 
-def block(half: tuple[float, float, float]) -> Field:
+def block(half: tuple[float, float, float]) -> FieldFunction:
     def distance(x: np.ndarray) -> np.ndarray:
         q = np.abs(x @ ROTATION) - np.float32(half)
         return np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
