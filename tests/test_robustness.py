@@ -56,7 +56,7 @@ SLOW = {
     # but seconds of simulation or training away; see also the tests of each.
     "train-gs", "eval-gs", "plan", "trial",
 }  # fmt: skip
-WRITES_NOTHING = {"info", "doctor"}
+WRITES_NOTHING = {"info", "doctor", "serve"}
 OTHERS = {"objects fetch", "view", "cloud", "segment", "calibrate", "robot check", "robot init"}
 """Tested beside what they do: tests/test_objects_fetch.py, tests/test_cli_*.py."""
 

@@ -131,7 +131,8 @@ def test_stored_grasps_replay_with_the_same_label(
 ) -> None:
     attempts = [attempter.attempt(can, i) for i in range(8)]
     grasps = as_grasps(attempts, 4)
-    meta = GraspsMeta("can.ply", "hash", "train", "robot", ("a",), ("b",))
+    joints = tuple(f"joint_{k}" for k in range(grasps.q.shape[1]))
+    meta = GraspsMeta("can.ply", "hash", "train", "robot", joints, joints[:8])
     write_grasps(tmp_path / "can.h5", grasps, meta, seed=1)
     stored, kept = read_grasps(tmp_path / "can.h5")
     assert kept == meta

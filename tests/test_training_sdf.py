@@ -510,7 +510,7 @@ def test_the_command_trains_stops_and_resumes(cli, artifacts: Path, tmp_path: Pa
     assert '"steps": 3' in carried_on.out
     sharper = cli(
         *arguments[:5], "--out", tmp_path / "sharper", *arguments[7:], "--steps", 2,
-        "--start-from", tmp_path / "ckpt", "--near", 0.02, "--sign-scale", 0.01,
+        "--start-from", tmp_path / "ckpt", "--near", 0.02, "--temperature", 0.01,
     )  # fmt: skip
     assert sharper.code == 0, sharper.err
     config = read_checkpoint(tmp_path / "sharper").config
