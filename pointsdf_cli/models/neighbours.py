@@ -57,8 +57,8 @@ def nearest_neighbours(queries: Tensor, points: Tensor, count: int) -> Tensor:
     Returns:
         int64 indices [B, Q, count] into the points.
     """
-    if len(points) == 1 and queries.shape[1] >= TREE_FROM and points.device.type == "cpu":
-        return nearest_by_tree(queries[0], points, count).unsqueeze(0)
+    if queries.shape[1] >= TREE_FROM and points.device.type == "cpu":
+        return nearest_by_tree(queries, points, count)
     distances = squared_distances(queries, points)
     return distances.topk(count, dim=-1, largest=False, sorted=True).indices
 

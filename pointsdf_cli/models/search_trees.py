@@ -24,12 +24,12 @@ def nearest_by_tree(queries: Tensor, points: Tensor, count: int) -> Tensor:
     """The points nearest to each query, nearest first; a tree asks few points, not all.
 
     Args:
-        queries: [Q, D], on the CPU.
-        points: [1, N, D] with N ≥ count.
+        queries: [B, Q, D], on the CPU.
+        points: [B, N, D] with N ≥ count.
         count: Neighbours wanted.
 
     Returns:
-        int64 indices [Q, count].
+        int64 indices [B, Q, count].
 
     Raises:
         ValueError: A query or a point is not finite, or there are fewer points than are wanted.
@@ -37,8 +37,11 @@ def nearest_by_tree(queries: Tensor, points: Tensor, count: int) -> Tensor:
     if points.shape[1] < count:
         raise ValueError(f"{count} neighbours of {points.shape[1]} points")
     places = _finite(queries)
-    _, index = _tree_of(points).query(places, k=count, sqr_dists=True)
-    return torch.from_numpy(index.reshape(len(places), count).astype(np.int64))
+    found = np.empty((*places.shape[:2], count), dtype=np.int64)
+    for cloud, tree in enumerate(_trees_of(points)):
+        _, index = tree.query(places[cloud], k=count, sqr_dists=True)
+        found[cloud] = index.reshape(-1, count)
+    return torch.from_numpy(found)
 
 
 def _finite(places: Tensor) -> NDArray[np.float32]:
@@ -49,14 +52,14 @@ def _finite(places: Tensor) -> NDArray[np.float32]:
     return found
 
 
-def _tree_of(points: Tensor) -> KDTree:
-    """The tree of a cloud [1, N, D], kept for as long as this tensor lives and PyTorch counts no
+def _trees_of(points: Tensor) -> list[KDTree]:
+    """The trees of clouds [B, N, D], kept for as long as this tensor lives and PyTorch counts no
     change of it. (It counts none of tensors made in inference mode: theirs are not kept.)"""
     version = None if points.is_inference() else points._version
-    kept_version, tree = _TREES.get(points, (None, None))
-    if tree is None or version is None or version != kept_version:
-        # A copy: the tree looks at its points again, and what is PyTorch's may change.
-        tree = KDTree(_finite(points[0]).copy())
+    kept_version, trees = _TREES.get(points, (None, None))
+    if trees is None or version is None or version != kept_version:
+        # Copies: a tree looks at its points again, and what is PyTorch's may change.
+        trees = [KDTree(cloud.copy()) for cloud in _finite(points)]
         if version is not None:
-            _TREES[points] = version, tree
-    return tree
+            _TREES[points] = version, trees
+    return trees
