@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.models.normalise import network_frame, resample
+from pointsdf_cli.models.normalise import network_frame
 
 
 def test_a_box_of_two_by_one_centimetres() -> None:
@@ -33,13 +33,3 @@ def test_the_partial_cloud_fits_the_unit_box_and_comes_back() -> None:
 def test_clouds_without_a_size_are_refused(cloud: np.ndarray) -> None:
     with pytest.raises(InputError):
         network_frame(cloud)
-
-
-def test_resampling_keeps_points_and_fills_up_small_clouds() -> None:
-    rng = np.random.default_rng(0)
-    small = rng.normal(size=(60, 3))
-    filled = resample(small, 1000, rng)
-    assert filled.shape == (1000, 3)
-    assert len(np.unique(filled, axis=0)) == 60
-    large = rng.normal(size=(5000, 3))
-    assert len(np.unique(resample(large, 1000, rng), axis=0)) == 1000

@@ -16,6 +16,7 @@ from pointsdf_cli.camera.raycast import DepthPatch, MeshCaster, depth_image, dep
 from pointsdf_cli.camera.scene_views import SceneViewConfig, SceneViews
 from pointsdf_cli.camera.sensor import DepthSensor, load_sensor, without_ideal
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.frames import random_rotation, transform
 from pointsdf_cli.io.batch import task_seed
 from pointsdf_cli.io.hdf5 import is_complete
@@ -194,7 +195,9 @@ def _scene_views(
 ) -> tuple[Views, int]:
     drawer = SceneViews(mesh, config.camera, scene)
     drawn = [drawer.draw(rng) for _ in range(config.views)]
-    clouds = [view.points[_sample(len(view.points), CLOUD_SIZE, rng)] for view, _ in drawn]
+    clouds = [
+        view.points[systematic_sample(view.points[:, :2], CLOUD_SIZE, rng)] for view, _ in drawn
+    ]
     views = Views(
         cloud=np.stack(clouds).astype(np.float32),
         T_camera_object=np.stack([view.T_camera_object for view, _ in drawn]),

@@ -55,19 +55,3 @@ def network_frame(cloud: np.ndarray) -> NetworkFrame:
             "all points of the cloud are the same, so it has no size", allowed="a cloud with extent"
         )
     return NetworkFrame(centre=(low + high) / 2.0, scale=1.0 / (MARGIN * extent))
-
-
-def resample(cloud: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """A random subset of `count` points; a smaller cloud is kept whole and filled up by repeats.
-
-    Args:
-        cloud: [N, 3] with N ≥ 1.
-
-    Returns:
-        [count, 3].
-    """
-    total = len(cloud)
-    if total >= count:
-        return cloud[rng.choice(total, count, replace=False)]
-    repeats = rng.choice(total, count - total, replace=True)
-    return cloud[np.concatenate([np.arange(total), repeats])]

@@ -20,8 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.visibility import ViewEvidence
-from pointsdf_cli.models.normalise import network_frame, resample
+from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.processor import even_parts, one_thread, side_by_side
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 from pointsdf_cli.models.surroundings import surroundings_of
@@ -68,7 +69,7 @@ class Reconstruction:
             camera_position: [3], the camera's centre in that frame, m.
             R_frame_camera: [3, 3], the camera's axes (OpenCV: z forward, y down) in that frame;
                 None if the frame already has the camera's axes.
-            seed: Random seed of the resampling.
+            seed: Random seed of the points that are read.
             evidence: Observed space around the object, camera frame; ignored if None.
 
         Raises:
@@ -81,7 +82,8 @@ class Reconstruction:
 
         in_camera = (points - position) @ rotation
         frame = network_frame(in_camera)
-        cloud = resample(in_camera, model.cloud_size, np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        cloud = in_camera[systematic_sample(in_camera[:, :2], model.cloud_size, rng)]
         device = next(model.parameters()).device
         model.eval()
         with torch.no_grad(), one_thread():

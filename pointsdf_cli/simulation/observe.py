@@ -16,6 +16,7 @@ from pointsdf_cli.camera.sensor import DepthSensor, load_sensor
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, plane_in_camera
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.robot.description import RobotDescription
@@ -139,9 +140,7 @@ def resample(points: Array, count: int, rng: np.random.Generator) -> NDArray[np.
     """
     if not len(points):
         raise InputError("an empty cloud", allowed="one point or more")
-    chosen = rng.permutation(len(points))[:count]
-    if len(chosen) < count:
-        chosen = np.concatenate([chosen, rng.integers(len(points), size=count - len(chosen))])
+    chosen = systematic_sample(points[:, :2], count, rng)
     return points[chosen].astype(np.float32)
 
 

@@ -1,0 +1,42 @@
+"""Systematic sampling: a subset of a cloud that is spread over the image as the cloud is.
+
+Independent draws leave gaps that change from draw to draw, and with them what a network believes of
+the hidden side. Points taken at equal steps along a space-filling curve leave none: two samples of
+one cloud differ by a fraction of the point spacing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def systematic_sample(plane: ArrayLike, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Indices of `count` points; a smaller cloud is kept whole and filled up by repeats.
+
+    Args:
+        plane: [N, 2] with N ≥ 1, places in the image: x and y in the camera's axes, or x/z and y/z.
+        count: Points wanted.
+        rng: Random generator of the first step, and of repeats.
+
+    Returns:
+        int64 [count] below N, each once before any twice.
+    """
+    places = np.asarray(plane, dtype=np.float64)
+    total = len(places)
+    if total < count:
+        return np.concatenate([np.arange(total), rng.integers(total, size=count - total)])
+    order = np.argsort(_curve_position(places), kind="stable")
+    steps = ((np.arange(count) + rng.random()) * (total / count)).astype(np.int64)
+    return order[np.minimum(steps, total - 1)]
+
+
+def _curve_position(plane: NDArray[np.float64]) -> NDArray[np.uint64]:
+    """Positions [N] of points [N, 2] along a Morton curve over their box."""
+    extent = float(np.ptp(plane, axis=0).max()) or 1.0
+    cell = ((plane - plane.min(axis=0)) / extent * 65535.0).astype(np.uint64)
+    # Spread the 16 bits of each coordinate, then interleave both.
+    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
+        cell = (cell | (cell << np.uint64(shift))) & np.uint64(mask)
+    position: NDArray[np.uint64] = cell[:, 0] | (cell[:, 1] << np.uint64(1))
+    return position
