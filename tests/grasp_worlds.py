@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pointsdf_cli.geometry.frames import transform
-from pointsdf_cli.io.grasps import Grasps, GraspsMeta, write_grasps
+from pointsdf_cli.io.grasps import LAYOUT, Grasps, GraspsMeta, write_grasps
 from pointsdf_cli.robot.description import RobotDescription
 
 REACH = 0.02
@@ -110,3 +110,16 @@ def write_balls(
             robot.preshape_joints,
         )
         write_grasps(folder / "balls" / f"{number}.h5", grasps, meta, seed=0)
+
+
+def assert_same_grasps(first: Grasps, second: Grasps) -> None:
+    """Every array and all evidence is equal."""
+    for name in LAYOUT:
+        assert np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True), name
+    assert len(first.evidence) == len(second.evidence)
+    for one, other in zip(first.evidence, second.evidence, strict=True):
+        assert (one.visibility is None) == (other.visibility is None)
+        if one.visibility is not None and other.visibility is not None:
+            for a, b in zip(one.visibility, other.visibility, strict=True):
+                assert np.array_equal(a, b)
+        assert np.array_equal(one.support_plane, other.support_plane)

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from grasp_worlds import assert_same_grasps
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
-from pointsdf_cli.io.grasps import HELD, LOST, Grasps, GraspsMeta, read_grasps, write_grasps
+from pointsdf_cli.io.grasps import HELD, LOST, GraspsMeta, read_grasps, write_grasps
 from pointsdf_cli.io.meshes import LoadedMesh, save_mesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import Attempt, AttemptConfig, Attempter, as_grasps
@@ -136,6 +137,13 @@ def test_stored_grasps_replay_with_the_same_label(
     write_grasps(tmp_path / "can.h5", grasps, meta, seed=1)
     stored, kept = read_grasps(tmp_path / "can.h5")
     assert kept == meta
+    assert_same_grasps(stored, grasps)
+    # The camera saw the table around the can, and the table is what the can stands on.
+    known = stored.evidence[0]
+    assert known.visibility is not None
+    assert np.isinf(known.visibility.free).mean() > 0.2
+    up, camera = stored.T_world_camera[0][2, :3], stored.T_world_camera[0][2, 3]
+    np.testing.assert_allclose(known.support_plane, [*up, -camera], atol=0.003)
     rows = np.flatnonzero(stored.executed)
     assert len(rows)
     for row in rows:
@@ -203,7 +211,7 @@ def test_collection_resumes_to_what_an_uninterrupted_one_makes(
     collect_object(part)
     collect_object(replace(part, quota=3))
     first, second = read_grasps(whole.out)[0], read_grasps(part.out)[0]
-    assert_equal(first, second)
+    assert_same_grasps(first, second)
     with pytest.raises(InputError, match="other options"):
         collect_object(replace(whole, seed=3))
 
@@ -227,7 +235,7 @@ def test_an_object_that_is_not_seen_again_keeps_what_it_gave(
     parts = replace(task, out=tmp_path / "parts.h5", quota=1)
     collect_object(parts)
     collect_object(replace(parts, quota=40))
-    assert_equal(read_grasps(task.out)[0], read_grasps(parts.out)[0])
+    assert_same_grasps(read_grasps(task.out)[0], read_grasps(parts.out)[0])
     monkeypatch.setattr(Attempter, "attempt", lambda *_: (_ for _ in ()).throw(InputError("no")))
     with pytest.raises(InputError, match="no"):  # never seen at all: it is refused
         collect_object(replace(task, out=tmp_path / "none.h5"))
@@ -240,11 +248,6 @@ def test_sliding_joints_are_looked_at_as_finely_as_turning_ones() -> None:
     assert steps[:, 0].max() <= 0.05 + 1e-12
     assert steps[:, 1].max() <= 0.01 + 1e-12
     assert len(dense) == 1 + 4 + 10
-
-
-def assert_equal(first: Grasps, second: Grasps) -> None:
-    for name in vars(first):
-        assert np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True), name
 
 
 def test_quotas_make_the_papers_counts_and_make_up_for_the_weak() -> None:

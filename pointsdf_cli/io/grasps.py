@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.hdf5 import (
     Dataset,
     open_hdf5,
@@ -19,8 +21,13 @@ from pointsdf_cli.io.hdf5 import (
     sense_of,
     write_artifact,
 )
+from pointsdf_cli.io.view_evidence import (
+    evidence_datasets,
+    evidence_layout,
+    read_view_evidence,
+)
 
-SCHEMA, VERSION = "grasps", 1
+SCHEMA, VERSION = "grasps", 2
 LAYOUT = {
     "cloud": "f4 [G, P, 3]",
     "T_world_camera": "f8 [G, 4, 4]",
@@ -35,6 +42,7 @@ LAYOUT = {
     "attempt": "i4 [G]",
     "scene": "i4 [G]",
 }
+EVIDENCE = evidence_layout("G")
 
 HELD, LOST, NO_MOTION, NO_CONFIGURATION, INVALID = 1, 0, -1, -2, -3
 """Labels. A grasp counts as executed if it is held or lost; INVALID is a simulation that failed."""
@@ -71,6 +79,8 @@ class Grasps:
         slip: f4 [G], its motion in the palm's frame from grip to end [m]; NaN likewise.
         attempt, scene: i4 [G], counters within the object; attempts of a scene share pose and
             camera.
+        evidence: G entries, what each view knows of the space around the object; empty if nothing
+            is known of any.
     """
 
     cloud: NDArray[np.float32]
@@ -85,6 +95,7 @@ class Grasps:
     slip: NDArray[np.float32]
     attempt: NDArray[np.int32]
     scene: NDArray[np.int32]
+    evidence: tuple[ViewEvidence, ...] = ()
 
     def __len__(self) -> int:
         return len(self.label)
@@ -154,9 +165,9 @@ def write_grasps(
         "causes": list(CAUSES),
     }
     datasets = {
-        field.name: Dataset(getattr(grasps, field.name), *_UNITS.get(field.name, ("", "")))
-        for field in fields(grasps)
+        name: Dataset(getattr(grasps, name), *_UNITS.get(name, ("", ""))) for name in LAYOUT
     }
+    datasets |= evidence_datasets(grasps.evidence or (ViewEvidence(),) * len(grasps))
     write_artifact(
         path,
         schema=SCHEMA,
@@ -174,9 +185,10 @@ def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:
     Raises:
         InputError: Not a grasps file of this version.
     """
-    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT)
-    attributes = artifact.attributes
-    grasps = Grasps(**artifact.datasets)
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT | EVIDENCE)
+    attributes, datasets = artifact.attributes, artifact.datasets
+    evidence = read_view_evidence(path, datasets)
+    grasps = Grasps(**{name: datasets[name] for name in LAYOUT}, evidence=evidence)
     for name, values, known in (("kind", grasps.kind, KINDS), ("cause", grasps.cause, CAUSES)):
         if len(values) and not 0 <= values.min() <= values.max() < len(known):
             raise InputError(
@@ -211,9 +223,6 @@ def was_collected(path: Path | str) -> bool:
 
 def join_grasps(parts: list[Grasps]) -> Grasps:
     """Several runs of attempts as one."""
-    return Grasps(
-        **{
-            field.name: np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(Grasps)
-        }
-    )
+    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in LAYOUT}
+    known = [part.evidence or (ViewEvidence(),) * len(part) for part in parts]
+    return Grasps(**arrays, evidence=tuple(itertools.chain(*known)))

@@ -207,6 +207,13 @@ def artifacts_below(folder: Path) -> list[Path]:
     ]
 
 
+def schema_version(path: Path | str, default: int) -> int:
+    """The version that an artifact states; `default` if it states none."""
+    with open_hdf5(path) as file:
+        version = file.attrs.get("schema_version")
+        return int(version) if isinstance(version, (int, np.integer)) else default
+
+
 def options_of(file: h5py.File) -> dict[str, Any]:
     """Configuration stored in an open artifact.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,20 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.visibility import SIZE, ViewEvidence, VisibilityImage
-from pointsdf_cli.io.hdf5 import Dataset, open_hdf5, read_artifact, sense_of, write_artifact
+from pointsdf_cli.geometry.visibility import ViewEvidence
+from pointsdf_cli.io.hdf5 import Dataset, read_artifact, schema_version, sense_of, write_artifact
+from pointsdf_cli.io.view_evidence import (
+    evidence_datasets,
+    evidence_layout,
+    read_view_evidence,
+)
 
 SCHEMA, VERSION = "views", 2
 OLDEST = 1
 """Version 1 knows nothing of the space around the object; it is read as unknown."""
 LAYOUT = {"cloud": "f4 [V, P, 3]", "T_camera_object": "f8 [V, 4, 4]"}
-EVIDENCE = {
-    "visibility_window": "f8 [V, 4]",
-    "visibility_seen": "i1 [V, S, S]",
-    "visibility_free": "f4 [V, S, S]",
-    "support_plane": "f8 [V, 4]",
-}
+EVIDENCE = evidence_layout("V")
 DEPTH = {"depth": "f4 [V, H, W]"}
 
 
@@ -64,7 +63,7 @@ def write_views(
         "cloud": Dataset(views.cloud, "m", "camera"),
         "T_camera_object": Dataset(views.T_camera_object, "1, m", "camera"),
     }
-    datasets |= _evidence_datasets(views.evidence or (ViewEvidence(),) * len(views.cloud))
+    datasets |= evidence_datasets(views.evidence or (ViewEvidence(),) * len(views.cloud))
     if views.depth is not None:
         datasets["depth"] = Dataset(views.depth, "m", "camera", compress=True)
     write_artifact(
@@ -91,12 +90,12 @@ def read_views(path: Path | str, with_depth: bool = False) -> Views:
     Raises:
         InputError: Not a views file of this version.
     """
-    with_evidence = _version(path) > 1
+    with_evidence = schema_version(path, VERSION) > 1
     names = LAYOUT | (DEPTH if with_depth else {}) | (EVIDENCE if with_evidence else {})
     artifact = read_artifact(path, schema=SCHEMA, version=VERSION, oldest=OLDEST, names=names)
     attributes, datasets = artifact.attributes, artifact.datasets
     count = len(datasets["cloud"])
-    known = _read_evidence(path, datasets) if with_evidence else (ViewEvidence(),) * count
+    known = read_view_evidence(path, datasets) if with_evidence else (ViewEvidence(),) * count
     with sense_of(path):
         width, height = (int(n) for n in attributes["image_size"])
         return Views(
@@ -111,50 +110,6 @@ def read_views(path: Path | str, with_depth: bool = False) -> Views:
             depth=datasets.get("depth"),
             evidence=known,
         )
-
-
-def _version(path: Path | str) -> int:
-    with open_hdf5(path) as file:
-        version = file.attrs.get("schema_version")
-        return int(version) if isinstance(version, (int, np.integer)) else VERSION
-
-
-def _evidence_datasets(evidence: Sequence[ViewEvidence]) -> dict[str, Dataset]:
-    """One row a view: NaN for the window or the plane that is not known."""
-    nothing = VisibilityImage(
-        np.full(4, np.nan), np.zeros((SIZE, SIZE), bool), np.zeros((SIZE, SIZE), np.float32)
-    )
-    images = [view.visibility or nothing for view in evidence]
-    unknown = np.full(4, np.nan)
-    planes = [unknown if v.support_plane is None else v.support_plane for v in evidence]
-    return {
-        "visibility_window": Dataset(np.stack([i.window for i in images]), "1", "camera"),
-        "visibility_seen": Dataset(
-            np.stack([i.seen for i in images]).astype(np.int8), "1", "camera", compress=True
-        ),
-        "visibility_free": Dataset(
-            np.stack([i.free for i in images]).astype(np.float32), "m", "camera", compress=True
-        ),
-        "support_plane": Dataset(np.stack(planes), "1, m", "camera"),
-    }
-
-
-def _read_evidence(
-    path: Path | str, datasets: Mapping[str, NDArray[Any]]
-) -> tuple[ViewEvidence, ...]:
-    window, plane = datasets["visibility_window"], datasets["support_plane"]
-    seen, free = datasets["visibility_seen"], datasets["visibility_free"]
-    if seen.shape[1:] != (SIZE, SIZE):
-        raise InputError(
-            f"has visibility images of {seen.shape[1:]}", where=path, allowed=f"{SIZE} × {SIZE}"
-        )
-    return tuple(
-        ViewEvidence(
-            None if np.isnan(window[k]).any() else VisibilityImage(window[k], seen[k] > 0, free[k]),
-            None if np.isnan(plane[k]).any() else plane[k],
-        )
-        for k in range(len(window))
-    )
 
 
 @dataclass(frozen=True)

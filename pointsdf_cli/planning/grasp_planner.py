@@ -46,6 +46,7 @@ from pointsdf_cli.planning.option_checks import (
 from pointsdf_cli.planning.plan_artifact import no_plan
 from pointsdf_cli.planning.planner import MARGIN, SUCCESSIVE_HALVING, Planner, PlannerConfig, Rank
 from pointsdf_cli.planning.reasons import too_large
+from pointsdf_cli.planning.resampled_views import redrawn
 from pointsdf_cli.planning.screen import narrowest
 from pointsdf_cli.planning.seeds import EITHER, GraspSampler
 from pointsdf_cli.planning.support import hidden_below, stands
@@ -232,8 +233,11 @@ class GraspPlanner:
             own = reconstructed_object(made, grid, world)
             if field is None:
                 others = range(1, 1 + self.options.resampled_views)
-                again = [_completed(self._shape, views, (seed, draw)) for draw in others]
-                resampled = tuple(completed_field(each) for each in again)
+                size = self._shape.cloud_size
+                again = [[redrawn(view, size, (seed, draw)) for view in views] for draw in others]
+                resampled = tuple(
+                    completed_field(_completed(self._shape, each, seed)) for each in again
+                )
         else:
             own = seen_object(world, grid)
         stop_if_cancelled()

@@ -9,9 +9,13 @@ early, and none of the 136 others: docs/notebook.md, "Other draws".)
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.contacts import link_poses
@@ -20,6 +24,16 @@ from pointsdf_cli.planning.robot_geometry import RobotGeometry
 
 LOOKED_AT = 0.01
 """Parts of the robot that are farther than this [m] from an object are not asked about closely."""
+
+
+def redrawn(view: View, count: int, seed: Sequence[int]) -> View:
+    """The view with an independent draw of `count` of its points.
+
+    Systematic samples of one cloud resemble each other: they would agree where the first is wrong.
+    """
+    rng = np.random.default_rng(seed)
+    chosen = rng.permutation(len(view.points))[:count]
+    return replace(view, points=view.points[chosen])
 
 
 class ResampledViewCheck:

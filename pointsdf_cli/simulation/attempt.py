@@ -15,6 +15,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, transform
 from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose
+from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, KINDS, LOST, Grasps
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
@@ -83,11 +84,13 @@ class Scene:
     Attributes:
         T_world_object, T_world_camera: [4, 4].
         cloud: [N, 3], the segmented object, camera frame, m.
+        evidence: Observed space around it.
     """
 
     T_world_object: Array
     T_world_camera: Array
     cloud: Array
+    evidence: ViewEvidence
 
 
 @dataclass(frozen=True)
@@ -267,7 +270,7 @@ class Attempter:
                     f"is not seen by the camera: {error.what}", where=item.mesh.name
                 )
                 continue
-            return Scene(pose, T_world_camera, view.points)
+            return Scene(pose, T_world_camera, view.points, view.evidence or ViewEvidence())
         raise problem
 
     def _resting(self, item: SimObject, which: int) -> Array | None:
@@ -328,4 +331,5 @@ def as_grasps(attempts: list[Attempt], scene_attempts: int) -> Grasps:
         slip=measured("slip"),
         attempt=column([a.index for a in attempts], np.int32),
         scene=column([a.index // scene_attempts for a in attempts], np.int32),
+        evidence=tuple(a.scene.evidence for a in attempts),
     )

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.atomic import require_folder
 from pointsdf_cli.io.batch import run_stage
 from pointsdf_cli.io.grasp_evidence import Evidence, join_evidence, read_evidence, write_evidence
@@ -35,7 +36,7 @@ from pointsdf_cli.robot.description import load_robot, robot_digest
 from pointsdf_cli.training.gs_data import GraspData
 from pointsdf_cli.training.precision import autocast_dtype
 
-RECIPE = 2
+RECIPE = 3
 """Counts up when the same inputs would give other numbers."""
 
 
@@ -137,6 +138,7 @@ def make_evidence(task: EvidenceTask) -> int:
                 model,
                 grasps.cloud[rows[0]],
                 grasps.T_world_camera[rows[0]],
+                grasps.evidence[rows[0]],
                 grasps.q[rows][:, columns],
                 grasps.T_world_palm[rows],
                 features,
@@ -159,6 +161,7 @@ def _scene_evidence(
     model: ShapeModel,
     cloud: NDArray[np.float32],
     T_world_camera: NDArray[np.float64],
+    known: ViewEvidence,
     preshape: NDArray[np.float64],
     T_world_palm: NDArray[np.float64],
     features: GraspFeatures,
@@ -166,7 +169,8 @@ def _scene_evidence(
     """All grasps [G] of one scene; its view is read once."""
     count = len(preshape)
     points = apply_transform(T_world_camera, cloud)
-    shape = Reconstruction.from_cloud(model, points, T_world_camera[:3, 3], T_world_camera[:3, :3])
+    position, axes = T_world_camera[:3, 3], T_world_camera[:3, :3]
+    shape = Reconstruction.from_cloud(model, points, position, axes, evidence=known)
     low_precision = autocast_dtype("auto", torch.device("cpu"))
 
     def field(x: NDArray[np.floating]) -> NDArray[np.float32]:

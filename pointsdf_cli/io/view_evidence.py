@@ -1,0 +1,69 @@
+"""Datasets of `ViewEvidence`, one row a view, in the artifacts that hold views."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.visibility import SIZE, ViewEvidence, VisibilityImage
+from pointsdf_cli.io.hdf5 import Dataset
+
+
+def evidence_layout(rows: str) -> dict[str, str]:
+    """The layout of the datasets, whose first axis is named `rows`."""
+    return {
+        "visibility_window": f"f8 [{rows}, 4]",
+        "visibility_seen": f"i1 [{rows}, S, S]",
+        "visibility_free": f"f4 [{rows}, S, S]",
+        "support_plane": f"f8 [{rows}, 4]",
+    }
+
+
+def evidence_datasets(evidence: Sequence[ViewEvidence]) -> dict[str, Dataset]:
+    """One row a view: NaN for the window or the plane that is not known."""
+    nothing = VisibilityImage(
+        np.full(4, np.nan), np.zeros((SIZE, SIZE), bool), np.zeros((SIZE, SIZE), np.float32)
+    )
+    images = [view.visibility or nothing for view in evidence]
+    unknown = np.full(4, np.nan)
+    planes = [unknown if v.support_plane is None else v.support_plane for v in evidence]
+    window, plane = np.zeros((0, 4)), np.zeros((0, 4))
+    seen, free = np.zeros((0, SIZE, SIZE), np.int8), np.zeros((0, SIZE, SIZE), np.float32)
+    if images:
+        window, plane = np.stack([i.window for i in images]), np.stack(planes)
+        seen = np.stack([i.seen for i in images]).astype(np.int8)
+        free = np.stack([i.free for i in images]).astype(np.float32)
+    return {
+        "visibility_window": Dataset(window, "1", "camera"),
+        "visibility_seen": Dataset(seen, "1", "camera", compress=True),
+        "visibility_free": Dataset(free, "m", "camera", compress=True),
+        "support_plane": Dataset(plane, "1, m", "camera"),
+    }
+
+
+def read_view_evidence(
+    path: Path | str, datasets: Mapping[str, NDArray[Any]]
+) -> tuple[ViewEvidence, ...]:
+    """The evidence in datasets of `evidence_layout`.
+
+    Raises:
+        InputError: Visibility images of another size.
+    """
+    window, plane = datasets["visibility_window"], datasets["support_plane"]
+    seen, free = datasets["visibility_seen"], datasets["visibility_free"]
+    if seen.shape[1:] != (SIZE, SIZE):
+        raise InputError(
+            f"has visibility images of {seen.shape[1:]}", where=path, allowed=f"{SIZE} × {SIZE}"
+        )
+    return tuple(
+        ViewEvidence(
+            None if np.isnan(window[k]).any() else VisibilityImage(window[k], seen[k] > 0, free[k]),
+            None if np.isnan(plane[k]).any() else plane[k],
+        )
+        for k in range(len(window))
+    )
