@@ -131,6 +131,7 @@ def test_a_full_disk_is_one_message_and_leaves_nothing(
     assert done.returncode in (1, 2), (done.stdout, done.stderr)
     assert "Traceback" not in done.stderr, done.stderr
     assert "rgrasp: " in done.stderr
+    assert "rgrasp: the output cannot" not in done.stderr, "nothing was printed yet"
     assert files(tmp_path / "out") == []
 
 
