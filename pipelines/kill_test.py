@@ -1,20 +1,23 @@
-"""Kills pipelines/paper.sh at random, again and again, and looks whether anything is lost.
+"""Kills pipelines/paper.sh in each of its steps, again and again, and looks what is lost.
 
-    python pipelines/kill_test.py WORK [--kills 50] [--longest 60] [--reference DIR]
+    python pipelines/kill_test.py WORK [--kills 60] [--longest 60] [--reference DIR]
 
-After each SIGKILL of the whole process group every file with a final name must be readable, and
-every finished view and label file must be byte for byte what it was. In the end the pipeline runs
-through: nothing of rgrasp may be left in the folder of temporary files, and with --reference (the
-folder of a run that nobody killed) views, labels and grasps must equal that run's, the networks'
-weights but for what rounding makes of another number of threads (which follows the machine's load),
-and the trials but for planning times and a tenth of a millimetre. Prints one line a kill and how
-many kills each step had; exit code 1 if anything was lost.
+A step is killed at a random time after its begin: within the time that it took in the reference
+(the folder of a run that nobody killed), and equally often for each step; without a reference
+within --longest. After each SIGKILL of the whole process group every file with a final name must be
+readable, and every finished view and label file must be byte for byte what it was. In the end the
+pipeline runs through: nothing of rgrasp may be left in the folder of temporary files, and with
+--reference views, labels and grasps must equal that run's, the networks' weights but for what
+rounding makes of another number of threads (which follows the machine's load), and the trials but
+for planning times and a tenth of a millimetre. Prints one line a kill and how many kills each step
+had; exit code 1 if anything was lost.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
+import math
 import os
 import random
 import signal
@@ -22,6 +25,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,64 +44,95 @@ SCRIPT = Path(__file__).with_name("paper.sh")
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("work", type=Path)
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--longest", type=float, default=60.0, help="seconds a run may live")
+    parser.add_argument("--kills", type=int, default=60)
+    parser.add_argument("--longest", type=float, default=60.0, help="seconds a step may live")
     parser.add_argument("--reference", type=Path, help="an uninterrupted run's folder")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     rng, started = random.Random(options.seed), time.monotonic()
     finished: dict[Path, str] = {}
-    losses = kills = 0
-    steps_killed: Counter[str] = Counter()
-    while kills < options.kills:
-        delay = rng.uniform(0.0, options.longest)
-        ended = run_for(options.work, delay)
+    losses = 0
+    killed: Counter[str] = Counter()
+    lengths = step_lengths(options.reference) if options.reference else {}
+    shares = {
+        step: options.kills // len(lengths) + (number < options.kills % len(lengths))
+        for number, step in enumerate(lengths)
+    }
+
+    def patience(step: str) -> float:
+        """Seconds until a step that has just begun is killed."""
+        if killed[step] >= shares.get(step, math.inf):
+            return math.inf
+        return rng.uniform(0.0, lengths.get(step, options.longest))
+
+    while killed.total() < options.kills:
+        step = run(options.work, patience)
         found = look(options.work, finished)
         losses += len(found)
         steps = len(list((options.work / "done").glob("*")))
-        at = step_of(log_of(options.work))
-        what = "ended by itself" if ended else f"killed after {delay:.1f} s in {at}"
-        steps_killed[at] += not ended
+        what = f"killed in {step}" if step else "ended by itself"
         print(f"{what}: {steps} steps done, {len(finished)} files, lost: {found or 'nothing'}")
-        kills += not ended
-        if ended:  # from the beginning of what can be made again, so that later kills count too
+        killed[step] += bool(step)
+        if not step:  # from the beginning of what can be made again, so that later kills count too
             for mark in (options.work / "done").glob("*"):
                 mark.unlink()
-    assert run_for(options.work, None)
+    assert run(options.work, lambda _: math.inf) == ""
     found = look(options.work, finished)
     if options.reference:
         found += differing(options.work, options.reference)
     found += [f"{left} is left" for left in temporary_of(options.work).glob(".rgrasp*")]
     losses += len(found)
-    print("kills by step:", ", ".join(f"{n} {step}" for step, n in steps_killed.items() if n))
+    print("kills by step:", ", ".join(f"{n} {step}" for step, n in killed.items() if n))
     print(
-        f"{kills} kills in {time.monotonic() - started:.0f} s, then run through; "
+        f"{killed.total()} kills in {time.monotonic() - started:.0f} s, then run through; "
         f"lost: {losses} {found or ''}"
     )
     sys.exit(losses > 0)
 
 
-def run_for(work: Path, seconds: float | None) -> bool:
-    """Start the pipeline, kill it and all its children after so long; whether it ended before."""
+def step_lengths(reference: Path) -> dict[str, float]:
+    """Seconds that each step of an uninterrupted run took, by the times of their marks."""
+    begun = (reference / "done" / ".asked").stat().st_mtime
+    lengths = {}
+    for mark in sorted((reference / "done").glob("[!.]*"), key=lambda path: path.stat().st_mtime):
+        ended = mark.stat().st_mtime
+        lengths[mark.name], begun = ended - begun, ended
+    return lengths
+
+
+def run(work: Path, patience: Callable[[str], float]) -> str:
+    """Start the pipeline and kill it with all its children.
+
+    Args:
+        work: Its folder.
+        patience: Seconds that a step may live, drawn when it begins.
+
+    Returns:
+        The step that was killed, "" if the pipeline ended before.
+    """
     log = log_of(work)
     log.parent.mkdir(parents=True, exist_ok=True)
     temporary_of(work).mkdir(exist_ok=True)
     temporary = str(temporary_of(work).resolve())
     with open(log, "a") as output:
+        before = output.tell()
         process = subprocess.Popen(
             ["bash", str(SCRIPT), str(work.resolve())],
             env={**os.environ, "SCALE": "tiny", "JOBS": "1", "TMPDIR": temporary},
             stdout=output, stderr=output, start_new_session=True,
         )  # fmt: skip
-        try:
-            code = process.wait(seconds)
-        except subprocess.TimeoutExpired:
+    step, end = "", math.inf
+    while process.poll() is None:
+        if (now := step_of(log, before)) != step:
+            step, end = now, time.monotonic() + patience(now)
+        if time.monotonic() > end:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-            return False
-    if code:
-        sys.exit(f"the pipeline failed with {code}: see {log}")
-    return True
+            return step
+        time.sleep(0.02)
+    if process.returncode:
+        sys.exit(f"the pipeline failed with {process.returncode}: see {log}")
+    return ""
 
 
 def log_of(work: Path) -> Path:
@@ -109,10 +144,12 @@ def temporary_of(work: Path) -> Path:
     return work.with_name(work.name + ".tmp")
 
 
-def step_of(log: Path) -> str:
-    """The step that was begun last."""
-    begun = [line.split()[1] for line in log.read_text().splitlines() if line.startswith("== ")]
-    return begun[-1].rstrip(":") if begun else "the start"
+def step_of(log: Path, start: int = 0) -> str:
+    """The step that was begun last, by the log from a place on; "" before the first."""
+    with open(log, encoding="utf-8") as lines:
+        lines.seek(start)
+        begun = [line.split()[1] for line in lines if line.startswith("== ")]
+    return begun[-1].rstrip(":") if begun else ""
 
 
 def look(work: Path, finished: dict[Path, str]) -> list[str]:

@@ -130,14 +130,12 @@ def _sphere_depth() -> tuple[bool, str]:
 
 
 def _round_trip() -> tuple[bool, str]:
-    import tempfile
-    from pathlib import Path
-
     from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+    from pointsdf_cli.io.scratch import Scratch
 
     array = np.arange(6.0).reshape(2, 3)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "check.h5"
+    with Scratch() as folder:
+        path = folder / "check.h5"
         write_artifact(path, schema="check", version=1, datasets={"a": Dataset(array, "m")})
         same = np.array_equal(read_artifact(path, schema="check", version=1).datasets["a"], array)
     return same, "written and read back"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,6 +16,7 @@ import numpy as np
 import pytest
 from test_cli_main import MUG, in_shell
 
+from pointsdf_cli.cli.main import _told
 from pointsdf_cli.cli.memory import is_lack_of_memory
 from pointsdf_cli.cli.printable import on_one_line, printable, printable_json
 from pointsdf_cli.io.hdf5 import Dataset, write_artifact
@@ -94,6 +97,14 @@ def test_lack_of_memory_is_known_by_what_libraries_say() -> None:
         assert is_lack_of_memory(error), error
     for error in (RuntimeError("shapes differ"), OSError(2, "No such file"), KeyError("memory")):
         assert not is_lack_of_memory(error), error
+
+
+def test_what_may_not_be_read_is_no_place_to_write() -> None:
+    for number in (errno.EACCES, errno.EPERM):
+        told = _told(OSError(number, os.strerror(number), "/locked/a.ply")).message
+        assert told.startswith("/locked/a.ply: permission denied")
+    full = _told(OSError(errno.ENOSPC, "No space left on device", "/a/plan.h5")).message
+    assert full.startswith("/a/plan.h5: the disk is full")
 
 
 def test_escape_sequences_are_shown_and_not_obeyed(cli: Callable[..., Any], tmp_path: Path) -> None:

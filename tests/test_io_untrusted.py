@@ -26,9 +26,11 @@ from pointsdf_cli.io.checkpoints import read_train_state
 from pointsdf_cli.io.describe import describe
 from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
 from pointsdf_cli.io.labels import Labels, read_labels, write_labels
+from pointsdf_cli.io.poses import camera_pose
 from pointsdf_cli.io.trials import read_trial
 from pointsdf_cli.io.untrusted import read_json, read_npy_array, read_xml, read_yaml
 from pointsdf_cli.objects.archive import extract_mesh
+from pointsdf_cli.robot.urdf import read_urdf
 
 
 @pytest.fixture(autouse=True)
@@ -62,6 +64,20 @@ def test_yaml_aliases_of_aliases(tmp_path: Path) -> None:
     (tmp_path / "ring.yaml").write_text("&a [*a]")
     with pytest.raises(InputError, match="aliases"):
         read_yaml(tmp_path / "ring.yaml")
+
+
+def test_yaml_merges_of_merges(tmp_path: Path) -> None:
+    # `<<` copies what an alias leads to while the file is read: 9 to the 11th copies.
+    lines = ["a: &c0 {b: 1}"]
+    lines += [f"c{k}: &c{k} {{<<: [{', '.join([f'*c{k - 1}'] * 9)}]}}" for k in range(1, 12)]
+    (tmp_path / "bomb.yaml").write_text("\n".join(lines))
+    started = time.process_time()
+    for first_document in (False, True):
+        with pytest.raises(InputError, match="aliases"):
+            read_yaml(tmp_path / "bomb.yaml", first_document)
+    assert time.process_time() - started < 10
+    (tmp_path / "good.yaml").write_text("a: &a {x: 1}\nb: {<<: *a, y: 2}\n")
+    assert read_yaml(tmp_path / "good.yaml") == {"a": {"x": 1}, "b": {"x": 1, "y": 2}}
 
 
 def test_yaml_makes_no_python_objects(tmp_path: Path) -> None:
@@ -103,6 +119,28 @@ def test_an_array_that_promises_terabytes(tmp_path: Path) -> None:
     np.save(tmp_path / "objects.npy", np.array([{}], dtype=object))
     with pytest.raises(InputError):
         read_npy_array(tmp_path / "objects.npy")
+
+
+@pytest.mark.parametrize("kind", ["|V0", "|S0", "<U0"])
+def test_an_array_of_values_without_a_size(tmp_path: Path, kind: str) -> None:
+    # Any number of them fits into the file, and becomes terabytes where they are taken for numbers.
+    header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': (99999999999999, 3), }}"
+    size = np.array([len(header)], "<u2").tobytes()
+    (tmp_path / "a.npy").write_bytes(b"\x93NUMPY\x01\x00" + size + header.encode() + bytes(99))
+    with pytest.raises(InputError, match="is not a NumPy array"):
+        camera_pose(str(tmp_path / "a.npy"))
+
+
+@pytest.mark.parametrize(
+    "part", ["<link name='l{}'/>", "<joint name='j{}'/>", "<link><collision/></link>"]
+)
+def test_a_robot_of_more_parts_than_any_has(tmp_path: Path, part: str) -> None:
+    parts = "".join(part.format(number) for number in range(30_000))
+    (tmp_path / "a.urdf").write_text(f"<robot>{parts}</robot>")
+    started = time.process_time()
+    with pytest.raises(InputError, match="has 30000 <"):
+        read_urdf(tmp_path / "a.urdf")
+    assert time.process_time() - started < 10
 
 
 def test_a_dataset_that_promises_terabytes(tmp_path: Path) -> None:

@@ -189,8 +189,10 @@ def interrupted(  # type: ignore[no-untyped-def]
     config: SuccessTraining,
     after: int,
     later: Split | None = None,
+    spoilt: dict[str, object] | None = None,
 ) -> Fitted:
-    """A run stopped after some epochs and resumed by another learner, maybe with another split."""
+    """A run stopped after some epochs and resumed by another learner, maybe with another split, or
+    from a state with other values; {} for an empty one."""
     states = []
     train_success(
         data, split, make(), config,
@@ -198,7 +200,8 @@ def interrupted(  # type: ignore[no-untyped-def]
         should_stop=lambda: len(states) >= after,
     )  # fmt: skip
     assert len(states) == after
-    return train_success(data, later or split, make(), config, resume=states[-1])
+    state = states[-1] if spoilt is None else {**states[-1], **spoilt} if spoilt else {}
+    return train_success(data, later or split, make(), config, resume=state)
 
 
 def same(a: Fitted, b: Fitted) -> bool:
@@ -215,6 +218,13 @@ def test_a_stopped_and_resumed_run_equals_an_uninterrupted_one() -> None:
     assert same(whole, interrupted(lambda: rule_learner(x), data, split, config, 2))
     with pytest.raises(InputError, match="other settings"):
         train_success(data, split, rule_learner(x), config, resume={"config": {}})
+    for wrong in (
+        {}, {"config": 3}, {"epoch": "x"}, {"epoch": -1}, {"seconds": None}, {"history": [{}]},
+        {"history": 3}, {"weights": {}}, {"best": {}}, {"best": {"network.a": torch.zeros(1)}},
+        {"optimiser": {}}, {"rng": torch.zeros(3)},
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=r"does not fit|other settings"):
+            interrupted(lambda: rule_learner(x), data, split, config, 2, spoilt=wrong)
     with pytest.raises(InputError, match="held out"):
         interrupted(lambda: rule_learner(x), data, split, config, 2, split_grasps(data, 0.5, 0))
 

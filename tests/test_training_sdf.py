@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -334,6 +335,51 @@ def test_a_state_of_an_earlier_version_is_resumed(pack: Pack, tmp_path: Path) ->
     older = {k: v for k, v in state.items() if k not in ("since_validation", "total")}
     write_checkpoint(tmp_path, config=read_config(tmp_path), train_state=older)
     assert _run(pack, tmp_path, resume=True).finished
+
+
+SPOILT: dict[str, Any] = {
+    "nothing at all": lambda state: state.clear(),
+    "no settings": lambda state: state.pop("config"),
+    "settings that are none": lambda state: state.update(config=3),
+    "a step in words": lambda state: state.update(step="x"),
+    "a step that is no number": lambda state: state.update(step=float("nan")),
+    "a step before the first": lambda state: state.update(step=-5),
+    "endless seconds": lambda state: state.update(seconds=float("inf")),
+    "a history of words": lambda state: state.update(history=[{"object_loss": "low"}]),
+    "a history without losses": lambda state: state.update(history=[{"step": 1}]),
+    "weights of another model": lambda state: state.update(model={"a": torch.zeros(1)}),
+    "weights of another shape": lambda state: state.update(
+        model={name: tensor[:0] for name, tensor in state["model"].items()}
+    ),
+    "no average": lambda state: state.update(average=None),
+    "no optimiser": lambda state: state.update(optimiser={}),
+    "an optimiser in words": lambda state: state["optimiser"]["param_groups"][0].update(betas="x"),
+    "an optimiser of other weights": lambda state: state["optimiser"]["state"][0].update(
+        exp_avg=torch.zeros(1, 2, 3)
+    ),
+    "another optimiser": lambda state: state["optimiser"]["state"][0].pop("exp_avg_sq"),
+    "less than no steps": lambda state: state.update(since_validation="x"),
+}
+
+
+@pytest.fixture(scope="module")
+def stopped(pack: Pack, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training that was stopped."""
+    folder = tmp_path_factory.mktemp("stopped")
+    _run(pack, folder, stop_at=5)
+    return folder
+
+
+@pytest.mark.parametrize("wrong", SPOILT)
+def test_a_state_that_does_not_fit_is_refused(
+    pack: Pack, stopped: Path, tmp_path: Path, wrong: str
+) -> None:
+    state = read_train_state(stopped)
+    SPOILT[wrong](state)
+    shutil.copytree(stopped, tmp_path / "run")
+    torch.save(state, tmp_path / "run" / "train_state.pt")
+    with pytest.raises(InputError, match=r"does not fit|other settings"):
+        _run(pack, tmp_path / "run", resume=True)
 
 
 def test_dropout_resumes_where_it_stopped(pack: Pack, tmp_path: Path) -> None:

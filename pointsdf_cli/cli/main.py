@@ -65,10 +65,7 @@ def main() -> None:
             raise
         if error.filename is None:
             _unheard(error)
-        from pointsdf_cli.io.atomic import unwritable
-
-        told = unwritable(error.filename, error).message
-        print(printable(f"rgrasp: {told}"), file=sys.stderr)
+        print(printable(f"rgrasp: {_told(error).message}"), file=sys.stderr)
         sys.exit(2)
 
 
@@ -81,6 +78,20 @@ _NO_PLACE = (
     errno.ENAMETOOLONG,
     errno.EFBIG,
 )
+
+
+def _told(error: OSError) -> InputError:
+    """The message of an error of the system that names a file."""
+    from pointsdf_cli.io.atomic import unwritable
+
+    if error.errno not in (errno.EACCES, errno.EPERM):
+        return unwritable(error.filename, error)
+    # Whether it was to be read or written is not known here.
+    return InputError(
+        "permission denied",
+        where=error.filename,
+        allowed="files and folders that you may read, an --out that you may write",
+    )
 
 
 def _open_closed_streams() -> None:

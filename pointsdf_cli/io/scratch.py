@@ -11,10 +11,17 @@ import shutil
 import stat
 import tempfile
 import weakref
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from pointsdf_cli.io.atomic import TEMPORARY_MARK, is_abandoned, temporary_beside, unwritable
+from pointsdf_cli.io.atomic import (
+    TEMPORARY_MARK,
+    UnwritableError,
+    is_abandoned,
+    temporary_beside,
+    unwritable,
+)
 
 NAME = "rgrasp"
 
@@ -51,6 +58,23 @@ class Scratch:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+@contextmanager
+def temporary_files(folder: Path) -> Iterator[None]:
+    """For the lines that write files of a scratch folder.
+
+    Raises:
+        UnwritableError: They cannot be written, or the disk is full.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise UnwritableError(
+            f"temporary files cannot be written ({error.strerror or error})",
+            where=folder.parent,
+            hint="free some space there, or set TMPDIR to a folder that has some",
+        ) from error
 
 
 def remove_abandoned(below: Path) -> None:

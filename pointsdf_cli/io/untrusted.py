@@ -36,11 +36,17 @@ def read_yaml(path: Path, first_document: bool = False) -> Any:
     """
     text = _text(path, "YAML", "YAML")
     try:
-        data = next(yaml.safe_load_all(text), None) if first_document else yaml.safe_load(text)
+        loader = yaml.SafeLoader(text)
+        if first_document:
+            node = loader.get_node() if loader.check_node() else None
+        else:
+            node = loader.get_single_node()
+        if node is None:
+            return None
+        _check_nodes(node, path)  # before `<<: *alias` copies what it leads to
+        return loader.construct_document(node)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a 13th month
         raise InputError(f"is not YAML ({_first_line(error)})", where=path) from error
-    _check_nodes(data, path)
-    return data
 
 
 def read_json(path: Path) -> Any:
@@ -103,6 +109,8 @@ def _mapped(handle: BinaryIO) -> NDArray[Any]:
     shape, by_columns, dtype = read(handle)
     if dtype.hasobject:
         raise ValueError("Python objects")
+    if not dtype.itemsize:  # any number of them fits into no bytes at all
+        raise ValueError("values of no size")
     order: Literal["F", "C"] = "F" if by_columns else "C"
     if 0 in shape:
         return np.zeros(shape, dtype, order)
@@ -116,9 +124,9 @@ def _text(path: Path, kind: str, form: str) -> str:
         raise InputError(f"is not {form} (no UTF-8 text)", where=path) from error
 
 
-def _check_nodes(data: Any, path: Path) -> None:
-    """Aliases share memory until someone walks through them or prints them."""
-    waiting, seen = [data], 0
+def _check_nodes(root: yaml.Node, path: Path) -> None:
+    """Aliases share memory until someone walks through them, merges or prints them."""
+    waiting, seen = [root], 0
     while waiting:
         node = waiting.pop()
         seen += 1
@@ -128,10 +136,11 @@ def _check_nodes(data: Any, path: Path) -> None:
                 where=path,
                 allowed=f"{MOST_NODES} entries",
             )
-        if isinstance(node, dict):
-            waiting += [*node.keys(), *node.values()]
-        elif isinstance(node, (list, tuple, set)):
-            waiting += node
+        if isinstance(node, yaml.MappingNode):
+            for pair in node.value:
+                waiting += pair
+        elif isinstance(node, yaml.SequenceNode):
+            waiting += node.value
 
 
 def _check_xml(data: bytes) -> None:

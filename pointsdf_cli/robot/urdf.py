@@ -18,6 +18,8 @@ from pointsdf_cli.robot.shapes import Shape, mesh_shape
 
 MOVING = ("revolute", "continuous", "prismatic")
 JOINT_KINDS = (*MOVING, "fixed")
+MOST = {"link": 1000, "joint": 1000, "link/collision": 2000}
+"""Elements of each kind in the largest robot: times grow with the square of their number."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,9 @@ def read_urdf(path: Path) -> Tree:
     root = read_xml(path)
     if root.tag != "robot":
         raise InputError(f"has the root <{root.tag}>", where=path, allowed="a URDF: <robot>")
+    for what, most in MOST.items():
+        if len(found := root.findall(what)) > most:
+            raise InputError(f"has {len(found)} <{what}>", where=path, allowed=f"{most}")
     names = [_attribute(link, "name", path) for link in root.findall("link")]
     joints = [_joint(node, path) for node in root.findall("joint")]
     for kind, all_names in (("link", names), ("joint", [joint.name for joint in joints])):

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.plans import plan_as_json, write_plan
+from pointsdf_cli.io.scratch import Scratch
 from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.io.trees import tree_to_npz
 from pointsdf_cli.planning.complete_mesh import MeshChoices
@@ -97,7 +95,7 @@ def require_expected(resident: Resident, body: SceneBody) -> None:
 
 
 def _file(result: PlanResult, seed: int) -> bytes:
-    with tempfile.TemporaryDirectory(prefix="rgrasp-serve-") as folder:
-        path = Path(folder, "plan.h5")
+    with Scratch() as folder:
+        path = folder / "plan.h5"
         write_plan(path, result.plan, seed=seed, config=result.options)
         return path.read_bytes()

@@ -16,6 +16,7 @@ from pointsdf_cli.geometry.frames import (
     transform,
     wxyz_from_rotation,
 )
+from pointsdf_cli.io.scratch import temporary_files
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
@@ -119,4 +120,5 @@ def write_pieces(pieces: Pieces, path: Path, skin: float) -> None:
         text.writelines("v {:.7f} {:.7f} {:.7f}\n".format(*v) for v in corners)
         text.writelines("f {} {} {}\n".format(*(f + start)) for f in faces)
         start += len(corners)
-    path.write_text(text.getvalue(), encoding="ascii")
+    with temporary_files(path.parent):
+        path.write_text(text.getvalue(), encoding="ascii")

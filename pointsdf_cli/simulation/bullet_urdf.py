@@ -23,6 +23,7 @@ import trimesh
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import invert_transform
+from pointsdf_cli.io.scratch import temporary_files
 from pointsdf_cli.io.untrusted import read_xml
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.shapes import Shape
@@ -173,7 +174,8 @@ def _numbers(values: Array) -> str:
 
 
 def _written(root: ET.Element, path: Path) -> Path:
-    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    with temporary_files(path.parent):
+        ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
     return path
 
 
@@ -186,7 +188,8 @@ def _readable(robot: RobotDescription, folder: Path, skin: float, visible: bool)
             if shape.kind == "hull":
                 file = folder / f"link{number}_{k}.obj"
                 corners, faces = drawn_in(*shape.triangles(), skin)
-                trimesh.Trimesh(corners, faces, process=False).export(file)
+                with temporary_files(folder):
+                    trimesh.Trimesh(corners, faces, process=False).export(file)
                 _name_mesh(node, file)
             elif shape.kind == "cylinder":
                 _draw_in_cylinder(node, skin)

@@ -21,6 +21,7 @@ from pointsdf_cli.training.gs_calibration import Platt, fit_platt, negative_log_
 from pointsdf_cli.training.gs_data import GraspData, Split
 from pointsdf_cli.training.gs_inputs import Index, Learner
 from pointsdf_cli.training.gs_metrics import average_precision, roc_auc
+from pointsdf_cli.training.resuming import progress_of, put_back_optimiser, sense_of_state
 
 
 @dataclass(frozen=True)
@@ -139,17 +140,23 @@ def train_success(
         data.names, data.object_of, data.T_world_palm, data.label, split.train, split.validation
     )
     if resume is not None:
-        if resume["config"] != asdict(config):
-            raise InputError("was begun with other settings", hint="drop --resume")
-        if resume.get("data", learns_from) != learns_from:
-            raise InputError(
-                "was begun with other grasps, or with other objects held out", hint="drop --resume"
-            )
-        load_weights(learner, resume["weights"])
-        optimiser.load_state_dict(resume["optimiser"])
-        torch.set_rng_state(resume["rng"])
-        epoch, seconds = resume["epoch"], resume["seconds"]
-        history, best = list(resume["history"]), dict(resume["best"])
+        with sense_of_state():
+            if resume["config"] != asdict(config):
+                raise InputError("was begun with other settings", hint="drop --resume")
+            if resume.get("data", learns_from) != learns_from:
+                raise InputError(
+                    "was begun with other grasps, or with other objects held out",
+                    hint="drop --resume",
+                )
+            load_weights(learner, resume["weights"])
+            put_back_optimiser(optimiser, resume["optimiser"])
+            torch.set_rng_state(resume["rng"])
+            epoch, seconds, history = progress_of(resume, "epoch", "loss")
+            best = dict(resume["best"])
+            load_weights(learner, best or resume["weights"])  # whether they fit
+            load_weights(learner, resume["weights"])
+            if history and not best:
+                raise ValueError("epochs without weights")
 
     truth = data.label[split.validation]
     platt, logits = Platt(1.0, 0.0), np.zeros(len(truth))

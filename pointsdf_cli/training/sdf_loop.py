@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -21,6 +20,13 @@ from pointsdf_cli.models.shape_model import ShapeModel, has_batch_norm
 from pointsdf_cli.training.distributed import ALONE, Workers
 from pointsdf_cli.training.ema import WeightAverage
 from pointsdf_cli.training.precision import autocast_dtype
+from pointsdf_cli.training.resuming import (
+    progress_of,
+    put_back_optimiser,
+    require_same_data,
+    require_same_run,
+    sense_of_state,
+)
 from pointsdf_cli.training.sdf_data import Split, augment, predict, read_batch, training_views
 from pointsdf_cli.training.sdf_loss import SdfLoss
 from pointsdf_cli.training.sdf_pack import Pack
@@ -209,14 +215,16 @@ def train_sdf(
     since_report, since_validation, total = 0, 0, 0.0
     if resume:
         state = read_train_state(out)
-        _check_same_run(state, model, config, out)
-        _check_same_data(state, learned_from, out)
-        model.load_state_dict(state["model"])
-        optimiser.load_state_dict(state["optimiser"])
-        average.load(state["average"])
-        step, seconds, history = state["step"], state["seconds"], list(state["history"])
-        # A run of an earlier version does not say; the first mean loss is then of what follows.
-        since_validation, total = state.get("since_validation", 0), state.get("total", 0.0)
+        with sense_of_state(out):
+            require_same_run(state, model, config.as_dict(), out)
+            require_same_data(state, learned_from, out)
+            model.load_state_dict(state["model"])
+            put_back_optimiser(optimiser, state["optimiser"])
+            average.load(state["average"])
+            step, seconds, history = progress_of(state, "step", "object_loss")
+            # A run of an earlier version does not say: the first mean loss is of what follows then.
+            since_validation = max(0, int(state.get("since_validation", 0)))
+            total = float(state.get("total", 0.0))
 
     def save(weights: dict[str, torch.Tensor] | None) -> None:
         if not workers.is_first:
@@ -325,42 +333,3 @@ def _entry(step: int, seconds: float, loss: float, result: Validation) -> dict[s
 
 def _best(history: list[dict[str, float]]) -> dict[str, float] | None:
     return min(history, key=lambda entry: entry["object_loss"], default=None)
-
-
-def _check_same_run(
-    state: Mapping[str, Any], model: ShapeModel, config: TrainConfig, out: Path | str
-) -> None:
-    """Refuse to carry on a run with another model or other numbers."""
-    # An argument that is newer than the run had its default.
-    parameters = inspect.signature(type(model)).parameters.values()
-    defaults = {p.name: _plain(p.default) for p in parameters if p.default is not p.empty}
-    arguments = {**defaults, **state.get("arguments", {})}
-    found = {"model": state.get("architecture"), **arguments, **state["config"]}
-    wanted = {"model": model.architecture, **model.config(), **config.as_dict()}
-    differing = [name for name in wanted if name in found and found[name] != wanted[name]]
-    # A longer run of the same kind may be wanted; it changes the schedule from here on only.
-    differing = [name for name in differing if name not in ("steps", "minutes", "validate_every")]
-    if differing:
-        changes = ", ".join(f"{n}: {found.get(n)} → {wanted[n]}" for n in differing)
-        raise InputError(
-            f"was trained with other settings ({changes})",
-            where=out,
-            hint="give the same options as before, or choose another --out",
-        )
-
-
-def _plain(value: Any) -> Any:
-    """Tuples as the lists that a configuration holds."""
-    return list(value) if isinstance(value, tuple) else value
-
-
-def _check_same_data(state: Mapping[str, Any], learned_from: str, out: Path | str) -> None:
-    """Refuse to resume with other objects, views or labels, or another split: the run would be
-    judged by its training data."""
-    if state.get("data", learned_from) != learned_from:
-        raise InputError(
-            "was trained on other data, or with another part of it held out",
-            where=out,
-            hint="give the same --views, --labels, --held-out and --views-per-object as before, or "
-            "begin anew with another --out",
-        )

@@ -1,0 +1,146 @@
+"""Checks of a training state before a run carries on from it.
+
+A state is read without running code (`io/checkpoints.py`), but it may be damaged, of another run or
+of other data, and torch answers that in many ways, some of them steps later.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.models.shape_model import ShapeModel
+
+LATER = ("steps", "minutes", "validate_every")
+"""Settings that a longer run of the same kind may change: they decide the schedule from here on."""
+_ADAM = {"step", "exp_avg", "exp_avg_sq"}
+
+
+@contextmanager
+def sense_of_state(where: Path | str | None = None) -> Iterator[None]:
+    """For the lines that put a state back.
+
+    Raises:
+        InputError: It lacks something, or holds what does not fit the run.
+    """
+    senseless = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError)
+    try:
+        yield
+    except senseless as error:
+        said = (str(error).splitlines() or [""])[0][:100]
+        raise InputError(
+            f"the training state does not fit this run ({type(error).__name__}: {said})",
+            where=where,
+            hint="begin anew without --resume, with --force or another --out",
+        ) from error
+
+
+def progress_of(
+    state: Mapping[str, Any], counted: str, judged_by: str
+) -> tuple[int, float, list[dict[str, float]]]:
+    """How far a run came: steps or epochs, seconds, and one entry a validation.
+
+    Args:
+        state: The state.
+        counted: "step" or "epoch".
+        judged_by: Name of the number in each entry by which the best is chosen.
+
+    Raises:
+        TypeError, ValueError, KeyError: Of another kind, negative or not finite.
+    """
+    count, seconds, history = state[counted], state["seconds"], list(state["history"])
+    if not isinstance(count, int) or count < 0:
+        raise ValueError(f"{counted} is {count!r:.40}")
+    if not (_is_number(seconds) and 0 <= seconds < math.inf):
+        raise ValueError(f"seconds is {seconds!r:.40}")
+    for entry in history:
+        if not all(_is_number(value) for value in entry.values()) or math.isnan(entry[judged_by]):
+            raise ValueError("an entry of the history holds no numbers")
+    return count, seconds, history
+
+
+def put_back_optimiser(optimiser: torch.optim.Optimizer, state: Mapping[str, Any]) -> None:
+    """Load the state of AdamW.
+
+    Raises:
+        TypeError, ValueError, KeyError: It is not of these weights, or of another optimiser.
+    """
+    fresh = [_kinds(group) for group in optimiser.param_groups]
+    optimiser.load_state_dict(dict(state))
+    for kinds, group in zip(fresh, optimiser.param_groups, strict=True):
+        if _kinds(group) != kinds:
+            raise TypeError("settings of the optimiser of another kind")
+        for weight in group["params"]:
+            kept = optimiser.state.get(weight, {})
+            if kept and (set(kept) != _ADAM or not all(map(torch.is_tensor, kept.values()))):
+                raise ValueError("not the state of AdamW")
+            if any(each.ndim and each.shape != weight.shape for each in kept.values()):
+                raise ValueError("averages of gradients of another shape than the weights")
+
+
+def require_same_run(
+    state: Mapping[str, Any], model: ShapeModel, config: Mapping[str, Any], out: Path | str
+) -> None:
+    """Refuse to carry on the training of a reconstruction with another model or other numbers.
+
+    Raises:
+        InputError: The settings that differ, with both values.
+    """
+    # An argument that is newer than the run had its default.
+    parameters = inspect.signature(type(model)).parameters.values()
+    defaults = {p.name: _plain(p.default) for p in parameters if p.default is not p.empty}
+    arguments = {**defaults, **state.get("arguments", {})}
+    found = {"model": state.get("architecture"), **arguments, **state["config"]}
+    wanted = {"model": model.architecture, **model.config(), **config}
+    differing = [name for name in wanted if name in found and found[name] != wanted[name]]
+    differing = [name for name in differing if name not in LATER]
+    if differing:
+        changes = ", ".join(f"{n}: {found.get(n)} → {wanted[n]}" for n in differing)
+        raise InputError(
+            f"was trained with other settings ({changes})",
+            where=out,
+            hint="give the same options as before, or choose another --out",
+        )
+
+
+def require_same_data(state: Mapping[str, Any], learned_from: str, out: Path | str) -> None:
+    """Refuse to resume with other objects, views or labels, or another split: the run would be
+    judged by its training data.
+
+    Raises:
+        InputError: One of these differs.
+    """
+    if state.get("data", learned_from) != learned_from:
+        raise InputError(
+            "was trained on other data, or with another part of it held out",
+            where=out,
+            hint="give the same --views, --labels, --held-out and --views-per-object as before, or "
+            "begin anew with another --out",
+        )
+
+
+def _kinds(group: Mapping[str, Any]) -> dict[str, object]:
+    """The kind of each setting of a group of weights."""
+
+    def kind(value: object) -> object:
+        if isinstance(value, tuple | list):
+            return tuple(kind(each) for each in value)
+        return "number" if _is_number(value) else type(value)
+
+    return {name: kind(value) for name, value in group.items() if name != "params"}
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as the lists that a configuration holds."""
+    return list(value) if isinstance(value, tuple) else value
