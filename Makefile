@@ -1,5 +1,5 @@
 # Two commands: `make demo` and `make test`. Both set up what is missing.
-.PHONY: demo test pages lint bench smoke setup browser clean
+.PHONY: demo test pages docs lint bench smoke setup browser clean
 
 SHELL := /bin/bash
 RUN := .venv/bin
@@ -19,6 +19,10 @@ test: setup
 # Every command of README and docs, in small: half as long again as the tests.
 pages: setup
 	$(PYTEST) -m pages $(PYTEST_ARGS)
+
+# The site of all pages and of the Python API, in site/; NO_MKDOCS_2_WARNING hides an advertisement.
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(RUN)/mkdocs build
 
 lint: setup
 	$(RUN)/ruff check pointsdf_cli tests benchmarks examples pipelines
