@@ -17,7 +17,7 @@ from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster
 from pointsdf_cli.camera.seen_object import SeenObject, SegmentationErrors, segment_scene
-from pointsdf_cli.camera.sensor import SENSORS, load_sensor
+from pointsdf_cli.camera.sensor_presets import SENSORS, load_sensor
 from pointsdf_cli.camera.table_scene import OBJECT, Scene, SceneConfig, draw_scene
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.stable_poses import StablePose, stable_poses
