@@ -139,11 +139,6 @@ def mesh_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     return float(np.sum(a * np.cross(b, c)) / 6)
 
 
-def euler_characteristic(vertices: np.ndarray, faces: np.ndarray) -> int:
-    """V − E + F, which is 2 − 2·genus for a single closed surface."""
-    return len(vertices) - len(faces) * 3 // 2 + len(faces)
-
-
 def _component_count(vertex_count: int, edges: np.ndarray) -> int:
     ones = np.ones(len(edges), dtype=np.int8)
     graph = coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(vertex_count, vertex_count))

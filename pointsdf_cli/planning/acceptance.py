@@ -58,7 +58,6 @@ class Candidate:
         objective: max(s − β, 0)².
         object_slack, table_slack, obstacle_slack, self_slack: Smallest distance less the clearance
             [m]; negative is too near, infinite where there is nothing to touch.
-        limit_slack: Smallest distance to a joint limit; negative is beyond.
         reason: One of `reasons.REASONS`, or empty where the solution is accepted.
         kind: Kind of its seed, "side" or "top".
     """
@@ -72,7 +71,6 @@ class Candidate:
     table_slack: float
     obstacle_slack: float
     self_slack: float
-    limit_slack: float
     reason: str
     kind: str = ""
 
@@ -135,7 +133,6 @@ def judge(
                 table_slack=float(slack.table[b]),
                 obstacle_slack=float(slack.obstacles[b]),
                 self_slack=float(slack.self_collision[b]),
-                limit_slack=float(limit[b]),
                 reason=reason,
                 kind=kinds[b] if kinds else "",
             )

@@ -64,8 +64,6 @@ class GridField:
 
     Attributes:
         queries: Number of queries of the field.
-        measured_slope: The steepest change between asked corners of the finest cells. The field's
-            true slope is no less: where this exceeds `config.slope`, the bound does not hold.
     """
 
     def __init__(
@@ -145,7 +143,6 @@ class GridField:
             values[tuple(new.T)] = self._ask(field, new, step)
             error[exact] = 0.0
         self._values, self._error = values, error
-        self.measured_slope = _steepest(values, refined) / step
 
     def _ask(self, field: Field, nodes: NDArray[np.int64], step: float) -> Array:
         self.queries += len(nodes)
@@ -251,17 +248,3 @@ def _corners_of(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     for corner in _CORNERS:
         nodes[tuple(slice(c, n + c) for c, n in zip(corner, cells.shape, strict=True))] |= cells
     return nodes
-
-
-def _steepest(values: Array, cells: NDArray[np.bool_]) -> float:
-    """The largest change per length (in nodes) from each marked cell's first corner to another."""
-    if not cells.any():
-        return 0.0
-    shape = cells.shape
-    here = values[: shape[0], : shape[1], : shape[2]][cells]
-    steepest = 0.0
-    for corner in _CORNERS[1:]:
-        there = values[tuple(slice(c, n + c) for c, n in zip(corner, shape, strict=True))][cells]
-        change = float(np.abs(there - here).max()) / float(np.sqrt(corner.sum()))
-        steepest = max(steepest, change)
-    return steepest
