@@ -25,8 +25,8 @@ docs: setup
 	NO_MKDOCS_2_WARNING=1 $(RUN)/mkdocs build
 
 lint: setup
-	$(RUN)/ruff check pointsdf_cli tests benchmarks examples pipelines
-	$(RUN)/ruff format --check pointsdf_cli tests benchmarks examples pipelines
+	$(RUN)/ruff check pointsdf_cli tests benchmarks examples experiments pipelines
+	$(RUN)/ruff format --check pointsdf_cli tests benchmarks examples experiments pipelines
 	$(RUN)/mypy
 
 # Without a browser the tests of the viewer's pages are skipped.
