@@ -1,4 +1,4 @@
-"""From a constructed solid to an object: slightly uneven, standing on z = 0, checked, as arrays."""
+"""Finish of a constructed solid: slightly uneven, standing on z = 0, checked, as arrays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When a solution is a plan, and if it is not, which constraint it fails (codes: reasons.py)."""
+"""Acceptance of solutions, and the constraint that a rejected one fails (codes: reasons.py)."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class AcceptanceConfig:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A solution with everything that decides about it.
+    """A solution and the values that decide whether it is accepted.
 
     Attributes:
         x: [n], decision variables.

@@ -161,15 +161,15 @@ class Answer:
 
     @property
     def candidates(self) -> Array:
-        """[C, J]."""
+        """Configurations [C, J] of all accepted grasps, best first."""
         return self.plan.accepted.q
 
 
 class GraspPlanner:
-    """Loaded networks and a planner; made once, asked for every cloud.
+    """Loaded networks and a planner, made once and used for every cloud.
 
     Args:
-        options: See there.
+        options: Options; the defaults if None.
         grasps: The success network to use instead of a checkpoint's.
 
     Raises:

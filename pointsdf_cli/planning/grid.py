@@ -52,7 +52,7 @@ class GridConfig:
 
 
 class GridField:
-    """A `Field` from look-ups, with `bound` telling how far each value can be off.
+    """A `Field` interpolated on a grid; `with_bound` also bounds its error.
 
     Outside of its box the value is √(|x − p|² + f(p)²) with p the nearest point of the box: for a
     surface that lies within the box this never exceeds the true distance.
@@ -201,7 +201,7 @@ class GridField:
 def surface_box(
     field: Field, low: Array, high: Array, step: float, slope: float = 1.0
 ) -> tuple[Array, Array]:
-    """A tight box (low [3], high [3]) around the surface inside of a wide one, by few questions.
+    """Tight box (low [3], high [3]) around the surface within a wide one, from few queries.
 
     Args:
         field: Asked on a grid of `step` [m].

@@ -1,4 +1,4 @@
-"""From an object to the best configuration that may be taken: seeds, solver, check, up to 5 rounds.
+"""Search for the best acceptable configuration: seeds, solver, check, in up to 5 rounds.
 
 The solver works on a quick field for all seeds at once. All solutions are judged by the exact
 problem; the best few of those that the quick field let too near are solved again with the exact
@@ -79,7 +79,7 @@ class Synthesis:
     Attributes:
         best: The accepted candidate with the smallest objective, None if there is none.
         accepted: All accepted candidates, best first; motion planning may need another.
-        fallbacks: The best few of those that are free but promise too little, for want of others.
+        fallbacks: The best few free ones that are unlikely to hold, used where nothing is accepted.
         rejected: All that were not accepted.
         reason: Empty, or why there is no plan.
         sentence: The same for a person.
