@@ -1,5 +1,5 @@
 # Two commands: `make demo` and `make test`. Both set up what is missing.
-.PHONY: demo test pages lint bench smoke setup browser clean
+.PHONY: demo test pages docs lint bench smoke setup browser clean
 
 SHELL := /bin/bash
 RUN := .venv/bin
@@ -20,9 +20,13 @@ test: setup
 pages: setup
 	$(PYTEST) -m pages $(PYTEST_ARGS)
 
+# The site of all pages and of the Python API, in site/; NO_MKDOCS_2_WARNING hides an advertisement.
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(RUN)/mkdocs build
+
 lint: setup
-	$(RUN)/ruff check pointsdf_cli tests benchmarks examples pipelines
-	$(RUN)/ruff format --check pointsdf_cli tests benchmarks examples pipelines
+	$(RUN)/ruff check pointsdf_cli tests benchmarks examples experiments pipelines
+	$(RUN)/ruff format --check pointsdf_cli tests benchmarks examples experiments pipelines
 	$(RUN)/mypy
 
 # Without a browser the tests of the viewer's pages are skipped.

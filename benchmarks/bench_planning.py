@@ -31,7 +31,7 @@ from pointsdf_cli.planning.acceptance import judge
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.seeds import draw_seeds
-from pointsdf_cli.planning.target import Target, reconstruction_target
+from pointsdf_cli.planning.target import Target, reconstructed_object
 from pointsdf_cli.robot.description import load_robot
 
 REST = np.array([0.0] * 6 + [1.3, 0.5])
@@ -137,7 +137,7 @@ def seen_by_network(target: Target, model: ShapeModel, seed: int) -> Target:
     points = camera.back_project(patch.u, patch.v, patch.depth)
     world = points @ T_world_camera[:3, :3].T + eye
     shape = Reconstruction.from_cloud(model, world, eye, T_world_camera[:3, :3], seed=seed)
-    return reconstruction_target(shape, target.score, target.prior)
+    return Target.of(reconstructed_object([shape]), target.score, target.prior)
 
 
 def mesh_of(solid: Solid) -> trimesh.Trimesh:

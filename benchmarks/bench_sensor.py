@@ -30,7 +30,7 @@ from sensor_scenes import (
     count_errors,
 )
 
-from pointsdf_cli.camera.sensor import SENSORS, load_sensor
+from pointsdf_cli.camera.sensor_presets import SENSORS, load_sensor
 from pointsdf_cli.io.meshes import find_meshes, load_mesh
 
 YCB_VIDEO = (

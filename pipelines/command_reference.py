@@ -12,6 +12,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -70,9 +71,13 @@ def entries(block: str) -> list[Entry]:
             found.append((match[1], [match[2]] if match[2] else []))
         elif line.strip() and found:
             found[-1][1].append(line.strip())
-    # A word that was broken at its hyphen is joined again.
-    rows = [_entry(head, re.sub(r"(\w-) ", r"\1", " ".join(lines))) for head, lines in found]
+    rows = [_entry(head, _joined(lines)) for head, lines in found]
     return [row for row in rows if not row.names.endswith(UNLISTED)]
+
+
+def _joined(lines: Iterable[str]) -> str:
+    """Lines as one; a word that was broken at its hyphen is joined again."""
+    return re.sub(r"(\w-)\n", r"\1", "\n".join(lines)).replace("\n", " ")
 
 
 def _entry(head: str, text: str) -> Entry:
@@ -82,7 +87,7 @@ def _entry(head: str, text: str) -> Entry:
     takes = "" if re.fullmatch(r"<(path|int|int range|float|str|list\[\w+\])>", takes) else takes
     text = re.sub(r"\s*\[required\]$", " Required.", text)
     text = re.sub(r"\s*\[default:\s*([^\]]*?)(; x>=0)?\]\.?$", r" (\1)", text)
-    text = re.sub(r"\s*\[x>=0\]$", "", text)
+    text = re.sub(r"\s*\[x>=0\]$", "", text).replace("((", "(").replace("))", ")")
     return Entry(names[0] if names else head, takes.replace("|", "\\|"), text.replace("|", "\\|"))
 
 
@@ -90,7 +95,7 @@ def parts_of(text: str) -> Help:
     """A help text taken apart."""
     pieces = _HEADING.split(text)
     usage, *paragraphs = re.split(r"\n\s*\n", pieces[0].strip())
-    joined = [" ".join(p.split()) for p in paragraphs]
+    joined = [_joined(line.strip() for line in p.splitlines()) for p in paragraphs]
     examples = [e.strip() for p in joined if "Example: " in p for e in p.split("Example: ")[1:]]
     about = " ".join(p.split("Example: ")[0].strip() for p in joined).strip()
     rows: list[Entry] = []

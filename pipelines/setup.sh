@@ -49,5 +49,5 @@ esac
 echo "setup: installing rgrasp and its dependencies into .venv (a few minutes the first time)" >&2
 # torch first and alone: with it in place no other package asks for another build of it.
 .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
-.venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[sim,view,serve,dev]'
+.venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[sim,view,serve,dev,docs]'
 echo "$wanted" > "$stamp"

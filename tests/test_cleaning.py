@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from pointsdf_cli.camera.cleaning import CleaningConfig, clean, flying_pixels, small_regions
+from pointsdf_cli.camera.cleaning import CleaningConfig, clean, flying_pixels
 from pointsdf_cli.camera.pinhole import CAMERAS
 from pointsdf_cli.camera.raycast import MeshCaster, depth_image
 from pointsdf_cli.errors import InputError
@@ -187,11 +187,3 @@ def test_wrong_input_is_refused() -> None:
         clean(np.zeros((5, 2)))
     with pytest.raises(InputError, match="neighbours"):
         CleaningConfig(neighbours=0)
-
-
-def test_small_regions_are_counted_with_diagonals() -> None:
-    mask = np.zeros((10, 10), dtype=bool)
-    mask[[1, 2, 3], [1, 2, 3]] = True
-    mask[6:9, 6:9] = True
-    assert small_regions(mask, 4).sum() == 3
-    assert small_regions(mask, 3).sum() == 0

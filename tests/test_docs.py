@@ -114,7 +114,7 @@ def test_a_block_is_what_it_says(block: Block) -> None:
 
 
 RUN = [page for page in PAGES if any(block.run for block in blocks(page))]
-FOLDERS = ("assets", "benchmarks", "pipelines", "tests")
+FOLDERS = ("assets", "benchmarks", "experiments", "pipelines", "tests")
 
 
 @pytest.mark.pages

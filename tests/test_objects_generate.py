@@ -13,7 +13,7 @@ import trimesh
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.families import FAMILIES, choose_families
-from pointsdf_cli.objects.finish import MOST_FACES, euler_characteristic, mesh_volume
+from pointsdf_cli.objects.finish import MOST_FACES, mesh_volume
 from pointsdf_cli.objects.generate import GeneratedObject, build, family_of, make_object
 
 PER_FAMILY = 2
@@ -22,6 +22,11 @@ PER_FAMILY = 2
 @pytest.fixture(scope="module")
 def members() -> dict[str, list[GeneratedObject]]:
     return {name: [make_object(11, k, [name]) for k in range(PER_FAMILY)] for name in FAMILIES}
+
+
+def euler_characteristic(vertices: np.ndarray, faces: np.ndarray) -> int:
+    """V − E + F of a closed surface: 2 − 2·genus."""
+    return len(vertices) - len(faces) * 3 // 2 + len(faces)
 
 
 def ray_faults(vertices: np.ndarray, faces: np.ndarray, count: int = 200) -> int:

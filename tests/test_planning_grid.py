@@ -103,14 +103,6 @@ def test_outside_of_the_box_the_distance_is_never_overstated(points) -> None:
     assert (grid(far) <= field(far) + edge).all()
 
 
-def test_a_field_steeper_than_allowed_is_measured() -> None:
-    def steep(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return 2.0 * (np.linalg.norm(x, axis=1) - 0.05)
-
-    assert GridField(steep, LOW, HIGH).measured_slope == pytest.approx(2.0, abs=0.05)
-    assert GridField(SphereField(0.05), LOW, HIGH).measured_slope <= 1 + 1e-9
-
-
 def test_an_impossible_grid_is_refused() -> None:
     with pytest.raises(InputError, match="step"):
         GridConfig(step=0.0)

@@ -15,7 +15,8 @@ from conftest import REPOSITORY, run_cli
 from pointsdf_cli.camera import sensor_effects as effects
 from pointsdf_cli.camera.noise import DepthNoise
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
-from pointsdf_cli.camera.sensor import SENSORS, DepthSensor, load_sensor
+from pointsdf_cli.camera.sensor import DepthSensor
+from pointsdf_cli.camera.sensor_presets import SENSORS, load_sensor
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.objects.generate import make_object

@@ -10,7 +10,7 @@ from pointsdf_cli.trials.rehearsed import promising_first
 
 def grasp(success: float, slack: float, objective: float = 0.0) -> Candidate:
     none = np.zeros(0)
-    return Candidate(none, none, success, 0.0, objective, slack, 1.0, 1.0, 1.0, 1.0, "")
+    return Candidate(none, none, success, 0.0, objective, slack, 1.0, 1.0, 1.0, "")
 
 
 def test_of_good_grasps_those_with_room_come_first() -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ from pointsdf_cli.io.trials import Evidence, write_trial
 from pointsdf_cli.io.views import Views, write_views
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.artifact_scene import scene_of, scenes_of
-from pointsdf_cli.viz.html_scene import scene_of_page, scene_page
+from pointsdf_cli.viz.html_scene import scene_page
 from pointsdf_cli.viz.scene import Part, Scene, joined
 from pointsdf_cli.viz.scene_sources import SceneOptions
 
@@ -221,6 +223,14 @@ def test_bounds_leave_out_table_and_what_is_not_there() -> None:
     scene = Scene("s", parts, ("there", "gone"), poses)
     assert np.array_equal(scene.bounds(), [[0, 0, 0], [1, 1, 1]])
     assert joined([scene]) is scene
+
+
+def scene_of_page(page: str) -> dict[str, Any]:
+    """The data in a page."""
+    data: dict[str, Any] = json.loads(
+        re.findall(r'type="application/json">(.*?)</script>', page)[0]
+    )
+    return data
 
 
 def test_the_page_holds_the_whole_scene_and_fetches_nothing(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ RETIRED = {
 
 @cache
 def trees() -> dict[Path, ast.Module]:
-    folders = ("pointsdf_cli", "pipelines", "benchmarks")
+    folders = ("pointsdf_cli", "pipelines", "benchmarks", "experiments")
     paths = [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
     return {path.relative_to(ROOT): ast.parse(path.read_text()) for path in paths}
 

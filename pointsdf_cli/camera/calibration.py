@@ -19,6 +19,7 @@ from pointsdf_cli.camera.charuco import (
 )
 from pointsdf_cli.camera.hand_eye import FEWEST_IMAGES, HandEye, calibrate_hand_eye
 from pointsdf_cli.camera.intrinsics import read_lens
+from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.board_images import list_images, match_poses, read_grey
 from pointsdf_cli.io.robot_poses import read_robot_poses
@@ -79,6 +80,33 @@ def calibrate_from_files(
     paths = list_images(folder)
     given = read_robot_poses(robot_poses, pose_unit)
     order = match_poses(paths, given.names, len(given.T_base_gripper), robot_poses)
+    camera, views, lost = _find_boards(paths, intrinsics, board, on_image)
+    if camera is None or len(views) < FEWEST_IMAGES:
+        raise _too_few(folder, [paths[i].name for i in views], len(paths), board, lost)
+    try:
+        solved = calibrate_hand_eye(
+            given.T_base_gripper[[order[i] for i in views]],
+            list(views.values()),
+            board.corners,
+            camera,
+            eye_in_hand,
+        )
+    except InputError as error:
+        where = error.where or robot_poses
+        raise InputError(error.what, where=where, allowed=error.allowed, hint=error.hint) from error
+    return Calibration(
+        solved,
+        [paths[i].name for i in views],
+        [len(view.ids) for view in views.values()],
+        [path.name for i, path in enumerate(paths) if i not in views],
+        given.names is not None,
+    )
+
+
+def _find_boards(
+    paths: list[Path], intrinsics: str, board: CharucoBoard, on_image: Callable[[str], None]
+) -> tuple[Camera | None, dict[int, BoardView], list[NDArray[np.uint8]]]:
+    """Camera, boards by the number of their image, and a few images without a board."""
     camera = None
     lost: list[NDArray[np.uint8]] = []
     views: dict[int, BoardView] = {}
@@ -100,26 +128,7 @@ def calibrate_from_files(
         elif len(lost) < MOST_EXPLAINED:
             lost.append(image)
         on_image(path.name)
-    if camera is None or len(views) < FEWEST_IMAGES:
-        raise _too_few(folder, [paths[i].name for i in views], len(paths), board, lost)
-    try:
-        solved = calibrate_hand_eye(
-            given.T_base_gripper[[order[i] for i in views]],
-            list(views.values()),
-            board.corners,
-            camera,
-            eye_in_hand,
-        )
-    except InputError as error:
-        where = error.where or robot_poses
-        raise InputError(error.what, where=where, allowed=error.allowed, hint=error.hint) from error
-    return Calibration(
-        solved,
-        [paths[i].name for i in views],
-        [len(view.ids) for view in views.values()],
-        [path.name for i, path in enumerate(paths) if i not in views],
-        given.names is not None,
-    )
+    return camera, views, lost
 
 
 def _too_few(

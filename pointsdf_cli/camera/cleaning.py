@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage, sparse
+from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
@@ -150,12 +150,6 @@ def flying_pixels(depth: NDArray[np.floating], focal: float) -> Mask:
     flying: Mask = seen & (count < 3)
     # Where hardly any pixel has neighbours the image is sparse, and that says nothing.
     return flying if 2 * flying.sum() < seen.sum() else np.zeros_like(flying)
-
-
-def small_regions(mask: Mask, fewest: int) -> Mask:
-    """Pixels [height, width] of `mask` in connected regions of fewer than `fewest` pixels."""
-    label, _ = ndimage.label(mask, structure=np.ones((3, 3)))
-    return mask & (np.bincount(label.ravel())[label] < fewest)
 
 
 def _evenly_sampled(points: Array) -> tuple[Array, bool]:

@@ -1,4 +1,4 @@
-"""Touching things told apart where their surfaces meet in a valley."""
+"""Separation of touching things where their surfaces meet in a valley."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pointsdf_cli.geometry.arrays import Array
 
 @dataclass(frozen=True)
 class SplitConfig:
-    """When a valley parts two things.
+    """Thresholds of a valley that separates two things.
 
     Attributes:
         radius: Neighbourhood [m] in which a surface is called concave.

@@ -34,6 +34,29 @@ def cloud_of_depth(
     Raises:
         InputError: The sizes differ, or no pixel has a depth within the limits.
     """
+    _check(depth, camera, colours, nearest, farthest)
+    v, u = np.nonzero((depth >= nearest) & (depth <= farthest) & (depth > 0))
+    if not len(v):
+        raise _nothing_seen(depth, nearest, farthest)
+    return Cloud(
+        points=camera.back_project(u, v, depth[v, u]),
+        colours=None if colours is None else np.ascontiguousarray(colours[v, u]),
+        frame="camera",
+        T_world_camera=T_world_camera,
+        pixels=np.stack([u, v], axis=1).astype(np.float64),
+        image=DepthImage(depth, camera.K),
+        notes=_off_centre(camera),
+    )
+
+
+def _check(
+    depth: NDArray[np.float64],
+    camera: Camera,
+    colours: NDArray[np.uint8] | None,
+    nearest: float,
+    farthest: float,
+) -> None:
+    """Refuse limits in the wrong order and images of different sizes."""
     if not 0 <= nearest < farthest:
         raise InputError(
             f"depths from {nearest} to {farthest} m",
@@ -51,34 +74,32 @@ def cloud_of_depth(
             where="--color",
             allowed="a colour image registered to the depth image, pixel by pixel",
         )
-    v, u = np.nonzero((depth >= nearest) & (depth <= farthest) & (depth > 0))
-    if not (depth > 0).any():
-        raise InputError(
+
+
+def _nothing_seen(depth: NDArray[np.float64], nearest: float, farthest: float) -> InputError:
+    """Error for an image [height, width] without any depth from `nearest` to `farthest` [m]."""
+    seen = depth[depth > 0]
+    if not len(seen):
+        return InputError(
             "the depth image is 0 everywhere: the camera saw nothing",
             allowed="depths above 0 where something was seen",
             hint="was the camera covered, or too near? Is it the depth stream's image?",
         )
-    if not len(v):
-        seen = depth[depth > 0]
-        found = f"{seen.min():.4g} to {seen.max():.4g} m"
-        raise InputError(
-            f"no depth between {nearest:g} and {farthest:g} m (there is {found})",
-            allowed="depths of a table-top scene",
-            hint="check --depth-scale: 0.001 if the numbers are millimetres, 0.00025 for a "
-            "RealSense L515, 1 for metres",
-        )
-    off = abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5)
-    note = (
-        f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of the image "
-        "of "
-        f"{camera.width} × {camera.height}: are the intrinsics of another resolution?"
+    found = f"{seen.min():.4g} to {seen.max():.4g} m"
+    return InputError(
+        f"no depth between {nearest:g} and {farthest:g} m (there is {found})",
+        allowed="depths of a table-top scene",
+        hint="check --depth-scale: 0.001 if the numbers are millimetres, 0.00025 for a "
+        "RealSense L515, 1 for metres",
     )
-    return Cloud(
-        points=camera.back_project(u, v, depth[v, u]),
-        colours=None if colours is None else np.ascontiguousarray(colours[v, u]),
-        frame="camera",
-        T_world_camera=T_world_camera,
-        pixels=np.stack([u, v], axis=1).astype(np.float64),
-        image=DepthImage(depth, camera.K),
-        notes=(note,) if max(off) > OFF_CENTRE else (),
+
+
+def _off_centre(camera: Camera) -> tuple[str, ...]:
+    """A warning where the principal point shows intrinsics of another resolution; or none."""
+    off = abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5)
+    if max(off) <= OFF_CENTRE:
+        return ()
+    return (
+        f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of the image "
+        f"of {camera.width} × {camera.height}: are the intrinsics of another resolution?",
     )

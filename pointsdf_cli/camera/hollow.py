@@ -1,4 +1,4 @@
-"""Bowls made whole: a floor as low as the table, a near wall that stands apart from the far one."""
+"""Bowls in one piece: near wall, far wall, and a floor as low as the table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Depth images of meshes by ray casting, over no more of the image than the mesh can cover."""
+"""Depth images of meshes by ray casting, within the part of the image that a mesh covers."""
 
 from __future__ import annotations
 

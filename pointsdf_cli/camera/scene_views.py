@@ -1,4 +1,4 @@
-"""Views of one object as a depth camera over a table and a segmentation that errs give them.
+"""Views of one object over a table, as measured by a depth camera and segmented with errors.
 
 Each view: a random scene (`table_scene.py`), what a sensor measures of it (`sensor.py`), what a
 segmentation takes for the object (`seen_object.py`), and what cleaning keeps of that, as at run
@@ -17,7 +17,7 @@ from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster
 from pointsdf_cli.camera.seen_object import SeenObject, SegmentationErrors, segment_scene
-from pointsdf_cli.camera.sensor import SENSORS, load_sensor
+from pointsdf_cli.camera.sensor_presets import SENSORS, load_sensor
 from pointsdf_cli.camera.table_scene import OBJECT, Scene, SceneConfig, draw_scene
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.stable_poses import StablePose, stable_poses
@@ -103,7 +103,7 @@ class SceneViews:
         self._poses = _resting(mesh)
 
     def draw(self, rng: np.random.Generator) -> tuple[SceneView, int]:
-        """A view, and how many were drawn in vain before it.
+        """A view, and the number of rejected draws before it.
 
         Raises:
             InputError: The object is never seen well enough.

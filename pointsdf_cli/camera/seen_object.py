@@ -60,7 +60,7 @@ class SegmentationErrors:
 
 @dataclass(frozen=True)
 class SeenObject:
-    """One object as a camera and a segmentation give it, camera frame, m.
+    """One object as measured and segmented, camera frame, m.
 
     Attributes:
         points: [N, 3], taken for the object's.

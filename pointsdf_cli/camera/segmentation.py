@@ -1,4 +1,4 @@
-"""The object out of a cloud that also saw the table, the robot and whatever else stands there."""
+"""Segmentation of the object in a cloud with table, robot and other things."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""View of an object: its points, the camera's pose, and the rest of what the camera saw."""
+"""View of an object: its points, the camera's pose, and the observed space around it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pointsdf_cli.geometry.visibility import ViewEvidence
 
 @dataclass(frozen=True)
 class View:
-    """View of an object.
+    """One camera's view of an object.
 
     Attributes:
         points: [N, 3], camera frame, m.

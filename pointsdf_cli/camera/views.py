@@ -14,7 +14,8 @@ from pointsdf_cli.camera.noise import REFERENCE_DEPTH, DepthNoise
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.camera.raycast import DepthPatch, MeshCaster, depth_image, depth_window
 from pointsdf_cli.camera.scene_views import SceneViewConfig, SceneViews
-from pointsdf_cli.camera.sensor import DepthSensor, load_sensor, without_ideal
+from pointsdf_cli.camera.sensor import DepthSensor
+from pointsdf_cli.camera.sensor_presets import load_sensor, without_ideal
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.frames import random_rotation, transform

@@ -1,25 +1,17 @@
-"""Options that every command shares, and the one way in which commands report."""
+"""Options that commands share, and checks of their values."""
 
 from __future__ import annotations
 
-import json
 import os
-import sys
-import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
-from pointsdf_cli.cli.printable import printable, printable_json
+from pointsdf_cli.cli.reporter import Progress as Progress
+from pointsdf_cli.cli.reporter import Reporter as Reporter
+from pointsdf_cli.cli.reporter import finish_stage as finish_stage
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.strict_json import to_json
-
-if TYPE_CHECKING:
-    from pointsdf_cli.io.batch import StageReport
 
 Seed = Annotated[int, typer.Option(help="Random seed.")]
 Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Number of processes; 0 uses all cores.")]
@@ -144,8 +136,6 @@ def check_suffix(path: Path, option: str, suffixes: tuple[str, ...]) -> None:
     Raises:
         InputError: It has none of the suffixes.
     """
-    from pointsdf_cli.errors import InputError
-
     if path.suffix.lower() not in suffixes:
         raise InputError(
             f"{path} does not end in {' or '.join(suffixes)}, and other commands would not read it",
@@ -182,8 +172,6 @@ def labels_of(checkpoints: list[Path]) -> list[str]:
     Raises:
         InputError: A name is given twice.
     """
-    from pointsdf_cli.errors import InputError
-
     whole = [path.resolve() for path in checkpoints]
     if len(set(whole)) < len(whole):
         raise InputError("a checkpoint is given twice", where="--checkpoint", allowed="each once")
@@ -206,7 +194,6 @@ def check_picture(path: Path | None, force: bool) -> Path | None:
     Raises:
         InputError: It has another suffix, exists already, or its folder cannot be written.
     """
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.atomic import require_folder, require_new
 
     if path is None:
@@ -246,121 +233,3 @@ def torch_device(name: str) -> str:
             allowed="cpu" + "".join(f", cuda:{k}" for k in range(torch.cuda.device_count())),
         )
     return name
-
-
-@dataclass(frozen=True)
-class Reporter:
-    """Progress and messages on stderr, the result on stdout.
-
-    Attributes:
-        quiet: Nothing on stderr but errors.
-        as_json: The result as one JSON object instead of lines.
-    """
-
-    quiet: bool = False
-    as_json: bool = False
-
-    def say(self, text: str) -> None:
-        """One line of progress on stderr."""
-        if not self.quiet:
-            print(printable(text), file=sys.stderr, flush=True)
-
-    def result(self, values: Mapping[str, Any], lines: list[str] | None = None) -> None:
-        """The command's result: `values` as JSON, or `lines` (by default "name: value")."""
-        if self.as_json:
-            text = printable_json(to_json(values))
-            try:
-                text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
-            except UnicodeEncodeError:  # then all of it as escapes, which JSON has its own of
-                text = json.dumps(json.loads(text))
-            print(text)
-        else:
-            for line in lines if lines is not None else [f"{k}: {v}" for k, v in values.items()]:
-                print(printable(line))
-
-    @contextmanager
-    def progress(self, title: str, total: int) -> Iterator[Progress]:
-        """A progress bar on a terminal, an occasional line elsewhere; nothing when quiet."""
-        progress = Progress(title, total, self.quiet)
-        try:
-            yield progress
-        finally:
-            progress.close()
-
-
-class Progress:
-    """Counts finished files; `advance` may be given to `run_stage` as `on_done`."""
-
-    _LINE_EVERY = 10.0
-
-    def __init__(self, title: str, total: int, quiet: bool) -> None:
-        self._title, self._total, self._quiet = title, total, quiet
-        self._count = 0
-        self._started = self._spoke = time.monotonic()
-        self._bar: Any = None
-        if not quiet and sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
-            from rich.progress import Progress as Bar
-
-            self._bar = Bar(
-                "{task.description}",
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeRemainingColumn(),
-                console=Console(stderr=True),
-            )
-            self._bar.start()
-            self._task = self._bar.add_task(title, total=total)
-
-    def advance(self, name: str, _result: object = None) -> None:
-        """Count one more finished file."""
-        self._count += 1
-        if self._bar:
-            self._bar.update(self._task, advance=1, description=f"{self._title} {name[-32:]}")
-            return
-        now = time.monotonic()
-        if not self._quiet and (now - self._spoke > self._LINE_EVERY):
-            self._spoke = now
-            left = (now - self._started) / self._count * (self._total - self._count)
-            print(
-                f"{self._title}: {self._count} of {self._total}, {left:.0f} s left",
-                file=sys.stderr,
-                flush=True,
-            )
-
-    def close(self) -> None:
-        """Take the bar off the terminal."""
-        if self._bar:
-            self._bar.stop()
-
-
-def finish_stage(
-    reporter: Reporter,
-    report: StageReport[Any],
-    out: Path,
-    skip_bad: bool,
-    values: Mapping[str, Any],
-    lines: list[str],
-) -> None:
-    """Print a stage's result, then the inputs it could not use.
-
-    Raises:
-        InputError: Some inputs were refused and `--skip-bad` was not given.
-    """
-    refused = {name: error.what for name, error in report.refused}
-    counts = {"made": len(report.made), "kept": len(report.kept), "refused": len(refused)}
-    if report.made or report.kept or not refused:
-        reporter.result(
-            {"out": out, **counts, "seconds": round(report.seconds, 3), **values, "bad": refused},
-            [
-                f"{out}: {counts['made']} made, {counts['kept']} there already, "
-                f"{counts['refused']} refused, in {report.seconds:.1f} s",
-                *lines,
-            ],
-        )
-    if skip_bad and (report.made or report.kept):
-        for _, error in report.refused:
-            reporter.say(f"skipped: {error.message}")
-        return
-    report.raise_if_refused()

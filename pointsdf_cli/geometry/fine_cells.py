@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.cubic_cells import cubic_cells
 from pointsdf_cli.geometry.marching_cubes import CORNERS
-from pointsdf_cli.geometry.mise import Cells, SampledGrid, one_entry_each, sparse_zeros
+from pointsdf_cli.geometry.sampled_grid import Cells, SampledGrid, one_entry_each, sparse_zeros
 
 _CHUNK = 1 << 14
 """Cells interpolated at once."""

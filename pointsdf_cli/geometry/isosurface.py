@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.geometry.fine_cells import FineGrid, refine_cells
 from pointsdf_cli.geometry.marching_cubes import cross_cells
-from pointsdf_cli.geometry.mise import NetworkField, SampledGrid, SearchRules, find_surface_cells
+from pointsdf_cli.geometry.mise import SearchRules, find_surface_cells
+from pointsdf_cli.geometry.sampled_grid import NetworkField, SampledGrid
 
 MAX_RESOLUTION = 512
 _END_GAP = 1e-3

@@ -40,7 +40,7 @@ _HOST = _host()
 
 
 class UnwritableError(InputError):
-    """The place for the output is what is wrong, and would be for the next input too."""
+    """The output folder cannot be written; other inputs would meet the same error."""
 
 
 @contextmanager

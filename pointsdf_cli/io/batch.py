@@ -1,4 +1,4 @@
-"""Running one stage over many files: processes, shards, resumption, and bad files set apart."""
+"""One stage over many files: processes, shards, resumption, and a report of bad files."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ def _remove_ours(folder: Path, path: Path) -> None:
 
 
 def require_checkpoint_place(path: Path | str) -> None:
-    """A checkpoint can be written at `path`: known before the training, not after it.
+    """Refuse a place where no checkpoint can be written, before the training begins.
 
     Raises:
         InputError: It is a file or the working directory, or cannot be written.

@@ -20,15 +20,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import apply_transform, invert_transform, is_rigid
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.cloud_text import read_npy, read_xyz
 from pointsdf_cli.io.input_files import check_input
 from pointsdf_cli.io.meshes import UNITS
 from pointsdf_cli.io.pcd import read_pcd
-from pointsdf_cli.io.ply import RawCloud, read_ply, write_ply
+from pointsdf_cli.io.ply import read_ply, write_ply
+from pointsdf_cli.io.raw_cloud import (
+    FRAMES,
+    finite_points,
+    frame_of_header,
+    pose_of_header,
+    unit_normals,
+)
 
-FRAMES = ("camera", "world")
 FEWEST_POINTS = 50
 SMALLEST, LARGEST = 0.005, 2.0
 """Bounds [m] of the longest side of a partial view of something that a hand may grasp."""
@@ -161,17 +167,17 @@ def read_cloud(
     raw = reader(path)
     if len(raw.points) == 0:
         raise InputError("holds no points", where=path)
-    raw = _finite(raw, path, drop_invalid)
+    raw = finite_points(raw, path, drop_invalid)
     pose = T_world_camera
     if pose is None:
-        pose = _pose(raw.comments, path)
+        pose = pose_of_header(raw.comments, path)
         if pose is not None and path.suffix.lower() == ".pcd":
             pose[:3, 3] *= UNITS[unit]  # its header holds the viewpoint in the points' own unit
     cloud = Cloud(
         points=raw.points * UNITS[unit],
-        normals=_unit_normals(raw.normals),
+        normals=unit_normals(raw.normals),
         colours=raw.colours,
-        frame=frame or _frame(raw.comments, path),
+        frame=frame or frame_of_header(raw.comments, path),
         T_world_camera=pose,
     )
     if path.suffix.lower() == ".pcd" and frame is None and T_world_camera is None:
@@ -280,75 +286,3 @@ def _size_error(points: NDArray[np.float64], size: float, where: Any) -> InputEr
         allowed=allowed,
         hint="cut the object out first: rgrasp mesh and plan do so with --segment auto",
     )
-
-
-def _finite(raw: RawCloud, path: Path, drop: bool) -> RawCloud:
-    """The points that say where something is; 0 0 0, as some drivers write that nothing was seen,
-    is left out with the others."""
-    finite: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(raw.points), axis=1)
-    bad = len(finite) - int(np.count_nonzero(finite))
-    if drop:
-        finite &= raw.points.any(axis=1)
-    if finite.all():
-        return raw
-    if bad and not drop:
-        raise InputError(
-            f"{bad} of {len(finite)} points are NaN or infinite",
-            where=path,
-            allowed="finite coordinates (depth cameras write NaN where they see nothing)",
-            hint="add --drop-invalid to leave those points out" if bad < len(finite) else None,
-        )
-    if not finite.any():
-        raise InputError(
-            f"none of {len(finite)} points is finite and away from 0 0 0, where no camera sees "
-            "anything",
-            where=path,
-            hint="was the camera covered, or too near?",
-        )
-    return replace(
-        raw,
-        points=raw.points[finite],
-        normals=None if raw.normals is None else raw.normals[finite],
-        colours=None if raw.colours is None else raw.colours[finite],
-    )
-
-
-def _unit_normals(normals: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-    """Normals made unit length; None if some are missing (zero or NaN), as cameras leave them."""
-    if normals is None:
-        return None
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    if not (np.isfinite(length).all() and (length > 0).all()):
-        return None
-    return normals / length
-
-
-def _frame(comments: dict[str, str], path: Path) -> str:
-    frame = comments.get("frame", "camera").strip()
-    if frame not in FRAMES:
-        raise InputError(
-            f"unknown frame {frame!r} in the header",
-            where=path,
-            allowed=", ".join(FRAMES),
-            hint="add --frame camera if the camera looks along +z there, or --frame world",
-        )
-    return frame
-
-
-def _pose(comments: dict[str, str], path: Path) -> NDArray[np.float64] | None:
-    text = comments.get("T_world_camera")
-    if text is None:
-        return None
-    try:
-        pose = np.array([float(word) for word in text.replace(",", " ").split()]).reshape(4, 4)
-    except ValueError as error:
-        raise InputError(
-            "the header's T_world_camera is not 16 numbers", where=path, allowed="4×4, row by row"
-        ) from error
-    if not is_rigid(pose):
-        raise InputError(
-            "the header's T_world_camera is not a rotation and a translation",
-            where=path,
-            allowed="4×4, row by row: an orthonormal rotation, last row 0 0 0 1",
-        )
-    return pose

@@ -1,4 +1,4 @@
-"""A check that the HDF5 library lacks: a damaged heap of strings holds it for ever.
+"""A check that the HDF5 library lacks: a damaged heap of strings makes it loop for ever.
 
 Strings of variable length lie in "global heap collections" (HDF5 file format, III.E): a signature,
 a size, then objects, each with an index, a size and its data, ending in a free one of index 0 that
@@ -19,7 +19,7 @@ _HEAD, _OBJECT = 16, 16
 
 
 def heaps_end(path: Path) -> bool:
-    """Whether a walk through each heap of strings in the file's first part comes to its end."""
+    """Whether a walk through each heap of strings in the file's first part ends."""
     with open_input(path, "artifact") as handle:
         data = handle.read(SEARCHED)
     at = data.find(_SIGNATURE)

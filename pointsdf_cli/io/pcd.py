@@ -1,4 +1,8 @@
-"""The PCD format of the Point Cloud Library: ascii, binary and binary_compressed, version 0.7."""
+"""The PCD format of the Point Cloud Library: ascii, binary and binary_compressed, version 0.7.
+
+No package reads it here: pypcd4 returns uninitialised memory as points where a file is cut short
+(tests/test_cloud_file_damage.py).
+"""
 
 from __future__ import annotations
 

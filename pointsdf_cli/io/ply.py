@@ -1,4 +1,8 @@
-"""The PLY format, as far as point clouds need it: ASCII and binary of both byte orders."""
+"""The PLY format, as far as point clouds need it: ASCII and binary of both byte orders.
+
+No package reads it here: plyfile reads the faces, too, and allocates what a damaged header promises
+(tests/test_cloud_file_damage.py).
+"""
 
 from __future__ import annotations
 

@@ -5,7 +5,6 @@ A bag is a folder with metadata.yaml, or a single .mcap or .db3 file.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,12 +13,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import invert_transform, rotation_from_wxyz, transform
-from pointsdf_cli.io.depth_images import LARGEST_PIXELS
+from pointsdf_cli.io.depth_messages import depth_of_message
 from pointsdf_cli.io.input_files import check_input
 
 SUFFIXES = (".mcap", ".db3")
@@ -29,9 +27,6 @@ TRANSPORTS = ("compressed", "compressedDepth", "zstd")
 MOST_FRAMES = 100
 NEAR_IN_TIME = 1_000_000_000
 """A moving transform [ns] older or newer than this does not say where the camera was."""
-_ENCODINGS = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}
-_DEPTH_HEADER = 12
-"""Bytes before the PNG of a compressedDepth image: the format and two parameters."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +137,7 @@ class Bag:
             seen += 1
             if time is None and seen <= index:
                 continue
-            depths.append(_depth(message, self.path, topic))
+            depths.append(depth_of_message(message, self.path, topic))
             if depths[-1].shape != depths[0].shape:
                 raise InputError(f"images on {topic} differ in size", where=self.path)
             stamps.append(_nanoseconds(message.header.stamp))
@@ -300,58 +295,3 @@ def _edge(item: Any) -> tuple[str, str]:
 def _matrix(pose: Any) -> Array:
     q, t = pose.rotation, pose.translation
     return transform(rotation_from_wxyz([q.w, q.x, q.y, q.z]), [t.x, t.y, t.z])
-
-
-def _depth(message: Any, path: Path, topic: str) -> NDArray[np.float32]:
-    """The depths f4 [height, width] in m of an Image or CompressedImage message."""
-    if hasattr(message, "format"):
-        values = _compressed(message, path, topic)
-    else:
-        values = _raw(message, path, topic)
-    return np.where(np.isfinite(values) & (values > 0), values, 0).astype(np.float32)
-
-
-def _raw(message: Any, path: Path, topic: str) -> NDArray[Any]:
-    width, height, step = int(message.width), int(message.height), int(message.step)
-    if message.encoding not in _ENCODINGS:
-        raise InputError(
-            f"images on {topic} are {message.encoding}, no depths",
-            where=path,
-            allowed=", ".join(_ENCODINGS),
-        )
-    kind, scale = _ENCODINGS[message.encoding]
-    number = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
-    data = np.ascontiguousarray(message.data)
-    whole = min(width, height) > 0 and width * height <= LARGEST_PIXELS
-    if not whole or step < width * number.itemsize or data.nbytes < step * height:
-        raise InputError(f"an image on {topic} is cut short", where=path)
-    rows = data.view(np.uint8)[: step * height].reshape(height, step)
-    return rows[:, : width * number.itemsize].copy().view(number) * np.float64(scale)
-
-
-def _compressed(message: Any, path: Path, topic: str) -> NDArray[Any]:
-    """16UC1 and 32FC1 as `compressedDepth` (PNG) writes them, and 16UC1 as a plain PNG."""
-    form, data = str(message.format), np.ascontiguousarray(message.data).tobytes()
-    encoding = form.partition(";")[0].strip()
-    header = _DEPTH_HEADER if "compressedDepth" in form else 0
-    png = data[header:].startswith(b"\x89PNG")
-    if not png or encoding not in _ENCODINGS or (encoding == "32FC1" and not header):
-        raise InputError(
-            f"images on {topic} are compressed as {form!r}, which is not read",
-            where=path,
-            allowed="uncompressed images, or compressedDepth with PNG",
-            hint="ros2 run image_transport republish compressedDepth raw, and record that; or "
-            "record the uncompressed topic",
-        )
-    try:
-        with Image.open(io.BytesIO(data[header:])) as image:
-            if image.width * image.height > LARGEST_PIXELS or not image.mode.startswith("I"):
-                raise ValueError(image.mode)
-            values = np.asarray(image).astype(np.float64)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"an image on {topic} is no 16-bit PNG", where=path) from error
-    if encoding != "32FC1":
-        return values * 0.001
-    # Floats are kept as inverse depths: value = a / depth + b.
-    a, b = np.frombuffer(data[4:header], "<f4").astype(np.float64)
-    return np.divide(a, values - b, out=np.zeros_like(values), where=values > 0)

@@ -1,4 +1,4 @@
-"""Folders for files that other libraries want to read from a disk, gone when their process is.
+"""Temporary folders for libraries that read from disk, removed when their process ends.
 
 What a killed process left is removed by the next one that needs such a folder, by the same rule as
 outputs under construction (`atomic.py`).

@@ -1,4 +1,4 @@
-"""JSON that any program can read: a number that is none (NaN, infinity) becomes null.
+"""JSON that any program can read: NaN and infinity become null.
 
 Python would write `NaN`, which is no JSON: `jq` and every browser refuse the whole document.
 """

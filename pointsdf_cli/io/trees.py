@@ -54,8 +54,8 @@ def tree_of_npz(data: bytes, where: str) -> Any:
     """The tree of `tree_to_npz`.
 
     Args:
-        data: From a stranger.
-        where: It came from, for messages.
+        data: Untrusted bytes.
+        where: Its source, for messages.
 
     Raises:
         InputError: Damaged, compressed, of Python objects, or without the tree.

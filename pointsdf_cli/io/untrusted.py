@@ -1,4 +1,4 @@
-"""Text and arrays from strangers: YAML, JSON, XML and NPY that may be damaged, or made to harm.
+"""Text and arrays from untrusted files: YAML, JSON, XML and NPY, damaged or malicious.
 
 A file of a few hundred bytes can ask for terabytes: by a length in a header, by aliases of aliases,
 by entities of entities, by a thousand brackets. Each reader here refuses that in one message.

@@ -191,7 +191,6 @@ class Members(nn.Module):
         return torch.baddbmm(self.bias, x, self.weight)
 
 
-SuccessNet = EmbeddingNet | GeometryNet
 NETWORKS: dict[str, type[EmbeddingNet] | type[GeometryNet]] = {
     net.inputs: net for net in (EmbeddingNet, GeometryNet)
 }

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.field import FieldFunction
 from pointsdf_cli.geometry.isosurface import MAX_RESOLUTION, IsosurfaceConfig, extract_isosurface
-from pointsdf_cli.geometry.mise import NetworkField, SearchRules
+from pointsdf_cli.geometry.mise import SearchRules
+from pointsdf_cli.geometry.sampled_grid import NetworkField
 from pointsdf_cli.geometry.smoothing import taubin_smooth
 from pointsdf_cli.models.reconstruction import Reconstruction
 

@@ -20,7 +20,6 @@ from pointsdf_cli.models.voxelcnn import VoxelCNN
 ARCHITECTURES: dict[str, type[ShapeModel]] = {
     model.architecture: model for model in (PointSDFRay, PointSDF, VoxelCNN)
 }
-DEFAULT_ARCHITECTURE = PointSDFRay.architecture
 
 
 def default_checkpoint() -> Path:

@@ -32,7 +32,7 @@ RIDGE = 1e-3
 """Keeps the axis of a cylinder from sliding along itself and of a plane from being anywhere."""
 SIDEWAYS = 1e-3
 """Preference for an axis across the viewing direction over one along it, as a mean square of the
-distance between normals and axis, network units (`pipelines/symmetric_point_distance.py
+distance between normals and axis, network units (`experiments/symmetric_point_distance.py
 --sideways`)."""
 NEARNESS = 0.15
 """Weight of the distance in space when a symmetric point's azimuth is chosen: among points observed

@@ -60,7 +60,7 @@ def furniture(draw: Draw) -> Manifold:
 
 
 def assembly(draw: Draw) -> Manifold:
-    """Two to five simple solids grown into one another at random: everything the list forgot."""
+    """Two to five simple solids joined at random, for shapes that no family has."""
     size = draw.uniform("size", 0.025, 0.06)
     parts: list[Manifold] = []
     centres = [np.zeros(3)]

@@ -1,4 +1,4 @@
-"""Named random draws: an object's parameters are whatever was asked of its generator, by name."""
+"""Named random draws: an object's parameters are recorded by name as they are drawn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a constructed solid to an object: slightly uneven, standing on z = 0, checked, as arrays."""
+"""Finish of a constructed solid: slightly uneven, standing on z = 0, checked, as arrays."""
 
 from __future__ import annotations
 
@@ -137,11 +137,6 @@ def mesh_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     """Volume in m³ inside a closed mesh, positive when its faces look outwards."""
     a, b, c = np.asarray(vertices, dtype=float)[faces].transpose(1, 0, 2)
     return float(np.sum(a * np.cross(b, c)) / 6)
-
-
-def euler_characteristic(vertices: np.ndarray, faces: np.ndarray) -> int:
-    """V − E + F, which is 2 − 2·genus for a single closed surface."""
-    return len(vertices) - len(faces) * 3 // 2 + len(faces)
 
 
 def _component_count(vertex_count: int, edges: np.ndarray) -> int:

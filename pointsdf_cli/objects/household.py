@@ -222,6 +222,13 @@ def teapot(draw: Draw) -> Manifold:
         top.translate((0, 0, height)),
         knob.translate((0, 0, height + dome + 0.006)),
     ]
+    return union([*parts, _pot_handle(draw, line, radius, height, grip)])
+
+
+def _pot_handle(
+    draw: Draw, line: np.ndarray, radius: float, height: float, grip: float
+) -> Manifold:
+    """A handle of thickness `grip` [m] above or beside a pot of this profile [N, 2]."""
     if draw.chance("handle_above", 0.3):
         t = np.linspace(0.1, np.pi - 0.1, 24)
         path = np.column_stack(
@@ -231,19 +238,16 @@ def teapot(draw: Draw) -> Manifold:
                 0.75 * height + (0.25 * height + 0.95 * radius) * np.sin(t),
             ]
         )
-        parts.append(tube(path, grip, up=(0, 1, 0), corners=14))
-    else:
-        at = np.interp([0.25 * height, 0.8 * height], line[:, 1], line[:, 0])
-        handle = ear(
-            (0.95 * at[0], 0.25 * height),
-            (0.95 * at[1], 0.8 * height),
-            draw.uniform("handle_reach", 0.022, 0.04) + grip,
-            draw.uniform("handle_squareness", 0, 1),
-            grip,
-            grip,
-        )
-        parts.append(handle)
-    return union(parts)
+        return tube(path, grip, up=(0, 1, 0), corners=14)
+    at = np.interp([0.25 * height, 0.8 * height], line[:, 1], line[:, 0])
+    return ear(
+        (0.95 * at[0], 0.25 * height),
+        (0.95 * at[1], 0.8 * height),
+        draw.uniform("handle_reach", 0.022, 0.04) + grip,
+        draw.uniform("handle_squareness", 0, 1),
+        grip,
+        grip,
+    )
 
 
 def controller(draw: Draw) -> Manifold:

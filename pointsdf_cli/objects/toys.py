@@ -36,23 +36,9 @@ def aeroplane(draw: Draw) -> Manifold:
     chord = length * draw.uniform("chord_ratio", 0.16, 0.26)
     sheet = draw.uniform("wing_thickness", 0.004, 0.01)
     sweep, taper = draw.uniform("sweep", -0.05, 0.5) * chord, draw.uniform("wing_taper", 0.55, 1.0)
-
-    def wing(half_span: float, root: float, back: float, thick: float) -> Manifold:
-        tip = taper * root
-        outline = np.array(
-            [
-                (0, -half_span * 0.02),
-                (root, -half_span * 0.02),
-                (back + tip, half_span),
-                (back, half_span),
-            ]
-        )
-        half = rounded(polygon(outline), 0.12 * root)
-        return bevelled(half + half.mirror((0.0, 1.0)), thick, 0.3 * thick)
-
     wing_at = length * draw.uniform("wing_at", 0.2, 0.38)
     level = body * draw.uniform("wing_level", -0.7, 0.5)
-    main = wing(span / 2, chord, sweep, sheet)
+    main = _wing(span / 2, chord, taper, sweep, sheet)
     parts.append(main.translate((wing_at, 0, level)))
     if draw.chance("biplane", 0.4):
         upper = level + body * draw.uniform("wing_gap", 1.5, 2.4)
@@ -61,7 +47,7 @@ def aeroplane(draw: Draw) -> Manifold:
         for y in (-0.3 * span, 0.3 * span, -0.5 * body, 0.5 * body):
             x = wing_at + 0.45 * chord + 0.6 * sweep * abs(y) / span
             parts.append(strut.translate((x, y, level + 0.25 * sheet)))
-    tail = wing(0.19 * span, 0.6 * chord, 0.5 * sweep, 0.8 * sheet)
+    tail = _wing(0.19 * span, 0.6 * chord, taper, 0.5 * sweep, 0.8 * sheet)
     parts.append(tail.translate((length - 0.6 * chord, 0, 0.2 * body)))
     fin = np.array(
         [(0, 0), (0.55 * chord, 0), (0.6 * chord, 1.9 * body), (0.25 * chord, 1.9 * body)]
@@ -70,30 +56,53 @@ def aeroplane(draw: Draw) -> Manifold:
     blade = blade.translate((0, 0, -0.4 * sheet)).rotate((90, 0, 0))
     parts.append(blade.translate((length - 0.56 * chord, 0, 0.1 * body)))
     if draw.chance("propeller", 0.6):
-        hub = tube(np.linspace((-0.9 * body, 0, 0), (0.1 * body, 0, 0), 5), 0.28 * body, corners=14)
-        vane = ellipsoid(
-            (0.1 * body + 0.001, 0.28 * body, 1.5 * body), (-0.6 * body, 0, 0), segments=20
-        )
-        parts.append(
-            union([hub, vane.rotate((float(draw.uniform("propeller_turn", 0, 180)), 0, 0))])
-        )
+        parts.append(_propeller(draw, body))
     if draw.chance("wheels", 0.6):
-        wheel = draw.uniform("wheel", 0.4, 0.7) * body
-        axle_x, axle_z = wing_at + 0.1 * chord, -body - 0.8 * wheel
-        axle = (
-            cylinder(0.15 * wheel + 0.001, 2.2 * body, segments=12)
-            .translate((0, 0, -1.1 * body))
-            .rotate((90, 0, 0))
-        )
-        disc = (
-            cylinder(wheel, 0.5 * wheel, 0.1 * wheel, segments=28)
-            .translate((0, 0, -0.25 * wheel))
-            .rotate((90, 0, 0))
-        )
-        leg = cylinder(0.18 * body, body + 0.8 * wheel, segments=12).translate((axle_x, 0, axle_z))
-        parts += [leg, axle.translate((axle_x, 0, axle_z))]
-        parts += [disc.translate((axle_x, side * 0.95 * body, axle_z)) for side in (-1, 1)]
+        parts += _landing_gear(draw, body, wing_at + 0.1 * chord)
     return union(parts)
+
+
+def _wing(half_span: float, root: float, taper: float, back: float, thick: float) -> Manifold:
+    """Both halves of a wing: chord `root`, tip `taper` · root and `back` [m] behind it."""
+    tip = taper * root
+    outline = np.array(
+        [
+            (0, -half_span * 0.02),
+            (root, -half_span * 0.02),
+            (back + tip, half_span),
+            (back, half_span),
+        ]
+    )
+    half = rounded(polygon(outline), 0.12 * root)
+    return bevelled(half + half.mirror((0.0, 1.0)), thick, 0.3 * thick)
+
+
+def _propeller(draw: Draw, body: float) -> Manifold:
+    """A hub and two vanes before a fuselage of radius `body` [m]."""
+    hub = tube(np.linspace((-0.9 * body, 0, 0), (0.1 * body, 0, 0), 5), 0.28 * body, corners=14)
+    vane = ellipsoid(
+        (0.1 * body + 0.001, 0.28 * body, 1.5 * body), (-0.6 * body, 0, 0), segments=20
+    )
+    return union([hub, vane.rotate((float(draw.uniform("propeller_turn", 0, 180)), 0, 0))])
+
+
+def _landing_gear(draw: Draw, body: float, axle_x: float) -> list[Manifold]:
+    """A leg, an axle at `axle_x` [m] and two wheels below a fuselage of radius `body` [m]."""
+    wheel = draw.uniform("wheel", 0.4, 0.7) * body
+    axle_z = -body - 0.8 * wheel
+    axle = (
+        cylinder(0.15 * wheel + 0.001, 2.2 * body, segments=12)
+        .translate((0, 0, -1.1 * body))
+        .rotate((90, 0, 0))
+    )
+    disc = (
+        cylinder(wheel, 0.5 * wheel, 0.1 * wheel, segments=28)
+        .translate((0, 0, -0.25 * wheel))
+        .rotate((90, 0, 0))
+    )
+    leg = cylinder(0.18 * body, body + 0.8 * wheel, segments=12).translate((axle_x, 0, axle_z))
+    discs = [disc.translate((axle_x, side * 0.95 * body, axle_z)) for side in (-1, 1)]
+    return [leg, axle.translate((axle_x, 0, axle_z)), *discs]
 
 
 def toy_car(draw: Draw) -> Manifold:
@@ -156,20 +165,10 @@ def animal(draw: Draw) -> Manifold:
     fore = 0.62 * trunk * stretch
     for x in (-fore, fore) if legs == 4 else (0.0,):
         for side in (-1, 1):
-            path = np.array(
-                [
-                    (x, side * 0.5 * girth * trunk, -0.3 * trunk),
-                    (1.08 * x, side * 0.62 * girth * trunk, -0.5 * trunk - leg_length),
-                ]
-            )
-            parts.append(
-                tube(
-                    np.linspace(path[0], path[1], 6),
-                    np.linspace(1.1 * leg, 0.85 * leg, 6),
-                    up=(1, 0, 0),
-                    corners=18,
-                )
-            )
+            hip = (x, side * 0.5 * girth * trunk, -0.3 * trunk)
+            foot = (1.08 * x, side * 0.62 * girth * trunk, -0.5 * trunk - leg_length)
+            radii = np.linspace(1.1 * leg, 0.85 * leg, 6)
+            parts.append(tube(np.linspace(hip, foot, 6), radii, up=(1, 0, 0), corners=18))
     neck = np.array(
         [
             trunk * stretch * draw.uniform("neck_forward", 0.6, 1.1),
@@ -177,14 +176,9 @@ def animal(draw: Draw) -> Manifold:
             trunk * draw.uniform("neck_up", 0.5, 1.6),
         ]
     )
-    parts.append(
-        tube(
-            np.linspace([0.4 * trunk * stretch, 0, 0], neck, 6),
-            np.linspace(0.7 * head, 0.6 * head, 6),
-            up=(0, 1, 0),
-            corners=18,
-        )
-    )
+    throat = np.linspace([0.4 * trunk * stretch, 0, 0], neck, 6)
+    radii = np.linspace(0.7 * head, 0.6 * head, 6)
+    parts.append(tube(throat, radii, up=(0, 1, 0), corners=18))
     parts.append(
         ellipsoid((head * draw.uniform("snout", 1.0, 1.6), head, head), tuple(neck), segments=32)
     )

@@ -1,4 +1,4 @@
-"""When a solution is a plan, and if it is not, which constraint it fails (codes: reasons.py)."""
+"""Acceptance of solutions, and the constraint that a rejected one fails (codes: reasons.py)."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class AcceptanceConfig:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A solution with everything that decides about it.
+    """A solution and the values that decide whether it is accepted.
 
     Attributes:
         x: [n], decision variables.
@@ -58,7 +58,6 @@ class Candidate:
         objective: max(s − β, 0)².
         object_slack, table_slack, obstacle_slack, self_slack: Smallest distance less the clearance
             [m]; negative is too near, infinite where there is nothing to touch.
-        limit_slack: Smallest distance to a joint limit; negative is beyond.
         reason: One of `reasons.REASONS`, or empty where the solution is accepted.
         kind: Kind of its seed, "side" or "top".
     """
@@ -72,7 +71,6 @@ class Candidate:
     table_slack: float
     obstacle_slack: float
     self_slack: float
-    limit_slack: float
     reason: str
     kind: str = ""
 
@@ -135,7 +133,6 @@ def judge(
                 table_slack=float(slack.table[b]),
                 obstacle_slack=float(slack.obstacles[b]),
                 self_slack=float(slack.self_collision[b]),
-                limit_slack=float(limit[b]),
                 reason=reason,
                 kind=kinds[b] if kinds else "",
             )

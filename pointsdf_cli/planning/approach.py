@@ -1,4 +1,4 @@
-"""The last stretch: straight, with the preshape kept, so that fingers slide past the object."""
+"""Straight approach to a grasp, with the preshape kept, so that fingers slide past the object."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pointsdf_cli.robot.arm_chain import ArmChain
 
 @dataclass(frozen=True)
 class ApproachConfig:
-    """Settings of the last stretch.
+    """Settings of the straight approach.
 
     Attributes:
         length: Length of the straight stretch [m].
-        shortest: Shorter ones are no approach [m].
-        step: Between inverse kinematics solutions on the way [m].
-        deviation: Between them the palm may leave the straight line by this [m], at most.
+        shortest: Least length that counts as an approach [m].
+        step: Spacing of the inverse kinematics solutions on the way [m].
+        deviation: Largest distance of the palm from the straight line between them [m].
     """
 
     length: float = 0.08

@@ -1,4 +1,4 @@
-"""A way to stop a plan that nobody waits for any more.
+"""Cancellation of plans that no client waits for.
 
     with cancellable(stopped): planner.plan(...)     # raises CancelledError once stopped() is true
 
@@ -17,7 +17,7 @@ _stopped: ContextVar[Callable[[], bool] | None] = ContextVar("stopped", default=
 
 
 class CancelledError(RgraspError):
-    """Whoever asked does not wait any more."""
+    """The client no longer waits."""
 
 
 def stop_if_cancelled() -> None:
@@ -33,7 +33,7 @@ def stop_if_cancelled() -> None:
 
 @contextmanager
 def cancellable(stopped: Callable[[], bool]) -> Iterator[None]:
-    """Within, in this thread, `stop_if_cancelled` asks `stopped`."""
+    """Context in which `stop_if_cancelled` of this thread asks `stopped`."""
     token = _stopped.set(stopped)
     try:
         yield

@@ -60,7 +60,7 @@ class Contacts:
 
 
 def join(contacts: list[Contacts]) -> Contacts:
-    """All of them side by side."""
+    """Several sets of contacts as one, side by side."""
     return Contacts(
         np.concatenate([c.distance for c in contacts], axis=1),
         np.concatenate([c.link for c in contacts]),

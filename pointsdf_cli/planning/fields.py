@@ -17,7 +17,7 @@ from pointsdf_cli.models.reconstruction import Reconstruction
 
 
 class BoundedField(Field, Protocol):
-    """A field that knows how far its values can be off."""
+    """A field with bounds of its error."""
 
     def with_bound(self, points: Array) -> tuple[Array, Array]:
         """Values [N] and by how much they can exceed the truth [N], in m."""
@@ -108,7 +108,7 @@ class UnionField:
 
 
 class NearField:
-    """A field that is asked near the object only: elsewhere the way to a box around it answers.
+    """A field evaluated near the object only; elsewhere, the distance to a box around it.
 
     The surface lies within the box, so the distance to the box is never more than the distance to
     the object. A network was trained near objects, and far away it is slow (its nearest neighbours
@@ -168,7 +168,7 @@ class MeshField:
 
 
 class RefinedField:
-    """A quick field that asks the exact one where its own answer could matter.
+    """A quick field, replaced by the exact one wherever the difference could matter.
 
     Where the quick value less its bound exceeds `beyond`, the true value does too, and the quick
     one is returned. Everywhere else the exact field answers. So what is below `beyond` is exact.

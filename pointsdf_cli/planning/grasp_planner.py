@@ -28,11 +28,10 @@ from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
-from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
+from pointsdf_cli.planning.completed_views import completed, given_constraint, unseen_support
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.grasp_problem import Clearances
-from pointsdf_cli.planning.grid import GridConfig
 from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.option_checks import METHODS as METHODS
@@ -49,15 +48,11 @@ from pointsdf_cli.planning.reasons import too_large
 from pointsdf_cli.planning.resampled_views import redrawn
 from pointsdf_cli.planning.screen import narrowest
 from pointsdf_cli.planning.seeds import EITHER, GraspSampler
-from pointsdf_cli.planning.support import hidden_below, stands
 from pointsdf_cli.planning.synthesis import StopCondition, SynthesisConfig
 from pointsdf_cli.planning.target import (
     EmptyFieldError,
-    ObjectField,
     Target,
-    absent_object,
     completed_field,
-    given_object,
     grid_for,
     kept_off,
     reconstructed_object,
@@ -167,15 +162,15 @@ class Answer:
 
     @property
     def candidates(self) -> Array:
-        """[C, J]."""
+        """Configurations [C, J] of all accepted grasps, best first."""
         return self.plan.accepted.q
 
 
 class GraspPlanner:
-    """Loaded networks and a planner; made once, asked for every cloud.
+    """Loaded networks and a planner, made once and used for every cloud.
 
     Args:
-        options: See there.
+        options: Options; the defaults if None.
         grasps: The success network to use instead of a checkpoint's.
 
     Raises:
@@ -229,14 +224,14 @@ class GraspPlanner:
         made: list[Reconstruction] = []
         resampled: tuple[Field, ...] = ()
         if self._shape is not None:
-            made = _completed(self._shape, views, seed)
+            made = completed(self._shape, views, seed)
             own = reconstructed_object(made, grid, world)
             if field is None:
                 others = range(1, 1 + self.options.resampled_views)
                 size = self._shape.cloud_size
                 again = [[redrawn(view, size, (seed, draw)) for view in views] for draw in others]
                 resampled = tuple(
-                    completed_field(_completed(self._shape, each, seed)) for each in again
+                    completed_field(completed(self._shape, each, seed)) for each in again
                 )
         else:
             own = seen_object(world, grid)
@@ -247,11 +242,11 @@ class GraspPlanner:
         grasps = self._grasps.on(first.points, first.T_world_camera, field=own.kept, seed=seed)
         timings["score"] = time.perf_counter() - began
         if field is not None:
-            constraint = _constraint(field, world, grid)
+            constraint = given_constraint(field, world, grid)
         elif made:
             # The score was trained on what the network completes; the hand keeps off what it
             # misses, too.
-            hidden = _unseen_support(own, views) if table else np.zeros((0, 3))
+            hidden = unseen_support(own, views) if table else np.zeros((0, 3))
             known = np.concatenate([world, hidden])
             whole = reconstructed_object(made, grid, known) if len(hidden) else own
             constraint = kept_off(whole, known)
@@ -339,37 +334,6 @@ class GraspPlanner:
     def nothing(self, what: str) -> Answer:
         """The answer to a cloud that shows no object."""
         return Answer(no_plan(self.robot, "no_object", f"{what[0].upper()}{what[1:]}."), None, None)
-
-
-def _completed(
-    network: ShapeModel, views: Sequence[View], seed: int | Sequence[int]
-) -> list[Reconstruction]:
-    """Each view completed on its own, from the points that `seed` draws of it."""
-    return [
-        Reconstruction.from_cloud(
-            network,
-            view.in_world,
-            view.T_world_camera[:3, 3],
-            view.T_world_camera[:3, :3],
-            seed,
-            view.evidence,
-        )
-        for view in views
-    ]
-
-
-def _unseen_support(shape: ObjectField, views: Sequence[View]) -> Array:
-    """Places [M, 3] where something unseen must hold a shape up; none where it stands by itself."""
-    solid = shape.kept.inside()
-    if not len(solid) or stands(shape.field, solid, shape.low, shape.high):
-        return np.zeros((0, 3))
-    return hidden_below(solid, [(view.T_world_camera[:3, 3], view.in_world) for view in views])
-
-
-def _constraint(field: Field | Literal["none"], points: Array, grid: GridConfig) -> ObjectField:
-    if isinstance(field, str):
-        return absent_object(points)
-    return given_object(field, points, grid)
 
 
 def _success_network(options: PlanOptions, robot: RobotDescription) -> SuccessModel:

@@ -52,7 +52,7 @@ class GridConfig:
 
 
 class GridField:
-    """A `Field` from look-ups, with `bound` telling how far each value can be off.
+    """A `Field` interpolated on a grid; `with_bound` also bounds its error.
 
     Outside of its box the value is √(|x − p|² + f(p)²) with p the nearest point of the box: for a
     surface that lies within the box this never exceeds the true distance.
@@ -64,8 +64,6 @@ class GridField:
 
     Attributes:
         queries: Number of queries of the field.
-        measured_slope: The steepest change between asked corners of the finest cells. The field's
-            true slope is no less: where this exceeds `config.slope`, the bound does not hold.
     """
 
     def __init__(
@@ -145,7 +143,6 @@ class GridField:
             values[tuple(new.T)] = self._ask(field, new, step)
             error[exact] = 0.0
         self._values, self._error = values, error
-        self.measured_slope = _steepest(values, refined) / step
 
     def _ask(self, field: Field, nodes: NDArray[np.int64], step: float) -> Array:
         self.queries += len(nodes)
@@ -204,7 +201,7 @@ class GridField:
 def surface_box(
     field: Field, low: Array, high: Array, step: float, slope: float = 1.0
 ) -> tuple[Array, Array]:
-    """A tight box (low [3], high [3]) around the surface inside of a wide one, by few questions.
+    """Tight box (low [3], high [3]) around the surface within a wide one, from few queries.
 
     Args:
         field: Asked on a grid of `step` [m].
@@ -251,17 +248,3 @@ def _corners_of(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     for corner in _CORNERS:
         nodes[tuple(slice(c, n + c) for c, n in zip(corner, cells.shape, strict=True))] |= cells
     return nodes
-
-
-def _steepest(values: Array, cells: NDArray[np.bool_]) -> float:
-    """The largest change per length (in nodes) from each marked cell's first corner to another."""
-    if not cells.any():
-        return 0.0
-    shape = cells.shape
-    here = values[: shape[0], : shape[1], : shape[2]][cells]
-    steepest = 0.0
-    for corner in _CORNERS[1:]:
-        there = values[tuple(slice(c, n + c) for c, n in zip(corner, shape, strict=True))][cells]
-        change = float(np.abs(there - here).max()) / float(np.sqrt(corner.sum()))
-        steepest = max(steepest, change)
-    return steepest

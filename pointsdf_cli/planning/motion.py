@@ -56,7 +56,6 @@ class Motion:
     Attributes:
         trajectory: None if there is none.
         corners: [T, J], the path before it was timed; empty if there is none.
-        approach_start: Index in `corners` where the straight stretch begins.
         failure: Empty, or what could not be done.
         attempts: Searches made.
         lift: [K, J], the way up from the goal; None if there is none, or none was looked for.
@@ -64,7 +63,6 @@ class Motion:
 
     trajectory: Trajectory | None
     corners: Array
-    approach_start: int
     failure: str
     attempts: int
     lift: Array | None = None
@@ -107,7 +105,6 @@ def plan_motion(
         return Motion(
             trajectory=time_path(corners, robot.velocity, config.timing),
             corners=corners,
-            approach_start=len(middle),
             failure="",
             attempts=attempt + 1,
         )
@@ -115,7 +112,7 @@ def plan_motion(
 
 
 def _failed(why: str, attempts: int) -> Motion:
-    return Motion(None, np.zeros((0, 0)), 0, why, attempts)
+    return Motion(None, np.zeros((0, 0)), why, attempts)
 
 
 def _connect(

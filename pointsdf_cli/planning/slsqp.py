@@ -15,7 +15,7 @@ from pointsdf_cli.planning.nonlinear import Evaluation, Problem, Solutions
 @dataclass(frozen=True)
 class SlsqpConfig:
     """Attributes:
-    iterations: At most so many a start.
+    iterations: Most iterations of one start.
     tolerance: SciPy's `ftol`.
     feasible: Violations up to here count as none.
     """

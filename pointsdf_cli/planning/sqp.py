@@ -28,7 +28,7 @@ class SqpConfig:
     """Limits of iterations and steps.
 
     Attributes:
-        iterations: At most so many.
+        iterations: Most iterations of one start.
         radius: First trust region: no variable moves farther in one step. Larger ones are refused
             where the hand is near the object, and cost an iteration each to find that out.
         smallest_radius: A start whose trust region is smaller has converged.
@@ -67,7 +67,7 @@ class SqpConfig:
 
 
 class Sqp:
-    """See the module's docstring. One instance may solve many problems; programs are kept."""
+    """Solver of the module's docstring. One instance may solve many problems; programs are kept."""
 
     def __init__(self, config: SqpConfig | None = None) -> None:
         self.config = config or SqpConfig()

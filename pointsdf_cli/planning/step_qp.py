@@ -29,7 +29,7 @@ from pointsdf_cli.geometry.arrays import Array
 
 
 class StepQp:
-    """Solves the subproblem again and again for one n and k."""
+    """Solver of the subproblem for fixed n and k, made once and used for every step."""
 
     def __init__(self, n: int, k: int) -> None:
         self.n, self.k = n, k

@@ -1,4 +1,4 @@
-"""From an object to the best configuration that may be taken: seeds, solver, check, up to 5 rounds.
+"""Search for the best acceptable configuration: seeds, solver, check, in up to 5 rounds.
 
 The solver works on a quick field for all seeds at once. All solutions are judged by the exact
 problem; the best few of those that the quick field let too near are solved again with the exact
@@ -79,7 +79,7 @@ class Synthesis:
     Attributes:
         best: The accepted candidate with the smallest objective, None if there is none.
         accepted: All accepted candidates, best first; motion planning may need another.
-        fallbacks: The best few of those that are free but promise too little, for want of others.
+        fallbacks: The best few free ones that are unlikely to hold, used where nothing is accepted.
         rejected: All that were not accepted.
         reason: Empty, or why there is no plan.
         sentence: The same for a person.
@@ -172,24 +172,9 @@ def synthesise(
         order = _ranked(found)
         kinds = [seeds.kinds[k] for k in order]
         candidates = judge(problems.exact, found.x[order], config.acceptance, kinds)
-        start = _lap(timings, "check", start)
-        # What the quick field let too near is solved again with the exact one.
+        _lap(timings, "check", start)
         best = min((c.objective for c in [*accepted, *candidates] if not c.reason), default=np.inf)
-        # Keeping away from the object makes no grasp better: the hopeless ones are left.
-        limit = min(best - WORTH, config.acceptance.objective)
-        again = [
-            k
-            for k, candidate in enumerate(candidates)
-            if candidate.object_slack < 0 and candidate.objective < limit
-        ][: config.polished]
-        if again and problems.polish is not problems.quick:
-            near = np.stack([candidates[k].x for k in again])
-            polished = solver.solve(problems.polish, near, config.polish_iterations).x
-            start = _lap(timings, "polish", start)
-            better = judge(problems.exact, polished, config.acceptance, [kinds[k] for k in again])
-            for k, candidate in zip(again, better, strict=True):
-                candidates[k] = candidate
-            _lap(timings, "check", start)
+        _polish(problems, candidates, kinds, best, solver, config, timings)
         new = [c for c in candidates if not c.reason]
         accepted += new
         before = _best_fallback(rejected, config)
@@ -202,7 +187,51 @@ def synthesise(
             break
         if not accepted and turn + 1 >= config.enough and after > STALLED * before:
             break
-    accepted.sort(key=lambda c: (c.objective, -c.success))
+    return _outcome(accepted, rejected, tried, statistics, config, timings)
+
+
+def _polish(
+    problems: Problems,
+    candidates: list[Candidate],
+    kinds: list[str],
+    best: float,
+    solver: Solver,
+    config: SynthesisConfig,
+    timings: dict[str, float],
+) -> None:
+    """Solve those that the quick field let too near again with the exact one, in place.
+
+    Keeping away from the object makes no grasp better: what could not become better than `best`,
+    the least objective so far, is left.
+    """
+    limit = min(best - WORTH, config.acceptance.objective)
+    again = [
+        k
+        for k, candidate in enumerate(candidates)
+        if candidate.object_slack < 0 and candidate.objective < limit
+    ][: config.polished]
+    if not again or problems.polish is problems.quick:
+        return
+    start = time.perf_counter()
+    near = np.stack([candidates[k].x for k in again])
+    polished = solver.solve(problems.polish, near, config.polish_iterations).x
+    start = _lap(timings, "polish", start)
+    better = judge(problems.exact, polished, config.acceptance, [kinds[k] for k in again])
+    for k, candidate in zip(again, better, strict=True):
+        candidates[k] = candidate
+    _lap(timings, "check", start)
+
+
+def _outcome(
+    accepted: list[Candidate],
+    rejected: list[Candidate],
+    tried: int,
+    statistics: SeedStatistics,
+    config: SynthesisConfig,
+    timings: dict[str, float],
+) -> Synthesis:
+    """Candidates of all rounds in order, with the reason where none was accepted."""
+    accepted = sorted(accepted, key=lambda c: (c.objective, -c.success))
     reason = sentence = ""
     if not accepted:
         reason, sentence = why_none(statistics, rejected, tried, config.acceptance)

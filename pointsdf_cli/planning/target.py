@@ -242,13 +242,6 @@ def surface_of(target: Target, step: float = 0.004) -> tuple[Array, NDArray[np.i
     return taubin_smooth(made.vertices + middle, made.faces, SMOOTHING), made.faces
 
 
-def reconstruction_target(
-    reconstruction: Reconstruction, score: GraspScore, prior: GraspSampler
-) -> Target:
-    """Target with a shape that a network completed from a cloud in the world's frame."""
-    return Target.of(reconstructed_object([reconstruction]), score, prior)
-
-
 def _boxed(
     field: Field,
     low: Array,

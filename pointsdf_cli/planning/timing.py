@@ -1,4 +1,4 @@
-"""When each configuration of a path is reached, within the joints' speed limits.
+"""Times of a path's configurations, within the joints' speed limits.
 
 The path is a polyline and is kept exactly: the result only adds points on it and times. Let τ be
 the time that the path would take with the fastest joint always at its limit. The speed u = dτ/dt is

@@ -34,7 +34,7 @@ class Variables:
 
     @property
     def count(self) -> int:
-        """n."""
+        """Number of variables, n."""
         return len(self.columns)
 
     def configuration(self, x: Array) -> Array:

@@ -61,12 +61,12 @@ class RobotCheck:
 
     @property
     def passed(self) -> bool:
-        """No errors."""
+        """Whether there are no errors."""
         return all(finding.level != ERROR for finding in self.findings)
 
 
 def check_robot(robot: RobotDescription, seed: int = 0) -> RobotCheck:
-    """Look at a robot from every side that grasping needs."""
+    """Check everything about a robot that grasping needs."""
     rng = np.random.default_rng(seed)
     kinematics = Kinematics(robot)
     closing = closing_of(robot)

@@ -19,7 +19,7 @@ NEARER = 0.002
 
 @dataclass(frozen=True)
 class Closing:
-    """The closing of a hand from the middle of its preshapes, in T steps.
+    """Closing motion of a hand from the middle of its preshapes, in T steps.
 
     Attributes:
         q: [T, J], the arm at home.

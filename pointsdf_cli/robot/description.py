@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import rotation_from_wxyz, transform
 from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.io.untrusted import read_yaml
+from pointsdf_cli.robot.robot_keys import RobotKeys, read_only
 from pointsdf_cli.robot.urdf import MOVING, Joint, Tree, read_urdf
 
 BUNDLED = "robots/lbr4_allegro.yaml"
-REQUIRED = ("urdf", "arm_joints", "hand_joints", "preshape_joints", "closing_joints", "palm")
-OPTIONAL = ("name", "mount", "links_on_table", "arm_limit_margin", "home", "may_touch")
 
 
 @dataclass(frozen=True)
@@ -162,203 +160,124 @@ def robot_of(data: Any, path: Path) -> RobotDescription:
     Raises:
         InputError: As `load_robot`.
     """
-    return _Reader(path, data).robot()
+    keys = RobotKeys(path, data)
+    # The YAML's folder may not exist yet; `newdir/../robot.urdf` does.
+    urdf = Path(os.path.realpath(path.parent / str(keys.data["urdf"])))
+    tree = read_urdf(urdf)
+    movable = {joint.name: joint for joint in tree.joints if joint.kind in MOVING}
+    arm = keys.names("arm_joints", movable)
+    hand = keys.names("hand_joints", movable)
+    both = [name for name in hand if name in arm]
+    if both:
+        raise keys.wrong("hand_joints", f"names {both[0]!r} of the arm", "joints of the hand")
+    joints = [movable[name] for name in arm + hand]
+    keys.check_limits(joints)
+    lower, upper = _limits_less_margin(keys, joints, len(arm))
+    preshape = _preshape_ranges(keys, hand, movable)
+    closing = _closing_speeds(keys, hand)
+    palm_link, T_link_palm, reach = _palm(keys, tree, hand)
+    return RobotDescription(
+        name=str(keys.data.get("name", path.stem)),
+        urdf=urdf,
+        tree=tree,
+        T_world_base=keys.pose("mount", keys.data.get("mount", {})),
+        arm_joints=arm,
+        hand_joints=hand,
+        preshape_joints=tuple(preshape),
+        preshape_ranges=read_only(np.array(list(preshape.values()))),
+        closing_joints=tuple(closing),
+        closing_speeds=read_only(np.array(list(closing.values()))),
+        palm_link=palm_link,
+        T_link_palm=read_only(T_link_palm),
+        palm_reach=reach,
+        lower=read_only(lower),
+        upper=read_only(upper),
+        hard_lower=read_only(np.array([joint.lower for joint in joints])),
+        hard_upper=read_only(np.array([joint.upper for joint in joints])),
+        velocity=read_only(np.array([joint.velocity for joint in joints])),
+        effort=read_only(np.array([joint.effort for joint in joints])),
+        home=read_only(_home(keys, lower, upper, len(arm))),
+        links_on_table=frozenset(keys.links("links_on_table", tree)),
+        may_touch=keys.pairs(tree),
+    )
 
 
-class _Reader:
-    """Turns the YAML mapping into a description, or into an error that names the key."""
+def _limits_less_margin(keys: RobotKeys, joints: list[Joint], arm: int) -> tuple[Array, Array]:
+    """Lower and upper limits [J] to plan within: turning joints of the arm keep the margin."""
+    margin = keys.number("arm_limit_margin", 0.0, 0.0, 1.0)
+    lower = np.array([joint.lower for joint in joints])
+    upper = np.array([joint.upper for joint in joints])
+    # An angle is no length: sliding joints may go to their ends.
+    turning = np.array([joint.kind != "prismatic" for joint in joints[:arm]])
+    lower[:arm] += margin * turning
+    upper[:arm] -= margin * turning
+    if (lower >= upper).any():
+        raise keys.wrong("arm_limit_margin", f"of {margin} leaves no range", "a smaller margin")
+    return lower, upper
 
-    def __init__(self, path: Path, data: Any) -> None:
-        self.path = path
-        if not isinstance(data, Mapping):
-            raise InputError("is no mapping of keys", where=path, allowed=", ".join(REQUIRED))
-        self.data = data
-        missing = [key for key in REQUIRED if key not in data]
-        if missing:
-            raise InputError(
-                f"lacks {', '.join(missing)}", where=path, allowed=f"needed: {', '.join(REQUIRED)}"
+
+def _preshape_ranges(
+    keys: RobotKeys, hand: tuple[str, ...], movable: Mapping[str, Joint]
+) -> dict[str, Array]:
+    """Range [2] of each preshape joint, within its limits [rad]."""
+    given = keys.mapping("preshape_joints", hand)
+    ranges = {name: keys.vector("preshape_joints", given[name], 2) for name in given}
+    for name, (low, high) in ranges.items():
+        joint = movable[name]
+        if not joint.lower - 1e-6 <= low <= high <= joint.upper + 1e-6:
+            raise keys.wrong(
+                "preshape_joints",
+                f"gives {name} the range [{low}, {high}]",
+                f"within its limits [{joint.lower:g}, {joint.upper:g}], lower first",
             )
-        unknown = [str(key) for key in data if key not in REQUIRED + OPTIONAL]
-        if unknown:
-            raise self.wrong(unknown[0], "is no key", ", ".join(REQUIRED + OPTIONAL))
+    return ranges
 
-    def wrong(self, key: str, what: str, allowed: str) -> InputError:
-        return InputError(f"`{key}` {what}", where=self.path, allowed=allowed)
 
-    def robot(self) -> RobotDescription:
-        # The YAML's folder may not exist yet; `newdir/../robot.urdf` does.
-        urdf = Path(os.path.realpath(self.path.parent / str(self.data["urdf"])))
-        tree = read_urdf(urdf)
-        movable = {joint.name: joint for joint in tree.joints if joint.kind in MOVING}
-        arm = self.names("arm_joints", movable)
-        hand = self.names("hand_joints", movable)
-        both = [name for name in hand if name in arm]
-        if both:
-            raise self.wrong("hand_joints", f"names {both[0]!r} of the arm", "joints of the hand")
-        joints = [movable[name] for name in arm + hand]
-        hard_lower = np.array([joint.lower for joint in joints])
-        hard_upper = np.array([joint.upper for joint in joints])
-        velocity = np.array([joint.velocity for joint in joints])
-        effort = np.array([joint.effort for joint in joints])
-        self.check_limits(joints)
-        margin = self.number("arm_limit_margin", 0.0, 0.0, 1.0)
-        lower, upper = hard_lower.copy(), hard_upper.copy()
-        # An angle is no length: sliding joints may go to their ends.
-        turning = np.array([movable[name].kind != "prismatic" for name in arm])
-        lower[: len(arm)] += margin * turning
-        upper[: len(arm)] -= margin * turning
-        if (lower >= upper).any():
-            raise self.wrong("arm_limit_margin", f"of {margin} leaves no range", "a smaller margin")
-        preshape = self.mapping("preshape_joints", hand)
-        ranges = np.array([self.vector("preshape_joints", r, 2) for r in preshape.values()])
-        for name, (low, high) in zip(preshape, ranges, strict=True):
-            joint = movable[name]
-            if not joint.lower - 1e-6 <= low <= high <= joint.upper + 1e-6:
-                raise self.wrong(
-                    "preshape_joints",
-                    f"gives {name} the range [{low}, {high}]",
-                    f"within its limits [{joint.lower:g}, {joint.upper:g}], lower first",
-                )
-        closing = self.mapping("closing_joints", hand)
-        speeds = np.array([self.vector("closing_joints", [s], 1)[0] for s in closing.values()])
-        if (speeds == 0).any():
-            raise self.wrong("closing_joints", "has a speed of 0", "speeds in rad/s, not 0")
-        palm = self.data["palm"]
-        if not isinstance(palm, Mapping) or palm.get("link") not in tree.links:
-            raise self.wrong("palm", "has no such `link`", ", ".join(tree.links))
-        reach = palm.get("reach")
-        moved = {link for link in tree.links if tree.shapes[link]} & tree.beyond(hand)
-        if not moved:
-            raise self.wrong(
+def _closing_speeds(keys: RobotKeys, hand: tuple[str, ...]) -> dict[str, float]:
+    """Speed [rad/s] of each closing joint; not 0."""
+    given = keys.mapping("closing_joints", hand)
+    speeds = {name: float(keys.vector("closing_joints", [given[name]], 1)[0]) for name in given}
+    if 0 in speeds.values():
+        raise keys.wrong("closing_joints", "has a speed of 0", "speeds in rad/s, not 0")
+    return speeds
+
+
+def _palm(keys: RobotKeys, tree: Tree, hand: tuple[str, ...]) -> tuple[str, Array, float | None]:
+    """The palm's link, T_link_palm [4, 4] and reach [m], of a palm that carries all fingers."""
+    palm = keys.data["palm"]
+    if not isinstance(palm, Mapping) or palm.get("link") not in tree.links:
+        raise keys.wrong("palm", "has no such `link`", ", ".join(tree.links))
+    if not {link for link in tree.links if tree.shapes[link]} & tree.beyond(hand):
+        raise keys.wrong(
+            "hand_joints",
+            "move no link with a <collision> shape",
+            "a URDF whose fingers have <collision> geometry, not <visual> alone",
+        )
+    link, T_link_palm = _carrier(
+        tree, hand, str(palm["link"]), keys.pose("palm", palm, ("link", "reach"))
+    )
+    above = tree.way_up(link)
+    for joint in tree.joints:
+        if joint.name in hand and joint.child in above:
+            raise keys.wrong(
                 "hand_joints",
-                "move no link with a <collision> shape",
-                "a URDF whose fingers have <collision> geometry, not <visual> alone",
+                f"holds {joint.name!r}, which moves the palm's link {link!r}",
+                "joints beyond the palm; a wrist is one of `arm_joints`",
             )
-        palm_link, T_link_palm = _carrier(
-            tree, hand, str(palm["link"]), self.pose("palm", palm, ("link", "reach"))
-        )
-        above = tree.way_up(palm_link)
-        for joint in tree.joints:
-            if joint.name in hand and joint.child in above:
-                raise self.wrong(
-                    "hand_joints",
-                    f"holds {joint.name!r}, which moves the palm's link {palm_link!r}",
-                    "joints beyond the palm; a wrist is one of `arm_joints`",
-                )
-        home = np.clip(np.zeros(len(joints)), lower, upper)
-        if "home" in self.data:
-            given = self.data["home"]
-            count = len(joints) if isinstance(given, list) and len(given) > len(arm) else len(arm)
-            home[:count] = self.vector("home", given, count)
-        if ((home < lower - 1e-9) | (home > upper + 1e-9)).any():
-            raise self.wrong("home", "is outside the joint limits", "within arm limits less margin")
-        return RobotDescription(
-            name=str(self.data.get("name", self.path.stem)),
-            urdf=urdf,
-            tree=tree,
-            T_world_base=self.pose("mount", self.data.get("mount", {})),
-            arm_joints=arm,
-            hand_joints=hand,
-            preshape_joints=tuple(preshape),
-            preshape_ranges=_read_only(ranges),
-            closing_joints=tuple(closing),
-            closing_speeds=_read_only(speeds),
-            palm_link=palm_link,
-            T_link_palm=_read_only(T_link_palm),
-            palm_reach=None if reach is None else float(self.vector("palm", [reach], 1)[0]),
-            lower=_read_only(lower),
-            upper=_read_only(upper),
-            hard_lower=_read_only(hard_lower),
-            hard_upper=_read_only(hard_upper),
-            velocity=_read_only(velocity),
-            effort=_read_only(effort),
-            home=_read_only(home),
-            links_on_table=frozenset(self.links("links_on_table", tree)),
-            may_touch=self.pairs(tree),
-        )
+    reach = palm.get("reach")
+    return link, T_link_palm, None if reach is None else float(keys.vector("palm", [reach], 1)[0])
 
-    def names(self, key: str, known: Mapping[str, Joint]) -> tuple[str, ...]:
-        names = self.data[key]
-        if not isinstance(names, list) or not names:
-            raise self.wrong(key, "is no list of joints", ", ".join(known))
-        for name in names:
-            if not isinstance(name, str) or name not in known:
-                raise self.wrong(key, f"names {name!r}", "moving joints: " + ", ".join(known))
-        if len(set(names)) != len(names):
-            raise self.wrong(key, "names a joint twice", "each joint once")
-        return tuple(names)
 
-    def check_limits(self, joints: list[Joint]) -> None:
-        for joint in joints:
-            if joint.lower >= joint.upper or joint.velocity <= 0 or joint.effort <= 0:
-                raise InputError(
-                    f"joint {joint.name!r} has lower {joint.lower:g}, upper {joint.upper:g}, "
-                    f"velocity {joint.velocity:g}, effort {joint.effort:g}",
-                    where=self.path.parent / str(self.data["urdf"]),
-                    allowed="lower below upper, velocity and effort above 0",
-                )
-
-    def mapping(self, key: str, hand: tuple[str, ...]) -> dict[str, Any]:
-        value = self.data[key]
-        if not isinstance(value, Mapping) or not value:
-            raise self.wrong(key, "is no mapping of joints", ", ".join(hand))
-        for name in value:
-            if name not in hand:
-                raise self.wrong(key, f"names {name!r}", "hand joints: " + ", ".join(hand))
-        return dict(value)
-
-    def vector(self, key: str, value: Any, count: int) -> Array:
-        try:
-            numbers = np.array([float(v) for v in value])
-        except (TypeError, ValueError):
-            numbers = np.empty(0)
-        if len(numbers) != count or not np.isfinite(numbers).all():
-            raise self.wrong(key, f"holds {value!r}", f"{count} finite number(s)")
-        return numbers
-
-    def number(self, key: str, default: float, low: float, high: float) -> float:
-        value = float(self.vector(key, [self.data.get(key, default)], 1)[0])
-        if not low <= value <= high:
-            raise self.wrong(key, f"is {value}", f"{low:g} to {high:g}")
-        return value
-
-    def pose(self, key: str, value: Any, beside: tuple[str, ...] = ()) -> Array:
-        if not isinstance(value, Mapping):
-            raise self.wrong(key, f"is {value!r}", "{xyz: [x, y, z], wxyz: [w, x, y, z]}")
-        known = ("xyz", "wxyz", *beside)
-        unknown = [one for one in value if one not in known]
-        if unknown:
-            raise self.wrong(key, f"has {unknown[0]!r}, which is no key", ", ".join(known))
-        wxyz = self.vector(key, value.get("wxyz", [1, 0, 0, 0]), 4)
-        if abs(np.linalg.norm(wxyz) - 1) > 1e-3:
-            raise self.wrong(key, f"has wxyz {wxyz.tolist()}", "a unit quaternion, w first")
-        xyz = self.vector(key, value.get("xyz", [0, 0, 0]), 3)
-        return _read_only(transform(rotation_from_wxyz(wxyz), xyz))
-
-    def links(self, key: str, tree: Tree) -> list[str]:
-        value = self.data.get(key) or []
-        if not isinstance(value, list):
-            raise self.wrong(key, f"is {value!r}", "a list of links")
-        for link in value:
-            if link not in tree.links:
-                raise self.wrong(key, f"names {link!r}", ", ".join(tree.links))
-        return list(value)
-
-    def pairs(self, tree: Tree) -> frozenset[frozenset[str]]:
-        pairs = set()
-        value = self.data.get("may_touch") or []
-        if not isinstance(value, list):
-            raise self.wrong("may_touch", f"is {value!r}", "a list of pairs of links")
-        for pair in value:
-            if (
-                not isinstance(pair, list)
-                or not all(isinstance(link, str) for link in pair)
-                or len(set(pair)) != 2
-                or not set(pair) <= set(tree.links)
-            ):
-                raise self.wrong("may_touch", f"holds {pair!r}", "pairs of two different links")
-            pairs.add(frozenset(pair))
-        return frozenset(pairs)
+def _home(keys: RobotKeys, lower: Array, upper: Array, arm: int) -> Array:
+    """Waiting configuration [J]: all joints or the arm's as given, the others near 0."""
+    home = np.clip(np.zeros(len(lower)), lower, upper)
+    if "home" in keys.data:
+        given = keys.data["home"]
+        count = len(home) if isinstance(given, list) and len(given) > arm else arm
+        home[:count] = keys.vector("home", given, count)
+    if ((home < lower - 1e-9) | (home > upper + 1e-9)).any():
+        raise keys.wrong("home", "is outside the joint limits", "within arm limits less margin")
+    return home
 
 
 def _carrier(tree: Tree, hand: tuple[str, ...], link: str, pose: Array) -> tuple[str, Array]:
@@ -377,8 +296,3 @@ def _carrier(tree: Tree, hand: tuple[str, ...], link: str, pose: Array) -> tuple
             return link, pose
         carrier, T_carrier_palm = joint.parent, joint.T_parent_joint @ T_carrier_palm
     return carrier, T_carrier_palm
-
-
-def _read_only(array: Array) -> Array:
-    array.flags.writeable = False
-    return array

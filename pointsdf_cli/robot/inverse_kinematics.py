@@ -1,4 +1,4 @@
-"""Arm configurations that put the palm where it is wanted, many palm poses at once."""
+"""Inverse kinematics: arm configurations for many palm poses at once."""
 
 from __future__ import annotations
 

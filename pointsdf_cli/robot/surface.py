@@ -1,4 +1,4 @@
-"""Points on the surface of every link, close enough that nothing can pass between them unseen."""
+"""Points on the surface of every link, dense enough for collision checks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The address of a server, as it is typed."""
+"""Address of a server, as typed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TOKEN = "RGRASP_TOKEN"
 
 
 def server_address(url: str) -> str:
-    """`url` without what follows the port.
+    """`url` up to its port.
 
     Raises:
         InputError: Not http or https with a host, or more than that.

@@ -107,7 +107,7 @@ def make_app(
 
 
 class Gate:
-    """Lets in whoever bears the token, and no page of another origin."""
+    """Middleware that admits requests with the token, and no page of another origin."""
 
     def __init__(self, app: ASGIApp, host: str, token: str | None) -> None:
         self._app, self._host, self._token = app, host, token

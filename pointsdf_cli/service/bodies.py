@@ -1,4 +1,4 @@
-"""The bodies of requests: what may stand in them, checked, and turned into the planner's types."""
+"""Bodies of requests: their fields, checks, and conversion to the planner's types."""
 
 from __future__ import annotations
 
@@ -251,7 +251,7 @@ class PlanBody(SceneBody):
         return request
 
     def check(self) -> None:
-        """See there."""
+        """Refuse a scene that makes no sense; see `SceneBody.check`."""
         self.request()
 
 

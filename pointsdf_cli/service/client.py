@@ -1,4 +1,4 @@
-"""A question to `rgrasp serve`, and its answer as the planner itself would have given it."""
+"""Client of `rgrasp serve`: requests, and answers equal to the planner's own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One worker and a short queue: what is asked is done one after the other, or refused at once."""
+"""One worker and a short queue: requests are answered in turn, or refused at once."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from pointsdf_cli.planning.cancellation import CancelledError, cancellable
 
 
 class BusyError(RgraspError):
-    """So many wait already that one more is refused."""
+    """The queue is full."""
 
 
 class ClosingError(RgraspError):
-    """The server stops: what runs is finished, nothing more is begun."""
+    """The server is stopping: running work is finished, nothing else begins."""
 
 
 class Job:
-    """A place in the queue; what it is for may be said later.
+    """A place in the queue; its work may be submitted later.
 
     Attributes:
         future: Result or error of the work.
@@ -33,12 +33,12 @@ class Job:
         self.work: Callable[[], Any] | None = None
 
     def cancel(self) -> None:
-        """Nobody waits for it: it is not begun, or stopped where it can be."""
+        """Cancel: work that waits is not begun, running work stops where it can."""
         self._cancelled.set()
 
     @property
     def cancelled(self) -> bool:
-        """Whether nobody waits for it."""
+        """Whether it was cancelled."""
         return self._cancelled.is_set()
 
 
@@ -108,7 +108,7 @@ class Desk:
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Begin nothing more; what waits is told so, what runs is finished."""
+        """Begin nothing more: waiting jobs are refused, running work is finished."""
         with self._changed:
             self._closing = True
             waiting = list(self._ready)
@@ -119,7 +119,7 @@ class Desk:
             job.future.set_exception(ClosingError("the server is stopping"))
 
     def join(self) -> None:
-        """Wait until what ran when it was closed is finished."""
+        """Wait for the work that ran when the desk was closed."""
         self._thread.join()
 
     def _run(self) -> None:

@@ -49,7 +49,7 @@ class Resident:
         self._planners: OrderedDict[PlanChoices, GraspPlanner] = OrderedDict()
 
     def planner(self, choices: PlanChoices) -> GraspPlanner:
-        """The planner for some choices, made where it is not kept.
+        """The planner for these options, made at their first use.
 
         Raises:
             InputError: The robot or a checkpoint cannot be used.

@@ -1,4 +1,4 @@
-"""The answers of a server as trees of plain values and arrays, there and back."""
+"""Conversion of answers to trees of plain values and arrays, and back."""
 
 from __future__ import annotations
 

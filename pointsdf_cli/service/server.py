@@ -100,7 +100,7 @@ class Server:
             time.sleep(0.1)
 
     def stop(self) -> None:
-        """Answer what runs, refuse what waits, and end."""
+        """Finish running work, refuse waiting requests, and end."""
         self.desk.close()
         self._server.should_exit = True
         if self._thread.ident is not None:

@@ -12,7 +12,8 @@ from pointsdf_cli.camera.noise import DepthNoise
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.camera.raycast import MeshCaster, depth_image
 from pointsdf_cli.camera.segmentation import SegmentationConfig, segment_object
-from pointsdf_cli.camera.sensor import DepthSensor, load_sensor
+from pointsdf_cli.camera.sensor import DepthSensor
+from pointsdf_cli.camera.sensor_presets import load_sensor
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array

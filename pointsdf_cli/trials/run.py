@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pointsdf_cli.camera.sensor import load_sensor, without_ideal
+from pointsdf_cli.camera.sensor_presets import load_sensor, without_ideal
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array

@@ -108,15 +108,7 @@ def shaded_view(
     x, y = np.meshgrid(centre[0] + half * ticks, centre[1] - half * ticks)
     origin = np.stack([x, y, np.full_like(x, high[2] + half)], axis=-1) @ basis
     direction = np.broadcast_to(-towards_camera, origin.shape)
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, dtype=np.float32)),
-        o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, dtype=np.uint32)),
-    )
-    rays = np.concatenate([origin, direction], axis=-1).astype(np.float32)
-    hits = scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
-    normal = hits["primitive_normals"].numpy()
-    depth = hits["t_hit"].numpy()
+    normal, depth = _cast(vertices, faces, origin, direction)
 
     # Back faces, which only a mesh that is not closed shows, are painted red.
     facing = normal @ towards_camera
@@ -131,6 +123,20 @@ def shaded_view(
     picture = np.where(np.isinf(depth)[..., None], np.asarray(BACKGROUND) / 255, picture)
     picture = picture.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, 3).mean(axis=(1, 3))
     return (np.clip(picture, 0, 1) * 255).astype(np.uint8)
+
+
+def _cast(
+    vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normals [H, W, 3] and distances [H, W] m of what rays hit first; inf where nothing."""
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, dtype=np.float32)),
+        o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, dtype=np.uint32)),
+    )
+    rays = np.concatenate([origin, direction], axis=-1).astype(np.float32)
+    hits = scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
+    return hits["primitive_normals"].numpy(), hits["t_hit"].numpy()
 
 
 def draw_sheet(items: Sequence[SheetItem], style: SheetStyle | None = None) -> Image.Image:

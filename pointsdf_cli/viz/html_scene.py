@@ -58,16 +58,5 @@ def scene_as_json(scene: Scene) -> dict[str, Any]:
     }
 
 
-def scene_of_page(page: str) -> dict[str, Any]:
-    """The data of a page that `scene_page` wrote.
-
-    Raises:
-        ValueError: The page holds no scene.
-    """
-    start = page.index(_START) + len(_START)
-    data: dict[str, Any] = json.loads(page[start : page.index("</script>", start)])
-    return data
-
-
 def _base64(array: NDArray[Any], kind: str) -> str:
     return base64.b64encode(np.ascontiguousarray(array).astype(kind).tobytes()).decode("ascii")

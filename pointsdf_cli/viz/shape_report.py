@@ -1,4 +1,4 @@
-"""The report on one cloud or mesh: its size, its frame, and pictures from several sides."""
+"""Report on one cloud or mesh: size, frame, and pictures from several sides."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figure 3: F1 of the success networks beside the published ones, and how far to trust them."""
+"""Figure 3: F1 of the success networks beside the published ones, with their calibration."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class Viewer:
         self._caption.content = self.scene.captions[self._frame] or " "
 
     def run(self) -> None:
-        """Play where asked to, until interrupted."""
+        """Play while the button is on, until interrupted."""
         while True:
             if self._play.value and self._frame + 1 < self.scene.frames:
                 self._slider.value = self._frame + 1

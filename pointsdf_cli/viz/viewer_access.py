@@ -72,7 +72,7 @@ def free_port(host: str, port: int) -> int:
 
 @contextmanager
 def guarded(bound: str) -> Iterator[list[Any]]:
-    """Within, WebSocket servers that are started ask `may_connect`; gives a list of them."""
+    """Context in which WebSocket servers that start ask `may_connect`; yields a list of them."""
     import websockets.asyncio.server as library
 
     serve: Callable[..., Any] = library.serve

@@ -1,6 +1,6 @@
 """Distances of hidden surface to observed points, before and after turning about the found axis.
 
-    python pipelines/symmetric_point_distance.py PACK [--pattern GLOB] [--views N] [--sideways W]
+    python experiments/symmetric_point_distance.py PACK [--pattern GLOB] [--views N] [--sideways W]
 
 PACK is what `train-sdf` packed. For label points at most 2 mm inside each object's surface: the
 distance to the nearest observed point, and that of its symmetric point (`models/revolution.py`).

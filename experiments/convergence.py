@@ -1,7 +1,7 @@
 """Does the label of a grasp depend on the time step? Stored grasps carried out again, finer.
 
-    python pipelines/convergence.py --grasps grasps/ --meshes train/ [--count 300]
-    python pipelines/convergence.py --meshes train/ [--count 300]
+    python experiments/convergence.py --grasps grasps/ --meshes train/ [--count 300]
+    python experiments/convergence.py --meshes train/ [--count 300]
 
 With `--grasps`, executed attempts are drawn evenly by seed, and each is carried out as it was
 collected, by the whole arm as in a trial, with half the time step, with half, two and five times

@@ -1,6 +1,6 @@
 """Label IoU of held-out objects by kind of object.
 
-    python pipelines/held_out_by_kind.py PACK CHECKPOINT... [--held-out 0.03] [--seed 0]
+    python experiments/held_out_by_kind.py PACK CHECKPOINT... [--held-out 0.03] [--seed 0]
 
 PACK is what `train-sdf` packed. The objects are those that every checkpoint says were held out from
 it; where one does not say, --held-out and --seed are that run's. Generated objects are named by

@@ -1,0 +1,136 @@
+"""Reports of commands: progress and messages on stderr, the result on stdout."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pointsdf_cli.cli.printable import printable, printable_json
+from pointsdf_cli.io.strict_json import to_json
+
+if TYPE_CHECKING:
+    from pointsdf_cli.io.batch import StageReport
+
+
+@dataclass(frozen=True)
+class Reporter:
+    """Progress and messages on stderr, the result on stdout.
+
+    Attributes:
+        quiet: Nothing on stderr but errors.
+        as_json: The result as one JSON object instead of lines.
+    """
+
+    quiet: bool = False
+    as_json: bool = False
+
+    def say(self, text: str) -> None:
+        """One line of progress on stderr."""
+        if not self.quiet:
+            print(printable(text), file=sys.stderr, flush=True)
+
+    def result(self, values: Mapping[str, Any], lines: list[str] | None = None) -> None:
+        """The command's result: `values` as JSON, or `lines` (by default "name: value")."""
+        if self.as_json:
+            text = printable_json(to_json(values))
+            try:
+                text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
+            except UnicodeEncodeError:  # then all of it as escapes, which JSON has its own of
+                text = json.dumps(json.loads(text))
+            print(text)
+        else:
+            for line in lines if lines is not None else [f"{k}: {v}" for k, v in values.items()]:
+                print(printable(line))
+
+    @contextmanager
+    def progress(self, title: str, total: int) -> Iterator[Progress]:
+        """A progress bar on a terminal, an occasional line elsewhere; nothing when quiet."""
+        progress = Progress(title, total, self.quiet)
+        try:
+            yield progress
+        finally:
+            progress.close()
+
+
+class Progress:
+    """Counts finished files; `advance` may be given to `run_stage` as `on_done`."""
+
+    _LINE_EVERY = 10.0
+
+    def __init__(self, title: str, total: int, quiet: bool) -> None:
+        self._title, self._total, self._quiet = title, total, quiet
+        self._count = 0
+        self._started = self._spoke = time.monotonic()
+        self._bar: Any = None
+        if not quiet and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            self._bar = Bar(
+                "{task.description}",
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeRemainingColumn(),
+                console=Console(stderr=True),
+            )
+            self._bar.start()
+            self._task = self._bar.add_task(title, total=total)
+
+    def advance(self, name: str, _result: object = None) -> None:
+        """Count one more finished file."""
+        self._count += 1
+        if self._bar:
+            self._bar.update(self._task, advance=1, description=f"{self._title} {name[-32:]}")
+            return
+        now = time.monotonic()
+        if not self._quiet and (now - self._spoke > self._LINE_EVERY):
+            self._spoke = now
+            left = (now - self._started) / self._count * (self._total - self._count)
+            print(
+                f"{self._title}: {self._count} of {self._total}, {left:.0f} s left",
+                file=sys.stderr,
+                flush=True,
+            )
+
+    def close(self) -> None:
+        """Take the bar off the terminal."""
+        if self._bar:
+            self._bar.stop()
+
+
+def finish_stage(
+    reporter: Reporter,
+    report: StageReport[Any],
+    out: Path,
+    skip_bad: bool,
+    values: Mapping[str, Any],
+    lines: list[str],
+) -> None:
+    """Print a stage's result, then the inputs it could not use.
+
+    Raises:
+        InputError: Some inputs were refused and `--skip-bad` was not given.
+    """
+    refused = {name: error.what for name, error in report.refused}
+    counts = {"made": len(report.made), "kept": len(report.kept), "refused": len(refused)}
+    if report.made or report.kept or not refused:
+        reporter.result(
+            {"out": out, **counts, "seconds": round(report.seconds, 3), **values, "bad": refused},
+            [
+                f"{out}: {counts['made']} made, {counts['kept']} there already, "
+                f"{counts['refused']} refused, in {report.seconds:.1f} s",
+                *lines,
+            ],
+        )
+    if skip_bad and (report.made or report.kept):
+        for _, error in report.refused:
+            reporter.say(f"skipped: {error.message}")
+        return
+    report.raise_if_refused()
