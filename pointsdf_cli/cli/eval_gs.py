@@ -52,6 +52,7 @@ def eval_gs(
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder, require_new, write_text_atomic
+    from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.io.provenance import git_commit
     from pointsdf_cli.io.strict_json import to_json
     from pointsdf_cli.models.registry import use_threads
@@ -60,7 +61,6 @@ def eval_gs(
     from pointsdf_cli.training import gs_evaluation as evaluation
     from pointsdf_cli.training.gs_data import read_grasp_data
     from pointsdf_cli.training.gs_variants import Sources, prepare_trained, title_of
-    from pointsdf_cli.training.precision import idle_processors
     from pointsdf_cli.viz.success_figure import draw_success_figure
 
     seed = common.check_seed(seed)

@@ -74,6 +74,7 @@ def train_gs(
         require_checkpoint_place,
         require_no_run,
     )
+    from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.models.grasp_checkpoint import check_hand
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.robot.description import load_robot
@@ -81,7 +82,6 @@ def train_gs(
     from pointsdf_cli.training.gs_loop import Fitted, SuccessTraining, train_success
     from pointsdf_cli.training.gs_outcome import Checkpointer, resumable_state
     from pointsdf_cli.training.gs_variants import Sources, Variant, prepare, prior_of, split_for
-    from pointsdf_cli.training.precision import idle_processors
 
     variant = Variant(encoder, mode)
     chosen: dict[str, Any] = {

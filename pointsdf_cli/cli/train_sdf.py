@@ -91,11 +91,11 @@ def train_sdf(
         require_checkpoint_place,
         require_no_run,
     )
+    from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.io.provenance import git_commit
     from pointsdf_cli.models.registry import build_model, load_model, use_threads
     from pointsdf_cli.training import sdf_loop
     from pointsdf_cli.training.distributed import join_workers
-    from pointsdf_cli.training.precision import idle_processors
     from pointsdf_cli.training.presets import paper_steps
     from pointsdf_cli.training.presets import preset as settings
     from pointsdf_cli.training.sdf_data import held_out_names, split_views
