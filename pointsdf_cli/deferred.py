@@ -72,16 +72,17 @@ class _Deferred(ModuleType):
     """A module that runs when an attribute is asked for that it does not have yet."""
 
     def __getattr__(self, name: str) -> Any:
+        lacks = AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
         if name in _LOOKED_FOR:
-            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+            raise lacks
         with _loading:
-            if type(self) is _Deferred:
-                self.__class__ = ModuleType  # from here on a module like any other
-                spec = self.__spec__
-                assert spec is not None
-                assert isinstance(spec.loader, _Later)
+            spec = self.__spec__
+            if spec is not None and isinstance(spec.loader, _Later):
                 self.__loader__ = spec.loader = spec.loader.loader
                 spec.loader.exec_module(self)
+                object.__setattr__(self, "__class__", ModuleType)
+            elif type(self) is _Deferred:  # asked for by what it imports while it runs
+                raise lacks
         return getattr(self, name)
 
 

@@ -91,17 +91,8 @@ def test_every_cloud_is_meshed_by_itself_and_kept(tmp_path: Path) -> None:
         shift[:3, 3] = 0.02 * k, 0.0, 0.0
         write_cloud(tmp_path / f"cloud{k}.ply", Cloud(apply_transform(shift, POINTS)))
     clouds, out = sorted(tmp_path.glob("cloud*.ply")), tmp_path / "meshes"
-    words = [
-        "--each",
-        "--out",
-        out,
-        "--checkpoint",
-        network,
-        "--resolution",
-        "32",
-        "--format",
-        "stl",
-    ]
+    options = ["--checkpoint", network, "--resolution", "32", "--format", "stl"]
+    words = ["--each", "--out", out, *options]
     first = run_cli("mesh", *clouds[:2], *words, "--jobs", "1")
     assert first.code == 0, first.err
     before = (out / "cloud0.stl").stat().st_mtime_ns

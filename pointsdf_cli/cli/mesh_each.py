@@ -35,7 +35,7 @@ def mesh_each(
         reporter: Told everything.
         clouds: One view of each object.
         pose: Camera pose as typed, the same for all; None for none.
-        files: How each view is read.
+        files: Reading options of each view.
         settings: The same for all clouds.
         inputs: Everything that is read, which no output may replace.
         out: Folder of the meshes.

@@ -50,7 +50,7 @@ def plan_each(
         reporter: Told everything.
         clouds: One view of each scene.
         poses: Camera poses as typed: none, one for all, or one each.
-        files: How each view is read.
+        files: Reading options of each view.
         settings: The same for all scenes.
         inputs: Everything that is read, which no output may replace.
         options: Options of the stage.

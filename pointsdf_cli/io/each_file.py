@@ -39,13 +39,12 @@ def one_for_each(values: Sequence[Value], count: int, option: str) -> list[Value
     Raises:
         InputError: Another number of values.
     """
-    if not values:
-        return [None] * count
-    if len(values) not in (1, count):
+    own: list[Value | None] = [*values] or [None]
+    if len(own) not in (1, count):
         raise InputError(
-            f"{len(values)} for {count} inputs", where=option, allowed="one for all, or one each"
+            f"{len(own)} for {count} inputs", where=option, allowed="one for all, or one each"
         )
-    return list(values) * (count if len(values) == 1 else 1)
+    return own * count if len(own) == 1 else own
 
 
 def require_without(options: dict[str, bool], instead: str) -> None:

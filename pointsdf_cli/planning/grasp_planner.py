@@ -56,6 +56,7 @@ from pointsdf_cli.planning.target import (
     Target,
     absent_object,
     completed_field,
+    enclosing,
     given_object,
     grid_for,
     kept_off,
@@ -249,7 +250,7 @@ class GraspPlanner:
             # misses, too.
             hidden = _unseen_support(own, views) if table else np.zeros((0, 3))
             known = np.concatenate([world, hidden])
-            whole = reconstructed_object(made, grid, known) if len(hidden) else own
+            whole = enclosing(own, made, hidden, grid) if len(hidden) else own
             constraint = kept_off(whole, known)
         else:
             constraint = own

@@ -51,7 +51,7 @@ class MeshTask:
 
     Attributes:
         cloud: The view.
-        files: How it is read.
+        files: Its reading options.
         pose: Its camera pose as typed.
         out: Mesh file to write. Beside it, a JSON file of that name records options and outcome.
         settings: The same for all clouds.

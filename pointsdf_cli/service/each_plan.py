@@ -29,7 +29,7 @@ class PlanTask:
 
     Attributes:
         cloud: The view.
-        files: How it is read.
+        files: Its reading options.
         pose: Its camera pose as typed.
         out: Plan file to write.
         picture: Picture to draw; None for none.

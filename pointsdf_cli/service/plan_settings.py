@@ -55,7 +55,7 @@ class PlanSettings:
         Args:
             clouds: Its views.
             poses: Their camera poses as typed, or none.
-            files: How each is read.
+            files: Reading options of each.
 
         Raises:
             InputError: A file or an option cannot be used.
