@@ -19,7 +19,7 @@ def require_present(
     Args:
         paths: Files and folders.
         checkpoints: Checkpoint directories; their configuration is read.
-        hint: What makes the missing file or folder.
+        hint: Command that makes the missing file or folder.
 
     Raises:
         InputError: One is missing.
