@@ -66,7 +66,7 @@ def plan_one(
     Args:
         reporter: Told everything.
         request: Checked.
-        settings: Where the request came from.
+        settings: Settings that the request was made with.
         outputs: Free places.
         asked: Options as typed, for the plan's provenance.
         idle: Counts the threads to take where `threads` is 0.
