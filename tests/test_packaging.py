@@ -65,7 +65,7 @@ def test_help_and_doctor_run_from_the_wheel(installed: tuple[Path, Path]) -> Non
 
 def test_the_entry_point_is_named_rgrasp(installed: tuple[Path, Path]) -> None:
     (entry_points,) = installed[0].glob("rgrasp-*.dist-info/entry_points.txt")
-    assert "rgrasp = pointsdf_cli.cli.main:main" in entry_points.read_text()
+    assert "rgrasp = pointsdf_cli.cli.main:program" in entry_points.read_text()
 
 
 def test_help_imports_nothing_heavy() -> None:

@@ -50,6 +50,31 @@ def run(code: str, *words: str) -> list[str]:
         ["serve", "--robot", "none.yaml"],
         ["robot", "check", "none.yaml"],
         ["trial", "--robot", "none.yaml"],
+        ["trial", "--meshes", "none"],
+        ["train-sdf", "--views", "none", "--labels", "none", "--out", "{}/c"],
+        [
+            "train-gs",
+            "--grasps",
+            "none",
+            "--encoder",
+            "pointsdf",
+            "--mode",
+            "fixed",
+            "--out",
+            "{}/c",
+        ],
+        ["eval-gs", "--grasps", "none", "--checkpoint", "none", "--out", "{}/t.json"],
+        ["eval-sdf", "--checkpoint", "none", "--views", "none", "--meshes", "none"],
+        ["collect-grasps", "--meshes", "none", "--out", "{}/g"],
+        ["render", "--meshes", "none", "--out", "{}/v"],
+        ["label-sdf", "--views", "none", "--meshes", "none", "--out", "{}/l"],
+        ["view", "none.h5"],
+        ["report", "none"],
+        ["info", "none.h5"],
+        ["segment", "none.ply"],
+        ["mesh", "none.ply"],
+        ["cloud", "none.png", "--intrinsics", "kinect2"],
+        ["calibrate", "none", "--intrinsics", "kinect2", "--robot-poses", "none.json"],
     ],
 )
 def test_a_mistake_is_told_before_anything_heavy_loads(words: list[str], tmp_path: Path) -> None:
@@ -61,7 +86,7 @@ def test_a_mistake_is_told_before_anything_heavy_loads(words: list[str], tmp_pat
     out = ["--out", str(tmp_path / names[words[0]])] if words[0] in names else []
     code = RUN.replace("{heavy}", repr(HEAVY))
     told = run(code, *(word.format(tmp_path) for word in words), *out)
-    assert told == ["code 2", "loaded"]
+    assert told[-2:] == ["code 2", "loaded"]
 
 
 def test_open3d_loads_without_its_notebooks() -> None:

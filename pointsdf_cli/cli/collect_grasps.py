@@ -63,6 +63,11 @@ def collect_grasps(
     from pointsdf_cli.io.grasps import read_grasps
     from pointsdf_cli.io.meshes import artifact_path, find_meshes
     from pointsdf_cli.robot.description import load_robot
+
+    seed, jobs = common.check_seed(seed), common.job_count(jobs)
+    machine, found = load_robot(robot), find_meshes(meshes, pattern)
+
+    # Seconds of imports: only for what can be used.
     from pointsdf_cli.simulation.attempt import AttemptConfig
     from pointsdf_cli.simulation.collect import (
         CollectTask,
@@ -76,9 +81,7 @@ def collect_grasps(
 
     config = AttemptConfig(placement=CameraPlacement(sensor=sensor))
     config = replace(config, execution=replace(config.execution, shake=shake))
-    seed, jobs = common.check_seed(seed), common.job_count(jobs)
-    try_robot(load_robot(robot))  # a wrong robot is said once and first, not by every worker
-    found = find_meshes(meshes, pattern)
+    try_robot(machine)  # a wrong robot is said once and first, not by every worker
     out = require_folder(out)
     paths = {}
     for mesh in found:

@@ -15,6 +15,16 @@ from pointsdf_cli.errors import InputError
 
 Seed = Annotated[int, typer.Option(help="Random seed.")]
 Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Number of processes; 0 uses all cores.")]
+EachJobs = Annotated[
+    int,
+    typer.Option("--jobs", "-j", help="With --each: number of processes; 0 uses all cores."),
+]
+EachSkipBad = Annotated[
+    bool,
+    typer.Option(
+        "--skip-bad", help="With --each: exit with 0 even if some inputs could not be used."
+    ),
+]
 Threads = Annotated[
     int, typer.Option(min=0, help="Number of processor threads; 0 uses the idle ones.")
 ]

@@ -47,20 +47,27 @@ def eval_gs(
 
     Example: rgrasp eval-gs --checkpoint gs/ --grasps grasps/ --out figure3.json
     """
+    from pointsdf_cli.io.present import require_present
+    from pointsdf_cli.robot.description import load_robot
+
+    common.check_seed(seed)
+    require_present(grasps, hint="rgrasp collect-grasps --meshes DIR --out DIR")
+    require_present(checkpoints=[*checkpoint, sdf])
+    machine = load_robot(robot)
+
     import numpy as np
 
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder, require_new, write_text_atomic
+    from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.io.provenance import git_commit
     from pointsdf_cli.io.strict_json import to_json
     from pointsdf_cli.models.registry import use_threads
-    from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.training import gs_baselines
     from pointsdf_cli.training import gs_evaluation as evaluation
     from pointsdf_cli.training.gs_data import read_grasp_data
     from pointsdf_cli.training.gs_variants import Sources, prepare_trained, title_of
-    from pointsdf_cli.training.precision import idle_processors
     from pointsdf_cli.viz.success_figure import draw_success_figure
 
     seed = common.check_seed(seed)
@@ -70,7 +77,6 @@ def eval_gs(
     require_folder(out.parent)
     labels = common.labels_of(checkpoint)
     use_threads(threads or idle_processors())
-    machine = load_robot(robot)
     data = read_grasp_data(grasps, machine)
     held_out = data.held_out[data.object_of]
     rows, known = np.flatnonzero(held_out), np.flatnonzero(~held_out)

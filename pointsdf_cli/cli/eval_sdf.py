@@ -58,6 +58,12 @@ def eval_sdf(
 
     Example: rgrasp eval-sdf --checkpoint ckpt/ --views views/ --meshes ycb/ --out table.json
     """
+    from pointsdf_cli.io.present import require_present
+
+    common.check_seed(seed)
+    require_present(views, hint=f"rgrasp render --meshes {meshes} --out {views}")
+    require_present(meshes, checkpoints=checkpoint)
+
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.geometry.isosurface import IsosurfaceConfig
     from pointsdf_cli.io.apart import require_apart

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.cli.mesh_each import mesh_each
 
 if TYPE_CHECKING:
     from pointsdf_cli.camera.scene_file import SceneFileOptions
-    from pointsdf_cli.planning.object_view import ObjectView
+    from pointsdf_cli.service.each_mesh import MeshSettings
 
 FORMATS = ("ply", "obj", "stl", "glb")
 SCENE = 0.7
@@ -19,11 +20,11 @@ SCENE = 0.7
 
 
 def mesh(
-    cloud: Annotated[
-        Path,
+    clouds: Annotated[
+        list[Path],
         typer.Argument(
             help="A partial cloud (PLY, PCD, XYZ, TXT, CSV or NPY), or a depth image (16-bit PNG, "
-            "TIFF or PGM, or NPY)."
+            "TIFF or PGM, or NPY); with --each several."
         ),
     ],
     out: Annotated[
@@ -102,6 +103,16 @@ def mesh(
         Path | None,
         typer.Option(help="Also draw the cloud and the mesh from both sides into this PNG."),
     ] = None,
+    each: Annotated[
+        bool,
+        typer.Option(
+            "--each",
+            help="Mesh every input by itself, into the folder --out [default: meshes]; what is "
+            "there already is kept.",
+        ),
+    ] = False,
+    jobs: common.EachJobs = 0,
+    skip_bad: common.EachSkipBad = False,
     precision: Annotated[
         str,
         typer.Option(
@@ -119,26 +130,21 @@ def mesh(
 
     Example: rgrasp mesh cloud.ply --out mesh.ply
     Example: rgrasp mesh depth.png --intrinsics K.json --camera-pose table
+    Example: rgrasp mesh clouds/*.ply --each --out meshes/
     """
-    import numpy as np
-
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.geometry.frames import apply_transform
-    from pointsdf_cli.geometry.isosurface import IsosurfaceConfig
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new
     from pointsdf_cli.io.checkpoints import read_config
-    from pointsdf_cli.io.meshes import UNITS, save_mesh
+    from pointsdf_cli.io.each_file import require_without
+    from pointsdf_cli.planning.mesh_choices import MeshChoices
+    from pointsdf_cli.service.each_mesh import MeshSettings
 
     reporter = common.Reporter(quiet, as_json)
-    if not 0 <= smooth <= 1000:
-        raise InputError(f"{smooth} passes", where="--smooth", allowed="0 to 1000")
-    IsosurfaceConfig(resolution)  # a wrong resolution is known before anything is read
-    out = mesh_path(out, form)
-    require_apart([out, picture], [cloud, camera_pose, intrinsics, mask, checkpoint, robot])
-    require_new(out, force)
-    common.check_picture(picture, force)
+    # A wrong resolution is known before anything is read.
+    choices = MeshChoices(resolution, smooth, all_parts, exact, precision, seed)
+    inputs = [*clouds, camera_pose, intrinsics, mask, checkpoint, robot]
     common.check_seed(seed)
     common.check_device(device)
     if checkpoint is not None:
@@ -146,7 +152,70 @@ def mesh(
     files = SceneFileOptions(
         intrinsics, depth_scale, mask=mask, unit=unit, frame=frame, drop_invalid=drop_invalid
     )
-    seen = _object_of(cloud, files, camera_pose, segment, target, robot, workspace, not no_clean)
+    settings = MeshSettings(
+        choices, segment, target, workspace, not no_clean, robot, checkpoint, device
+    )
+    if each:
+        one = {"--picture": picture is not None, "--mask": mask is not None}
+        require_without(one, "leave one of the two out")
+        mesh_each(
+            reporter,
+            clouds,
+            camera_pose,
+            files,
+            settings,
+            inputs,
+            out=out or Path("meshes"),
+            form=mesh_path(None, form).suffix[1:],
+            jobs=jobs,
+            threads=threads,
+            force=force,
+            skip_bad=skip_bad,
+        )
+        return
+    if len(clouds) > 1:
+        raise InputError(f"{len(clouds)} inputs", allowed="one", hint="add --each")
+    out = mesh_path(out, form)
+    require_apart([out, picture], inputs)
+    require_new(out, force)
+    common.check_picture(picture, force)
+    _mesh_one(reporter, clouds[0], files, camera_pose, settings, out, picture, threads)
+
+
+def _mesh_one(
+    reporter: common.Reporter,
+    cloud: Path,
+    files: SceneFileOptions,
+    pose: str | None,
+    settings: MeshSettings,
+    out: Path,
+    picture: Path | None,
+    threads: int,
+) -> None:
+    """Mesh one cloud and report.
+
+    Raises:
+        InputError: The cloud cannot be used.
+        EmptySurfaceError: The network sees nothing solid in it.
+    """
+    import numpy as np
+
+    from pointsdf_cli.geometry.frames import apply_transform
+    from pointsdf_cli.io.idle_processors import IdleProcessors
+    from pointsdf_cli.io.meshes import UNITS, save_mesh
+    from pointsdf_cli.planning.object_view import object_view
+
+    idle, unit, choices = IdleProcessors(), files.unit, settings.choices
+    seen = object_view(
+        cloud,
+        files,
+        pose,
+        settings.segment,
+        settings.target,
+        settings.robot,
+        settings.workspace,
+        settings.cleaned,
+    )
     points, T_frame_camera = seen.points, seen.T_frame_camera
     for line in seen.said:
         reporter.say(line)
@@ -155,12 +224,10 @@ def mesh(
 
     # Seconds of imports: only for a cloud that can be used.
     from pointsdf_cli.models.registry import load_model, use_threads
-    from pointsdf_cli.planning.complete_mesh import MeshChoices, complete_mesh
-    from pointsdf_cli.training.precision import idle_processors
+    from pointsdf_cli.planning.complete_mesh import complete_mesh
 
-    choices = MeshChoices(resolution, smooth, all_parts, exact, precision, seed)
-    use_threads(threads or idle_processors())
-    model = load_model(checkpoint, common.torch_device(device))
+    use_threads(threads or idle.count())
+    model = load_model(settings.checkpoint, common.torch_device(settings.device))
     completed = complete_mesh(model, seen, choices, str(cloud))
     made, seconds = completed.mesh, completed.seconds
     vertices = apply_transform(T_frame_camera, made.vertices) / UNITS[unit]
@@ -184,7 +251,7 @@ def mesh(
             "unit": unit,
             "frame": seen.frame,
             "points": len(points),
-            "resolution": resolution,
+            "resolution": choices.resolution,
             "parts_dropped": made.parts_dropped,
             "queries": made.queries,
             "seconds": seconds,
@@ -192,40 +259,10 @@ def mesh(
         [
             f"{out}: {len(vertices)} vertices, {len(made.faces)} faces, "
             f"{' × '.join(f'{side:.4g}' for side in extent)} {unit}, in the {seen.frame} frame",
-            f"{made.queries} queries, {seconds:.2f} s at {resolution}³"
+            f"{made.queries} queries, {seconds:.2f} s at {choices.resolution}³"
             + (f"; {made.parts_dropped} loose parts dropped" if made.parts_dropped else ""),
         ],
     )
-
-
-def _object_of(
-    path: Path,
-    files: SceneFileOptions,
-    pose: str | None,
-    segment: str | None,
-    target: str | None,
-    robot: Path | None,
-    workspace: str | None,
-    cleaned: bool,
-) -> ObjectView:
-    """The object's points, from a cloud of it alone or out of a view of a table.
-
-    Raises:
-        InputError: There is no object, or no pose, or an option says nonsense.
-    """
-    from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.poses import box
-    from pointsdf_cli.planning.object_view import bare_view, is_scene, segmented_view
-
-    if segment is None:
-        segment = "auto" if is_scene(path, files, pose) else "none"
-    if segment == "none":
-        for given, option in ((target, "--target"), (robot, "--robot"), (workspace, "--workspace")):
-            if given is not None:
-                raise InputError(f"{option} without --segment auto", hint="add --segment auto")
-        return bare_view(path, files, pose, cleaned)
-    corners = None if workspace is None else box(workspace, "--workspace")
-    return segmented_view(path, files, pose, segment, target, robot, corners, cleaned)
 
 
 def mesh_path(out: Path | None, form: str | None) -> Path:

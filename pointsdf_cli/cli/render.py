@@ -80,6 +80,10 @@ def render(
 
     Example: rgrasp render --meshes ycb/ --out views/
     """
+    from pointsdf_cli.io.present import require_present
+
+    require_present(meshes)
+
     from pointsdf_cli.camera.noise import DepthNoise
     from pointsdf_cli.camera.pinhole import load_camera
     from pointsdf_cli.camera.scene_views import SceneViewConfig

@@ -50,6 +50,10 @@ def report(
 
     Example: rgrasp report demo/
     """
+    from pointsdf_cli.io.present import require_present
+
+    require_present(artifacts, meshes)
+
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder, require_new, write_text_atomic
     from pointsdf_cli.viz.data_report import data_report, sample_items

@@ -78,11 +78,11 @@ def serve(
 
     # Seconds of imports: only for options that can be used.
     from pointsdf_cli.cli.signals import stop_requests
+    from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.planning.plan_request import PlanChoices
     from pointsdf_cli.service.resident import Resident
     from pointsdf_cli.service.server import Server
-    from pointsdf_cli.training.precision import idle_processors
 
     resident = Resident(robot, checkpoint, grasp_checkpoint, common.torch_device(device))
     use_threads(threads or idle_processors())

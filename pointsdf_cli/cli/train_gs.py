@@ -66,6 +66,14 @@ def train_gs(
 
     Example: rgrasp train-gs --grasps grasps/ --out gs/
     """
+    from pointsdf_cli.io.present import require_present
+    from pointsdf_cli.robot.description import load_robot
+
+    common.check_seed(seed)
+    require_present(grasps, hint="rgrasp collect-grasps --meshes DIR --out DIR")
+    require_present(checkpoints=[sdf])
+    machine = load_robot(robot)
+
     from pointsdf_cli.cli.signals import stop_requests
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.checkpoints import (
@@ -74,14 +82,13 @@ def train_gs(
         require_checkpoint_place,
         require_no_run,
     )
+    from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.models.grasp_checkpoint import check_hand
     from pointsdf_cli.models.registry import use_threads
-    from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.training.gs_data import read_grasp_data
     from pointsdf_cli.training.gs_loop import Fitted, SuccessTraining, train_success
     from pointsdf_cli.training.gs_outcome import Checkpointer, resumable_state
     from pointsdf_cli.training.gs_variants import Sources, Variant, prepare, prior_of, split_for
-    from pointsdf_cli.training.precision import idle_processors
 
     variant = Variant(encoder, mode)
     chosen: dict[str, Any] = {
@@ -101,7 +108,6 @@ def train_gs(
     use_threads(threads or idle_processors())
     state = resumable_state(out, variant, sdf) if resume else None
     reporter = common.Reporter(quiet, as_json)
-    machine = load_robot(robot)
     data = read_grasp_data(grasps, machine)
     split = split_for(data, variant, config.validation, seed)
     cache = cache or common.cache_beside(grasps)

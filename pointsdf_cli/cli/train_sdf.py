@@ -81,21 +81,32 @@ def train_sdf(
 
     Example: rgrasp train-sdf --views views/ --labels labels/ --out ckpt/ --minutes 60
     """
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.present import require_present
+
+    common.check_seed(seed)
+    common.check_device(device)
+    if not 0.0 < held_out < 1.0:
+        raise InputError(f"{held_out} is no share", where="--held-out", allowed="between 0 and 1")
+    require_present(views, hint="rgrasp render --meshes DIR --out DIR")
+    require_present(labels, hint="rgrasp label-sdf --views DIR --meshes DIR --out DIR")
+    require_present(checkpoints=[start_from])
+
+    # Seconds of imports: only for what can be used.
     from dataclasses import replace
 
     from pointsdf_cli.cli.signals import stop_requests
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.checkpoints import (
         forget_train_state,
         require_checkpoint_place,
         require_no_run,
     )
+    from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.io.provenance import git_commit
     from pointsdf_cli.models.registry import build_model, load_model, use_threads
     from pointsdf_cli.training import sdf_loop
     from pointsdf_cli.training.distributed import join_workers
-    from pointsdf_cli.training.precision import idle_processors
     from pointsdf_cli.training.presets import paper_steps
     from pointsdf_cli.training.presets import preset as settings
     from pointsdf_cli.training.sdf_data import held_out_names, split_views
@@ -112,15 +123,11 @@ def train_sdf(
         "validate_every": validate_every,
         "precision": precision,
     }
-    config = replace(
-        config, seed=common.check_seed(seed), **{k: v for k, v in chosen.items() if v is not None}
-    )
+    config = replace(config, seed=seed, **{k: v for k, v in chosen.items() if v is not None})
     shape_of_loss = {"near": near, "sign_weight": sign_weight, "temperature": temperature}
     shape_of_loss["quantile"] = quantile
     changes: dict[str, Any] = {k: v for k, v in shape_of_loss.items() if v is not None}
     config = replace(config, loss=replace(config.loss, **changes))
-    if not 0.0 < held_out < 1.0:
-        raise InputError(f"{held_out} is no share", where="--held-out", allowed="between 0 and 1")
     common.torch_device(device)
     require_apart([out, pack], [views, labels, start_from])
     require_checkpoint_place(out)

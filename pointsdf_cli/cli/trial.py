@@ -98,8 +98,10 @@ def trial(
     for name, value in (("--rehearse", rehearse), ("--record", record), ("--pictures", pictures)):
         if value < 0:
             raise InputError(f"{value}", where=name, allowed="0 or more")
+    from pointsdf_cli.io.present import require_present
     from pointsdf_cli.robot.description import load_robot
 
+    require_present(meshes, checkpoints=[checkpoint, grasp_checkpoint])
     load_robot(robot)  # before seconds of imports
     jobs = common.job_count(jobs)
     reporter = common.Reporter(quiet, as_json)

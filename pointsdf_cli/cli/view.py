@@ -49,6 +49,12 @@ def view(
 
     Example: rgrasp view plan.h5 cloud.ply
     """
+    from pointsdf_cli.io.present import require_present
+    from pointsdf_cli.robot.description import load_robot
+
+    require_present(*artifacts, meshes)
+    load_robot(robot)
+
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new, write_text_atomic
     from pointsdf_cli.robot.description import load_robot

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array, Indices
-from pointsdf_cli.geometry.signed_distance import SignedDistance
+from pointsdf_cli.geometry.inside import Inside
 from pointsdf_cli.planning.contacts import WORLD, Contacts, Poses
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.robot_geometry import (
@@ -57,7 +57,7 @@ class BodyDistances:
         first = len(self._bodies) - len(environment.obstacles)
         # By place: an obstacle may be called like a link.
         self._inside = {
-            first + k: SignedDistance(o.vertices, o.faces, threads=1)
+            first + k: Inside(o.vertices, o.faces)
             for k, o in enumerate(environment.obstacles)
             if o.vertices is not None and o.faces is not None
         }
@@ -151,7 +151,7 @@ class BodyDistances:
     def _swallowed(self, out: Contacts, b: int, m: int, mesh: int, turn: Array, at: Array) -> None:
         """A shape that is wholly inside of a closed mesh does not touch its triangles."""
         point = (out.point[b, m] - at) @ turn
-        if self._inside[mesh](point[None])[0] < 0:
+        if self._inside[mesh](point):
             # From here the way out begins where the triangles are nearest, and goes past them.
             out.distance[b, m] = -out.distance[b, m] - self._radii[self._pairs[m, 0]]
             out.normal[b, m] = -out.normal[b, m]

@@ -12,27 +12,9 @@ from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.models.meshing import ReconstructedMesh, mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_view import ObjectView
 from pointsdf_cli.training.precision import autocast_dtype
-
-
-@dataclass(frozen=True)
-class MeshChoices:
-    """Meshing options.
-
-    Attributes:
-        resolution, smooth, exact: As in `mesh_reconstruction`.
-        all_parts: Keep small loose parts too.
-        precision: "auto", "bfloat16" or "float32".
-        seed: Seed of the resampling of the cloud.
-    """
-
-    resolution: int = 128
-    smooth: int = 25
-    all_parts: bool = False
-    exact: bool = False
-    precision: str = "auto"
-    seed: int = 0
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,7 @@ from pointsdf_cli.planning.target import (
     EmptyFieldError,
     Target,
     completed_field,
+    enclosing,
     grid_for,
     kept_off,
     reconstructed_object,
@@ -248,7 +249,7 @@ class GraspPlanner:
             # misses, too.
             hidden = unseen_support(own, views) if table else np.zeros((0, 3))
             known = np.concatenate([world, hidden])
-            whole = reconstructed_object(made, grid, known) if len(hidden) else own
+            whole = enclosing(own, made, hidden, grid) if len(hidden) else own
             constraint = kept_off(whole, known)
         else:
             constraint = own

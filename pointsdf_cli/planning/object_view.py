@@ -11,7 +11,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud
-from pointsdf_cli.io.poses import camera_pose, table_place
+from pointsdf_cli.io.poses import box, camera_pose, table_place
 
 if TYPE_CHECKING:
     from pointsdf_cli.camera.segmentation import SegmentationConfig
@@ -46,6 +46,37 @@ def is_scene(path: Path, files: SceneFileOptions, pose: str | None) -> bool:
     if pose is not None and table_place(pose) is not None:
         return True
     return is_depth_image(path, files.intrinsics) and (pose is not None or files.mask is None)
+
+
+def object_view(
+    path: Path,
+    files: SceneFileOptions,
+    pose: str | None,
+    segment: str | None,
+    target: str | None,
+    robot: Path | None,
+    workspace: str | None,
+    cleaned: bool,
+) -> ObjectView:
+    """The object's points, from a cloud of it alone or out of a view of a table.
+
+    Args:
+        path, files, pose, target, robot, cleaned: As in `segmented_view`.
+        segment: As typed; by the file and its pose if None.
+        workspace: As typed.
+
+    Raises:
+        InputError: There is no object, or no pose, or an option says nonsense.
+    """
+    if segment is None:
+        segment = "auto" if is_scene(path, files, pose) else "none"
+    if segment == "none":
+        for given, option in ((target, "--target"), (robot, "--robot"), (workspace, "--workspace")):
+            if given is not None:
+                raise InputError(f"{option} without --segment auto", hint="add --segment auto")
+        return bare_view(path, files, pose, cleaned)
+    corners = None if workspace is None else box(workspace, "--workspace")
+    return segmented_view(path, files, pose, segment, target, robot, corners, cleaned)
 
 
 def bare_view(

@@ -42,9 +42,10 @@ def plan_of(
     if best is not None and motion is not None and motion.trajectory is not None:
         q = best.q
         T_world_palm = chain.palm(q)
-        exactly = problem.measuring()
-        to_object = link_clearance(exactly, best.x, links, problem.is_object)
-        to_table = link_clearance(exactly, best.x, links, problem.is_table)
+        _, contacts = problem.measuring().contacts(best.x[None], gradients=False)
+        distance = contacts.distance[0]
+        to_object = link_clearance(problem, distance, links, problem.is_object)
+        to_table = link_clearance(problem, distance, links, problem.is_table)
         trajectory, times = motion.trajectory.positions, motion.trajectory.times
         lift = lift if motion.lift is None else motion.lift
     return Plan(
@@ -102,16 +103,22 @@ def shaped_links(robot: RobotDescription) -> tuple[str, ...]:
 
 
 def link_clearance(
-    problem: GraspProblem, x: Array, links: tuple[str, ...], to: NDArray[np.bool_]
+    problem: GraspProblem, distance: Array, links: tuple[str, ...], to: NDArray[np.bool_]
 ) -> Array:
     """Smallest distance [L] of each link among the problem's distances `to` (a mask) [m]; infinite
-    where it is not checked."""
-    _, contacts = problem.contacts(x[None], gradients=False)
+    where it is not checked.
+
+    Args:
+        problem: Names the distances.
+        distance: [M], all of them at one configuration, m.
+        links: Links that are asked about.
+        to: bool [M].
+    """
     clearance = np.full(len(links), np.inf)
     place = {link: k for k, link in enumerate(links)}
     for m in np.flatnonzero(to):
         link = place[problem.names[m][0]]
-        clearance[link] = min(clearance[link], contacts.distance[0, m])
+        clearance[link] = min(clearance[link], distance[m])
     return clearance
 
 

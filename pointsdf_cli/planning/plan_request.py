@@ -154,6 +154,16 @@ class PlanResult:
         )
 
 
+def headline(plan: Plan) -> str:
+    """The outcome in one line."""
+    if plan.reason:
+        return f"no plan: {plan.reason}. {plan.sentence}"
+    return (
+        f"{plan.kind} grasp, predicted to hold with probability {plan.success_probability:.2f}, "
+        f"objective {plan.objective:.2f}"
+    )
+
+
 def as_sentences(warnings: Sequence[str]) -> str:
     """Warnings as a plan keeps them."""
     return " ".join(

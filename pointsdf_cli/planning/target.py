@@ -143,6 +143,27 @@ def reconstructed_object(
     return replace(shape, field=NearField(shape.field, shape.low, shape.high))
 
 
+def enclosing(
+    shape: ObjectField,
+    reconstructions: Sequence[Reconstruction],
+    seen: Array,
+    grid: GridConfig | None = None,
+) -> ObjectField:
+    """A reconstructed object, in a box that encloses further points.
+
+    Args:
+        shape: Made by `reconstructed_object` of these.
+        reconstructions, grid: As there.
+        seen: [M, 3], world, m.
+    """
+    low = np.minimum(shape.low, seen.min(axis=0) - BOX_MARGIN)
+    high = np.maximum(shape.high, seen.max(axis=0) + BOX_MARGIN)
+    if (low == shape.low).all() and (high == shape.high).all():
+        return shape
+    wider = ObjectField.of(_mean_field(reconstructions), low, high, grid)
+    return replace(wider, field=NearField(wider.field, low, high))
+
+
 def completed_field(reconstructions: Sequence[Reconstruction]) -> Field:
     """The field of `reconstructed_object` without the grid; far from everything if nothing is
     solid.

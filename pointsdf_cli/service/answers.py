@@ -8,7 +8,7 @@ from pointsdf_cli.io.plans import plan_as_json, write_plan
 from pointsdf_cli.io.scratch import Scratch
 from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.io.trees import tree_to_npz
-from pointsdf_cli.planning.complete_mesh import MeshChoices
+from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_view import bare_cloud, segmented_cloud
 from pointsdf_cli.planning.plan_request import PlanResult
 from pointsdf_cli.planning.table_top import workspace_of

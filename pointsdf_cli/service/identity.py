@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 from functools import lru_cache
 from pathlib import Path
 
 from pointsdf_cli import __version__
+from pointsdf_cli.assets import asset_path
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.robot.description import robot_digest
 
@@ -24,9 +26,16 @@ def identity(
     return {
         "version": __version__,
         "robot": _robot(robot),
-        "checkpoint": _weights(checkpoint),
-        "grasp_checkpoint": _weights(grasp_checkpoint),
+        "checkpoint": weights_digest(checkpoint),
+        "grasp_checkpoint": weights_digest(grasp_checkpoint),
     }
+
+
+@lru_cache(maxsize=1)
+def bundled_digest() -> str:
+    """Digest of all bundled weights, for files that outlive an update of them."""
+    weights = sorted(asset_path("weights").glob("*/model.safetensors"))
+    return hashlib.sha256("".join(map(file_sha256, weights)).encode()).hexdigest()
 
 
 @lru_cache(maxsize=8)
@@ -35,7 +44,12 @@ def _robot(path: Path | None) -> str:
 
 
 @lru_cache(maxsize=8)
-def _weights(path: Path | None) -> str:
+def weights_digest(path: Path | None) -> str:
+    """Digest of a checkpoint; `BUNDLED` for None.
+
+    Raises:
+        InputError: It cannot be read.
+    """
     if path is None:
         return BUNDLED
     return file_sha256(path / "config.json") + file_sha256(path / "model.safetensors")

@@ -12,9 +12,10 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.planning.complete_mesh import CompletedMesh, MeshChoices, complete_mesh
+from pointsdf_cli.planning.complete_mesh import CompletedMesh, complete_mesh
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.grasp_problem import Clearances
+from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_view import ObjectView
 from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest, PlanResult
 from pointsdf_cli.planning.synthesis import SynthesisConfig

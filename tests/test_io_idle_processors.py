@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 
-from pointsdf_cli.training.precision import idle_processors
+from pointsdf_cli.io.idle_processors import IdleProcessors, idle_processors
 
 
 def test_busy_processors_are_left_alone() -> None:
@@ -26,3 +27,14 @@ def test_busy_processors_are_left_alone() -> None:
         for process in busy:
             process.kill()
             process.communicate()
+
+
+def test_own_work_does_not_count_as_anothers() -> None:
+    idle = IdleProcessors()
+    before = idle_processors()
+    end = time.monotonic() + 1.0
+    while time.monotonic() < end:
+        pass
+    if idle_processors() == before == len(os.sched_getaffinity(0)):  # nobody else works here
+        assert idle.count() == before
+    assert idle.count() >= 1

@@ -1,0 +1,134 @@
+"""`rgrasp plan --each`: every scene by itself, into one folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pointsdf_cli.cli import common
+
+if TYPE_CHECKING:
+    from pointsdf_cli.camera.scene_file import SceneFileOptions
+    from pointsdf_cli.service.each_plan import PlanSummary
+    from pointsdf_cli.service.plan_settings import PlanSettings
+
+
+@dataclass(frozen=True)
+class EachOptions:
+    """Options of the stage.
+
+    Attributes:
+        out: Folder of the plans.
+        pictures: Draw a picture beside each.
+        jobs, threads: Processes, and threads of each; 0 takes all cores, and one.
+        force, skip_bad, accept_unlikely: As the command's options.
+    """
+
+    out: Path
+    pictures: bool
+    jobs: int
+    threads: int
+    force: bool
+    skip_bad: bool
+    accept_unlikely: bool
+
+
+def plan_each(
+    reporter: common.Reporter,
+    clouds: Sequence[Path],
+    poses: Sequence[str],
+    files: Sequence[SceneFileOptions],
+    settings: PlanSettings,
+    inputs: Sequence[Path | str | None],
+    options: EachOptions,
+) -> None:
+    """Plan every scene into `out`, keeping what is there.
+
+    Args:
+        reporter: Told everything.
+        clouds: One view of each scene.
+        poses: Camera poses as typed: none, one for all, or one each.
+        files: Reading options of each view.
+        settings: The same for all scenes.
+        inputs: Everything that is read, which no output may replace.
+        options: Options of the stage.
+
+    Raises:
+        InputError: Inputs that cannot be used; the others are done.
+        NoPlanError: A scene has no plan.
+        UnlikelyPlanError: All have one, and one is not likely to hold.
+    """
+    from pointsdf_cli.io.apart import require_apart
+    from pointsdf_cli.io.atomic import require_folder
+    from pointsdf_cli.io.batch import run_stage
+    from pointsdf_cli.io.each_file import one_for_each, require_one_name_each
+    from pointsdf_cli.service.each_plan import PlanTask, plan_scene, summary_of
+
+    jobs = common.job_count(options.jobs)
+    require_one_name_each(clouds)
+    typed = one_for_each(poses, len(clouds), "--camera-pose")
+    out = require_folder(options.out)
+    tasks = []
+    for cloud, pose, file in zip(clouds, typed, files, strict=True):
+        path = out / f"{cloud.stem}.h5"
+        picture = path.with_suffix(".png") if options.pictures else None
+        threads = options.threads or 1
+        task = PlanTask(cloud, file, pose, path, picture, settings, threads, options.force)
+        tasks.append((cloud.stem, task))
+    require_apart((p for _, task in tasks for p in (task.out, task.picture)), inputs)
+    with reporter.progress("plan", len(tasks)) as progress:
+        report = run_stage(tasks, plan_scene, jobs=jobs, folders=[out], on_done=progress.advance)
+    done = [(name, task) for name, task in tasks if name in report.made or name in report.kept]
+    found = {name: summary_of(task.out) for name, task in done}
+    common.finish_stage(
+        reporter,
+        report,
+        out,
+        options.skip_bad,
+        {"plans": {name: asdict(summary) for name, summary in found.items()}},
+        [f"{out / name}.h5: {_told(summary)}" for name, summary in found.items()],
+    )
+    _require_plans(found, settings, out, options)
+
+
+def _told(summary: PlanSummary) -> str:
+    if summary.reason:
+        return f"no plan: {summary.reason}"
+    return (
+        f"{summary.kind} grasp, predicted to hold with probability "
+        f"{summary.success_probability:.2f}, {summary.seconds:.2f} s"
+    )
+
+
+def _require_plans(
+    found: dict[str, PlanSummary], settings: PlanSettings, out: Path, options: EachOptions
+) -> None:
+    """Raise the worst outcome, which the exit code tells."""
+    from pointsdf_cli.errors import NoPlanError, UnlikelyPlanError
+
+    without = [name for name, summary in found.items() if summary.reason]
+    if without and not options.skip_bad:
+        raise NoPlanError(
+            f"{len(without)} of {len(found)} scenes have no plan: {_names(without)}",
+            where=out,
+            hint="each file holds its reason; --skip-bad exits with 0 all the same",
+        )
+    least = settings.choices.acceptance().least
+    unlikely = [
+        name
+        for name, summary in found.items()
+        if not summary.reason and summary.success_probability < least
+    ]
+    if unlikely and not options.accept_unlikely:
+        raise UnlikelyPlanError(
+            f"{len(unlikely)} of {len(found)} plans are not likely to hold: {_names(unlikely)}",
+            where=out,
+            hint="--accept-unlikely exits with 0 all the same",
+        )
+
+
+def _names(names: Sequence[str]) -> str:
+    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+    return ", ".join(names[:5]) + more

@@ -1,0 +1,208 @@
+"""`rgrasp plan` of one scene: outputs, report, exit code."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pointsdf_cli.cli import common
+
+if TYPE_CHECKING:
+    from pointsdf_cli.io.idle_processors import IdleProcessors
+    from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult
+    from pointsdf_cli.service.plan_settings import PlanSettings
+
+
+@dataclass(frozen=True)
+class PlanOutputs:
+    """Files to write.
+
+    Attributes:
+        out: The plan.
+        picture, trajectory: The other two; None for none.
+    """
+
+    out: Path
+    picture: Path | None
+    trajectory: Path | None
+
+    def require_free(self, inputs: Sequence[Path | str | None], force: bool) -> None:
+        """Refuse files that cannot be written, before the planning.
+
+        Raises:
+            InputError: A wrong suffix, an input, an existing file, two of one path, or a folder
+                that cannot be written.
+        """
+        from pointsdf_cli.io.apart import require_apart
+        from pointsdf_cli.io.atomic import require_new
+
+        common.check_suffix(self.out, "--out", (".h5", ".hdf5"))
+        require_apart([self.out, self.picture, self.trajectory], inputs)
+        require_new(self.out, force)
+        common.check_picture(self.picture, force)
+        files = {"--out": self.out, "--picture": self.picture, "--trajectory": self.trajectory}
+        _require_places({k: path for k, path in files.items() if path is not None}, force)
+        if self.trajectory is not None:
+            common.check_suffix(self.trajectory, "--trajectory", (".json",))
+
+
+def plan_one(
+    reporter: common.Reporter,
+    request: PlanRequest,
+    settings: PlanSettings,
+    outputs: PlanOutputs,
+    asked: Mapping[str, Any],
+    idle: IdleProcessors,
+    *,
+    server: str | None = None,
+    threads: int = 0,
+    accept_unlikely: bool = False,
+) -> None:
+    """Plan, write, report.
+
+    Args:
+        reporter: Told everything.
+        request: Checked.
+        settings: Settings that the request was made with.
+        outputs: Free places.
+        asked: Options as typed, for the plan's provenance.
+        idle: Counts the threads to take where `threads` is 0.
+        server: Address of a planner to ask instead.
+        threads: Threads to take.
+        accept_unlikely: A grasp that is not likely to hold is no error.
+
+    Raises:
+        NoPlanError: There is none; its file says why.
+        UnlikelyPlanError: It is written, and not likely to hold.
+    """
+    from pointsdf_cli.errors import NoPlanError, UnlikelyPlanError
+    from pointsdf_cli.io.plans import OK, write_plan, write_trajectory
+
+    if server is None:
+        result = _plan_here(reporter, request, settings, threads, idle)
+    else:
+        from pointsdf_cli.service.client import plan_at
+
+        result = plan_at(
+            server, request, settings.robot, settings.checkpoint, settings.grasp_checkpoint
+        )
+        for sentence in result.warnings:
+            reporter.say(f"warning: {sentence}")
+    for line in result.report:
+        reporter.say(line)
+    out, picture, trajectory = outputs.out, outputs.picture, outputs.trajectory
+    answer = result.plan
+    for stale in (trajectory, picture):  # a motion to another object must not outlive its plan
+        if stale is not None:
+            stale.resolve().unlink(missing_ok=True)  # of a link, what it leads to
+    config = _config(result.options, request.names, settings.seed) | dict(asked)
+    write_plan(out, answer, seed=settings.seed, config=config)
+    found = answer.status == OK
+    if trajectory is not None and found:
+        write_trajectory(trajectory, answer)
+    stale_picture = out.with_suffix(".png")
+    if picture is None and stale_picture.exists():
+        reporter.say(f"{stale_picture} was there before and does not show this plan")
+    _report(reporter, result, out, picture, trajectory if found else None)
+    if picture is not None:
+        sys.stdout.flush()  # the plan is on disk: who reads this need not wait for the picture
+        from pointsdf_cli.service.plan_settings import draw_plan
+
+        draw_plan(picture, result, settings.robot)
+    if not found:
+        raise NoPlanError(f"no plan ({answer.reason}): {answer.sentence.rstrip('.')}", where=out)
+    least = result.least
+    if answer.success_probability < least and not accept_unlikely:
+        raise UnlikelyPlanError(
+            f"the plan is not likely to hold: probability {answer.success_probability:.2f}, below "
+            f"{least:g}",
+            where=out,
+            hint="--accept-unlikely takes it all the same (exit code 0); or turn the object, or "
+            "look at it from another side",
+        )
+
+
+def _require_places(files: dict[str, Path], force: bool) -> None:
+    """Each file has a place of its own that can be written: known before the planning.
+
+    Raises:
+        InputError: Two have one path, one exists already, or a folder cannot be written.
+    """
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.atomic import require_folder, require_new
+
+    places = [path.resolve() for path in files.values()]
+    if len(set(places)) < len(places):
+        raise InputError("two outputs have one path", where=", ".join(files), allowed="one each")
+    for path in files.values():
+        require_folder(require_new(path, force).parent)
+
+
+def _plan_here(
+    reporter: common.Reporter,
+    request: PlanRequest,
+    settings: PlanSettings,
+    threads: int,
+    idle: IdleProcessors,
+) -> PlanResult:
+    """The answer of this process, which loads what it needs first."""
+    # Seconds of imports: only for clouds and options that can be used.
+    from pointsdf_cli.models.registry import use_threads
+    from pointsdf_cli.planning.option_checks import RECONSTRUCTION
+    from pointsdf_cli.service.resident import Resident
+
+    checkpoint, grasp_checkpoint = settings.checkpoint, settings.grasp_checkpoint
+    device = common.torch_device(settings.device)
+    resident = Resident(settings.robot, checkpoint, grasp_checkpoint, device)
+    use_threads(threads or idle.count())
+    resident.planner(request.choices)  # what cannot be loaded is told first
+    if request.choices.method == RECONSTRUCTION:
+        common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
+    return resident.plan(request, lambda sentence: reporter.say(f"warning: {sentence}"))
+
+
+def _config(options: dict[str, Any], clouds: Sequence[str], seed: int) -> dict[str, Any]:
+    """Provenance for the plan file."""
+    from pointsdf_cli.io.provenance import file_sha256
+
+    sums = [file_sha256(path) for path in clouds]
+    return options | {"clouds": list(clouds), "cloud_sha256": sums, "seed": seed}
+
+
+def _report(
+    reporter: common.Reporter,
+    result: PlanResult,
+    out: Path,
+    picture: Path | None,
+    trajectory: Path | None,
+) -> None:
+    from pointsdf_cli.io.plans import plan_as_json
+    from pointsdf_cli.planning.plan_request import as_sentences, headline
+
+    plan, warnings = result.plan, result.warnings
+    files = {"out": out, "picture": picture, "trajectory_file": trajectory}
+    lines = []  # why there is no plan is the message with which the command fails
+    if not plan.reason:
+        lines.append(f"{out}: {headline(plan)}")
+        # What was said before the planning is not said again.
+        doubt = plan.sentence.removesuffix(as_sentences(warnings)).strip()
+        if doubt:
+            reporter.say(f"warning: {doubt}")
+        near = float(plan.link_clearance_object.min()) * 1000
+        lines.append(
+            f"configuration in {plan.timings['configuration']:.2f} s from {plan.seeds_tried} seeds "
+            f"({len(plan.accepted.kinds)} accepted), motion in {plan.timings['motion']:.2f} s: "
+            f"{len(plan.times)} points, {plan.times[-1]:.1f} s; nearest to the object {near:.1f} mm"
+        )
+    lines += [
+        f"{path}: {what}"
+        for what, path in (("the picture", picture), ("the motion", trajectory))
+        if path
+    ]
+    reporter.result(
+        {**plan_as_json(plan), "clouds": list(result.report), "warnings": list(warnings), **files},
+        lines,
+    )

@@ -1,0 +1,94 @@
+"""Commands that answer every input file by itself: names of the outputs, options that differ."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.hdf5 import OptionsDifferError
+from pointsdf_cli.io.strict_json import to_json
+from pointsdf_cli.io.untrusted import read_json
+
+Value = TypeVar("Value")
+
+
+def require_one_name_each(paths: Sequence[Path]) -> None:
+    """Refuse inputs whose outputs would have one name.
+
+    Raises:
+        InputError: Two inputs have one stem.
+    """
+    first: dict[str, Path] = {}
+    for path in paths:
+        other = first.setdefault(path.stem.casefold(), path)
+        if other is not path:
+            raise InputError(
+                f"{other} and {path} would be written to one file",
+                where="--each",
+                allowed="inputs of different names",
+                hint="rename one, or run the command once for each folder",
+            )
+
+
+def one_for_each(values: Sequence[Value], count: int, option: str) -> list[Value | None]:
+    """A value for each of `count` inputs: their own, one for all, or None where none was given.
+
+    Raises:
+        InputError: Another number of values.
+    """
+    own: list[Value | None] = [*values] or [None]
+    if len(own) not in (1, count):
+        raise InputError(
+            f"{len(own)} for {count} inputs", where=option, allowed="one for all, or one each"
+        )
+    return own * count if len(own) == 1 else own
+
+
+def require_without(options: dict[str, bool], instead: str) -> None:
+    """Refuse options that name one output or one question where there are many.
+
+    Args:
+        options: Whether each option was given.
+        instead: Hint.
+
+    Raises:
+        InputError: One was given.
+    """
+    for option, given in options.items():
+        if given:
+            raise InputError(f"{option} with --each", where=option, hint=instead)
+
+
+def plain(value: Any) -> Any:
+    """`value` in the types of JSON, as it is read back."""
+    return json.loads(to_json(value))
+
+
+def is_done(out: Path, record: Path, config: Mapping[str, Any]) -> bool:
+    """Whether `out` was made with these options, as the record beside it says.
+
+    Args:
+        out: File whose format has no place for its options.
+        record: JSON file with them under "config".
+        config: Options in plain types.
+
+    Raises:
+        OptionsDifferError: It was made with others, or nothing says with which.
+        InputError: The record cannot be read.
+    """
+    if not out.exists():
+        return False
+    told = read_json(record) if record.exists() else None
+    theirs = told.get("config") if isinstance(told, Mapping) else None
+    if theirs == config:
+        return True
+    theirs = theirs if isinstance(theirs, Mapping) else {}
+    changed = sorted(k for k in config.keys() | theirs.keys() if config.get(k) != theirs.get(k))
+    raise OptionsDifferError(
+        f"was made with other options ({', '.join(changed)})",
+        where=out,
+        hint="choose another --out, or add --force to make it anew",
+    )

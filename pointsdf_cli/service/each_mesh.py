@@ -1,0 +1,150 @@
+"""Meshes of many clouds, each by itself: one file a cloud, resumable, over several processes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pointsdf_cli.camera.scene_file import SceneFileOptions
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.atomic import write_text_atomic
+from pointsdf_cli.io.each_file import is_done, plain
+from pointsdf_cli.io.meshes import UNITS, save_mesh
+from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.io.strict_json import to_json
+from pointsdf_cli.planning.mesh_choices import MeshChoices
+from pointsdf_cli.planning.object_view import object_view
+from pointsdf_cli.service.identity import bundled_digest, weights_digest
+
+if TYPE_CHECKING:
+    from pointsdf_cli.service.resident import Resident
+
+
+@dataclass(frozen=True)
+class MeshSettings:
+    """Everything but a cloud's own files.
+
+    Attributes:
+        choices: Meshing options.
+        segment, target, workspace: As typed.
+        cleaned: Whether flying pixels, outliers and specks are dropped.
+        robot, checkpoint: Files; the bundled ones if None.
+        device: Device of the network.
+    """
+
+    choices: MeshChoices
+    segment: str | None = None
+    target: str | None = None
+    workspace: str | None = None
+    cleaned: bool = True
+    robot: Path | None = None
+    checkpoint: Path | None = None
+    device: str = "cpu"
+
+
+@dataclass(frozen=True)
+class MeshTask:
+    """One cloud for one worker process.
+
+    Attributes:
+        cloud: The view.
+        files: Its reading options.
+        pose: Its camera pose as typed.
+        out: Mesh file to write. Beside it, a JSON file of that name records options and outcome.
+        settings: The same for all clouds.
+        threads: Threads of the process.
+        force: Make it again where it is there.
+    """
+
+    cloud: Path
+    files: SceneFileOptions
+    pose: str | None
+    out: Path
+    settings: MeshSettings
+    threads: int = 1
+    force: bool = False
+
+    @property
+    def record(self) -> Path:
+        """Record beside the mesh."""
+        return self.out.with_suffix(".json")
+
+    def config(self) -> dict[str, Any]:
+        """Everything that decides the mesh, in plain types."""
+        settings, weights = self.settings, self.settings.checkpoint
+        own = {
+            "cloud": self.cloud,
+            "cloud_sha256": file_sha256(self.cloud),
+            "camera_pose": self.pose,
+            "weights": bundled_digest() if weights is None else weights_digest(weights),
+        }
+        same = ("segment", "target", "workspace", "cleaned", "robot", "device")
+        shared = {name: getattr(settings, name) for name in same}
+        config: dict[str, Any] = plain(asdict(self.files) | asdict(settings.choices) | shared | own)
+        return config
+
+
+@dataclass(frozen=True)
+class MeshSummary:
+    """Outcome of one cloud.
+
+    Attributes:
+        vertices, faces: Numbers of them.
+        seconds: Duration of the computation [s].
+    """
+
+    vertices: int
+    faces: int
+    seconds: float
+
+
+def mesh_cloud(task: MeshTask) -> MeshSummary | None:
+    """Mesh one cloud into its file; None if it is there already.
+
+    Raises:
+        InputError: The cloud cannot be used, or the network sees nothing solid in it.
+        OptionsDifferError: The mesh was made with other options, or from another cloud.
+    """
+    config, settings = task.config(), task.settings
+    if not task.force and is_done(task.out, task.record, config):
+        return None
+    seen = object_view(
+        task.cloud,
+        task.files,
+        task.pose,
+        settings.segment,
+        settings.target,
+        settings.robot,
+        settings.workspace,
+        settings.cleaned,
+    )
+    # Seconds of imports: only for a cloud that can be used.
+    from pointsdf_cli.geometry.isosurface import EmptySurfaceError
+    from pointsdf_cli.models.registry import use_threads
+
+    use_threads(task.threads)
+    resident = _resident(settings.checkpoint, settings.device)
+    try:
+        completed = resident.mesh(seen, settings.choices, str(task.cloud))
+    except EmptySurfaceError as error:  # one cloud's fault, not the stage's end
+        raise InputError(
+            error.what, where=error.where, allowed=error.allowed, hint=error.hint
+        ) from error
+    made = completed.mesh
+    vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[task.files.unit]
+    summary = MeshSummary(len(vertices), len(made.faces), completed.seconds)
+    task.out.unlink(missing_ok=True)  # a record that is no longer its own must not stand beside it
+    write_text_atomic(task.record, to_json({"config": config, **asdict(summary)}, indent=1) + "\n")
+    save_mesh(task.out, vertices, made.faces)
+    return summary
+
+
+@lru_cache(maxsize=1)
+def _resident(checkpoint: Path | None, device: str) -> Resident:
+    """The loaded network, once a process."""
+    from pointsdf_cli.service.resident import Resident
+
+    return Resident(checkpoint=checkpoint, device=device)

@@ -1,0 +1,104 @@
+"""Options of plans from files, and what they make of a scene's files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pointsdf_cli.camera.scene_file import SceneFileOptions
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.plan_request import (
+    Corners,
+    PlanChoices,
+    PlanRequest,
+    PlanResult,
+    headline,
+)
+from pointsdf_cli.planning.scene_input import read_scene
+from pointsdf_cli.planning.table_top import workspace_of
+from pointsdf_cli.robot.description import load_robot
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """Everything but a scene's own files.
+
+    Attributes:
+        choices, environment, start, seed, segment, others, workspace, cleaned: As in
+            `PlanRequest`.
+        target: The object that is meant, as typed.
+        robot, checkpoint, grasp_checkpoint: Files; the bundled ones if None.
+        device: Device of the networks.
+    """
+
+    choices: PlanChoices = field(default_factory=PlanChoices)
+    environment: Environment = field(default_factory=Environment)
+    start: Array | None = None
+    seed: int = 0
+    segment: str = "auto"
+    target: str | None = None
+    others: bool = True
+    workspace: Corners | None = None
+    cleaned: bool = True
+    robot: Path | None = None
+    checkpoint: Path | None = None
+    grasp_checkpoint: Path | None = None
+    device: str = "cpu"
+
+    def read(
+        self, clouds: Sequence[Path], poses: Sequence[str], files: Sequence[SceneFileOptions]
+    ) -> tuple[PlanRequest, tuple[str, ...]]:
+        """The checked request for one scene, and sentences that the user should see.
+
+        Args:
+            clouds: Its views.
+            poses: Their camera poses as typed, or none.
+            files: Reading options of each.
+
+        Raises:
+            InputError: A file or an option cannot be used.
+            NoObjectError: The target is not there, where the pose is `table`.
+        """
+        given = read_scene(
+            clouds,
+            poses,
+            files,
+            self.target,
+            workspace_of(self.workspace),
+            self.cleaned,
+            load_robot(self.robot),
+        )
+        request = PlanRequest(
+            given.clouds,
+            [str(path) for path in clouds],
+            self.choices,
+            self.environment,
+            self.start,
+            self.seed,
+            self.segment,
+            given.target,
+            self.others,
+            self.workspace,
+            self.cleaned,
+        )
+        request.check()
+        return request, given.notes
+
+
+def draw_plan(path: Path, result: PlanResult, robot: Path | None) -> None:
+    """Draw the picture of a plan, or of the scene that has none.
+
+    Args:
+        path: PNG to write.
+        result: The answer.
+        robot: Its YAML; the bundled one if None.
+    """
+    from pointsdf_cli.viz.plan_picture import plan_picture
+    from pointsdf_cli.viz.robot_picture import RobotMeshes
+
+    plan = result.plan
+    q = result.start if plan.reason else plan.q
+    below = "; ".join((*result.report, *result.warnings))
+    plan_picture(path, RobotMeshes(load_robot(robot)), q, result.scene(), headline(plan), below)

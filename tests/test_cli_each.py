@@ -1,0 +1,113 @@
+"""`plan --each` and `mesh --each`: many inputs, one file each, resumable."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import run_cli
+from test_cli_mesh import POINTS, constant_network
+
+from pointsdf_cli.assets import asset_path
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
+from pointsdf_cli.io.plans import read_plan
+
+MUG = asset_path("clouds/mug.ply")
+
+
+def far_scene(path: Path) -> Path:
+    """The mug half a metre beyond the arm's reach."""
+    mug = read_cloud(MUG)
+    assert mug.T_world_camera is not None
+    pose = mug.T_world_camera.copy()
+    pose[0, 3] += 0.8
+    write_cloud(path, Cloud(mug.in_camera_frame()[0], frame="camera", T_world_camera=pose))
+    return path
+
+
+def test_every_scene_is_planned_by_itself_and_kept(tmp_path: Path) -> None:
+    scenes, plans = tmp_path / "scenes", tmp_path / "plans"
+    scenes.mkdir()
+    shutil.copy(MUG, scenes / "near.ply")
+    far_scene(scenes / "far.ply")
+    (scenes / "none.ply").write_text("not a cloud")
+    words = ["--each", "--out", plans, "--jobs", "1", "--no-picture"]
+    run = run_cli("plan", *sorted(scenes.glob("*.ply")), *words)
+    assert run.code == 2  # one input cannot be used; the others are done
+    assert "none.ply" in run.err
+    assert sorted(path.name for path in plans.iterdir()) == ["far.h5", "near.h5"]
+    near, far = read_plan(plans / "near.h5"), read_plan(plans / "far.h5")
+    assert near.status == "ok"
+    assert (far.status, far.reason) == ("no_plan", "inverse_kinematics")
+    written = {path: path.stat().st_mtime_ns for path in plans.iterdir()}
+
+    (scenes / "none.ply").unlink()
+    again = run_cli("plan", *sorted(scenes.glob("*.ply")), *words, "--json")
+    assert again.code == 3  # as a run that was never interrupted
+    told = json.loads(again.out)
+    assert (told["made"], told["kept"]) == (0, 2)
+    assert told["plans"]["near"]["success_probability"] == near.success_probability
+    assert {path: path.stat().st_mtime_ns for path in plans.iterdir()} == written
+    assert run_cli("plan", *scenes.glob("*.ply"), *words, "--skip-bad").code == 0
+    other = run_cli("plan", *scenes.glob("*.ply"), *words, "--margin", "0.002")
+    assert other.code == 2
+    assert "margin: 0.004 there, 0.002 now" in other.err
+
+    alone = tmp_path / "alone.h5"
+    assert run_cli("plan", scenes / "near.ply", "--out", alone, "--no-picture").code == 0
+    np.testing.assert_array_equal(read_plan(alone).trajectory, near.trajectory)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["plan", MUG, "--each", "--trajectory", "motion.json"],
+        ["plan", MUG, "--each", "--picture", "plan.png"],
+        ["plan", MUG, "--each", "--server", "http://127.0.0.1:1"],
+        ["plan", MUG, "{}/mug.ply", "--each"],
+        ["plan", MUG, "--each", "--camera-pose", "table", "--camera-pose", "table"],
+        ["mesh", MUG, "--each", "--picture", "mesh.png"],
+        ["mesh", MUG, "{}/mug.ply", "--each"],
+        ["mesh", MUG, "{}/mug.ply"],
+        ["mesh", MUG, "--each", "--format", "doc"],
+    ],
+)
+def test_what_names_one_file_does_not_go_with_many(words: list[object], tmp_path: Path) -> None:
+    shutil.copy(MUG, tmp_path / "mug.ply")
+    typed = [str(word).format(tmp_path) for word in words]
+    run = run_cli(*typed, "--out", tmp_path / "out")
+    assert run.code == 2, run.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_every_cloud_is_meshed_by_itself_and_kept(tmp_path: Path) -> None:
+    network = constant_network(tmp_path / "inside", -0.2)
+    for k in range(3):
+        shift = np.eye(4)
+        shift[:3, 3] = 0.02 * k, 0.0, 0.0
+        write_cloud(tmp_path / f"cloud{k}.ply", Cloud(apply_transform(shift, POINTS)))
+    clouds, out = sorted(tmp_path.glob("cloud*.ply")), tmp_path / "meshes"
+    options = ["--checkpoint", network, "--resolution", "32", "--format", "stl"]
+    words = ["--each", "--out", out, *options]
+    first = run_cli("mesh", *clouds[:2], *words, "--jobs", "1")
+    assert first.code == 0, first.err
+    before = (out / "cloud0.stl").stat().st_mtime_ns
+    second = run_cli("mesh", *clouds, *words, "--jobs", "2", "--json")
+    told = json.loads(second.out)
+    assert (told["made"], told["kept"]) == (1, 2)
+    assert (out / "cloud0.stl").stat().st_mtime_ns == before
+    alone = tmp_path / "alone.stl"
+    assert run_cli("mesh", clouds[2], *options, "--out", alone).code == 0
+    assert alone.read_bytes() == (out / "cloud2.stl").read_bytes()
+
+    other = run_cli("mesh", *clouds, *words, "--smooth", "3")
+    assert other.code == 2
+    assert "smooth" in other.err
+    (out / "cloud0.json").unlink()  # nothing says how it was made
+    assert run_cli("mesh", *clouds, *words).code == 2
+    assert run_cli("mesh", *clouds, *words, "--force", "--jobs", "1").code == 0
+    assert json.loads((out / "cloud0.json").read_text())["config"]["smooth"] == 25

@@ -1,0 +1,69 @@
+"""Deferred modules are what they would have been, only later."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from pointsdf_cli.deferred import LEAVES, TORCH_LEAVES
+
+
+def run(code: str, folder: Path) -> list[str]:
+    code = f"import sys\nsys.path.insert(0, {str(folder)!r})\n" + code
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.splitlines()
+
+
+def make_package(folder: Path) -> None:
+    package = folder / "whole"
+    package.mkdir()
+    (package / "__init__.py").write_text("from whole import leaf as leaf\n")
+    (package / "leaf.py").write_text("print('leaf runs')\n__all__ = ['value']\nvalue = 7\n")
+
+
+DEFER = (
+    "from pointsdf_cli import deferred\n"
+    "deferred.LEAVES = ('whole.leaf',)\n"
+    "deferred.defer_unused()\n"
+    "import whole\n"
+    "print('imported')\n"
+)
+
+
+def test_a_deferred_module_runs_when_it_is_used_and_once(tmp_path: Path) -> None:
+    make_package(tmp_path)
+    told = run(DEFER + "print(whole.leaf.value, whole.leaf.value, type(whole.leaf))\n", tmp_path)
+    assert told == ["imported", "leaf runs", "7 7 <class 'module'>"]
+
+
+def test_names_are_imported_from_a_deferred_module(tmp_path: Path) -> None:
+    make_package(tmp_path)
+    told = run(DEFER + "from whole.leaf import *\nprint(value)\n", tmp_path)
+    assert told == ["imported", "leaf runs", "7"]
+
+
+def test_a_name_that_a_deferred_module_lacks_is_an_attribute_error(tmp_path: Path) -> None:
+    make_package(tmp_path)
+    told = run(DEFER + "print(hasattr(whole.leaf, 'other'))\n", tmp_path)
+    assert told == ["imported", "leaf runs", "False"]
+
+
+def test_libraries_load_without_what_is_deferred_and_have_it_when_asked(tmp_path: Path) -> None:
+    told = run(
+        "from pointsdf_cli.deferred import defer_unused\n"
+        "defer_unused()\n"
+        "import scipy.spatial, torch\n"
+        f"names = {[*LEAVES, *TORCH_LEAVES]!r}\n"
+        "loaded = [name for name in names if type(sys.modules.get(name)).__name__ == 'module']\n"
+        "print(*loaded)\n"
+        "import numpy as np\n"
+        "print(np.ma.masked_less(np.arange(3), 1).sum(), np.polynomial.Polynomial([1, 2])(3))\n"
+        "print(float(torch.distributions.Normal(0.0, 1.0).cdf(torch.zeros(()))))\n"
+        "print(len(torch.utils.data.TensorDataset(torch.zeros(4))), torch.export.export.__name__)\n"
+        "print(tuple(torch.zeros(2, 3, device='meta').exp().shape))\n",
+        tmp_path,
+    )
+    whole = [] if told[0] == "" else told[0].split()
+    assert set(whole) <= set(TORCH_LEAVES)  # another version of torch loads whole
+    assert told[1:] == ["3 7.0", "0.5", "4 export", "(2, 3)"]
