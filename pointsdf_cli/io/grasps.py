@@ -35,6 +35,8 @@ LAYOUT = {
     "attempt": "i4 [G]",
     "scene": "i4 [G]",
 }
+OPTIONAL = {"unshaken": "i1 [G]"}
+"""Datasets that files of earlier versions lack."""
 
 HELD, LOST, NO_MOTION, NO_CONFIGURATION, INVALID = 1, 0, -1, -2, -3
 """Labels. A grasp counts as executed if it is held or lost; INVALID is a simulation that failed."""
@@ -71,6 +73,8 @@ class Grasps:
         slip: f4 [G], its motion in the palm's frame from grip to end [m]; NaN likewise.
         attempt, scene: i4 [G], counters within the object; attempts of a scene share pose and
             camera.
+        unshaken: i1 [G]: 1 still held after pushes in six directions, 0 executed and not, -1 not
+            pushed, not executed or not credible.
     """
 
     cloud: NDArray[np.float32]
@@ -85,6 +89,7 @@ class Grasps:
     slip: NDArray[np.float32]
     attempt: NDArray[np.int32]
     scene: NDArray[np.int32]
+    unshaken: NDArray[np.int8]
 
     def __len__(self) -> int:
         return len(self.label)
@@ -174,9 +179,10 @@ def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:
     Raises:
         InputError: Not a grasps file of this version.
     """
-    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT)
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT, optional=OPTIONAL)
     attributes = artifact.attributes
-    grasps = Grasps(**artifact.datasets)
+    not_pushed = {"unshaken": np.full(len(artifact.datasets["label"]), -1, np.int8)}
+    grasps = Grasps(**(not_pushed | artifact.datasets))
     for name, values, known in (("kind", grasps.kind, KINDS), ("cause", grasps.cause, CAUSES)):
         if len(values) and not 0 <= values.min() <= values.max() < len(known):
             raise InputError(
