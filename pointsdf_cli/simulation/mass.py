@@ -92,8 +92,8 @@ YCB_MASSES = {
 }
 """Masses [kg] of YCB objects, as bought (Calli et al. 2015, table of the objects).
 
-Left out: those that are weighed as a set only (aeroplanes 072, bricks 073), and those for which no
-two sources agree (031, 038, 055, 059, 063, 065, 070, 076).
+Left out: those that were weighed as a set only (aeroplanes 072, bricks 073), and those of which
+copies of the table differ (031, 038, 055, 059, 063, 065, 070, 076).
 """
 
 
