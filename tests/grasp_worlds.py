@@ -92,12 +92,14 @@ def write_balls(
                     slip=0.0,
                     attempt=scene * each + k,
                     scene=scene,
+                    unshaken=-1,
                 )
         # An attempt without a motion: nothing may be learned from it.
         for name, values in columns.items():
             values.append(values[-1] if name != "label" else np.asarray(-1))
         types = {"cloud": "f4", "label": "i1", "kind": "i1", "cause": "i1"}
         types |= {"lift_height": "f4", "slip": "f4", "attempt": "i4", "scene": "i4"}
+        types |= {"unshaken": "i1"}
         grasps = Grasps(
             **{name: np.array(v).astype(types.get(name, "f8")) for name, v in columns.items()}
         )

@@ -40,6 +40,7 @@ def meshes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_collects_skips_and_resumes(cli: Callable[..., Any], meshes: Path, tmp_path: Path) -> None:
     out = tmp_path / "grasps"
     run = ("collect-grasps", "--meshes", meshes, "--out", out, "--count", 2, "--jobs", 1)
+    run = (*run, "--push", 1)
     first = cli(*run, "--json", "--no-pictures")
     assert first.code == 0, first.err
     result = json.loads(first.out)
@@ -53,6 +54,10 @@ def test_collects_skips_and_resumes(cli: Callable[..., Any], meshes: Path, tmp_p
     assert grasps.cloud.shape[1:] == (1000, 3)
     assert np.isfinite(grasps.lift_height[grasps.executed]).all()
     assert np.isnan(grasps.lift_height[~grasps.executed]).all()
+    assert (grasps.unshaken[~grasps.executed] == -1).all()
+    assert (grasps.unshaken[grasps.label == 0] == 0).all()
+    assert (grasps.unshaken[grasps.label == 1] >= 0).all()
+    assert result["unshaken"] == (grasps.unshaken == 1).sum()
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "too large for the hand" in page
     # What learns from them must mean the same palm.
@@ -65,9 +70,10 @@ def test_collects_skips_and_resumes(cli: Callable[..., Any], meshes: Path, tmp_p
     before = (out / "can.h5").read_bytes()
     assert cli(*run, "--quiet", "--no-pictures").code == 0
     assert (out / "can.h5").read_bytes() == before
-    other = cli(*run, "--seed", 5, "--no-pictures")
-    assert other.code == 2
-    assert "other options" in other.err
+    for change in (("--seed", 5), ("--push", 0)):
+        other = cli(*run, *change, "--no-pictures")
+        assert other.code == 2
+        assert "other options" in other.err
     trimesh.creation.cylinder(0.03, 0.16).export(meshes / "can.ply")
     taller = cli(*run, "--no-pictures")
     assert taller.code == 2

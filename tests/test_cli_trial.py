@@ -33,7 +33,7 @@ def test_trials_resume_and_do_not_depend_on_jobs(
     out = tmp_path / "trials"
     run = (
         *("trial", "--meshes", meshes, "--method", "partial-view", "--yaws", 1),
-        *("--pictures", 1, "--seed", 4),
+        *("--pictures", 1, "--seed", 4, "--hold", 0.2, "--push", 0),
     )
     first = cli(*run, "--out", out, "--jobs", 1, "--json", "--record", 1)
     assert first.code == 0, first.err
@@ -45,6 +45,7 @@ def test_trials_resume_and_do_not_depend_on_jobs(
         ("can", "low", "partial-view"),
     ]
     assert result["held"]["partial-view"] == np.mean([row.held for row in rows])
+    assert result["unshaken"] == {}
     assert (out / "report.html").read_text(encoding="utf-8").startswith("<!doctype html>")
     assert "partial-view" in (out / "report.md").read_text(encoding="utf-8")
 
@@ -97,6 +98,8 @@ def test_all_ablations_are_one_word() -> None:
         (("--rehearse", -1), "--rehearse"),
         (("--margin", 1), "--margin"),
         (("--record", -1), "--record"),
+        (("--hold", -1), "--hold"),
+        (("--push", "nan"), "--push"),
         (("--checkpoint", "nowhere"), "nowhere"),
         (("--solver", "newton"), "no solver"),
     ],

@@ -36,6 +36,8 @@ def test_it_is_read_as_what_it_was_written(can: LoadedMesh) -> None:
     assert meta.mesh_hash == can.sha256
     assert {CAUSES[cause] for cause in grasps.cause[grasps.label == HELD]} == {"held"}
     assert (grasps.lift_height[grasps.label == HELD] > 0.105).all()
+    # It was written before grasps were pushed.
+    assert (grasps.unshaken == -1).all()
     # Success networks learn from it: robot, palm frame and joints are those of the bundled robot.
     data = read_grasp_data(SAMPLE, load_robot())
     assert data.names == ["00000_can"]

@@ -13,6 +13,7 @@ from trial_worlds import CAN_AT, can_grasp, can_in_world
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.lift import lift_path
+from pointsdf_cli.simulation.mass import MassConfig
 from pointsdf_cli.simulation.rehearsal import (
     Rehearsal,
     RehearsalConfig,
@@ -20,7 +21,6 @@ from pointsdf_cli.simulation.rehearsal import (
     believed_object,
     best_first,
 )
-from pointsdf_cli.simulation.sim_object import DENSITY
 
 pytest.importorskip("pybullet")
 
@@ -40,7 +40,7 @@ def grasp() -> NDArray[np.float64]:
 def test_the_believed_can_weighs_and_turns_like_a_cylinder() -> None:
     can = can_in_world()
     item = believed_object(can.vertices, can.faces, RehearsalConfig())
-    mass = DENSITY * np.pi * 0.03**2 * 0.15
+    mass = MassConfig().density * np.pi * 0.03**2 * 0.15
     assert item.mass == pytest.approx(mass, rel=0.05)
     np.testing.assert_allclose(item.T_mesh_body[:3, 3], [*CAN_AT, 0.075], atol=2e-3)
     along, across = mass * 0.03**2 / 2, mass * (3 * 0.03**2 + 0.15**2) / 12

@@ -17,6 +17,7 @@ from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
+from pointsdf_cli.simulation.verdict import UNTRIED, Outcome
 from pointsdf_cli.simulation.world import World
 
 pytest.importorskip("pybullet")
@@ -229,6 +230,58 @@ def test_object_that_ends_inside_a_link_is_invalid(
     assert not outcome.valid
     assert not outcome.held
     assert outcome.cause in ("penetration", "flung")
+
+
+def carried_out(attempter: Attempter, item: SimObject, grip: Grip, **settings: float) -> Outcome:
+    """A grasp of the can of 6.4 cm with other settings of the execution."""
+    kept = attempter.config
+    attempter.config = replace(kept, execution=replace(kept.execution, **settings))
+    try:
+        place = beside_the_palm(item, 0.03 + SHAPES["can 6.4 cm"][1])
+        return attempter.execute(item, place, grip.q, grip.lift)
+    finally:
+        attempter.config = kept
+
+
+def test_a_firm_grasp_withstands_small_pushes_and_a_great_one_takes_the_can_away(
+    attempter: Attempter, grip: Grip, cache: Path
+) -> None:
+    can = replace(item_of("can", SHAPES["can 6.4 cm"][0], cache), mass=0.2)
+    alone = carried_out(attempter, can, grip)
+    assert (alone.lifted, alone.held, alone.unshaken, alone.lost_in) == (True, True, UNTRIED, "")
+    small = carried_out(attempter, can, grip, push=0.5, push_time=0.2)
+    assert (small.held, small.unshaken, small.lost_in) == (True, 1, "")
+    assert small.duration == pytest.approx(alone.duration + 6 * 0.2, abs=0.01)
+    great = carried_out(attempter, can, grip, push=100.0, push_time=0.2)
+    assert (great.held, great.unshaken, great.lost_in) == (True, 0, "push +x")
+    # Pushes come after the verdict that labels count: it is the same with and without them.
+    for other in (small, great):
+        assert replace(other, unshaken=UNTRIED, lost_in="", duration=alone.duration) == alone
+
+
+def test_what_slides_out_in_the_hold_was_lifted_and_is_not_held(
+    attempter: Attempter, grip: Grip, cache: Path
+) -> None:
+    """Fingers that open once the object rests in them, as a slow slip would end."""
+    can = replace(item_of("can", SHAPES["can 6.4 cm"][0], cache), mass=0.2)
+
+    def let_go(world: World, phase: str) -> None:
+        if phase == "hold":
+            robot = world.robot
+            speeds = -robot.closing_speeds * 8
+            world.drive_at(speeds, robot.closing_columns, robot.effort[robot.closing_columns])
+
+    place = beside_the_palm(can, 0.03 + SHAPES["can 6.4 cm"][1])
+    kept = attempter.config
+    attempter.config = replace(kept, execution=replace(kept.execution, hold=2.0, push=2.5))
+    try:
+        outcome = attempter.execute(can, place, grip.q, grip.lift, let_go)
+    finally:
+        attempter.config = kept
+    assert (outcome.lifted, outcome.held, outcome.unshaken) == (True, False, 0)
+    assert outcome.lost_in == "hold"
+    assert outcome.cause in ("dropped", "slipped")
+    assert outcome.valid
 
 
 def test_weak_fingers_lose_what_strong_ones_hold(

@@ -52,6 +52,24 @@ def test_falling_object_falls_as_galilei_says(world: World, box: SimObject) -> N
     assert world.time == pytest.approx(t)
 
 
+def test_a_push_accelerates_the_centre_and_turns_nothing(world: World, box: SimObject) -> None:
+    """Newton: v = F t / m along the force, without gravity."""
+    world.reset(box, transform(np.eye(3), [0.6, 0, 1.0]))
+    world.set_gravity([0.0, 0.0, 0.0])
+    force = np.array([0.0, 0.3, 0.4])
+    for _ in range(round(0.1 / world.physics.step)):
+        world.push(force)
+        world.step()
+    moved = world.object_pose()[:3, 3] - [0.6, 0, 1.0]
+    speed, turning = world.object_speed()
+    assert speed == pytest.approx(0.5 * 0.1 / box.mass, rel=0.01)
+    assert turning < 1e-6
+    np.testing.assert_allclose(moved / np.linalg.norm(moved), force / 0.5, atol=1e-6)
+    # It acts during the steps it is given for, and no longer.
+    world.step(10)
+    assert world.object_speed()[0] == pytest.approx(speed, rel=0.01)
+
+
 def test_standing_box_stays(world: World, box: SimObject) -> None:
     start = transform(np.eye(3), [0.6, 0.1, 0.06])
     world.reset(box, start)

@@ -57,7 +57,8 @@ def test_a_good_plan_holds_without_touching_before(world: World, can: SimObject)
     assert done.lag < 0.02
     assert done.outcome is not None
     assert done.outcome.held
-    assert done.lifted
+    assert done.outcome.lifted
+    assert done.outcome.lost_in == ""
     assert done.outcome.lift_height == pytest.approx(0.15, abs=0.03)
     assert [moment.phase for moment in done.moments] == [
         "approach",

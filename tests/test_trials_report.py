@@ -95,6 +95,19 @@ def test_summary_counts_what_was_written(rows: list[TrialRow]) -> None:
     assert test.by_object == pytest.approx(2 / 4)
 
 
+def test_verdicts_are_told_apart_and_lost_objects_by_the_step() -> None:
+    in_hold = replace(ROW, held=False, unshaken=0, lost_in="hold", cause="slipped")
+    in_push = replace(ROW, unshaken=0, lost_in="push -y")
+    (summary,) = summarise([ROW, in_hold, in_push, in_push])
+    assert [s.successes for s in (summary.lifted, summary.held, summary.unshaken)] == [4, 3, 1]
+    assert summary.lost_in == {"push -y": 2, "hold": 1}
+    page = markdown_report([ROW, in_hold, in_push, in_push], "t")
+    assert "25% [5, 70] of 4 | push -y 2, hold 1 |" in page
+    # Where nothing was pushed there is no share of what withstood it.
+    (alone,) = summarise([replace(ROW, unshaken=-1)])
+    assert alone.unshaken.trials == 0
+
+
 def test_the_page_stands_alone_and_says_what_the_table_says(rows: list[TrialRow]) -> None:
     page = html_report(rows, [("a failure <here>", b"\x89PNG")], "trials", {"vase": "is broken"})
     HTMLParser().feed(page)

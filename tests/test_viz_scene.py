@@ -165,6 +165,7 @@ def write_two_grasps(tmp_path: Path) -> Path:
         slip=np.float32([0.0, np.nan]),
         attempt=np.arange(2, dtype=np.int32),
         scene=np.zeros(2, np.int32),
+        unshaken=np.full(2, -1, np.int8),
     )
     meta = GraspsMeta(
         "box.ply",

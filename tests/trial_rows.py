@@ -25,6 +25,8 @@ ROW = TrialRow(
     penetration=0.0,
     lifted=True,
     held=True,
+    unshaken=1,
+    lost_in="",
     final_height=0.149,
     seed=0,
 )

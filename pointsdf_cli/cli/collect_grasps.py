@@ -32,6 +32,13 @@ def collect_grasps(
     shake: Annotated[
         float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
     ] = 0.0,
+    push: Annotated[
+        float,
+        typer.Option(
+            help="Push the held object's centre of mass with this force [N] for 1 s along each of "
+            "±x, ±y and ±z and label what withstands it; 0 for none."
+        ),
+    ] = 0.0,
     record: Annotated[
         int, typer.Option(min=0, help="Write this many attempts as GIF films beside the report.")
     ] = 0,
@@ -80,7 +87,7 @@ def collect_grasps(
     from pointsdf_cli.viz.grasp_report import grasp_report, share
 
     config = AttemptConfig(placement=CameraPlacement(sensor=sensor))
-    config = replace(config, execution=replace(config.execution, shake=shake))
+    config = replace(config, execution=replace(config.execution, shake=shake, push=push))
     try_robot(machine)  # a wrong robot is said once and first, not by every worker
     out = require_folder(out)
     paths = {}
@@ -118,6 +125,7 @@ def collect_grasps(
     )
     executed = sum(int(grasps.executed.sum()) for _, grasps, _ in items)
     held = sum(int((grasps.label == 1).sum()) for _, grasps, _ in items)
+    unshaken = sum(int((grasps.unshaken == 1).sum()) for _, grasps, _ in items)
     attempts = sum(len(grasps) for _, grasps, _ in items)
     values = {
         "out": out,
@@ -126,6 +134,7 @@ def collect_grasps(
         "attempts": attempts,
         "executed": executed,
         "held": held,
+        **({"unshaken": unshaken} if push else {}),
         "report": out / "report.html",
         "seconds": round(time.monotonic() - started, 3),
     }
@@ -133,7 +142,8 @@ def collect_grasps(
         values,
         [
             f"{out}: {executed} executed grasps of {len(items)} objects, {share(held, executed)} "
-            f"held; {attempts} attempts; {len(refused)} meshes skipped",
+            f"held{f', {share(unshaken, executed)} unshaken' if push else ''}; "
+            f"{attempts} attempts; {len(refused)} meshes skipped",
             f"{out / 'report.html'}",
         ],
     )

@@ -76,6 +76,16 @@ def trial(
     shake: Annotated[
         float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
     ] = 0.0,
+    hold: Annotated[
+        float, typer.Option(help="Time that the lifted object must be held [s]; 0 for none.")
+    ] = 5.0,
+    push: Annotated[
+        float,
+        typer.Option(
+            help="Then push its centre of mass with this force [N] for 1 s along each of "
+            "±x, ±y and ±z; 0 for none."
+        ),
+    ] = 2.5,
     pattern: Annotated[
         str, typer.Option(help="Only meshes whose names match this pattern, such as '*.ply'.")
     ] = "*",
@@ -136,7 +146,7 @@ def trial(
             clearance=clearance,
             margin=margin,
         ),
-        execution=ExecutorConfig(shake=shake),
+        execution=ExecutorConfig(shake=shake, hold=hold, push=push),
         sensor=sensor,
     )
     common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
@@ -199,13 +209,19 @@ def trial(
             "out": out,
             "trials": len(rows),
             "refused": refused,
+            "lifted": {s.name: s.lifted.value for s in summaries},
             "held": {s.name: s.held.value for s in summaries},
+            "unshaken": {s.name: s.unshaken.value for s in summaries if s.unshaken.trials},
             "no_plan": {s.name: s.no_plan.value for s in summaries},
             "contact": {s.name: s.contact.value for s in summaries},
             "report": out / "report.html",
             "seconds": round(time.monotonic() - started, 3),
         },
-        [f"{s.name}: {percent(s.held)} held, no plan {percent(s.no_plan)}" for s in summaries]
+        [
+            f"{s.name}: lifted {percent(s.lifted)}, held {percent(s.held)}, "
+            f"unshaken {percent(s.unshaken)}, no plan {percent(s.no_plan)}"
+            for s in summaries
+        ]
         + [f"{out / 'report.html'}"],
     )
 
@@ -235,7 +251,7 @@ def _failures(tasks: list[TrialTask], most: int) -> list[tuple[str, bytes]]:
     for task in tasks:
         if task.out.is_file():
             row, evidence = read_trial(task.out)
-            if not row.held:
+            if not row.held or row.unshaken == 0:
                 failed.append((_importance(row), task, row, evidence))
     failed.sort(key=lambda one: one[0])
     robot = None
@@ -247,5 +263,5 @@ def _failures(tasks: list[TrialTask], most: int) -> list[tuple[str, bytes]]:
     return strips
 
 
-def _importance(row: TrialRow) -> tuple[bool, bool, str]:
-    return bool(row.ablation), row.method != "reconstruction", row.object
+def _importance(row: TrialRow) -> tuple[bool, bool, bool, str]:
+    return bool(row.ablation), row.method != "reconstruction", row.held, row.object

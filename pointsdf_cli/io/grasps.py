@@ -41,6 +41,7 @@ LAYOUT = {
     "slip": "f4 [G]",
     "attempt": "i4 [G]",
     "scene": "i4 [G]",
+    "unshaken": "i1 [G]",
 }
 EVIDENCE = evidence_layout("G")
 
@@ -79,6 +80,8 @@ class Grasps:
         slip: f4 [G], its motion in the palm's frame from grip to end [m]; NaN likewise.
         attempt, scene: i4 [G], counters within the object; attempts of a scene share pose and
             camera.
+        unshaken: i1 [G]: 1 still held after pushes in six directions, 0 executed and not, -1 not
+            pushed, not executed or not credible.
         evidence: G entries, what each view knows of the space around the object; empty if nothing
             is known of any.
     """
@@ -95,6 +98,7 @@ class Grasps:
     slip: NDArray[np.float32]
     attempt: NDArray[np.int32]
     scene: NDArray[np.int32]
+    unshaken: NDArray[np.int8]
     evidence: tuple[ViewEvidence, ...] = ()
 
     def __len__(self) -> int:

@@ -15,8 +15,8 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
 
-SCHEMA, VERSION = "trials", 1
-TRIAL_SCHEMA, TRIAL_VERSION = "trial", 1
+SCHEMA, VERSION = "trials", 2
+TRIAL_SCHEMA, TRIAL_VERSION = "trial", 2
 TRIAL_LAYOUT = {
     "cloud": "f4 [N, 3]",
     "T_world_camera": "f8 [4, 4]",
@@ -52,9 +52,12 @@ class TrialRow:
         contact: The robot touched the object before the hand closed.
         moved: Distance that the object had moved by then [m].
         penetration: Depth of the planned grasp in the true mesh [m], 0 if none.
-        lifted: The object rose at least 0.105 m at some time.
-        held: It was still held in the end.
-        final_height: Height by which it had risen in the end [m].
+        lifted: The object rose at least 0.105 m and was in the hand after the lift.
+        held: It was still in the hand after the hold; equal to `lifted` without a hold.
+        unshaken: 1 if it was still in the hand after all pushes, 0 if not, -1 without pushes.
+        lost_in: Step in which it was lost: "lift", "hold", "push +x" and so on; empty if it never
+            was, or if nothing was lifted for want of a plan.
+        final_height: Height by which it had risen when `held` was judged [m].
         seed: Random seed of the experiment.
     """
 
@@ -78,6 +81,8 @@ class TrialRow:
     penetration: float
     lifted: bool
     held: bool
+    unshaken: int
+    lost_in: str
     final_height: float
     seed: int
 

@@ -19,14 +19,16 @@ from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, KINDS, LOST, Grasps
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
-from pointsdf_cli.simulation.executor import Executor, ExecutorConfig, Outcome
+from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
 from pointsdf_cli.simulation.feet import nearest_pose, on_its_foot
 from pointsdf_cli.simulation.heuristic import HeuristicConfig, draw_preshape, hand_of
+from pointsdf_cli.simulation.mass import MassConfig
 from pointsdf_cli.simulation.observe import CameraPlacement, Observer, resample
 from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.reach import Reach, ReachConfig, Reacher
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject
+from pointsdf_cli.simulation.verdict import UNTRIED, Outcome
 from pointsdf_cli.simulation.world import World
 
 CLOUD_SIZE = 1000
@@ -44,6 +46,7 @@ class AttemptConfig:
         widest: An object whose narrowest side is wider than this [m] does not fit the hand.
         hand_alone: Grasps are carried out by the hand as on an arm that does not yield; if not,
             the arm is simulated, too, at several times the cost.
+        masses: Estimate of the object's mass where none is published.
         inverse: Inverse kinematics, in half as many steps as a plan allows: what is reached at
             all mostly has been by then.
         physics: With twice the step of a trial, which changes a little more labels than luck does,
@@ -60,6 +63,7 @@ class AttemptConfig:
     settling: SettleConfig = field(default_factory=SettleConfig)
     placement: CameraPlacement = field(default_factory=CameraPlacement)
     heuristic: HeuristicConfig = field(default_factory=HeuristicConfig)
+    masses: MassConfig = field(default_factory=MassConfig)
     inverse: IkConfig = field(default_factory=lambda: IkConfig(iterations=12))
     reach: ReachConfig = field(default_factory=ReachConfig)
     physics: PhysicsConfig = field(
@@ -118,6 +122,13 @@ class Attempt:
     def cause(self) -> str:
         """One of `CAUSES`."""
         return self.reach.cause if self.outcome is None else self.outcome.cause
+
+    @property
+    def unshaken(self) -> int:
+        """As in `Grasps`."""
+        if self.outcome is None or not self.outcome.valid:
+            return UNTRIED
+        return self.outcome.unshaken
 
 
 class Attempter:
@@ -332,4 +343,5 @@ def as_grasps(attempts: list[Attempt], scene_attempts: int) -> Grasps:
         attempt=column([a.index for a in attempts], np.int32),
         scene=column([a.index // scene_attempts for a in attempts], np.int32),
         evidence=tuple(a.scene.evidence for a in attempts),
+        unshaken=column([a.unshaken for a in attempts], np.int8),
     )

@@ -106,6 +106,17 @@ class BulletObject:
         linear, angular = self._bullet.getBaseVelocity(self.body, physicsClientId=self._client)
         return float(np.linalg.norm(linear)), float(np.linalg.norm(angular))
 
+    def push(self, force: Array) -> None:
+        """Apply a force [3] [N], world frame, at the centre of mass during the next step."""
+        self._bullet.applyExternalForce(
+            self.body,
+            -1,
+            force.tolist(),
+            self.centre().tolist(),
+            self._bullet.WORLD_FRAME,
+            physicsClientId=self._client,
+        )
+
     def _body_pose(self, T_world_object: Array) -> tuple[list[float], list[float]]:
         """Place [3] and quaternion [4] (scalar last, as PyBullet has them) of the body frame."""
         T = T_world_object @ self._T_mesh_body

@@ -105,7 +105,7 @@ def collect_object(task: CollectTask) -> CollectSummary | None:
         if _finished(done, task):
             return None
     mesh = load_mesh(task.mesh)
-    item = prepare_object(replace(mesh, name=task.name))
+    item = prepare_object(replace(mesh, name=task.name), masses=task.config.masses)
     attempter = _attempter(task.robot, task.config, task.seed)
     attempter.check(item)
     attempts = []

@@ -1,9 +1,9 @@
-"""Closing the hand, gripping, lifting, settling: one executor for collection and for trials."""
+"""Closing the hand, gripping, lifting, holding: one executor for collection and for trials."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +12,15 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import invert_transform, rotation_vector
 from pointsdf_cli.robot.arm_chain import ArmChain
+from pointsdf_cli.simulation.verdict import (
+    HOLD,
+    LIFT,
+    PUSHES,
+    UNTRIED,
+    Outcome,
+    Seen,
+    cause_of,
+)
 from pointsdf_cli.simulation.world import World
 
 
@@ -35,6 +44,10 @@ class ExecutorConfig:
             it comes to rest there or falls.
         shake: Amplitude of a lateral shake after the lift [m/s²]; 0 for none.
         shake_time: [s].
+        hold: Time that a lifted object is then held [s]; 0 for none.
+        push: Force on a held object's centre of mass [N], in each direction of `PUSHES` in turn;
+            0 for none.
+        push_time: Duration of each push [s].
     """
 
     speed_up: float = 8.0
@@ -50,6 +63,9 @@ class ExecutorConfig:
     longest_settling: float = 2.0
     shake: float = 0.0
     shake_time: float = 1.0
+    hold: float = 0.0
+    push: float = 0.0
+    push_time: float = 1.0
 
     def __post_init__(self) -> None:
         for name in ("speed_up", "closing_effort", "grip_effort", "lift_height", "lift_time"):
@@ -57,40 +73,18 @@ class ExecutorConfig:
                 raise InputError(f"{name} = {getattr(self, name)}", allowed="above 0")
         if not 0 <= self.shake <= 100:
             raise InputError(f"{self.shake:g} m/s²", where="--shake", allowed="0 to 100 m/s²")
+        if not 0 <= self.hold <= 600:
+            raise InputError(f"{self.hold:g} s", where="--hold", allowed="0 to 600 s")
+        if not 0 <= self.push <= 1000:
+            raise InputError(f"{self.push:g} N", where="--push", allowed="0 to 1000 N")
+
+    def without_tests(self) -> ExecutorConfig:
+        """The same, without hold and pushes."""
+        return replace(self, hold=0.0, push=0.0)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Result of an executed grasp.
-
-    Attributes:
-        held: The object rose with the hand and is still held.
-        valid: The simulation can be believed; if not, `held` is False.
-        cause: "held", or why not: "missed" (nothing touched when the lift began), "slipped",
-            "dropped", "flung", "penetration".
-        lift_height: Height by which the object's centre of mass rose [m].
-        slip: Distance it moved in the palm's frame from the grip to the end [m].
-        links: Links of the hand that touch the object at the end.
-        duration: Simulated time [s].
-    """
-
-    held: bool
-    valid: bool
-    cause: str
-    lift_height: float
-    slip: float
-    links: int
-    duration: float
-
-
-FLUNG_SPEED = 3.0
-"""An object faster than this [m/s] was shot out by the contact solver, not moved by a hand."""
 LOOK = 1 / 60
-"""So often [s] the object is looked at, for that and for being left behind."""
-DEEPEST = 0.008
-"""A robot link deeper in the object than this [m] at the end means that contacts failed."""
-HELD_FRACTION = 0.7
-"""Share of the lift's height that a held object must have risen."""
+"""So often [s] the object is looked at: for its speed, for being left behind, for being lost."""
 STEADY_SPEED = 0.03
 """A slower object [m/s] rests in the hand."""
 OFF_TABLE = -0.05
@@ -126,11 +120,12 @@ class Executor:
         self._hand = np.arange(len(robot.arm_joints), len(robot.joint_names))
         self._closing = robot.closing_columns
         self._still = np.setdiff1d(self._hand, self._closing)
-        self._fastest = 0.0
+        self._fastest = self._start_height = 0.0
+        self._touched, self._gripped = False, np.zeros(3)
         self._look_every = max(1, round(LOOK / world.physics.step))
 
     def run(self, q: ArrayLike, lift: Array) -> Outcome:
-        """Close, grip, lift along a path, settle, judge.
+        """Close, grip, lift along a path, settle, hold, push, judge.
 
         Args:
             q: [J], where the hand begins to close; the world's robot is there.
@@ -138,41 +133,56 @@ class Executor:
         """
         world, config = self._world, self._config
         q = np.asarray(q, dtype=float)
-        start_height = self._object_height()
+        self._start_height = self._object_height()
         self._fastest = 0.0
         world.drive_to(q, self._arm, world.robot.effort[self._arm])
         world.drive_to(q, self._still, world.robot.effort[self._still])
         self._close()
         self._grip(q)
-        touched = world.robot_contact().hand_links > 0
-        gripped = self._object_in_palm()
+        self._touched = world.robot_contact().hand_links > 0
+        self._gripped = self._object_in_palm()
         self._lift(lift)
         # Nothing settles or shakes in a hand that left the object on the table.
         if not self._left_behind():
             self._settle()
             if config.shake > 0:
                 self._shake()
-        rise = self._object_height() - start_height
-        slip = float(np.linalg.norm(self._object_in_palm() - gripped))
-        return self._judge(touched, rise, slip)
+        outcome = self._judged(LIFT)
+        if outcome.lifted and config.hold > 0:
+            self._keep()
+            outcome = self._judged(HOLD)
+        if config.push > 0:
+            lost_in = self._lost_by_pushes() if outcome.held else outcome.lost_in
+            outcome = replace(outcome, unshaken=int(not lost_in), lost_in=lost_in)
+        return replace(outcome, duration=world.time)
 
-    def _judge(self, touched: bool, rise: float, slip: float) -> Outcome:
-        world, config = self._world, self._config
-        contact = world.robot_contact()
-        risen = rise >= HELD_FRACTION * config.lift_height
-        in_hand = contact.hand_links > 0 and not world.object_on_table()
-        held, valid, cause = False, True, "dropped"
-        if self._fastest > FLUNG_SPEED or not np.isfinite(rise) or rise > 0.5:
-            valid, cause = False, "flung"
-        elif contact.depth > DEEPEST:
-            valid, cause = False, "penetration"
-        elif risen and in_hand:
-            held, cause = True, "held"
-        elif not touched:
-            cause = "missed"
-        elif contact.hand_links > 0:
-            cause = "slipped"
-        return Outcome(held, valid, cause, rise, slip, contact.hand_links, world.time)
+    def _judged(self, step: str) -> Outcome:
+        """Verdict on the object where it is now, after the lift or the hold."""
+        seen = self._seen()
+        cause = cause_of(seen, self._config.lift_height, self._touched)
+        held = cause == "held"
+        return Outcome(
+            lifted=held or step == HOLD,
+            held=held,
+            unshaken=UNTRIED,
+            lost_in="" if held else step,
+            valid=cause not in ("flung", "penetration"),
+            cause=cause,
+            lift_height=seen.rise,
+            slip=float(np.linalg.norm(self._object_in_palm() - self._gripped)),
+            links=seen.hand_links,
+            duration=self._world.time,
+        )
+
+    def _seen(self) -> Seen:
+        contact = self._world.robot_contact()
+        return Seen(
+            rise=self._object_height() - self._start_height,
+            hand_links=contact.hand_links,
+            depth=contact.depth,
+            on_table=self._world.object_on_table(),
+            fastest=self._fastest,
+        )
 
     def _close(self) -> None:
         """Ramp the closing joints, all at once; each freezes once it stalls or is at its end."""
@@ -267,9 +277,37 @@ class Executor:
         world.set_gravity([0, 0, down])
         self._hold(0.25, "shake")
 
-    def _advance(self, steps: int, phase: str) -> None:
+    def _keep(self) -> None:
+        """Hold still for the time of the hold, or until the object has left the hand."""
+        steps = round(self._config.hold / self._world.physics.step)
+        for begun in range(0, steps, self._look_every):
+            if not self._world.robot_contact().links:
+                return
+            self._advance(min(self._look_every, steps - begun), HOLD)
+
+    def _lost_by_pushes(self) -> str:
+        """Push the object in every direction until one takes it out of the hand.
+
+        Returns:
+            That one's key in `PUSHES`; empty if none does.
+        """
+        world, config = self._world, self._config
+        steps = round(config.push_time / world.physics.step)
+        for name, direction in PUSHES.items():
+            for begun in range(0, steps, self._look_every):
+                some = min(self._look_every, steps - begun)
+                self._advance(some, name, config.push * direction)
+                if not world.robot_contact().hand_links:
+                    return name
+            if cause_of(self._seen(), config.lift_height, self._touched) != "held":
+                return name
+        return ""
+
+    def _advance(self, steps: int, phase: str, force: Array | None = None) -> None:
         world = self._world
         for done in range(1, steps + 1):
+            if force is not None:
+                world.push(force)  # it acts during one step
             world.step()
             # The same looks whether anybody watches or not: they decide what counts as flung.
             if (

@@ -15,7 +15,7 @@ class Moment:
     """The scene at one time.
 
     Attributes:
-        phase: "close", "grip", "lift", "settle" or "shake".
+        phase: "close", "grip", "lift", "settle", "shake", "hold" or a push ("push +x").
         time: Since the world was built [s]: in a trial the approach counts, too.
         q: [J].
         T_world_object: [4, 4].

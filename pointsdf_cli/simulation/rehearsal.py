@@ -24,9 +24,10 @@ from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
+from pointsdf_cli.simulation.mass import MassConfig, estimated_mass
 from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
-from pointsdf_cli.simulation.sim_object import DENSITY, HEAVIEST, LIGHTEST, SimObject
+from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
 
 
@@ -41,11 +42,12 @@ class RehearsalConfig:
         turn: ... of its yaw [rad].
         scale: ... of its size, as a share, level and upright alike.
         friction: Range of the friction of the object.
-        mass: Range of its mass over that of a household thing of this volume.
+        mass: Range of its mass over the estimate (`masses`).
         foot: The lowest points of an upright object that hover less than this [m] above the table
             are put on it: it stands there.
         physics: Coarser than the trials': what matters is who holds better.
         cut: Convex pieces.
+        masses: Estimate of the mass.
     """
 
     repeats: int = 8
@@ -58,6 +60,7 @@ class RehearsalConfig:
     foot: float = 0.012
     physics: PhysicsConfig = field(default_factory=lambda: PhysicsConfig(step=1 / 240))
     cut: QuickCutConfig = field(default_factory=QuickCutConfig)
+    masses: MassConfig = field(default_factory=MassConfig)
 
     def __post_init__(self) -> None:
         if min(self.repeats, self.failures) < 1 or min(self.place, self.turn, self.scale) < 0:
@@ -103,7 +106,7 @@ class Rehearsal:
     Args:
         robot: The robot.
         config: Disturbances to try.
-        execution: Execution of grasps, the same as later in earnest.
+        execution: Execution of grasps, the same as later in earnest but for hold and pushes.
     """
 
     def __init__(
@@ -113,8 +116,10 @@ class Rehearsal:
         execution: ExecutorConfig | None = None,
     ) -> None:
         self.config = config or RehearsalConfig()
-        # What rests in the hand after half a second mostly stays there.
-        self._execution = replace(execution or ExecutorConfig(), longest_settling=0.6)
+        # What rests in the hand after half a second mostly stays there, and holding and pushing
+        # take several times as long as the rest.
+        execution = (execution or ExecutorConfig()).without_tests()
+        self._execution = replace(execution, longest_settling=0.6)
         self._world = World(robot, self.config.physics)
         self._tries = 0
 
@@ -210,7 +215,9 @@ def believed_object(
         raise InputError("the surface encloses nothing above the table")
     volumes = np.array([hull.volume for hull in hulls])
     whole = float(volumes.sum())
-    mass = float(np.clip(DENSITY * whole, LIGHTEST, HEAVIEST))
+    surface = trimesh.Trimesh(vertices, faces, process=False)
+    hull_volume = float(surface.convex_hull.volume)
+    mass = estimated_mass(whole, float(surface.area), hull_volume, config.masses)
     centre = np.sum([hull.volume * hull.center_mass for hull in hulls], axis=0) / whole
     inertia = np.zeros((3, 3))
     for hull in hulls:
@@ -222,9 +229,9 @@ def believed_object(
     moments, axes = np.linalg.eigh(inertia)
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
-    surface = LoadedMesh("reconstruction", np.asarray(vertices), np.asarray(faces), "", "none")
+    believed = LoadedMesh("reconstruction", np.asarray(vertices), np.asarray(faces), "", "none")
     return SimObject(
-        mesh=surface,
+        mesh=believed,
         pieces=[((np.asarray(h.vertices) - centre) @ axes, np.asarray(h.faces)) for h in hulls],
         T_mesh_body=transform(axes, centre),
         mass=mass,

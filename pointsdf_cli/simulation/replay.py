@@ -46,7 +46,7 @@ def film_of(task: CollectTask, grasps: Grasps, row: int) -> tuple[Film, Film]:
         RgraspError: It ends otherwise than stored: the simulator has changed.
     """
     mesh = replace(load_mesh(task.mesh), name=task.name)
-    item = prepare_object(mesh)
+    item = prepare_object(mesh, masses=task.config.masses)
     attempter = Attempter(load_robot(task.robot), task.config, task.seed)
     recorder = Recorder()
     try:

@@ -14,12 +14,8 @@ from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.geometry.stable_poses import StablePose, stable_poses
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.simulation.decomposition import Pieces, convex_pieces
+from pointsdf_cli.simulation.mass import MassConfig, mass_of
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
-
-DENSITY = 400.0
-"""Household things [kg/m³], counted over their volume: between a filled bottle and a toy."""
-LIGHTEST, HEAVIEST = 0.05, 0.6
-"""Bounds of the mass [kg]: a hollow scan weighs something, a solid one is no brick of lead."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +40,10 @@ class SimObject:
 
 
 def prepare_object(
-    mesh: LoadedMesh, cache: Path | None = None, cut: QuickCutConfig | None = None
+    mesh: LoadedMesh,
+    cache: Path | None = None,
+    cut: QuickCutConfig | None = None,
+    masses: MassConfig | None = None,
 ) -> SimObject:
     """Everything that does not change between attempts with a mesh.
 
@@ -52,6 +51,7 @@ def prepare_object(
         mesh: A closed mesh.
         cache: Cache folder of CoACD's pieces; see `convex_pieces`.
         cut: Cut in this way instead of by CoACD.
+        masses: Estimate of its mass where none is published.
 
     Raises:
         InputError: It encloses no volume or has no resting pose.
@@ -63,7 +63,7 @@ def prepare_object(
             where=mesh.name,
             allowed="a closed mesh that faces outwards, above 1e-9 m³",
         )
-    mass = float(np.clip(DENSITY * solid.volume, LIGHTEST, HEAVIEST))
+    mass = mass_of(mesh.name, solid, masses)
     solid.density = mass / solid.volume
     centre = np.asarray(solid.center_mass)
     moments, axes = np.linalg.eigh(np.asarray(solid.moment_inertia))

@@ -297,6 +297,10 @@ class World:
         """Change gravity [3] [m/s²]; shaking a frame is the same as shaking gravity in it."""
         self._bullet.setGravity(*np.asarray(gravity, float), physicsClientId=self._client)
 
+    def push(self, force: Array) -> None:
+        """Apply a force [3] [N] at the object's centre of mass during the next step."""
+        self._there.push(force)
+
     # --- building ---
 
     @cached_property

@@ -10,14 +10,10 @@ import numpy as np
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.robot.lift import lift_path
-from pointsdf_cli.simulation.executor import (
-    HELD_FRACTION,
-    Executor,
-    ExecutorConfig,
-    Outcome,
-)
+from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
 from pointsdf_cli.simulation.film import Moment
 from pointsdf_cli.simulation.sim_object import SimObject
+from pointsdf_cli.simulation.verdict import Outcome
 from pointsdf_cli.simulation.world import World
 
 Watch = Callable[[World, str], None]
@@ -32,11 +28,10 @@ class Executed:
     """Course of an attempt.
 
     Attributes:
-        outcome: Outcome of closing, gripping and lifting; None if the arm could not lift from
-            there.
+        outcome: Outcome of closing, lifting, holding and pushing; None if the arm could not lift
+            from there.
         contact: The robot touched the object before the hand closed.
         moved: Distance that the object had moved by then [m].
-        lifted: The object rose high enough at some time.
         lag: Farthest that a joint was from where it should have been when the hand closed [rad].
         moments: The end of each phase, in order.
     """
@@ -44,7 +39,6 @@ class Executed:
     outcome: Outcome | None
     contact: bool
     moved: float
-    lifted: bool
     lag: float
     moments: list[Moment]
 
@@ -58,7 +52,7 @@ def execute_plan(
     config: ExecutorConfig | None = None,
     watch: Watch | None = None,
 ) -> Executed:
-    """Follow a timed trajectory to a grasp, then close, grip, lift, hold and judge.
+    """Follow a timed trajectory to a grasp, then close, grip, lift, hold, push and judge.
 
     The object is free all the while: what the robot bumps into moves.
 
@@ -84,10 +78,9 @@ def execute_plan(
     contact, lag = _follow(world, trajectory, times, last)
     moved = float(np.linalg.norm(world.object_centre() - stood))
     if lift is None:
-        return Executed(None, contact, moved, False, lag, last.moments)
+        return Executed(None, contact, moved, lag, last.moments)
     outcome = Executor(world, config, last).run(q, lift)
-    lifted = last.highest - stood[2] >= HELD_FRACTION * config.lift_height
-    return Executed(outcome, contact, moved, lifted, lag, last.moments)
+    return Executed(outcome, contact, moved, lag, last.moments)
 
 
 def _follow(world: World, trajectory: Array, times: Array, last: _Last) -> tuple[bool, float]:
@@ -114,18 +107,16 @@ REST = 0.3
 
 
 class _Last:
-    """Keeps the last moment of every phase, and the object's greatest height."""
+    """Keeps the last moment of every phase."""
 
     def __init__(self, watch: Watch | None) -> None:
         self._watch = watch
         self._steps = 0
         self.moments: list[Moment] = []
-        self.highest = -np.inf
 
     def __call__(self, world: World, phase: str) -> None:
         self._steps += 1
         if self._steps % 8 == 0 or not self.moments or self.moments[-1].phase != phase:
-            self.highest = max(self.highest, float(world.object_centre()[2]))
             moment = Moment(phase, world.time, world.configuration(), world.object_pose())
             if self.moments and self.moments[-1].phase == phase:
                 self.moments[-1] = replace(moment)

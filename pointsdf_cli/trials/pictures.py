@@ -61,7 +61,8 @@ def caption(row: TrialRow) -> str:
     what = f"{row.object}, yaw {np.degrees(row.yaw):.0f}°, {row.camera} camera, {who}: "
     if row.status != "ok":
         return what + f"no plan ({row.reason})"
-    facts = [f"{row.cause}, rose {100 * row.final_height:.1f} cm", f"{row.kind} grasp"]
+    end = f"{row.cause}, lost in {row.lost_in}" if row.lost_in else row.cause
+    facts = [f"{end}, rose {100 * row.final_height:.1f} cm", f"{row.kind} grasp"]
     if np.isfinite(row.success_probability):
         facts.append(f"predicted {row.success_probability:.2f}")
     if np.isfinite(row.rehearsed):

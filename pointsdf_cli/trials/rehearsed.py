@@ -64,7 +64,8 @@ class RehearsedPlannerConfig:
         most_motions: Grasps to which motions are looked for.
         resolution: Cells along the network's box for the surface to rehearse on.
         rehearsal: See there.
-        execution: Execution of grasps; rehearsals use the same, shaking included.
+        execution: Execution of grasps; rehearsals use the same, shaking included, but
+            neither hold nor push.
     """
 
     count: int = 12

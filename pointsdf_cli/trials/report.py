@@ -29,7 +29,8 @@ Table = tuple[str, Sequence[str], list[Sequence[object]]]
 def trial_tables(rows: Sequence[TrialRow]) -> list[Table]:
     """Everything that the report says in numbers."""
     summaries = summarise(rows)
-    tables = [_success(summaries), _tests(rows, summaries), _plans(summaries), _contacts(summaries)]
+    tables = [_success(summaries), _verdicts(summaries), _tests(rows, summaries)]
+    tables += [_plans(summaries), _contacts(summaries)]
     if any(summary.ablation for summary in summaries):
         tables.append(_ablations(rows, summaries))
     return [*tables, _objects(summaries), _causes(summaries)]
@@ -133,7 +134,21 @@ def _success(summaries: Sequence[Summary]) -> Table:
         rates = _published(method, cameras)
         published = [f"{rates[c]:.0%}" if c in rates else "–" for c in (*cameras, "all")]
         body.append((f"{method}, published", *published))
-    return "Success (95% Wilson interval)", ("planner", *cameras, "all"), body
+    return "Success: held (95% Wilson interval)", ("planner", *cameras, "all"), body
+
+
+def _verdicts(summaries: Sequence[Summary]) -> Table:
+    body: list[Sequence[object]] = [
+        (
+            s.name,
+            percent(s.lifted),
+            percent(s.held),
+            percent(s.unshaken),
+            ", ".join(f"{step} {count}" for step, count in s.lost_in.items()) or "–",
+        )
+        for s in summaries
+    ]
+    return "Verdicts", ("planner", "lifted", "held", "unshaken", "lost in"), body
 
 
 def _published(method: str, cameras: Sequence[str]) -> dict[str, float]:

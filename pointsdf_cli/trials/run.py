@@ -40,6 +40,7 @@ from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.observe import CameraPlacement, Observer
 from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
+from pointsdf_cli.simulation.verdict import UNTRIED
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
 from pointsdf_cli.trials.pictures import write_film
@@ -214,6 +215,7 @@ class TrialRunner:
         if isinstance(answer, RehearsedAnswer) and answer.rehearsed and answer.rehearsed.tries:
             rehearsed = answer.rehearsed.share
         planned = plan is not None and plan.status == OK
+        pushed = self.config.execution.push > 0
         return TrialRow(
             object=trial.object.name,
             yaw_index=trial.yaw_index,
@@ -233,8 +235,10 @@ class TrialRunner:
             contact=executed is not None and bool(executed.contact),
             moved=0.0 if executed is None else executed.moved,
             penetration=self.penetration(plan.q, truth) if plan is not None and planned else 0.0,
-            lifted=executed is not None and bool(executed.lifted),
-            held=outcome is not None and bool(outcome.held),
+            lifted=outcome is not None and outcome.lifted,
+            held=outcome is not None and outcome.held,
+            unshaken=int(outcome is not None and outcome.unshaken == 1) if pushed else UNTRIED,
+            lost_in="" if outcome is None else outcome.lost_in,
             final_height=0.0 if outcome is None else outcome.lift_height,
             seed=trial.seed,
         )

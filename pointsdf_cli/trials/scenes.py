@@ -20,6 +20,7 @@ from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
 from pointsdf_cli.objects.stand_ins import make_stand_in
 from pointsdf_cli.simulation.attempt import placed
 from pointsdf_cli.simulation.feet import on_its_foot
+from pointsdf_cli.simulation.mass import MassConfig
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
@@ -56,6 +57,7 @@ class SceneConfig:
         look_height: It looks at the object at this height [m].
         lowest: An object that is lower than this [m] as modelled is stood on its side.
         cut: Decomposition of the object into convex pieces.
+        masses: Estimate of the object's mass where none is published.
         standing: As in the collection of grasps, but what can stand always does.
         settling: When an object rests.
     """
@@ -67,6 +69,7 @@ class SceneConfig:
     look_height: float = 0.08
     lowest: float = 0.03
     cut: QuickCutConfig = TRUE_CUT
+    masses: MassConfig = field(default_factory=MassConfig)
     standing: StandingConfig = field(default_factory=lambda: StandingConfig(standing=1.0))
     settling: SettleConfig = field(default_factory=SettleConfig)
 
@@ -77,7 +80,7 @@ def load_object(item: TrialObject, config: SceneConfig) -> SimObject:
     Raises:
         InputError: Its mesh cannot be used.
     """
-    return prepare_object(object_mesh(item), cut=config.cut)
+    return prepare_object(object_mesh(item), cut=config.cut, masses=config.masses)
 
 
 def object_mesh(item: TrialObject) -> LoadedMesh:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pointsdf_cli.io.trials import TrialRow
+from pointsdf_cli.simulation.verdict import UNTRIED
 from pointsdf_cli.trials.statistics import Paired, Share, mcnemar, sign_flips, wilson
 
 
@@ -20,8 +21,10 @@ class Summary:
     Attributes:
         name: "method" or "method/ablation".
         method, ablation: Its parts.
-        held: Share of all trials in which the object was held.
-        by_camera, by_object: The same by camera and object.
+        lifted, held, unshaken: Shares of all trials with each verdict; of none where nothing was
+            pushed.
+        by_camera, by_object: `held` by camera and object.
+        lost_in: Count of each step in which an object was lost.
         no_plan: Share without a plan.
         contact: Share of trials with a plan in which the robot touched the object too early.
         reasons: Count of each reason for no plan.
@@ -34,9 +37,12 @@ class Summary:
     name: str
     method: str
     ablation: str
+    lifted: Share
     held: Share
+    unshaken: Share
     by_camera: dict[str, Share]
     by_object: dict[str, Share]
+    lost_in: dict[str, int]
     no_plan: Share
     contact: Share
     reasons: dict[str, int]
@@ -96,6 +102,7 @@ def compare(rows: Sequence[TrialRow], first: str, second: str) -> Comparison:
 
 def _summary(name: str, rows: list[TrialRow]) -> Summary:
     planned = [row for row in rows if row.status == "ok"]
+    pushed = [row for row in rows if row.unshaken != UNTRIED]
     depths = np.array([row.penetration for row in planned] or [0.0])
 
     def held(chosen: list[TrialRow]) -> Share:
@@ -105,7 +112,9 @@ def _summary(name: str, rows: list[TrialRow]) -> Summary:
         name=name,
         method=rows[0].method,
         ablation=rows[0].ablation,
+        lifted=wilson(sum(row.lifted for row in rows), len(rows)),
         held=held(rows),
+        unshaken=wilson(sum(row.unshaken == 1 for row in pushed), len(pushed)),
         by_camera={
             camera: held([row for row in rows if row.camera == camera])
             for camera in dict.fromkeys(row.camera for row in rows)
@@ -114,6 +123,7 @@ def _summary(name: str, rows: list[TrialRow]) -> Summary:
             item: held([row for row in rows if row.object == item])
             for item in dict.fromkeys(row.object for row in rows)
         },
+        lost_in=dict(Counter(row.lost_in for row in rows if row.lost_in).most_common()),
         no_plan=wilson(len(rows) - len(planned), len(rows)),
         contact=wilson(sum(row.contact for row in planned), len(planned)),
         reasons=dict(Counter(row.reason for row in rows if row.reason).most_common()),

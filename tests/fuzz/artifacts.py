@@ -113,7 +113,7 @@ def write_artifacts(folder: Path, points: np.ndarray) -> None:
     q, names = np.tile(robot().home, (2, 1)), robot().joint_names
     one, number = np.ones(2, np.int8), np.ones(2, np.int32)
     grasps = Grasps(
-        clouds, poses, poses, poses, q, one, one, one, sdf[:2], sdf[:2], number, number,
+        clouds, poses, poses, poses, q, one, one, one, sdf[:2], sdf[:2], number, number, one,
     )  # fmt: skip
     meta = GraspsMeta("m", digest, "train", "gripper", names, ("left_jaw",))
     write_grasps(folder / "grasps.h5", grasps, meta, seed=0)
