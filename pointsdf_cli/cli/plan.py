@@ -39,9 +39,10 @@ def plan(
     target: Annotated[
         str | None,
         typer.Option(
-            metavar="N|U,V|X,Y,Z",
-            help="The object: its number as `rgrasp segment` lists them, a pixel, or a place in "
-            "the world [m] [default: the most reachable one near the middle of the image].",
+            metavar="N|U,V|X,Y,Z|any",
+            help="The object: its number as `rgrasp segment` lists them, a pixel, a place in the "
+            "world [m], or any: whichever can be taken first [default: the most reachable one "
+            "near the middle of the image].",
         ),
     ] = None,
     camera_pose: Annotated[
@@ -97,6 +98,13 @@ def plan(
             "--ignore-others", help="Ignore other observed objects instead of avoiding them."
         ),
     ] = False,
+    obstacles: Annotated[
+        str,
+        typer.Option(
+            help="Other observed objects: their reconstruction, or the hull of their seen points "
+            "(faster, without a back; always with partial-view)."
+        ),
+    ] = "reconstruction",
     clearance: Annotated[
         float | None,
         typer.Option(
@@ -178,7 +186,7 @@ def plan(
     from pointsdf_cli.io.plans import OK, write_plan, write_trajectory
     from pointsdf_cli.io.poses import box
     from pointsdf_cli.planning.environment import Environment, read_environment
-    from pointsdf_cli.planning.option_checks import check_segment
+    from pointsdf_cli.planning.option_checks import check_obstacles, check_segment
     from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
@@ -205,6 +213,7 @@ def plan(
     if server is not None:
         _check_server(server, threads, device)
     check_segment(segment, target is not None, workspace is not None)
+    check_obstacles(obstacles)
     common.check_device(device)
     around = Environment() if environment is None else read_environment(environment)
     described = load_robot(robot)
@@ -236,6 +245,7 @@ def plan(
         not ignore_others,
         looked_at,
         not no_clean,
+        obstacles,
     )
     request.check()
     if server is None:
@@ -259,7 +269,7 @@ def plan(
     asked |= {"environment": environment and str(environment), "ignore_others": ignore_others}
     asked |= {"unit": unit, "frame": frame, "camera_pose": camera_pose}
     asked |= {"intrinsics": intrinsics, "depth_scale": depth_scale, "mask": mask}
-    asked |= {"clean": not no_clean}
+    asked |= {"clean": not no_clean, "obstacles": obstacles}
     config = _config(result.options, clouds, seed) | asked
     for stale in (trajectory, picture):  # a motion to another object must not outlive its plan
         if stale is not None:

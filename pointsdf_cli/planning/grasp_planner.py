@@ -201,6 +201,11 @@ class GraspPlanner:
         self._shape = load_model(options.checkpoint, options.device) if self._reconstructs else None
         self._grasps = grasps or _success_network(options, self.robot)
 
+    @property
+    def shape(self) -> ShapeModel | None:
+        """The reconstruction network; None in partial-view grasping."""
+        return self._shape
+
     def see(
         self,
         views: Sequence[View],
