@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -149,13 +150,11 @@ def plan_on_table(
     if segment == "auto" and environment.table:
         require_table_at_zero([_in_world(cloud) for cloud in clouds], names)
     if isinstance(target, Target) and target.any:
-
-        def attempt(one: Target | None, told: Callable[[str], None] | None) -> TableSession:
-            return plan_on_table(
-                planner, clouds, names, environment, start, seed, segment, one, others, workspace,
-                cleaned, told, obstacles,
-            )  # fmt: skip
-
+        same = (planner, clouds, names, environment, start, seed, segment)
+        attempt = partial(
+            plan_on_table, *same, others=others, workspace=workspace, cleaned=cleaned,
+            obstacles=obstacles,
+        )  # fmt: skip
         turns = _turns(planner, clouds[0], names[0], q, workspace, cleaned)
         return _first_good(turns, attempt, planner.options.synthesis.acceptance.success, warn)
     try:
@@ -174,12 +173,10 @@ def plan_on_table(
     seconds = 0.0
     if others and len(seen.others):
         network = planner.shape if obstacles == RECONSTRUCTION else None
-        named = [one.name for one in environment.obstacles]
-        beside, seconds = seen_obstacles(seen, network, named, seed, cleaned)
-        if beside:
-            how = "hulls" if network is None else "reconstructions"
-            report.append(f"other things are {len(beside)} obstacles ({how}, {seconds:.2f} s)")
-        environment = replace(environment, obstacles=(*environment.obstacles, *beside))
+        known = environment.obstacles
+        beside, seconds = seen_obstacles(seen, network, [k.name for k in known], seed, cleaned)
+        report += _said_of(beside, network is not None, seconds)
+        environment = replace(environment, obstacles=(*known, *beside))
     answer = planner.plan(seen.views, environment, q, seed)
     answer = replace(answer, plan=_with_surface(answer, seconds))
     if warnings:
@@ -196,6 +193,12 @@ def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: 
     off = table_doubt(seen.table_height, clouds) if segment == "auto" and has_table else ""
     height = (seen.table_height or 0.0) if has_table else None
     return [off] * bool(off) + doubts(seen.views, height)
+
+
+def _said_of(beside: Sequence[Obstacle], reconstructed: bool, seconds: float) -> list[str]:
+    how = "reconstructions" if reconstructed else "hulls"
+    said = f"other things are {len(beside)} obstacles ({how}, {seconds:.2f} s)"
+    return [said] if beside else []
 
 
 def _turns(
@@ -222,16 +225,23 @@ def _turns(
 
 def _first_good(
     turns: list[Turn],
-    attempt: Callable[[Target | None, Callable[[str], None] | None], TableSession],
+    attempt: Callable[..., TableSession],
     enough: float,
     warn: Callable[[str], None] | None,
 ) -> TableSession:
-    """The session of the first thing whose grasp reaches a success probability, else the best."""
+    """The session of the first thing whose grasp reaches a success probability, else the best.
+
+    Args:
+        turns: The things, the easiest to take first.
+        attempt: `plan_on_table` but for its target and `warn`.
+        enough: That success probability.
+        warn: As in `plan_on_table`; told of the thing that is taken.
+    """
     if not turns:
-        return attempt(None, warn)
+        return attempt(target=None, warn=warn)
     said, best = [], None
     for turn in turns:
-        session = attempt(Target(number=turn.thing.number), None)
+        session = attempt(target=Target(number=turn.thing.number))
         plan = session.answer.plan
         success = plan.success_probability if plan.status == OK else -1.0
         found = f"success {success:.2f}" if plan.status == OK else f"no plan ({plan.reason})"

@@ -20,7 +20,7 @@ class Summary:
     Attributes:
         name: "method" or "method/ablation".
         method, ablation: Its parts.
-        held: Share of all trials in which the object was held.
+        held: Share of all trials in which the object was held, and nothing else disturbed.
         by_camera, by_object: The same by camera and object.
         no_plan: Share without a plan.
         contact: Share of trials with a plan in which the robot touched the object too early.
@@ -82,7 +82,7 @@ def compare(rows: Sequence[TrialRow], first: str, second: str) -> Comparison:
         return row.object, row.yaw_index, row.repeat, row.camera, row.seed
 
     outcomes = {
-        name: {key(row): row.held for row in rows if variant_of(row) == name}
+        name: {key(row): row.succeeded for row in rows if variant_of(row) == name}
         for name in (first, second)
     }
     shared = [k for k in outcomes[first] if k in outcomes[second]]
@@ -99,7 +99,7 @@ def _summary(name: str, rows: list[TrialRow]) -> Summary:
     depths = np.array([row.penetration for row in planned] or [0.0])
 
     def held(chosen: list[TrialRow]) -> Share:
-        return wilson(sum(row.held for row in chosen), len(chosen))
+        return wilson(sum(row.succeeded for row in chosen), len(chosen))
 
     return Summary(
         name=name,
