@@ -24,9 +24,10 @@ from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.clutter import (
     ClutterConfig,
     Standing,
+    along,
     disturbance,
+    level_corners,
     level_gap,
-    outline,
     place_neighbours,
     target_number,
 )
@@ -103,7 +104,7 @@ def test_neighbours_stand_near_the_target_and_apart_and_are_equal_by_seed(
 ) -> None:
     trial, other_seed = trials(meshes, 3)[0], trials(meshes, 3, seed=1)[0]
     made = standing(world, trial)
-    outlines = [outline(one) for one in made]
+    outlines = [along(level_corners(*one)) for one in made]
     for k, one in enumerate(outlines):
         for other in outlines[:k]:
             assert level_gap(one, other) >= CONFIG.gap[0]
@@ -197,7 +198,7 @@ def test_a_trial_in_clutter_from_the_folder_to_the_report(
     assert row.succeeded == (row.held and not row.disturbed)
     (file,) = (out / "trials").glob("*.h5")
     again, evidence = read_trial(file)
-    assert again == row
+    assert (again.status, again.largest_move) == (row.status, row.largest_move)
     assert evidence.T_world_others.shape == (len(evidence.q), 1, 4, 4)
     moved = evidence.T_world_others[[0, -1], 0, :3, 3]
     assert row.status != "ok" or np.linalg.norm(moved[1] - moved[0]) == pytest.approx(
@@ -209,6 +210,6 @@ def test_a_trial_in_clutter_from_the_folder_to_the_report(
     assert len(believed)
     assert np.linalg.norm(believed[:, :2] - place, axis=1).min() < 0.06
     assert "In clutter" in (out / "report.md").read_text(encoding="utf-8")
-    refused = cli(*run[:6], "--out", out, "--clutter", 9)
+    refused = cli(*run[:5], "--out", out, "--clutter", 9)
     assert refused.code == 2
     assert "--clutter" in refused.err

@@ -90,18 +90,21 @@ def place_neighbours(
     if not trial.others:
         return []
     rng = trial.rng("clutter")
-    outlines = [outline(target)]
+    outlines = [along(level_corners(*target))]
     found: list[Standing] = []
     for other in trial.others:
         item, resting = _at_rest(world, load(other), other.name, config, rng)
+        corners = level_corners(item, resting)
+        reach = config.gap[1] + float(np.linalg.norm(np.ptp(corners, axis=0))) / 2
+        low = np.maximum(config.low, outlines[0].min(axis=0) - reach)
+        high = np.minimum(config.high, outlines[0].max(axis=0) + reach)
         for _ in range(PLACE_TRIES):
-            yaw, place = rng.uniform(0, 2 * np.pi), rng.uniform(config.low, config.high)
-            pose = placed(resting, item, float(yaw), place)
-            mine = outline((item, pose))
+            yaw, place = float(rng.uniform(0, 2 * np.pi)), rng.uniform(low, high)
+            mine = along(turned(corners, yaw, place))
             to_target, *to_others = (level_gap(mine, there) for there in outlines)
             near = config.gap[0] <= to_target <= config.gap[1]
             if near and min(to_others, default=np.inf) >= config.gap[0]:
-                found.append((item, pose))
+                found.append((item, placed(resting, item, yaw, place)))
                 outlines.append(mine)
                 break
         else:
@@ -128,11 +131,22 @@ def _at_rest(
     raise InputError("never comes to rest on a table", where=name)
 
 
-def outline(standing: Standing) -> Array:
-    """Points [N, 2] along the convex outline of an object seen from above, m."""
-    item, pose = standing
-    level = apply_transform(pose, item.mesh.vertices)[:, :2]
-    corners = level[ConvexHull(level).vertices]
+def level_corners(item: SimObject, T_world_object: Array) -> Array:
+    """Corners [C, 2] of the convex outline of an object seen from above, in order, m."""
+    level = apply_transform(T_world_object, item.mesh.vertices)[:, :2]
+    return level[ConvexHull(level).vertices]
+
+
+def turned(corners: Array, yaw: float, place: Array) -> Array:
+    """Corners [C, 2] turned about the vertical, the middle of their box at `place` [2], as `placed`
+    does it."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    level = corners @ np.array([[c, s], [-s, c]])
+    return level + place - (level.min(axis=0) + level.max(axis=0)) / 2
+
+
+def along(corners: Array) -> Array:
+    """Points [N, 2], `OUTLINE_STEP` apart, along the polygon of corners [C, 2]."""
     sides = np.roll(corners, -1, axis=0) - corners
     parts = []
     for corner, side in zip(corners, sides, strict=True):
