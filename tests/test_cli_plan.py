@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -76,6 +77,20 @@ def test_a_table_gets_a_plan_with_its_files(cli: Callable, tmp_path: Path) -> No
     assert "--force" in again.err
     again = cli("plan", TABLE, "--out", out, "--no-picture", "--target", CARTON_AT, "--force")
     np.testing.assert_array_equal(read_plan(out).trajectory, plan.trajectory)
+
+
+def test_any_object_is_the_one_that_can_be_taken_first(cli: Callable, tmp_path: Path) -> None:
+    out = tmp_path / "plan.h5"
+    run = cli("plan", TABLE, "--out", out, "--no-picture", "--target", "any")
+    assert run.code in (0, 4), run.err
+    tried = re.findall(r"object (\d) \(in reach, \d+% of the directions free\): (\w+)", run.err)
+    (taken,) = re.findall(r"object (\d) is taken: the (first good grasp|best of all)", run.err)
+    assert taken[0] in [number for number, _ in tried]
+    # Another object that was given by its number gets the same plan.
+    again = tmp_path / "again.h5"
+    same = cli("plan", TABLE, "--out", again, "--no-picture", "--target", taken[0])
+    assert same.code == run.code
+    np.testing.assert_array_equal(read_plan(again).q, read_plan(out).q)
 
 
 def test_another_target_is_another_plan(cli: Callable, tmp_path: Path) -> None:
@@ -157,6 +172,7 @@ def test_under_a_shelf_is_said(cli: Callable, tmp_path: Path) -> None:
         (["--clearance", "0.5"], "at most"),
         (["--min-success", "2"], "--min-success"),
         (["--segment", "maybe"], "auto, none"),
+        (["--obstacles", "boxes"], "reconstruction, hull"),
         (["--workspace", "1,2"], "X0,Y0,Z0,X1,Y1,Z1"),
         (["--workspace", "1,0,0,0,1,1"], "the lower corner first"),
         (["--workspace", "0,0,0,1,1,1", "--segment", "none"], "--segment auto"),

@@ -1,4 +1,4 @@
-"""Clouds of a table to the object that is meant: segmentation, the robot left out, clutter."""
+"""Clouds of a table to the object that is meant: segmentation, the robot left out."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ import trimesh
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.clouds import Cloud
-from pointsdf_cli.planning.environment import Environment, Obstacle, read_environment
+from pointsdf_cli.planning.environment import Obstacle, read_environment
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
+from pointsdf_cli.planning.seen_obstacles import hulls
 from pointsdf_cli.planning.table_session import table_doubt
-from pointsdf_cli.planning.table_top import NoObjectError, clutter, look_at_table, workspace_of
+from pointsdf_cli.planning.table_top import NoObjectError, look_at_table, workspace_of
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.own_points import robot_points
 from pointsdf_cli.robot.start import start_configuration
@@ -107,20 +108,6 @@ def test_a_cloud_needs_a_pose_and_metres() -> None:
         look_at_table([scene], ["a"], ROBOT, HOME, segment="yes")
 
 
-def test_clutter_encloses_its_points_and_reaches_down_to_the_table() -> None:
-    obstacles = clutter(THINGS + [0.0, 0.0, 0.1])
-    assert len(obstacles) == 2
-    assert Environment(obstacles).obstacles == obstacles
-    inside = np.zeros(len(THINGS), dtype=bool)
-    for obstacle in obstacles:
-        vertices, faces = obstacle_mesh(obstacle)
-        assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9)
-        hull = trimesh.Trimesh(vertices, faces)
-        distance = trimesh.proximity.signed_distance(hull, THINGS[::7] + [0.0, 0.0, 0.1])
-        inside[::7] |= distance > -1e-6
-    assert inside[::7].all()
-
-
 def test_obstacles_have_their_sizes() -> None:
     pose = np.eye(4)
     pose[:3, 3] = (1.0, 2.0, 3.0)
@@ -152,14 +139,6 @@ def test_it_does_not_matter_which_camera_comes_first() -> None:
         seen = look_at_table(clouds, ["a", "b"], ROBOT, HOME)
         assert len(seen.views) == 1
         assert sum("is not seen" in line for line in seen.report) == 1
-
-
-def test_seen_things_take_no_name_that_an_obstacle_has() -> None:
-    block = sheet((0.6, 0.0, 0.05), (0.03, 0.03, 0.03))
-    (one,) = clutter(block)
-    assert one.name == "seen_1"
-    (other,) = clutter(block, ["seen_1", "post"])
-    assert other.name == "seen_2"
 
 
 @pytest.mark.parametrize(("off", "said"), [(0.0, ""), (0.03, "z = 30 mm"), (-0.06, "below it")])
@@ -208,4 +187,4 @@ def test_a_camera_without_the_object_still_sees_what_is_in_the_way() -> None:
         [cloud(first), cloud(np.concatenate([TABLE, POST]))], ["a", "b"], ROBOT, HOME
     )
     assert len(seen.views) == 1
-    assert len(clutter(seen.others)) == 1
+    assert len(hulls(seen.others)) == 1

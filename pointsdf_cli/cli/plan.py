@@ -39,9 +39,10 @@ def plan(
     target: Annotated[
         str | None,
         typer.Option(
-            metavar="N|U,V|X,Y,Z",
-            help="The object: its number as `rgrasp segment` lists them, a pixel, or a place in "
-            "the world [m] [default: the most reachable one near the middle of the image].",
+            metavar="N|U,V|X,Y,Z|any",
+            help="The object: its number as `rgrasp segment` lists them, a pixel, a place in the "
+            "world [m], or any: whichever can be taken first [default: the most reachable one "
+            "near the middle of the image].",
         ),
     ] = None,
     camera_pose: Annotated[
@@ -97,6 +98,13 @@ def plan(
             "--ignore-others", help="Ignore other observed objects instead of avoiding them."
         ),
     ] = False,
+    obstacles: Annotated[
+        str,
+        typer.Option(
+            help="Other observed objects: their reconstruction, or the hull of their seen points "
+            "(faster, without a back; always with partial-view)."
+        ),
+    ] = "reconstruction",
     clearance: Annotated[
         float | None,
         typer.Option(
@@ -187,7 +195,7 @@ def plan(
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.poses import box
     from pointsdf_cli.planning.environment import Environment, read_environment
-    from pointsdf_cli.planning.option_checks import check_segment
+    from pointsdf_cli.planning.option_checks import check_obstacles, check_segment
     from pointsdf_cli.planning.plan_request import PlanChoices
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
@@ -213,6 +221,7 @@ def plan(
     if server is not None:
         _check_server(server, threads, device)
     check_segment(segment, target is not None, workspace is not None)
+    check_obstacles(obstacles)
     common.check_device(device)
     around = Environment() if environment is None else read_environment(environment)
     start_at = start_configuration(start, load_robot(robot))
@@ -238,6 +247,7 @@ def plan(
         not ignore_others,
         looked_at,
         not no_clean,
+        obstacles,
         robot,
         checkpoint,
         grasp_checkpoint,
@@ -267,6 +277,7 @@ def plan(
         "depth_scale": depth_scale,
         "mask": mask,
         "clean": not no_clean,
+        "obstacles": obstacles,
     }
     plan_one(
         reporter,

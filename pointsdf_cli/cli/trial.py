@@ -73,6 +73,13 @@ def trial(
         Path | None, typer.Option(help="Robot YAML.", show_default="LBR4 + Allegro")
     ] = None,
     sensor: common.Sensor = "ideal",
+    clutter: Annotated[
+        int,
+        typer.Option(
+            help="Number of other objects of the folder around the target; a trial in which one "
+            "falls over or moves more than 2 cm fails."
+        ),
+    ] = 0,
     shake: Annotated[
         float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
     ] = 0.0,
@@ -105,7 +112,8 @@ def trial(
     Example: rgrasp trial --out trials/ --meshes ycb/
     """
     common.check_seed(seed)
-    for name, value in (("--rehearse", rehearse), ("--record", record), ("--pictures", pictures)):
+    counts = {"--rehearse": rehearse, "--record": record, "--pictures": pictures}
+    for name, value in (counts | {"--clutter": clutter}).items():
         if value < 0:
             raise InputError(f"{value}", where=name, allowed="0 or more")
     from pointsdf_cli.io.present import require_present
@@ -122,8 +130,9 @@ def trial(
     from pointsdf_cli.io.trials import write_trials
     from pointsdf_cli.simulation.executor import ExecutorConfig
     from pointsdf_cli.simulation.world import try_robot
+    from pointsdf_cli.trials.clutter import ClutterConfig
     from pointsdf_cli.trials.planner_variants import VariantOptions, check_variant
-    from pointsdf_cli.trials.protocol import choose_objects, make_trials
+    from pointsdf_cli.trials.protocol import choose_objects, clutter_pool, make_trials
     from pointsdf_cli.trials.report import html_report, markdown_report, percent
     from pointsdf_cli.trials.run import (
         TrialConfig,
@@ -148,12 +157,13 @@ def trial(
         ),
         execution=ExecutorConfig(shake=shake, hold=hold, push=push),
         sensor=sensor,
+        clutter=ClutterConfig() if clutter else None,
     )
     common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
     chosen = choose_objects(meshes, objects, pattern)
-    trials = make_trials(
-        chosen, variants, yaws, [c for c in cameras.split(",") if c], repeats, seed
-    )
+    pool = clutter_pool(meshes, pattern) if clutter else []
+    asked = [c for c in cameras.split(",") if c]
+    trials = make_trials(chosen, variants, yaws, asked, repeats, seed, clutter, pool)
     for variant in variants:
         check_variant(variant, config.variants)
     out = require_folder(out)
@@ -251,15 +261,16 @@ def _failures(tasks: list[TrialTask], most: int) -> list[tuple[str, bytes]]:
     for task in tasks:
         if task.out.is_file():
             row, evidence = read_trial(task.out)
-            if not row.held or row.unshaken == 0:
+            if not row.succeeded or row.unshaken == 0:
                 failed.append((_importance(row), task, row, evidence))
     failed.sort(key=lambda one: one[0])
     robot = None
     strips = []
     for _, task, row, evidence in failed[:most]:
         robot = robot or RobotMeshes(load_robot(task.config.variants.robot), sections=20)
-        mesh = object_mesh(task.trial.object)
-        strips.append((caption(row), png_bytes(trial_strip(robot, mesh, evidence))))
+        mesh, *others = (object_mesh(o) for o in (task.trial.object, *task.trial.others))
+        strip = trial_strip(robot, mesh, evidence, others)
+        strips.append((caption(row), png_bytes(strip)))
     return strips
 
 

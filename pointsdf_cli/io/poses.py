@@ -57,7 +57,7 @@ def target_numbers(text: str, where: str = "--target") -> NDArray[np.float64]:
     Raises:
         InputError: None of these.
     """
-    allowed = "an object's number from 1, a pixel U,V, or a place X,Y,Z in the world, m"
+    allowed = "an object's number from 1, a pixel U,V, a place X,Y,Z in the world (m), or any"
     numbers = numbers_in(text, where, allowed)
     whole_number = len(numbers) == 1 and numbers[0] >= 1 and numbers[0] % 1 == 0
     if not (whole_number or len(numbers) in (2, 3)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,12 @@ TRIAL_LAYOUT = {
     "trajectory": "f8 [T, J]",
     "times": "f8 [T]",
 }
+CLUTTER_LAYOUT = {
+    "T_world_others": "f8 [M2, N2, 4, 4]",
+    "obstacle_vertices": "f4 [V2, 3]",
+    "obstacle_faces": "i4 [F2, 3]",
+}
+"""Datasets of trials with other objects; earlier files lack them."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,9 @@ class TrialRow:
             was, or if nothing was lifted for want of a plan.
         final_height: Height by which it had risen when `held` was judged [m].
         seed: Random seed of the experiment.
+        clutter: Number of other objects around.
+        disturbed: One of them fell over or moved more than 2 cm.
+        largest_move: Largest distance that one of them moved [m].
     """
 
     object: str
@@ -85,6 +94,14 @@ class TrialRow:
     lost_in: str
     final_height: float
     seed: int
+    clutter: int = 0
+    disturbed: bool = False
+    largest_move: float = 0.0
+
+    @property
+    def succeeded(self) -> bool:
+        """The object was held, and nothing else disturbed."""
+        return self.held and not self.disturbed
 
 
 @dataclass(frozen=True)
@@ -101,6 +118,9 @@ class Evidence:
         T_world_object: [M, 4, 4], the object then; where nothing was executed, M = 1.
         trajectory: [T, J], the planned motion; T = 0 where there is none.
         times: [T] s.
+        T_world_others: [M, N, 4, 4], the other objects then; N = 0 without clutter.
+        obstacle_vertices, obstacle_faces: f4 [V, 3] world m, i4 [F, 3]: what the planner took the
+            other objects for.
     """
 
     cloud: NDArray[np.float32]
@@ -112,6 +132,13 @@ class Evidence:
     T_world_object: Array
     trajectory: Array
     times: Array
+    T_world_others: Array = field(default_factory=lambda: np.zeros((0, 0, 4, 4)))
+    obstacle_vertices: NDArray[np.float32] = field(
+        default_factory=lambda: np.zeros((0, 3), dtype=np.float32)
+    )
+    obstacle_faces: NDArray[np.int32] = field(
+        default_factory=lambda: np.zeros((0, 3), dtype=np.int32)
+    )
 
 
 _UNITS = {
@@ -121,12 +148,17 @@ _UNITS = {
     "moved": "m",
     "penetration": "m",
     "final_height": "m",
+    "largest_move": "m",
 }
 _TYPES: dict[str, type] = {"int": np.int64, "float": np.float64, "bool": np.bool_}
+_LETTERS = {"str": "S", "int": "i8", "float": "f8", "bool": "b1"}
 LAYOUT = {
-    field.name: {"str": "S", "int": "i8", "float": "f8", "bool": "b1"}[str(field.type)] + " [R]"
-    for field in fields(TrialRow)
+    one.name: _LETTERS[str(one.type)] + " [R]" for one in fields(TrialRow) if one.default is MISSING
 }
+LATER_LAYOUT = {
+    one.name: _LETTERS[str(one.type)] + " [R]" for one in fields(TrialRow) if one.name not in LAYOUT
+}
+"""Columns that earlier files lack."""
 
 
 def write_trial(
@@ -147,6 +179,9 @@ def write_trial(
             "T_world_object": Dataset(evidence.T_world_object, "m", "world"),
             "trajectory": Dataset(evidence.trajectory, "rad", "joints"),
             "times": Dataset(evidence.times, "s"),
+            "T_world_others": Dataset(evidence.T_world_others, "m", "world"),
+            "obstacle_vertices": Dataset(evidence.obstacle_vertices, "m", "world"),
+            "obstacle_faces": Dataset(evidence.obstacle_faces),
         },
         attributes={"row_json": json.dumps(asdict(row))},
         seed=row.seed,
@@ -160,21 +195,35 @@ def read_trial(path: Path | str) -> tuple[TrialRow, Evidence]:
     Raises:
         InputError: Not a trial file of this version.
     """
-    artifact = read_artifact(path, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, names=TRIAL_LAYOUT)
+    artifact = read_artifact(
+        path,
+        schema=TRIAL_SCHEMA,
+        version=TRIAL_VERSION,
+        names=TRIAL_LAYOUT,
+        optional=CLUTTER_LAYOUT,
+    )
     data: dict[str, Any] = dict(artifact.datasets)
     with sense_of(path):
         row = _row(json.loads(str(artifact.attributes["row_json"])))
         phases = tuple(name.decode() for name in data.pop("phases").tolist())
-        moments, corners = len(data["q"]), data["faces"]
+        moments = len(data["q"])
         if moments < 1 or len(phases) not in (0, moments):
             raise ValueError(f"{len(phases)} phases of {moments} moments")
-        if corners.size and not 0 <= corners.min() <= corners.max() < len(data["vertices"]):
-            raise ValueError("faces of vertices that are not there")
+        _require_corners(data["faces"], data["vertices"])
+        if "obstacle_faces" in data:
+            _require_corners(data["obstacle_faces"], data["obstacle_vertices"])
+            if data["T_world_others"].size and len(data["T_world_others"]) != moments:
+                raise ValueError("poses of other objects at other moments")
     return row, Evidence(phases=phases, **data)
 
 
+def _require_corners(faces: NDArray[np.int32], vertices: NDArray[np.float32]) -> None:
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
+        raise ValueError("faces of vertices that are not there")
+
+
 def _row(values: Mapping[str, Any]) -> TrialRow:
-    """A row of values that are of the types they should be.
+    """A row of values that are of the types they should be; columns that came later may lack.
 
     Raises:
         ValueError: A value is of another type.
@@ -182,9 +231,11 @@ def _row(values: Mapping[str, Any]) -> TrialRow:
     allowed: dict[str, tuple[type, ...]] = {
         "str": (str,), "int": (int,), "float": (int, float), "bool": (bool,),
     }  # fmt: skip
-    for field in fields(TrialRow):
-        if type(values[field.name]) not in allowed[str(field.type)]:
-            raise ValueError(f"{field.name} is {values[field.name]!r}")
+    for one in fields(TrialRow):
+        if one.name not in values and one.name in LATER_LAYOUT:
+            continue
+        if type(values[one.name]) not in allowed[str(one.type)]:
+            raise ValueError(f"{one.name} is {values[one.name]!r}")
     return TrialRow(**values)
 
 
@@ -199,14 +250,12 @@ def write_trials(
     if not rows:
         raise InputError("there are no trials", where=path)
     columns = {}
-    for field in fields(TrialRow):
-        values = [getattr(row, field.name) for row in rows]
+    for one in fields(TrialRow):
+        values = [getattr(row, one.name) for row in rows]
         array = (
-            _bytes(values)
-            if field.type == "str"
-            else np.array(values, dtype=_TYPES[str(field.type)])
+            _bytes(values) if one.type == "str" else np.array(values, dtype=_TYPES[str(one.type)])
         )
-        columns[field.name] = Dataset(array, _UNITS.get(field.name, ""))
+        columns[one.name] = Dataset(array, _UNITS.get(one.name, ""))
     write_artifact(path, schema=SCHEMA, version=VERSION, datasets=columns, seed=seed, config=config)
 
 
@@ -216,13 +265,16 @@ def read_trials(path: Path | str) -> list[TrialRow]:
     Raises:
         InputError: Not a trials file of this version.
     """
-    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT)
-    columns = []
+    artifact = read_artifact(
+        path, schema=SCHEMA, version=VERSION, names=LAYOUT, optional=LATER_LAYOUT
+    )
+    columns: dict[str, list[Any]] = {}
     with sense_of(path):
-        for field in fields(TrialRow):
-            values = artifact.datasets[field.name].tolist()
-            columns.append([v.decode() for v in values] if field.type == "str" else values)
-        return [TrialRow(*values) for values in zip(*columns, strict=True)]
+        for name, data in artifact.datasets.items():
+            values = data.tolist()
+            columns[name] = [v.decode() for v in values] if data.dtype.kind == "S" else values
+        rows = zip(*columns.values(), strict=True)
+        return [TrialRow(**dict(zip(columns, values, strict=True))) for values in rows]
 
 
 def _bytes(names: Sequence[str]) -> NDArray[np.bytes_]:

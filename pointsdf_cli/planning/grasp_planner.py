@@ -27,6 +27,7 @@ from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed, given_constraint, unseen_support
@@ -197,6 +198,11 @@ class GraspPlanner:
         self._reconstructs = options.method == RECONSTRUCTION
         self._shape = load_model(options.checkpoint, options.device) if self._reconstructs else None
         self._grasps = grasps or _success_network(options, self.robot)
+
+    @property
+    def shape(self) -> ShapeModel | None:
+        """The reconstruction network; None in partial-view grasping."""
+        return self._shape
 
     def see(
         self,

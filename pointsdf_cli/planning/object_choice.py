@@ -33,17 +33,19 @@ class NoObjectError(RgraspError):
 
 @dataclass(frozen=True)
 class Target:
-    """The user's choice of an object; exactly one attribute is not None.
+    """The user's choice of an object; exactly one attribute is set.
 
     Attributes:
         number: In the list of things, from 1.
         pixel: (u, v) of the image.
         place: [3], world, m.
+        any: Whichever can be taken first (`take_order.py`).
     """
 
     number: int | None = None
     pixel: tuple[float, float] | None = None
     place: Array | None = None
+    any: bool = False
 
 
 @dataclass(frozen=True)
@@ -164,13 +166,17 @@ def choose(
         where: The cloud's name, for messages.
 
     Raises:
-        InputError: No such number, or a pixel without an image or outside of it.
+        InputError: No such number, a pixel without an image or outside of it, or no one object.
         NoObjectError: Nothing is there.
     """
     if not things:
         raise NoObjectError("nothing stands on the table", where=where)
     if target is None:
         return things[0]
+    if target.any:
+        raise InputError(
+            "any, where one object is needed", where="--target", allowed="a number, U,V or X,Y,Z"
+        )
     if target.number is not None:
         if not 1 <= target.number <= len(things):
             there = "; ".join(f"{thing.number} {thing.describe()}" for thing in things)

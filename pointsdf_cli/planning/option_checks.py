@@ -9,6 +9,8 @@ METHODS = (RECONSTRUCTION, PARTIAL_VIEW)
 SOLVERS = ("sqp", "slsqp")
 KINDS = ("side", "top")
 SEGMENT = ("auto", "none")
+HULL = "hull"
+OBSTACLES = (RECONSTRUCTION, HULL)
 
 LARGEST_CLEARANCE = 0.015
 """Distances are exact up to 2 cm only [m]; a grasp that stays farther away holds nothing."""
@@ -39,6 +41,15 @@ def check_kind(kind: str) -> None:
         InputError: It is none of them.
     """
     _require_one_of(kind, ("auto", *KINDS), "kind of grasp", "--kind")
+
+
+def check_obstacles(obstacles: str) -> None:
+    """Require one of `OBSTACLES`.
+
+    Raises:
+        InputError: It is none of them.
+    """
+    _require_one_of(obstacles, OBSTACLES, "shape of obstacles", "--obstacles")
 
 
 def check_speed(speed: float) -> None:

@@ -87,6 +87,7 @@ class PlanRequest:
         others: Whether other things that are seen are obstacles.
         workspace: Corners [m] of what is looked at; the usual ones if None.
         cleaned: Whether flying pixels, outliers and specks are dropped.
+        obstacles: Other things as their "reconstruction" or as the "hull" of their seen points.
     """
 
     clouds: Sequence[Cloud]
@@ -100,6 +101,7 @@ class PlanRequest:
     others: bool = True
     workspace: Corners | None = None
     cleaned: bool = True
+    obstacles: str = option_checks.RECONSTRUCTION
 
     def check(self) -> None:
         """Refuse what cannot be planned from, before anything heavy is imported.
@@ -111,6 +113,7 @@ class PlanRequest:
         option_checks.check_segment(
             self.segment, self.target is not None, self.workspace is not None
         )
+        option_checks.check_obstacles(self.obstacles)
         check_scene_inputs(self.clouds, self.names, self.segment)
 
 

@@ -200,16 +200,17 @@ def image_place(points: Array, pixels: Array | None, image: DepthImage | None) -
     return np.asarray(direction / half)
 
 
-def sighting(scene: Scene, thing: Thing, cleaned: bool = True) -> Sighting:
+def sighting(scene: Scene, thing: Thing, cleaned: bool = True, is_target: bool = True) -> Sighting:
     """The thing's points in full, and everything else the camera knows.
 
     Args:
         scene: Sorted.
         thing: Object in its list.
         cleaned: Whether specks and outliers of the object are dropped.
+        is_target: Whether it is the object that a mask is of.
     """
     mine = scene.label == thing.label
-    if scene.mask is not None:
+    if scene.mask is not None and is_target:
         mine &= scene.mask
     points = scene.all_points[mine]
     cleaning = clean(points) if cleaned else Cleaning(np.ones(len(points), dtype=bool))

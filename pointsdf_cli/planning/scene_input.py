@@ -24,6 +24,9 @@ from pointsdf_cli.robot.description import RobotDescription
 MANY = 400_000
 """Scenes of more points take seconds: it is said that something is done."""
 
+ANY = "any"
+"""`--target` of whichever object can be taken first."""
+
 ANYWHERE = SegmentationConfig(low=(-5.0, -5.0, -0.05), high=(5.0, 5.0, 0.6))
 """Workspace while the robot's place is still unknown."""
 
@@ -44,13 +47,15 @@ class SceneInput:
 
 
 def parse_target(text: str | None) -> Target | None:
-    """The object that `--target` names: a number, a pixel U,V or a place X,Y,Z.
+    """The object that `--target` names: a number, a pixel U,V, a place X,Y,Z, or any.
 
     Raises:
         InputError: None of these.
     """
     if text is None:
         return None
+    if text == ANY:
+        return Target(any=True)
     numbers = target_numbers(text)
     if len(numbers) == 1:
         return Target(number=int(numbers[0]))
@@ -170,7 +175,7 @@ def stand_on_table(
     try:
         # What is listed first stands at the place, so that numbers are those of `segment`.
         cloud = _moved(cloud, _centre(cloud, name, None, ANYWHERE, cleaned, None), place)
-        if target is not None:
+        if target is not None and not target.any:
             chosen = _centre(cloud, name, target, workspace, cleaned, reach)
             cloud = _moved(cloud, chosen, place)
             target = Target(place=np.array([*place, chosen[2]]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,21 +13,26 @@ import numpy as np
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
-from pointsdf_cli.io.clouds import Cloud
-from pointsdf_cli.io.plans import Plan
+from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
+from pointsdf_cli.io.plans import OK, Plan
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.grasp_planner import Answer, GraspPlanner, PlanOptions
-from pointsdf_cli.planning.object_choice import NoObjectError, Target
+from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
+from pointsdf_cli.planning.option_checks import RECONSTRUCTION
 from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult, as_sentences
 from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
+from pointsdf_cli.planning.scene import sort_scene
+from pointsdf_cli.planning.seen_obstacles import seen_obstacles
 from pointsdf_cli.planning.table_top import (
     WORKSPACE,
     TableTop,
-    clutter,
     look_at_table,
+    require_pose,
     workspace_of,
 )
+from pointsdf_cli.planning.take_order import Turn, take_order
 from pointsdf_cli.planning.target import surface_of
+from pointsdf_cli.robot.own_points import off_robot, robot_points
 from pointsdf_cli.robot.start import start_configuration
 from pointsdf_cli.viz.plan_picture import PlanScene
 
@@ -97,6 +103,7 @@ def answer_request(
         workspace=workspace_of(request.workspace),
         cleaned=request.cleaned,
         warn=warn,
+        obstacles=request.obstacles,
     )
     return session.result(planner.options)
 
@@ -114,6 +121,7 @@ def plan_on_table(
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
     warn: Callable[[str], None] | None = None,
+    obstacles: str = RECONSTRUCTION,
 ) -> TableSession:
     """Find the object in the clouds and plan a grasp of it.
 
@@ -125,11 +133,14 @@ def plan_on_table(
         start: Start configuration as typed; the robot's home if None.
         seed: Equal seeds give equal plans.
         segment: "auto", or "none" where the clouds hold the object alone.
-        target: The object that is meant, or a place [3] of it in the world.
+        target: The object that is meant, or a place [3] of it in the world. For `any`, things are
+            planned for in their `take_order` until a grasp is good, or else the best is taken.
         others: Whether other things that are seen are obstacles.
         workspace: Part of the world to use.
         cleaned: Whether flying pixels, outliers and specks are dropped.
         warn: Told what cannot be as it was given, before the planning.
+        obstacles: Other things as their "reconstruction" or as the "hull" of their seen points;
+            partial-view grasping, which reconstructs nothing, has hulls.
 
     Raises:
         InputError: The clouds or the start cannot be used, or show a table far from z = 0.
@@ -138,6 +149,14 @@ def plan_on_table(
     q = start_configuration(start, planner.robot)
     if segment == "auto" and environment.table:
         require_table_at_zero([_in_world(cloud) for cloud in clouds], names)
+    if isinstance(target, Target) and target.any:
+        same = (planner, clouds, names, environment, start, seed, segment)
+        attempt = partial(
+            plan_on_table, *same, others=others, workspace=workspace, cleaned=cleaned,
+            obstacles=obstacles,
+        )  # fmt: skip
+        turns = _turns(planner, clouds[0], names[0], q, workspace, cleaned)
+        return _first_good(turns, attempt, planner.options.synthesis.acceptance.success, warn)
     try:
         seen = look_at_table(clouds, names, planner.robot, q, segment, target, workspace, cleaned)
     except NoObjectError as error:
@@ -151,13 +170,15 @@ def plan_on_table(
     if warn is not None:
         for sentence in warnings:
             warn(sentence)
+    seconds = 0.0
     if others and len(seen.others):
-        beside = clutter(seen.others, [one.name for one in environment.obstacles])
-        if beside:
-            report.append(f"{len(beside)} other things are obstacles")
-        environment = replace(environment, obstacles=(*environment.obstacles, *beside))
+        network = planner.shape if obstacles == RECONSTRUCTION else None
+        known = environment.obstacles
+        beside, seconds = seen_obstacles(seen, network, [k.name for k in known], seed, cleaned)
+        report += _said_of(beside, network is not None, seconds)
+        environment = replace(environment, obstacles=(*known, *beside))
     answer = planner.plan(seen.views, environment, q, seed)
-    answer = replace(answer, plan=_with_surface(answer))
+    answer = replace(answer, plan=_with_surface(answer, seconds))
     if warnings:
         sentence = f"{answer.plan.sentence} {as_sentences(warnings)}".strip()
         answer = replace(answer, plan=replace(answer.plan, sentence=sentence))
@@ -174,13 +195,80 @@ def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: 
     return [off] * bool(off) + doubts(seen.views, height)
 
 
-def _with_surface(answer: Answer) -> Plan:
-    """The plan with the object's surface that it was planned around."""
+def _said_of(beside: Sequence[Obstacle], reconstructed: bool, seconds: float) -> list[str]:
+    how = "reconstructions" if reconstructed else "hulls"
+    said = f"other things are {len(beside)} obstacles ({how}, {seconds:.2f} s)"
+    return [said] if beside else []
+
+
+def _turns(
+    planner: GraspPlanner,
+    cloud: Cloud,
+    name: str,
+    q: Array,
+    workspace: SegmentationConfig,
+    cleaned: bool,
+) -> list[Turn]:
+    """The things that the first camera sees, the easiest to take first."""
+    require_pose(cloud, name)
+    own, reach = robot_points(planner.robot, q), reach_of(planner.robot)
+    scene = sort_scene(
+        check_scene_cloud(cloud, name),
+        name,
+        workspace,
+        lambda world: ~off_robot(world, own),
+        reach,
+        cleaned,
+    )
+    return take_order(scene, reach)
+
+
+def _first_good(
+    turns: list[Turn],
+    attempt: Callable[..., TableSession],
+    enough: float,
+    warn: Callable[[str], None] | None,
+) -> TableSession:
+    """The session of the first thing whose grasp reaches a success probability, else the best.
+
+    Args:
+        turns: The things, the easiest to take first.
+        attempt: `plan_on_table` but for its target and `warn`.
+        enough: That success probability.
+        warn: As in `plan_on_table`; told of the thing that is taken.
+    """
+    if not turns:
+        return attempt(target=None, warn=warn)
+    said, best = [], None
+    for turn in turns:
+        session = attempt(target=Target(number=turn.thing.number))
+        plan = session.answer.plan
+        success = plan.success_probability if plan.status == OK else -1.0
+        found = f"success {success:.2f}" if plan.status == OK else f"no plan ({plan.reason})"
+        said.append(f"{turn.describe()}: {found}")
+        if best is None or success > best[0]:
+            best = success, session, turn
+        if success >= enough:
+            break
+    assert best is not None
+    success, session, turn = best
+    why = "the first good grasp" if success >= enough else "the best of all"
+    said.append(f"object {turn.thing.number} is taken: {why}")
+    if warn is not None:
+        for sentence in session.warnings:
+            warn(sentence)
+    return replace(session, report=(*said, *session.report))
+
+
+def _with_surface(answer: Answer, obstacles: float) -> Plan:
+    """The plan with the object's surface that it was planned around, and the time [s] that the
+    obstacles took."""
     began = time.perf_counter()
     surface = None if answer.target is None else surface_of(answer.target)
+    timings = {**answer.plan.timings, "obstacles": obstacles}
     if surface is None:
-        return answer.plan
-    timings = {**answer.plan.timings, "surface": time.perf_counter() - began}
+        return replace(answer.plan, timings=timings)
+    timings = {**timings, "surface": time.perf_counter() - began}
     return replace(
         answer.plan,
         timings=timings,

@@ -7,15 +7,14 @@ unchanged, as nothing but its largest part is left to keep.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import count
 
 import numpy as np
-from scipy.spatial import QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from pointsdf_cli.camera.cleaning import clean
-from pointsdf_cli.camera.segmentation import SegmentationConfig, clusters
+from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -23,7 +22,6 @@ from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
-from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.planning.object_choice import NoObjectError, Target, Thing, choose, reach_of
 from pointsdf_cli.planning.scene import VOXEL, Scene, Sighting, describe, sighting, sort_scene
 from pointsdf_cli.robot.description import RobotDescription
@@ -63,12 +61,15 @@ class TableTop:
         others: [N, 3], points on other things above the table, world, m.
         report: One sentence a cloud: what was kept and what dropped.
         table_height: Height of the observed plane [m]; None without one.
+        scenes: Each camera's sorted view, with the label of the object in it; -1 where the camera
+            does not see it.
     """
 
     views: tuple[View, ...]
     others: Array
     report: tuple[str, ...]
     table_height: float | None
+    scenes: tuple[tuple[Scene, int], ...] = ()
 
 
 def look_at_table(
@@ -106,6 +107,7 @@ def look_at_table(
     reach = reach_of(robot)
     seen: list[Sighting] = []
     others, report, heights = [], [], []
+    scenes: list[tuple[Scene, int]] = []
     problem: NoObjectError | None = None
     first: tuple[Array, Array] | None = None
     for cloud, name in zip(clouds, names, strict=True):
@@ -136,10 +138,12 @@ def look_at_table(
             report.append(f"{name}: the object is not seen")
             # What it saw stands there all the same.
             others.append(scene.world[scene.things.label >= 0])
+            scenes.append((scene, -1))
             continue
         report.append(f"{name}: {describe(scene, thing, found)}")
         seen.append(found)
         others.append(found.others_in_world)
+        scenes.append((scene, thing.label))
         if scene.things.plane is not None:
             heights.append(float(scene.things.plane[3]))
         if first is None:
@@ -150,7 +154,8 @@ def look_at_table(
         raise problem
     rest = np.concatenate(others) if others else np.zeros((0, 3))
     height = float(np.median(heights)) if heights else None
-    return TableTop(tuple(view_of(each) for each in seen), rest, tuple(report), height)
+    views = tuple(view_of(each) for each in seen)
+    return TableTop(views, rest, tuple(report), height, tuple(scenes))
 
 
 def view_of(seen: Sighting) -> View:
@@ -159,36 +164,6 @@ def view_of(seen: Sighting) -> View:
     image = visibility_image(seen.object_points, seen.other_points, seen.support_plane, pitch)
     evidence = ViewEvidence(image, seen.support_plane)
     return View(seen.object_points, seen.T_world_camera, evidence)
-
-
-def clutter(points: Array, taken: Collection[str] = ()) -> tuple[Obstacle, ...]:
-    """Other things as obstacles: the hull of each cluster's points, down to the table.
-
-    Args:
-        points: [N, 3], world, m; what one camera saw, or several.
-        taken: Names that other obstacles have.
-    """
-    import trimesh
-
-    names = (name for k in count(1) if (name := f"seen_{k}") not in taken)
-    obstacles: list[Obstacle] = []
-    if not len(points):
-        return ()
-    label, counts = clusters(points, WORKSPACE.gap)
-    for k in np.flatnonzero(counts >= WORKSPACE.fewest):  # fewer are noise
-        cluster = points[label == k]
-        foot = cluster * [1.0, 1.0, 0.0]
-        try:
-            hull = trimesh.convex.convex_hull(np.concatenate([cluster, foot]))
-        except QhullError:  # a sheet on edge, seen as a line
-            continue
-        faces = np.asarray(hull.faces, dtype=np.int32)
-        obstacles.append(
-            Obstacle(
-                next(names), "mesh", (), np.eye(4), np.asarray(hull.vertices, dtype=float), faces
-            )
-        )
-    return tuple(obstacles)
 
 
 def level_width(points: Array) -> float:

@@ -151,8 +151,10 @@ class SceneBody(_Body):
     segment: Literal["auto", "none"] = Field(
         "auto", description="none: the clouds hold the object alone"
     )
-    target: int | list[float] | None = Field(
-        None, description="Number as `rgrasp segment` lists them, pixel [u, v] or place [x, y, z] m"
+    target: int | list[float] | Literal["any"] | None = Field(
+        None,
+        description="Number as `rgrasp segment` lists them, pixel [u, v] or place [x, y, z] m; "
+        "any for a plan of whichever can be taken first",
     )
     workspace: _numbers(2, 3) | None = Field(None, description="Corners of what is looked at [m]")  # type: ignore[valid-type]
     clean: bool = True
@@ -177,6 +179,8 @@ class SceneBody(_Body):
         given = self.target
         if given is None:
             return None
+        if isinstance(given, str):
+            return Target(any=True)
         if isinstance(given, int):
             return Target(number=given)
         if len(given) == 2:
@@ -216,6 +220,7 @@ class PlanBody(SceneBody):
     min_success: float | None = None
     start: _numbers(None) | None = Field(None, description="All joints [rad]; home if null")  # type: ignore[valid-type]
     ignore_others: bool = False
+    obstacles: str = Field("reconstruction", description="Shape of other things, or hull")
     environment: EnvironmentBody = Field(default_factory=EnvironmentBody)
 
     def choices(self) -> PlanChoices:
@@ -246,6 +251,7 @@ class PlanBody(SceneBody):
             not self.ignore_others,
             self.corners(),
             self.clean,
+            self.obstacles,
         )
         request.check()
         return request

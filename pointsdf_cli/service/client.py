@@ -91,6 +91,7 @@ def request_tree(request: PlanRequest) -> dict[str, Any]:
         "segment": request.segment,
         "target": _target(request.target),
         "ignore_others": not request.others,
+        "obstacles": request.obstacles,
         "workspace": request.workspace,
         "clean": request.cleaned,
     }
@@ -110,9 +111,11 @@ def _cloud_tree(cloud: Cloud, name: str) -> dict[str, Any]:
     }
 
 
-def _target(target: Target | None) -> int | list[float] | None:
+def _target(target: Target | None) -> int | list[float] | str | None:
     if target is None:
         return None
+    if target.any:
+        return "any"
     if target.number is not None:
         return target.number
     if target.pixel is not None:

@@ -26,7 +26,8 @@ class PlanSettings:
     """Everything but a scene's own files.
 
     Attributes:
-        choices, environment, start, seed, segment, others, workspace, cleaned: As in
+        choices, environment, start, seed, segment, others, workspace, cleaned,
+        obstacles: As in
             `PlanRequest`.
         target: The object that is meant, as typed.
         robot, checkpoint, grasp_checkpoint: Files; the bundled ones if None.
@@ -42,6 +43,7 @@ class PlanSettings:
     others: bool = True
     workspace: Corners | None = None
     cleaned: bool = True
+    obstacles: str = "reconstruction"
     robot: Path | None = None
     checkpoint: Path | None = None
     grasp_checkpoint: Path | None = None
@@ -82,6 +84,7 @@ class PlanSettings:
             self.others,
             self.workspace,
             self.cleaned,
+            self.obstacles,
         )
         request.check()
         return request, given.notes

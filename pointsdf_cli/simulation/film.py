@@ -19,12 +19,20 @@ class Moment:
         time: Since the world was built [s]: in a trial the approach counts, too.
         q: [J].
         T_world_object: [4, 4].
+        T_world_others: [N, 4, 4], of the other objects.
     """
 
     phase: str
     time: float
     q: NDArray[np.float64]
     T_world_object: NDArray[np.float64]
+    T_world_others: NDArray[np.float64]
+
+
+def moment_of(world: World, phase: str) -> Moment:
+    """The scene as it is."""
+    others = np.array([other.pose() for other in world.others]).reshape(-1, 4, 4)
+    return Moment(phase, world.time, world.configuration(), world.object_pose(), others)
 
 
 @dataclass
@@ -39,7 +47,7 @@ class Recorder:
         last = self.moments[-1] if self.moments else None
         if last is not None and last.phase == phase and world.time - last.time < 1 / self.rate:
             return
-        self.moments.append(Moment(phase, world.time, world.configuration(), world.object_pose()))
+        self.moments.append(moment_of(world, phase))
 
     def last_of(self, phase: str) -> Moment:
         """The last moment of a phase.

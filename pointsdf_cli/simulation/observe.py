@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -94,8 +95,29 @@ class Observer:
         q: Array | None = None,
     ) -> Array:
         """The whole noisy cloud [N, 3] of the scene, camera frame, m."""
-        faces: NDArray[np.int64] = item.mesh.faces.astype(np.int64)
-        parts = [(apply_transform(T_world_object, item.mesh.vertices), faces)]
+        depth = self.depth([(item, T_world_object)], T_world_camera, rng, q)
+        v, u = np.nonzero(depth)
+        return self.placement.camera.back_project(u, v, depth[v, u])
+
+    def depth(
+        self,
+        standing: Sequence[tuple[SimObject, Array]],
+        T_world_camera: Array,
+        rng: np.random.Generator,
+        q: Array | None = None,
+    ) -> Array:
+        """The noisy depth image [height, width] of the scene, m along z, 0 where there is none.
+
+        Args:
+            standing: Objects, each with its T_world_object [4, 4].
+            T_world_camera: [4, 4].
+            rng: Random generator of the sensor's errors.
+            q: [J], the robot; its home if None.
+        """
+        parts: list[tuple[Array, NDArray[np.int64]]] = [
+            (apply_transform(pose, item.mesh.vertices), item.mesh.faces.astype(np.int64))
+            for item, pose in standing
+        ]
         parts += [(p.vertices, p.faces) for p in self._robot.at(self._home if q is None else q)]
         parts.append(_table())
         vertices = np.concatenate([vertices for vertices, _ in parts])
@@ -104,8 +126,7 @@ class Observer:
         camera = self.placement.camera
         patch = MeshCaster(vertices, faces, camera).cast(invert_transform(T_world_camera))
         depth = self.placement.measures.observe(depth_image(patch, camera), camera, rng)
-        v, u = np.nonzero(depth)
-        return camera.back_project(u, v, depth[v, u])
+        return depth.astype(np.float64)
 
     def object_view(
         self,

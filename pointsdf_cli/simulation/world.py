@@ -1,8 +1,8 @@
-"""A table, the robot and one object in PyBullet, rebuilt for every attempt so that it replays."""
+"""A table, the robot and objects in PyBullet, rebuilt for every attempt so that it replays."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -54,6 +54,7 @@ class World:
 
     Attributes:
         chain: The robot's arm.
+        others: Free objects beside the one to be grasped.
 
     Raises:
         RgraspError: PyBullet is not installed.
@@ -75,6 +76,7 @@ class World:
         self._object_file: tuple[Pieces, Path] | None = None
         self._shown: Pieces | None = None
         self._steps = 0
+        self.others: tuple[BulletObject, ...] = ()
 
     def close(self) -> None:
         """Disconnect and remove temporary files."""
@@ -95,6 +97,7 @@ class World:
         T_world_object: Array | None = None,
         q: ArrayLike | None = None,
         robot: Literal["whole", "hand", "none"] = "whole",
+        others: Sequence[tuple[SimObject, Array]] = (),
     ) -> None:
         """Build the scene anew: nothing of an earlier attempt remains, so attempts replay.
 
@@ -104,6 +107,7 @@ class World:
             q: [J], the robot's configuration; home if None.
             robot: Simulated part of the robot: all of it; its hand, carried as by an arm that does
                 not yield, several times as fast; or nothing.
+            others: Further free objects, each with its T_world_object [4, 4].
         """
         b, c = self._bullet, self._client
         b.resetSimulation(physicsClientId=c)
@@ -125,6 +129,10 @@ class World:
             self._add_robot(self.robot.home if q is None else np.asarray(q), robot == "hand")
         if item is not None:
             self._add_object(item, np.eye(4) if T_world_object is None else T_world_object)
+        self.others = tuple(
+            self._added(other, place, self._folder / f"other{k}.obj")
+            for k, (other, place) in enumerate(others)
+        )
 
     def show(self, item: SimObject, T_world_object: Array) -> None:
         """The whole robot at home and an object, to look for collisions at rest.
@@ -367,6 +375,10 @@ class World:
             T_world_object,
             self.physics,
         )
+
+    def _added(self, item: SimObject, T_world_object: Array, path: Path) -> BulletObject:
+        write_pieces(item.pieces, path, self._skin)
+        return BulletObject(self._bullet, self._client, item, path, T_world_object, self.physics)
 
 
 def try_robot(robot: RobotDescription) -> None:

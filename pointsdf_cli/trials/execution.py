@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
-from pointsdf_cli.simulation.film import Moment
+from pointsdf_cli.simulation.film import Moment, moment_of
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.verdict import Outcome
 from pointsdf_cli.simulation.world import World
@@ -51,6 +51,7 @@ def execute_plan(
     times: Array,
     config: ExecutorConfig | None = None,
     watch: Watch | None = None,
+    others: Sequence[tuple[SimObject, Array]] = (),
 ) -> Executed:
     """Follow a timed trajectory to a grasp, then close, grip, lift, hold, push and judge.
 
@@ -63,6 +64,7 @@ def execute_plan(
         times: [T] s, when each is reached.
         config: As in the collection of grasps.
         watch: Called after every step.
+        others: Further free objects, each with its T_world_object [4, 4].
 
     Raises:
         InputError: There is no trajectory.
@@ -73,7 +75,7 @@ def execute_plan(
     q = trajectory[-1]
     last = _Last(watch)
     lift = lift_path(world.chain, world.robot, q, config.lift_height)
-    world.reset(item, T_world_object, trajectory[0])
+    world.reset(item, T_world_object, trajectory[0], others=others)
     stood = world.object_centre()
     contact, lag = _follow(world, trajectory, times, last)
     moved = float(np.linalg.norm(world.object_centre() - stood))
@@ -117,7 +119,7 @@ class _Last:
     def __call__(self, world: World, phase: str) -> None:
         self._steps += 1
         if self._steps % 8 == 0 or not self.moments or self.moments[-1].phase != phase:
-            moment = Moment(phase, world.time, world.configuration(), world.object_pose())
+            moment = moment_of(world, phase)
             if self.moments and self.moments[-1].phase == phase:
                 self.moments[-1] = replace(moment)
             else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from pointsdf_cli.viz.robot_picture import RobotMeshes
 from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh
 
 BELIEVED_COLOUR = (0.86, 0.45, 0.20)
+OTHER_COLOUR = (0.72, 0.55, 0.55)
 CLOUD_COLOUR = (0.15, 0.35, 0.80)
 SIZE = (260, 230)
 POINT = 0.0022
@@ -26,11 +28,17 @@ POINT = 0.0022
 Image = NDArray[np.uint8]
 
 
-def trial_strip(robot: RobotMeshes, mesh: LoadedMesh, evidence: Evidence) -> Image:
+def trial_strip(
+    robot: RobotMeshes,
+    mesh: LoadedMesh,
+    evidence: Evidence,
+    others: Sequence[LoadedMesh] = (),
+) -> Image:
     """Five pictures side by side [height, width, 3].
 
     The cloud on the true object as the camera stands; the believed surface (orange) with the true
     object (green) from the robot's side; the planned grasp; the moment before the lift; the end.
+    Other objects, of the meshes `others`, are drawn where they are then, and as believed.
     """
     before = evidence.T_world_object[0]
     true = Painted(apply_transform(before, mesh.vertices), mesh.faces.astype(int), OBJECT_COLOUR)
@@ -39,7 +47,9 @@ def trial_strip(robot: RobotMeshes, mesh: LoadedMesh, evidence: Evidence) -> Ima
     eye = evidence.T_world_camera[:3, 3]
     near = middle + (eye - middle) / np.linalg.norm(eye - middle) * max(0.35, 2.2 * reach)
     table = table_mesh()
-    pictures = [shaded_image([table, true, *_points(evidence.cloud)], look_at(near, middle), SIZE)]
+    around = _others_at(0, others, evidence)
+    first = [table, true, *around, *_points(evidence.cloud)]
+    pictures = [shaded_image(first, look_at(near, middle), SIZE)]
     behind = middle + np.array([-0.45, -0.75, 0.45]) * max(0.4, 2.2 * reach)
     pictures.append(_side_by_side(true, evidence, behind, middle, table))
     for which in _shown(evidence.phases):
@@ -50,9 +60,20 @@ def trial_strip(robot: RobotMeshes, mesh: LoadedMesh, evidence: Evidence) -> Ima
         )
         target = np.array([middle[0], middle[1], 0.13])
         camera = look_at(target + (0.42, -0.62, 0.3), target)
-        parts = [*robot.at(evidence.q[which]), table, scene]
+        parts = [*robot.at(evidence.q[which]), table, scene, *_others_at(which, others, evidence)]
         pictures.append(shaded_image(parts, camera, SIZE, 0.62))
     return np.concatenate(pictures, axis=1)
+
+
+def _others_at(which: int, others: Sequence[LoadedMesh], evidence: Evidence) -> list[Painted]:
+    """The other objects at one moment."""
+    if not others:
+        return []
+    poses = evidence.T_world_others[which]
+    return [
+        Painted(apply_transform(pose, mesh.vertices), mesh.faces.astype(int), OTHER_COLOUR)
+        for mesh, pose in zip(others, poses, strict=True)
+    ]
 
 
 def caption(row: TrialRow) -> str:
@@ -67,6 +88,8 @@ def caption(row: TrialRow) -> str:
         facts.append(f"predicted {row.success_probability:.2f}")
     if np.isfinite(row.rehearsed):
         facts.append(f"held in {row.rehearsed:.0%} of rehearsals")
+    if row.clutter:
+        facts.append(f"{row.clutter} others, moved up to {1000 * row.largest_move:.0f} mm")
     if row.contact:
         facts.append(f"touched before closing, moved {1000 * row.moved:.0f} mm")
     if row.penetration > 0:
@@ -75,12 +98,23 @@ def caption(row: TrialRow) -> str:
 
 
 def write_film(
-    path: Path, robot: RobotDescription, mesh: LoadedMesh, moments: list[Moment], rate: float
+    path: Path,
+    robot: RobotDescription,
+    meshes: Sequence[LoadedMesh],
+    moments: list[Moment],
+    rate: float,
 ) -> None:
-    """A trial as an animated GIF."""
+    """A trial as an animated GIF; `meshes` are the target's and those of the other objects."""
     frames = [(moment.q, moment.T_world_object) for moment in moments]
+    beside = [
+        [
+            Painted(apply_transform(pose, mesh.vertices), mesh.faces.astype(int), OTHER_COLOUR)
+            for mesh, pose in zip(meshes[1:], moment.T_world_others, strict=True)
+        ]
+        for moment in moments
+    ]
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_gif(path, RobotMeshes(robot, sections=16), Film("", mesh, frames), rate)
+    write_gif(path, RobotMeshes(robot, sections=16), Film("", meshes[0], frames, beside), rate)
 
 
 def _shown(phases: tuple[str, ...]) -> list[int]:
@@ -97,11 +131,15 @@ def _side_by_side(
     width, height = SIZE
     camera = look_at(eye, target)
     parts = [table, true]
+    beside = []
+    if len(evidence.obstacle_faces):
+        corners = evidence.obstacle_vertices.astype(float)
+        beside.append(Painted(corners, evidence.obstacle_faces.astype(int), OTHER_COLOUR))
     if len(evidence.faces):
         believed = Painted(
             evidence.vertices.astype(float), evidence.faces.astype(int), BELIEVED_COLOUR
         )
-        upper = shaded_image([table, believed], camera, (width, height))
+        upper = shaded_image([table, believed, *beside], camera, (width, height))
         lower = shaded_image([table, true], camera, (width, height))
         mixed = upper.astype(float) * 0.5 + lower.astype(float) * 0.5
         return mixed.astype(np.uint8)

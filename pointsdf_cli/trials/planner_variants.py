@@ -21,6 +21,7 @@ from pointsdf_cli.io.checkpoints import CONFIG, WEIGHTS, read_checkpoint
 from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_score import load_grasp_model
+from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
 from pointsdf_cli.planning.grasp_planner import (
     Answer,
@@ -32,6 +33,8 @@ from pointsdf_cli.planning.grasp_planner import (
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.partial_view import partial_mesh
 from pointsdf_cli.planning.planner import MARGIN, PlannerConfig
+from pointsdf_cli.planning.seen_obstacles import seen_obstacles
+from pointsdf_cli.planning.table_top import TableTop
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.executor import ExecutorConfig
@@ -165,13 +168,20 @@ class TrialPlanner:
         else:
             self._planner = GraspPlanner(asked, grasps)
 
-    def plan(self, view: View, truth: Callable[[], Surface], seed: int) -> Answer:
+    def plan(
+        self,
+        view: View,
+        truth: Callable[[], Surface],
+        seed: int,
+        environment: Environment | None = None,
+    ) -> Answer:
         """Plan for one camera's view of the object.
 
         Args:
             view: The segmented object.
             truth: The object's true surface in the world; only the oracle asks.
             seed: Random seed.
+            environment: From `surroundings`; the table alone if None.
         """
         field: Field | Literal["none"] | None = None
         surface: Surface | None = None
@@ -186,8 +196,13 @@ class TrialPlanner:
         except EmptyFieldError as error:
             return planner.nothing(error.what)
         if isinstance(planner, RehearsedPlanner):
-            return planner.plan_seen(perceived, seed=seed, surface=surface)
-        return planner.plan_seen(perceived, seed=seed)
+            return planner.plan_seen(perceived, environment, seed=seed, surface=surface)
+        return planner.plan_seen(perceived, environment, seed=seed)
+
+    def surroundings(self, seen: TableTop, seed: int) -> Environment:
+        """The table and everything that was seen on it beside the object, as the variant knows it:
+        reconstructions, or hulls for a variant without a network of shapes."""
+        return Environment(seen_obstacles(seen, self._planner.shape, seed=seed)[0])
 
     def believed(self, answer: Answer, points: Array) -> Surface | None:
         """The surface that the variant believed in, for pictures; points [N, 3] in the world."""

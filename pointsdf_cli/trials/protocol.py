@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +106,7 @@ class Trial:
         camera: A key of `CAMERAS`.
         variant: Planner variant.
         seed: Random seed of the whole experiment.
+        others: Objects that stand around it.
     """
 
     object: TrialObject
@@ -115,6 +116,7 @@ class Trial:
     camera: str
     variant: PlannerVariant
     seed: int
+    others: tuple[TrialObject, ...] = ()
 
     @property
     def scene_name(self) -> str:
@@ -136,10 +138,13 @@ class Trial:
         return f"{self.pair_name}_{variant}"
 
     def rng(self, of: str) -> np.random.Generator:
-        """Randomness that belongs to "pose" (object and repeat), "scene" or "view"."""
+        """Randomness that belongs to "pose" (object and repeat), "scene", its "others" and
+        where they stand ("clutter"), or "view"."""
         names = {
             "pose": f"{self.object.name} {self.repeat}",
             "scene": self.scene_name,
+            "others": self.scene_name,
+            "clutter": self.scene_name,
             "view": self.pair_name,
         }
         return np.random.default_rng([self.seed, zlib.crc32(f"{of} {names[of]}".encode())])
@@ -200,11 +205,18 @@ def make_trials(
     cameras: Sequence[str] = ("high", "low"),
     repeats: int = 1,
     seed: int = 0,
+    clutter: int = 0,
+    pool: Sequence[TrialObject] = (),
 ) -> list[Trial]:
     """All trials, pair by pair: variants of one pair follow each other.
 
+    Args:
+        objects, variants, yaws, cameras, repeats, seed: The experiment.
+        clutter: Number of other objects around each, drawn anew for each scene.
+        pool: Objects that they are drawn from; never the target itself.
+
     Raises:
-        InputError: No yaw, repeat or variant, or an unknown camera.
+        InputError: No yaw, repeat or variant, an unknown camera, or a pool that is too small.
     """
     if yaws < 1 or repeats < 1:
         where = "--yaws" if yaws < 1 else "--repeats"
@@ -221,7 +233,7 @@ def make_trials(
             where="--method, --ablation",
             allowed="each once",
         )
-    return [
+    trials = [
         Trial(item, yaw, yaws, repeat, camera, variant, seed)
         for item in objects
         for repeat in range(repeats)
@@ -229,6 +241,40 @@ def make_trials(
         for camera in cameras
         for variant in variants
     ]
+    return [replace(one, others=_others(one, clutter, pool)) for one in trials]
+
+
+def _others(trial: Trial, count: int, pool: Sequence[TrialObject]) -> tuple[TrialObject, ...]:
+    """Objects of the pool to stand around the target.
+
+    Raises:
+        InputError: There are not so many.
+    """
+    target = trial.object
+    free = [
+        one
+        for one in pool
+        if one.name != target.name and (one.mesh is None or one.mesh != target.mesh)
+    ]
+    if not 0 <= count <= len(free):
+        raise InputError(
+            f"{count}",
+            where="--clutter",
+            allowed=f"0 to {len(free)}, the number of other objects in the folder",
+        )
+    drawn = trial.rng("others").permutation(len(free))[:count]
+    return tuple(free[k] for k in drawn)
+
+
+def clutter_pool(meshes: Path | None, pattern: str = "*") -> list[TrialObject]:
+    """Every object that may stand around a target: the folder's, or the eight stand-ins.
+
+    Raises:
+        InputError: No such folder.
+    """
+    if meshes is None:
+        return [TrialObject(name) for name in STAND_INS]
+    return [TrialObject(path.stem, path) for path in find_meshes(meshes, pattern)]
 
 
 def _distinct(items: list[TrialObject]) -> list[TrialObject]:

@@ -18,7 +18,7 @@ from pointsdf_cli.trials.protocol import (
     RECONSTRUCTION,
 )
 from pointsdf_cli.trials.statistics import Share, wilson
-from pointsdf_cli.trials.summary import Summary, compare, summarise
+from pointsdf_cli.trials.summary import Summary, compare, summarise, variant_of
 from pointsdf_cli.viz import html
 
 COLOURS = {RECONSTRUCTION: "#2e7d4f", PARTIAL_VIEW: "#c0622d"}
@@ -33,6 +33,8 @@ def trial_tables(rows: Sequence[TrialRow]) -> list[Table]:
     tables += [_plans(summaries), _contacts(summaries)]
     if any(summary.ablation for summary in summaries):
         tables.append(_ablations(rows, summaries))
+    if any(row.clutter for row in rows):
+        tables.append(_clutter(rows, summaries))
     return [*tables, _objects(summaries), _causes(summaries)]
 
 
@@ -249,6 +251,24 @@ def _ablations(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
         "p against the whole method",
     )
     return "When does geometry matter? (ablations)", header, body
+
+
+def _clutter(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
+    body: list[Sequence[object]] = []
+    for s in summaries:
+        mine = [row for row in rows if variant_of(row) == s.name and row.clutter]
+        planned = [row for row in mine if row.status == "ok"]
+        body.append(
+            (
+                s.name,
+                percent(wilson(sum(row.held for row in mine), len(mine))),
+                percent(wilson(sum(not row.disturbed for row in planned), len(planned))),
+                percent(wilson(sum(row.succeeded for row in mine), len(mine))),
+                f"{1000 * max((row.largest_move for row in planned), default=0.0):.0f} mm",
+            )
+        )
+    header = ("planner", "held", "nothing else disturbed", "both", "largest move")
+    return "In clutter", header, body
 
 
 def _objects(summaries: Sequence[Summary]) -> Table:

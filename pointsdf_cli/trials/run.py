@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import functools
 import time
+from collections import OrderedDict
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from pointsdf_cli.camera.sensor_presets import load_sensor, without_ideal
-from pointsdf_cli.camera.view import View
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.hdf5 import is_complete
@@ -29,6 +26,7 @@ from pointsdf_cli.io.trials import (
     write_trial,
 )
 from pointsdf_cli.planning.contacts import link_poses
+from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
 from pointsdf_cli.planning.grasp_planner import Answer, SuccessModel
 from pointsdf_cli.planning.object_distance import ObjectDistances
@@ -42,6 +40,13 @@ from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.verdict import UNTRIED
 from pointsdf_cli.simulation.world import World
+from pointsdf_cli.trials.clutter import (
+    ClutterConfig,
+    look,
+    place_neighbours,
+    with_others,
+)
+from pointsdf_cli.trials.evidence import evidence_of
 from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
 from pointsdf_cli.trials.pictures import write_film
 from pointsdf_cli.trials.planner_variants import (
@@ -61,8 +66,7 @@ from pointsdf_cli.trials.scenes import (
 )
 
 NO_PLAN = "no_plan"
-SHOWN_POINTS = 1500
-SHOWN_FACES = 4000
+KEPT_OBJECTS = 32
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,7 @@ class TrialConfig:
 
     Attributes:
         sensor: Name in `SENSORS` of what measures the depth.
+        clutter: Distribution of other objects; None where the target stands alone.
     """
 
     variants: VariantOptions = field(default_factory=VariantOptions)
@@ -78,6 +83,7 @@ class TrialConfig:
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
     sensor: str = "ideal"
+    clutter: ClutterConfig | None = None
 
     def __post_init__(self) -> None:
         load_sensor(self.sensor)
@@ -86,6 +92,8 @@ class TrialConfig:
         """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
         plain: dict[str, Any] = without_ideal(asdict(self))
         options = plain["contenders"] = plain.pop("variants")  # key of the trials artifact
+        if plain["clutter"] is None:
+            del plain["clutter"]
         for name in ("robot", "checkpoint", "grasp_checkpoint"):
             options[name] = None if options[name] is None else str(options[name])
         return plain
@@ -127,7 +135,7 @@ class TrialRunner:
         self._observer = Observer(self.robot, CameraPlacement(sensor=config.sensor))
         self._grasps = grasps
         self._planners: dict[PlannerVariant, TrialPlanner] = {}
-        self._object: tuple[TrialObject, SimObject] | None = None
+        self._objects: OrderedDict[TrialObject, SimObject] = OrderedDict()
 
     def close(self) -> None:
         """Leave the physics client."""
@@ -141,21 +149,22 @@ class TrialRunner:
         """
         item = self._item(trial.object)
         item, T_world_object, yaw = place_object(self._world, item, trial, self.config.scene)
+        around_it = self.config.clutter or ClutterConfig()
+        others = place_neighbours(self._world, (item, T_world_object), trial, self._item, around_it)
         T_world_camera = place_camera(item, T_world_object, trial, self.config.scene)
         rng = trial.rng("view")
         vertices = apply_transform(T_world_object, item.mesh.vertices)
         truth = vertices, item.mesh.faces
         planner = self._planner(trial.variant)
         began = time.perf_counter(), time.process_time()
-        try:
-            view = self._observer.object_view(item, T_world_object, T_world_camera, rng)
-        except InputError:
-            view = View(np.zeros((0, 3)), T_world_camera)
-        answer = None
+        standing = [(item, T_world_object), *others]
+        view, seen = look(self._observer, self.robot, standing, T_world_camera, rng)
+        answer, around = None, Environment()
         if len(view.points):
             began = time.perf_counter(), time.process_time()
             seed = int(trial.rng("view").integers(2**31))
-            answer = planner.plan(view, lambda: truth, seed)
+            around = around if seen is None else planner.surroundings(seen, seed)
+            answer = planner.plan(view, lambda: truth, seed, around)
         spent = time.perf_counter() - began[0], time.process_time() - began[1]
         plan = None if answer is None else answer.plan
         executed = None
@@ -168,14 +177,26 @@ class TrialRunner:
                 plan.times,
                 self.config.execution,
                 recorder,
+                others,
             )
         row = self._row(trial, yaw, plan, answer, executed, spent, truth)
+        if others:
+            ends = [] if executed is None else [one.pose() for one in self._world.others]
+            row = with_others(row, others, ends, around_it)
         world_cloud = view.in_world
         believed = None
         if answer is not None and answer.target is not None:
             believed = planner.believed(answer, world_cloud)
-        evidence = _evidence(
-            world_cloud, T_world_camera, T_world_object, believed, plan, executed, self.robot.home
+        evidence = evidence_of(
+            world_cloud,
+            T_world_camera,
+            T_world_object,
+            believed,
+            plan,
+            executed,
+            self.robot.home,
+            [pose for _, pose in others],
+            around.obstacles,
         )
         return row, evidence
 
@@ -186,9 +207,11 @@ class TrialRunner:
         return max(0.0, -float(found.distance.min()))
 
     def _item(self, item: TrialObject) -> SimObject:
-        if self._object is None or self._object[0] != item:
-            self._object = item, load_object(item, self.config.scene)
-        return self._object[1]
+        if item not in self._objects:
+            self._objects[item] = load_object(item, self.config.scene)
+            while len(self._objects) > KEPT_OBJECTS:
+                self._objects.popitem(last=False)
+        return self._objects[item]
 
     def _planner(self, variant: PlannerVariant) -> TrialPlanner:
         if variant not in self._planners:
@@ -263,8 +286,8 @@ def run_trial_task(task: TrialTask) -> TrialRow | None:
     recorder = Recorder(rate=10.0) if task.film is not None else None
     row, evidence = runner.run(trial, recorder)
     if task.film is not None and recorder is not None and recorder.moments:
-        mesh = object_mesh(trial.object)
-        write_film(task.film, runner.robot, mesh, recorder.moments, recorder.rate)
+        meshes = [object_mesh(one) for one in (trial.object, *trial.others)]
+        write_film(task.film, runner.robot, meshes, recorder.moments, recorder.rate)
     write_trial(task.out, row, evidence, config)
     return row
 
@@ -289,6 +312,10 @@ def _options_of(task: TrialTask) -> dict[str, Any]:
     rehearsal = rehearsal_of(trial.variant, task.config.variants, task.config.execution)
     config["rehearsal"] = None if rehearsal is None else rehearsal.as_dict()
     config["mesh"] = "" if trial.object.mesh is None else file_sha256(trial.object.mesh)
+    if trial.others:
+        config["others"] = {
+            one.name: "" if one.mesh is None else file_sha256(one.mesh) for one in trial.others
+        }
     config["contenders"] |= {"robot": robot_digest(task.config.variants.robot)}
     return config
 
@@ -302,46 +329,3 @@ def read_rows(tasks: list[TrialTask]) -> list[TrialRow]:
 def _runner(config: TrialConfig) -> TrialRunner:
     """One per process: networks and the physics client are kept."""
     return TrialRunner(config)
-
-
-def _evidence(
-    cloud: Array,
-    T_world_camera: Array,
-    T_world_object: Array,
-    believed: Surface | None,
-    plan: Plan | None,
-    executed: Executed | None,
-    home: Array,
-) -> Evidence:
-    nothing = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32)
-    vertices, faces = _few_faces(*(nothing if believed is None else believed))
-    moments = [] if executed is None else executed.moments
-    planned = plan is not None and plan.status == OK
-    stride = max(1, len(cloud) // SHOWN_POINTS)
-    if moments:
-        phases = ("planned", *(m.phase for m in moments))
-        q = np.stack([plan.q if planned and plan is not None else home, *(m.q for m in moments)])
-        poses = np.stack([T_world_object, *(m.T_world_object for m in moments)])
-    else:
-        phases, q, poses = ("home",), home[None], T_world_object[None]
-    return Evidence(
-        cloud=cloud[::stride].astype(np.float32),
-        T_world_camera=T_world_camera,
-        vertices=np.asarray(vertices, dtype=np.float32),
-        faces=np.asarray(faces, dtype=np.int32),
-        phases=phases,
-        q=q,
-        T_world_object=poses,
-        trajectory=np.zeros((0, len(home))) if plan is None else plan.trajectory,
-        times=np.zeros(0) if plan is None else plan.times,
-    )
-
-
-def _few_faces(vertices: Array, faces: NDArray[np.integer]) -> tuple[Any, Any]:
-    if len(faces) <= SHOWN_FACES:
-        return vertices, faces
-    import trimesh
-
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    mesh = mesh.simplify_quadric_decimation(face_count=SHOWN_FACES)
-    return mesh.vertices, mesh.faces

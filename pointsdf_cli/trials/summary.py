@@ -22,7 +22,7 @@ class Summary:
         name: "method" or "method/ablation".
         method, ablation: Its parts.
         lifted, held, unshaken: Shares of all trials with each verdict; of none where nothing was
-            pushed.
+            pushed. `held` counts only trials in which nothing else was disturbed.
         by_camera, by_object: `held` by camera and object.
         lost_in: Count of each step in which an object was lost.
         no_plan: Share without a plan.
@@ -88,7 +88,7 @@ def compare(rows: Sequence[TrialRow], first: str, second: str) -> Comparison:
         return row.object, row.yaw_index, row.repeat, row.camera, row.seed
 
     outcomes = {
-        name: {key(row): row.held for row in rows if variant_of(row) == name}
+        name: {key(row): row.succeeded for row in rows if variant_of(row) == name}
         for name in (first, second)
     }
     shared = [k for k in outcomes[first] if k in outcomes[second]]
@@ -106,7 +106,7 @@ def _summary(name: str, rows: list[TrialRow]) -> Summary:
     depths = np.array([row.penetration for row in planned] or [0.0])
 
     def held(chosen: list[TrialRow]) -> Share:
-        return wilson(sum(row.held for row in chosen), len(chosen))
+        return wilson(sum(row.succeeded for row in chosen), len(chosen))
 
     return Summary(
         name=name,

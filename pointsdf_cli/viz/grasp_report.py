@@ -32,11 +32,13 @@ class Film:
         title: Title of the strip or film.
         mesh: The object.
         frames: Moments of it, in order.
+        beside: What else is drawn in each; nothing if empty.
     """
 
     title: str
     mesh: LoadedMesh
     frames: Sequence[Frame]
+    beside: Sequence[Sequence[Painted]] = ()
 
 
 def draw_frame(
@@ -47,11 +49,12 @@ def draw_frame(
     target: NDArray[np.float64],
     size: tuple[int, int] = (300, 260),
     oversampling: int = 2,
+    beside: Sequence[Painted] = (),
 ) -> NDArray[np.uint8]:
     """One moment [height, width, 3], seen from `eye` [3] towards `target` [3]."""
     q, pose = frame
     thing = Painted(apply_transform(pose, mesh.vertices), mesh.faces.astype(int), OBJECT_COLOUR)
-    scene = [*robot.at(q), table_mesh(), thing]
+    scene = [*robot.at(q), table_mesh(), thing, *beside]
     return shaded_image(scene, look_at(eye, target), size, 0.62, oversampling)
 
 
@@ -66,9 +69,10 @@ def film_strip(robot: RobotMeshes, film: Film) -> NDArray[np.uint8]:
 def write_gif(path: Path, robot: RobotMeshes, film: Film, rate: float) -> None:
     """An attempt as an animated GIF with `rate` frames a second."""
     eye, target = _viewpoint(robot, film)
+    beside = film.beside or [()] * len(film.frames)
     images = [
-        Image.fromarray(draw_frame(robot, film.mesh, frame, eye, target)).quantize(64)
-        for frame in film.frames
+        Image.fromarray(draw_frame(robot, film.mesh, frame, eye, target, beside=parts)).quantize(64)
+        for frame, parts in zip(film.frames, beside, strict=True)
     ]
     with atomic_path(path) as temporary:
         images[0].save(

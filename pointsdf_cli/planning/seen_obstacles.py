@@ -1,0 +1,140 @@
+"""Other things on the table as obstacles: their reconstructions, or the hulls of their seen points.
+
+A hull ends where the camera's view does; a reconstruction has a back, too. Each thing is completed
+from the view that shows it, with the evidence of that view.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterator
+from itertools import count
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import QhullError
+
+from pointsdf_cli.camera.segmentation import clusters
+from pointsdf_cli.camera.things import LOOSE
+from pointsdf_cli.camera.view import View
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.isosurface import EmptySurfaceError
+from pointsdf_cli.geometry.signed_distance import SignedDistance
+from pointsdf_cli.geometry.voxels import thin
+from pointsdf_cli.models.meshing import mesh_reconstruction
+from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.planning.cancellation import stop_if_cancelled
+from pointsdf_cli.planning.environment import Obstacle
+from pointsdf_cli.planning.scene import VOXEL, Scene, sighting
+from pointsdf_cli.planning.table_top import WIDEST, WORKSPACE, TableTop, level_width, view_of
+
+RESOLUTION = 32
+"""Cells along the network's box for an obstacle's surface: 0.2 s a thing on one core, where 64 take
+0.5 s (docs/planning.md)."""
+
+ON_TABLE = 0.02
+"""A reconstruction that begins higher than this [m] above the table lacks its hidden foot."""
+
+KEPT_OFF = 0.004
+"""Reconstructions err by a few millimetres on the unseen side, and arms lag as much: obstacles are
+larger all round by this [m]."""
+
+MISSED, FEWEST_MISSED = 0.006, 20
+"""Seen points farther than this [m] from a reconstruction are a part that it misses, if so many lie
+together, one a voxel."""
+
+Surface = tuple[Array, NDArray[np.int32]]
+"""Vertices [V, 3] m in the world and faces [F, 3]."""
+
+
+def seen_obstacles(
+    seen: TableTop,
+    network: ShapeModel | None,
+    taken: Collection[str] = (),
+    seed: int = 0,
+    cleaned: bool = True,
+) -> tuple[tuple[Obstacle, ...], float]:
+    """Everything that was seen beside the object.
+
+    Args:
+        seen: The table top.
+        network: Completes each thing; None for the hulls of the seen points.
+        taken: Names that other obstacles have.
+        seed: Random seed of the resampling of the clouds.
+        cleaned: Whether specks and outliers of a thing are dropped.
+
+    Returns:
+        The obstacles, called seen_1, seen_2, …, and how long they took [s].
+    """
+    began = time.perf_counter()
+    if network is None:
+        surfaces = hulls(seen.others)
+    else:
+        surfaces = []
+        for scene, target in seen.scenes:
+            for view in _other_views(scene, target, cleaned):
+                stop_if_cancelled()
+                surfaces += completed(network, view, seed)
+            surfaces += hulls(scene.world[scene.things.label == LOOSE])
+    names = (name for k in count(1) if (name := f"seen_{k}") not in taken)
+    made = tuple(
+        Obstacle(next(names), "mesh", (), np.eye(4), vertices, faces)
+        for vertices, faces in surfaces
+    )
+    return made, time.perf_counter() - began
+
+
+def _other_views(scene: Scene, target: int, cleaned: bool) -> Iterator[View]:
+    for thing in scene.listed:
+        if thing.label != target:
+            yield view_of(sighting(scene, thing, cleaned, is_target=False))
+
+
+def completed(network: ShapeModel, view: View, seed: int = 0) -> list[Surface]:
+    """A thing's reconstruction, and the hulls of seen parts that it misses.
+
+    What the network sees nothing solid in, what is too large for an object and what hovers is the
+    hull of its seen points, down to the table.
+    """
+    points = view.in_world
+    points = points[thin(points, VOXEL).first] if len(points) else points
+    if len(points) < FEWEST_MISSED or level_width(points) > WIDEST:
+        return hulls(points)
+    rotation, position = view.T_world_camera[:3, :3], view.T_world_camera[:3, 3]
+    shape = Reconstruction.from_cloud(
+        network, view.in_world, position, rotation, seed, view.evidence
+    )
+    try:
+        mesh = mesh_reconstruction(shape, RESOLUTION, field=lambda x: shape.sdf(x) - KEPT_OFF)
+    except EmptySurfaceError:
+        return hulls(points)
+    vertices, faces = mesh.vertices, mesh.faces
+    if vertices[:, 2].min() > ON_TABLE:
+        return hulls(np.concatenate([points, vertices]))
+    missed = points[SignedDistance(vertices, faces, threads=1)(points) > MISSED]
+    return [(vertices, faces), *hulls(missed, FEWEST_MISSED, to_table=False)]
+
+
+def hulls(points: Array, fewest: int = WORKSPACE.fewest, to_table: bool = True) -> list[Surface]:
+    """The convex hull of each cluster of points.
+
+    Args:
+        points: [N, 3], world, m; what one camera saw, or several.
+        fewest: Clusters of fewer points are noise.
+        to_table: Whether each hull reaches down to the table.
+    """
+    found: list[Surface] = []
+    if not len(points):
+        return found
+    label, counts = clusters(points, WORKSPACE.gap)
+    for k in np.flatnonzero(counts >= fewest):
+        cluster = points[label == k]
+        foot = cluster[: len(cluster) * to_table] * [1.0, 1.0, 0.0]
+        try:
+            hull = trimesh.convex.convex_hull(np.concatenate([cluster, foot]))
+        except QhullError:  # a sheet on edge, seen as a line
+            continue
+        found.append((np.asarray(hull.vertices, dtype=float), np.asarray(hull.faces, np.int32)))
+    return found

@@ -1,0 +1,274 @@
+"""Other objects around the target of a trial: where they stand, and whether they still do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull, cKDTree
+
+from pointsdf_cli.camera.depth_cloud import cloud_of_depth
+from pointsdf_cli.camera.view import View
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.box import strictly_inside
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.signed_distance import SignedDistance
+from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose
+from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.io.trials import TrialRow
+from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
+from pointsdf_cli.planning.scene import sort_scene
+from pointsdf_cli.planning.table_top import WORKSPACE, TableTop, look_at_table
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.own_points import off_robot, robot_points
+from pointsdf_cli.simulation.attempt import placed
+from pointsdf_cli.simulation.feet import on_its_foot
+from pointsdf_cli.simulation.observe import Observer
+from pointsdf_cli.simulation.settle import SettleConfig, settle
+from pointsdf_cli.simulation.sim_object import SimObject
+from pointsdf_cli.simulation.world import World
+from pointsdf_cli.trials.protocol import Trial, TrialObject
+
+Standing = tuple[SimObject, Array]
+"""An object and its T_world_object [4, 4]."""
+
+POSE_TRIES, PLACE_TRIES = 12, 2000
+OUTLINE_STEP = 0.004
+"""Outlines are compared at points so far apart [m]."""
+
+
+@dataclass(frozen=True)
+class ClutterConfig:
+    """Distribution of the other objects, and what counts as disturbing them.
+
+    Attributes:
+        gap: Range of the level distance between the target's outline and a neighbour's [m]; two
+            neighbours keep the lower one.
+        low, high: Corners of the part of the table that they stand on [m].
+        standing: Distribution of their poses.
+        settling: When they rest.
+        moved: Largest displacement [m] of the centre of mass that is no disturbance.
+        tilted: Largest tilt [rad] that is none.
+    """
+
+    gap: tuple[float, float] = (0.03, 0.12)
+    low: tuple[float, float] = (0.32, -0.5)
+    high: tuple[float, float] = (1.0, 0.5)
+    standing: StandingConfig = field(default_factory=StandingConfig)
+    settling: SettleConfig = field(default_factory=SettleConfig)
+    moved: float = 0.02
+    tilted: float = float(np.pi / 4)
+
+
+class Disturbance(NamedTuple):
+    """What became of the other objects.
+
+    Attributes:
+        disturbed: One moved or tilted by more than is allowed.
+        largest_move: Largest displacement of a centre of mass [m].
+    """
+
+    disturbed: bool
+    largest_move: float
+
+
+def place_neighbours(
+    world: World,
+    target: Standing,
+    trial: Trial,
+    load: Callable[[TrialObject], SimObject],
+    config: ClutterConfig,
+) -> list[Standing]:
+    """The neighbours of a trial, at rest: the same for all views and variants of a scene.
+
+    Raises:
+        InputError: One cannot be used, never rests, or finds no room.
+    """
+    if not trial.others:
+        return []
+    rng = trial.rng("clutter")
+    outlines = [along(level_corners(*target))]
+    found: list[Standing] = []
+    for other in trial.others:
+        item, resting = _at_rest(world, load(other), other.name, config, rng)
+        corners = level_corners(item, resting)
+        reach = config.gap[1] + float(np.linalg.norm(np.ptp(corners, axis=0))) / 2
+        low = np.maximum(config.low, outlines[0].min(axis=0) - reach)
+        high = np.minimum(config.high, outlines[0].max(axis=0) + reach)
+        for _ in range(PLACE_TRIES):
+            yaw, place = float(rng.uniform(0, 2 * np.pi)), rng.uniform(low, high)
+            mine = along(turned(corners, yaw, place))
+            to_target, *to_others = (level_gap(mine, there) for there in outlines)
+            near = config.gap[0] <= to_target <= config.gap[1]
+            if near and min(to_others, default=np.inf) >= config.gap[0]:
+                found.append((item, placed(resting, item, yaw, place)))
+                outlines.append(mine)
+                break
+        else:
+            raise InputError(
+                "there is no room beside the target", where=other.name, hint="a smaller --clutter"
+            )
+    return found
+
+
+def _at_rest(
+    world: World, item: SimObject, name: str, config: ClutterConfig, rng: np.random.Generator
+) -> Standing:
+    """The object with a foot, and T_table_object [4, 4] in a random resting pose.
+
+    Raises:
+        InputError: It never comes to rest.
+    """
+    for _ in range(POSE_TRIES):
+        pose = item.poses[draw_pose(item.poses, config.standing, rng)[0]]
+        standing = on_its_foot(item, pose)
+        resting = settle(world, standing, pose, config.settling)
+        if resting is not None:
+            return standing, resting
+    raise InputError("never comes to rest on a table", where=name)
+
+
+def level_corners(item: SimObject, T_world_object: Array) -> Array:
+    """Corners [C, 2] of the convex outline of an object seen from above, in order, m."""
+    level = apply_transform(T_world_object, item.mesh.vertices)[:, :2]
+    return level[ConvexHull(level).vertices]
+
+
+def turned(corners: Array, yaw: float, place: Array) -> Array:
+    """Corners [C, 2] turned about the vertical, the middle of their box at `place` [2], as `placed`
+    does it."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    level = corners @ np.array([[c, s], [-s, c]])
+    return level + place - (level.min(axis=0) + level.max(axis=0)) / 2
+
+
+def along(corners: Array) -> Array:
+    """Points [N, 2], `OUTLINE_STEP` apart, along the polygon of corners [C, 2]."""
+    sides = np.roll(corners, -1, axis=0) - corners
+    parts = []
+    for corner, side in zip(corners, sides, strict=True):
+        count = max(1, int(np.ceil(np.linalg.norm(side) / OUTLINE_STEP)))
+        parts.append(corner + np.arange(count)[:, None] / count * side)
+    return np.concatenate(parts)
+
+
+def level_gap(one: Array, other: Array) -> float:
+    """Distance [m] between two outlines [N, 2] and [M, 2]; 0 where they overlap."""
+    for inner, outer in ((one, other), (other, one)):
+        sides = ConvexHull(outer).equations
+        if (inner @ sides[:, :2].T + sides[:, 2] <= 0).all(axis=1).any():
+            return 0.0
+    return float(cKDTree(one).query(other)[0].min())
+
+
+def look(
+    observer: Observer,
+    robot: RobotDescription,
+    standing: Sequence[Standing],
+    T_world_camera: Array,
+    rng: np.random.Generator,
+) -> tuple[View, TableTop | None]:
+    """The target's view, without points where it is not seen, and the table top around it.
+
+    In clutter the scene is read as `rgrasp plan` reads a depth image. A target that stands alone is
+    segmented as in the collection of grasps, and no table top is returned.
+
+    Args:
+        observer: The camera.
+        robot: The robot, at home.
+        standing: The true objects, the target first.
+        T_world_camera: [4, 4].
+        rng: Random generator of the sensor's errors.
+    """
+    nothing = View(np.zeros((0, 3)), T_world_camera)
+    try:
+        if len(standing) == 1:
+            return observer.object_view(*standing[0], T_world_camera, rng), None
+        depth = observer.depth(standing, T_world_camera, rng)
+        cloud = cloud_of_depth(depth, observer.placement.camera, T_world_camera)
+        number = target_number(cloud, standing, robot)
+        if number is None:
+            return nothing, None
+        wanted = Target(number=number)
+        seen = look_at_table([cloud], ["the view"], robot, robot.home, target=wanted)
+    except (InputError, NoObjectError):
+        return nothing, None
+    return seen.views[0], seen
+
+
+def target_number(
+    cloud: Cloud, standing: Sequence[Standing], robot: RobotDescription
+) -> int | None:
+    """The target's number as `rgrasp segment` lists it; None where it is not seen.
+
+    Of the listed things it is the one that holds most of the points that the true target is
+    nearest to.
+
+    Args:
+        cloud: The camera's.
+        standing: The true objects, the target first.
+        robot: The robot, at home.
+    """
+    own = robot_points(robot, robot.home)
+    scene = sort_scene(
+        cloud, "the view", WORKSPACE, lambda world: ~off_robot(world, own), reach_of(robot)
+    )
+    label = scene.things.label
+    things = label >= 0
+    if not things.any():
+        return None
+    points = scene.world[things]
+    away = np.stack([_away(points, one) for one in standing])
+    mine = label[things][away.argmin(axis=0) == 0]
+    if not len(mine):
+        return None
+    chosen = int(np.bincount(mine).argmax())
+    return next((one.number for one in scene.listed if one.label == chosen), None)
+
+
+def _away(points: Array, standing: Standing) -> Array:
+    """Distances [N] m of points to an object's surface; inf far from its box."""
+    item, pose = standing
+    vertices = apply_transform(pose, item.mesh.vertices)
+    away = np.full(len(points), np.inf)
+    low, high = vertices.min(axis=0) - 0.05, vertices.max(axis=0) + 0.05
+    near = strictly_inside(points, low, high)
+    if near.any():
+        distance = SignedDistance(vertices, item.mesh.faces, threads=1)(points[near])
+        away[near] = np.abs(distance)
+    return away
+
+
+def disturbance(
+    before: Sequence[Standing], after: Sequence[Array], config: ClutterConfig
+) -> Disturbance:
+    """Whether the neighbours still stand where they stood.
+
+    Args:
+        before: The neighbours as they were placed.
+        after: T_world_object [4, 4] of each at the end.
+        config: What counts.
+    """
+    moves, tilts = [0.0], [0.0]
+    for (item, was), now in zip(before, after, strict=True):
+        centre = item.T_mesh_body[:3, 3]
+        shift = apply_transform(now, centre[None]) - apply_transform(was, centre[None])
+        moves.append(float(np.linalg.norm(shift)))
+        tilts.append(float(np.arccos(np.clip(was[2, :3] @ now[2, :3], -1.0, 1.0))))
+    largest = max(moves)
+    return Disturbance(largest > config.moved or max(tilts) > config.tilted, largest)
+
+
+def with_others(
+    row: TrialRow, before: Sequence[Standing], after: Sequence[Array], config: ClutterConfig
+) -> TrialRow:
+    """A trial's row with what became of the other objects; `after` is empty where nothing was
+    executed."""
+    row = replace(row, clutter=len(before))
+    if not after:
+        return row
+    found = disturbance(before, after, config)
+    return replace(row, disturbed=found.disturbed, largest_move=found.largest_move)

@@ -1,0 +1,94 @@
+"""Evidence of a trial: the arrays that its picture is drawn from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.io.plans import OK, Plan
+from pointsdf_cli.io.trials import Evidence
+from pointsdf_cli.planning.environment import Obstacle
+from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
+from pointsdf_cli.trials.execution import Executed
+from pointsdf_cli.trials.rehearsed import Surface
+
+SHOWN_POINTS = 1500
+SHOWN_FACES = 4000
+
+
+def evidence_of(
+    cloud: Array,
+    T_world_camera: Array,
+    T_world_object: Array,
+    believed: Surface | None,
+    plan: Plan | None,
+    executed: Executed | None,
+    home: Array,
+    T_world_others: Sequence[Array] = (),
+    obstacles: Sequence[Obstacle] = (),
+) -> Evidence:
+    """The evidence of one trial.
+
+    Args:
+        cloud: [N, 3], the target's seen points, world, m.
+        T_world_camera, T_world_object: [4, 4].
+        believed: The target's surface as the planner took it.
+        plan, executed: None where there are none.
+        home: [J], where the robot waits.
+        T_world_others: [4, 4] of each other object.
+        obstacles: The same objects as the planner took them.
+    """
+    nothing = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32)
+    vertices, faces = _few_faces(*(nothing if believed is None else believed))
+    moments = [] if executed is None else executed.moments
+    planned = plan is not None and plan.status == OK
+    stride = max(1, len(cloud) // SHOWN_POINTS)
+    placed = np.array(T_world_others, dtype=np.float64).reshape(-1, 4, 4)
+    if moments:
+        phases = ("planned", *(m.phase for m in moments))
+        q = np.stack([plan.q if planned and plan is not None else home, *(m.q for m in moments)])
+        poses = np.stack([T_world_object, *(m.T_world_object for m in moments)])
+        others = np.stack([placed, *(m.T_world_others for m in moments)])
+    else:
+        phases, q, poses = ("home",), home[None], T_world_object[None]
+        others = placed[None]
+    return Evidence(
+        cloud=cloud[::stride].astype(np.float32),
+        T_world_camera=T_world_camera,
+        vertices=np.asarray(vertices, dtype=np.float32),
+        faces=np.asarray(faces, dtype=np.int32),
+        phases=phases,
+        q=q,
+        T_world_object=poses,
+        trajectory=np.zeros((0, len(home))) if plan is None else plan.trajectory,
+        times=np.zeros(0) if plan is None else plan.times,
+        T_world_others=others,
+        **_joined(obstacles),
+    )
+
+
+def _joined(obstacles: Sequence[Obstacle]) -> dict[str, Any]:
+    """All obstacles as one surface."""
+    vertices, faces, start = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
+    for corners, triangles in map(obstacle_mesh, obstacles):
+        vertices.append(corners)
+        faces.append(triangles + start)
+        start += len(corners)
+    return {
+        "obstacle_vertices": np.concatenate(vertices).astype(np.float32),
+        "obstacle_faces": np.concatenate(faces).astype(np.int32),
+    }
+
+
+def _few_faces(vertices: Array, faces: NDArray[np.integer]) -> tuple[Any, Any]:
+    if len(faces) <= SHOWN_FACES:
+        return vertices, faces
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh = mesh.simplify_quadric_decimation(face_count=SHOWN_FACES)
+    return mesh.vertices, mesh.faces

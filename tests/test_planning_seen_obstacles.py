@@ -1,0 +1,83 @@
+"""Other things as obstacles: hulls of what was seen, and reconstructions, which have a back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from scenes import box, cloud, seen, table
+
+from pointsdf_cli.geometry.signed_distance import SignedDistance
+from pointsdf_cli.models.registry import load_model
+from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.object_choice import Target
+from pointsdf_cli.planning.seen_obstacles import hulls, seen_obstacles
+from pointsdf_cli.planning.table_top import TableTop, look_at_table
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.viz.shading import look_at
+
+ROBOT = load_robot()
+LOW_CAMERA = look_at((1.3, 0.0, 0.13), (0.6, 0.0, 0.07))
+FRONT, BEHIND = (0.72, 0.06), (0.52, -0.02)
+
+
+def block(centre: tuple[float, float, float], half: float) -> np.ndarray:
+    """Points 5 mm apart in a cube."""
+    axis = np.arange(-half, half + 1e-9, 0.005)
+    return np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3) + centre
+
+
+def test_a_hull_encloses_its_points_and_reaches_down_to_the_table() -> None:
+    things = np.concatenate([block((0.6, 0.2, 0.16), 0.03), block((0.6, -0.2, 0.2), 0.03)])
+    found = hulls(things)
+    assert len(found) == 2
+    inside = np.zeros(len(things), dtype=bool)
+    for vertices, faces in found:
+        assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+        distance = trimesh.proximity.signed_distance(trimesh.Trimesh(vertices, faces), things[::7])
+        inside[::7] |= distance > -1e-6
+    assert inside[::7].all()
+    (floating,) = hulls(block((0.6, 0.2, 0.16), 0.03), to_table=False)
+    assert floating[0][:, 2].min() == pytest.approx(0.13)
+
+
+def test_seen_things_take_no_name_that_an_obstacle_has() -> None:
+    top = TableTop((), block((0.6, 0.0, 0.05), 0.03), (), 0.0)
+    (one,), _ = seen_obstacles(top, None)
+    assert one.name == "seen_1"
+    (other,), _ = seen_obstacles(top, None, ["seen_1", "post"])
+    assert other.name == "seen_2"
+    assert Environment((one, other)).obstacles == (one, other)
+
+
+@pytest.fixture(scope="module")
+def two_boxes() -> TableTop:
+    """A box that is seen whole, and one of 8 × 10 × 14 cm whose front alone is seen: the camera
+    stands lower than its top, and the first box hides a part."""
+    things = (table(), box((0.05, 0.06, 0.1), FRONT), box((0.08, 0.1, 0.14), BEHIND))
+    view = cloud(seen(*things, pose=LOW_CAMERA, noise=0.0), LOW_CAMERA)
+    in_front = Target(place=np.array([*FRONT, 0.05]))
+    return look_at_table([view], ["view"], ROBOT, ROBOT.home, target=in_front)
+
+
+HIDDEN = np.array([[*BEHIND, 0.07], [BEHIND[0] - 0.03, BEHIND[1], 0.07], [*BEHIND, 0.02]])
+"""Places in the second box: its middle, 1 cm before its back, and near the table."""
+
+
+def test_a_reconstructed_obstacle_holds_what_the_camera_cannot_see(two_boxes: TableTop) -> None:
+    hull, _ = seen_obstacles(two_boxes, None)
+    assert not holds(hull, HIDDEN).any()
+    whole, seconds = seen_obstacles(two_boxes, load_model(None, "cpu"))
+    assert holds(whole, HIDDEN).all()
+    assert seconds > 0
+    # The box in front is the object, and no obstacle; nor is the space between the two.
+    free = np.array([[*FRONT, 0.05], [0.62, 0.02, 0.05], [BEHIND[0], BEHIND[1] + 0.12, 0.05]])
+    assert not holds(whole, free).any()
+
+
+def holds(obstacles: tuple[Obstacle, ...], points: np.ndarray) -> np.ndarray:
+    """Mask of the points [N, 3] that lie in an obstacle."""
+    inside = np.zeros(len(points), dtype=bool)
+    for one in obstacles:
+        inside |= SignedDistance(one.vertices, one.faces)(points) < 0
+    return inside

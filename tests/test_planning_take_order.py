@@ -1,0 +1,51 @@
+"""Which thing can be taken first: one that is in reach and has free space around it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import POSE, box, cloud, seen, table
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning.object_choice import Target
+from pointsdf_cli.planning.scene import sort_scene
+from pointsdf_cli.planning.scene_input import parse_target
+from pointsdf_cli.planning.table_top import WORKSPACE, look_at_table
+from pointsdf_cli.planning.take_order import HAND_ROOM, free_share, take_order
+from pointsdf_cli.robot.description import load_robot
+
+POST = np.stack([np.zeros(10), np.zeros(10), np.linspace(0.0, 0.1, 10)], axis=1)
+
+
+def test_free_directions_are_those_without_a_neighbour() -> None:
+    # A wall 6 cm away from x = 0 on, from y = -6 to 6 cm: a quarter of all directions.
+    y = np.linspace(-0.0599, 0.0599, 400)
+    wall = np.stack([np.full(400, 0.06), y, np.full(400, 0.05)], axis=1)
+    assert free_share(POST, wall) == pytest.approx(0.75)
+    assert free_share(POST, np.concatenate([wall, -wall])) == pytest.approx(0.5)
+    assert free_share(POST, wall * [(HAND_ROOM + 0.01) / 0.06, 1, 1]) == 1.0
+    assert free_share(POST, np.zeros((0, 3))) == 1.0
+
+
+def test_what_stands_free_goes_before_what_is_enclosed_and_what_is_far() -> None:
+    enclosed, free, far = (0.6, -0.2), (0.6, 0.2), (0.3, 0.05)
+    beside = [box((0.05, 0.05, 0.08), (0.6 + x, -0.2 + y)) for x, y in ((0, 0.1), (0, -0.1))]
+    things = [box((0.06, 0.06, 0.12), place) for place in (enclosed, free, far)]
+    scene = sort_scene(cloud(seen(table(), *things, *beside)), "view", WORKSPACE)
+    turns = take_order(scene, reach=(0.5, 0.8))
+    assert len(turns) == 5
+    first, last = turns[0], turns[-1]
+    np.testing.assert_allclose(first.thing.centre[:2], free, atol=0.03)
+    assert first.free == 1.0
+    np.testing.assert_allclose(last.thing.centre[:2], far, atol=0.03)
+    assert not last.reached
+    middle = next(turn for turn in turns if np.allclose(turn.thing.centre[:2], enclosed, atol=0.03))
+    assert middle.free < 0.8
+
+
+def test_any_is_a_target_of_plans_only() -> None:
+    assert parse_target("any") == Target(any=True)
+    robot = load_robot()
+    view = cloud(seen(table(), box((0.06, 0.06, 0.12), (0.6, 0.0))), POSE)
+    with pytest.raises(InputError, match="where one object is needed"):
+        look_at_table([view], ["view"], robot, robot.home, target=Target(any=True))
