@@ -27,8 +27,8 @@ from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.models.registry import load_model
+from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed, given_constraint, unseen_support
 from pointsdf_cli.planning.environment import Environment
