@@ -27,6 +27,9 @@ TORCH_LEAVES = (
 TORCH = "2.13."
 """Version of torch whose imports are known to do without; others load whole."""
 
+COMPILER = "torch._dynamo"
+"""Loaded by optimisers, and written for a torch that was imported whole."""
+
 _LOOKED_FOR = ("__path__", "__file__", "__cached__", "__warningregistry__")
 """Attributes that imports and warnings look for in any module."""
 
@@ -49,6 +52,8 @@ class _Finder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
+        if fullname == COMPILER:
+            _load(TORCH_LEAVES)
         if fullname not in self._names:
             return None
         spec = PathFinder.find_spec(fullname, path)
@@ -76,14 +81,28 @@ class _Deferred(ModuleType):
         if name in _LOOKED_FOR:
             raise lacks
         with _loading:
-            spec = self.__spec__
-            if spec is not None and isinstance(spec.loader, _Later):
-                self.__loader__ = spec.loader = spec.loader.loader
-                spec.loader.exec_module(self)
-                object.__setattr__(self, "__class__", ModuleType)
-            elif type(self) is _Deferred:  # asked for by what it imports while it runs
-                raise lacks
+            if not self._run() and type(self) is _Deferred:
+                raise lacks  # asked for by what it imports while it runs
         return getattr(self, name)
+
+    def _run(self) -> bool:
+        """Run the module's code unless that was begun; whether it was run now."""
+        spec = self.__spec__
+        if spec is None or not isinstance(spec.loader, _Later):
+            return False
+        self.__loader__ = spec.loader = spec.loader.loader
+        spec.loader.exec_module(self)
+        object.__setattr__(self, "__class__", ModuleType)
+        return True
+
+
+def _load(names: Iterable[str]) -> None:
+    """Run what was deferred of these modules."""
+    with _loading:
+        for name in names:
+            module = sys.modules.get(name)
+            if isinstance(module, _Deferred):
+                module._run()
 
 
 def _torch_version() -> str:

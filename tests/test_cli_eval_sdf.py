@@ -205,6 +205,9 @@ def test_hull_is_closed_and_outward() -> None:
                                      ("eval-gs", "--grasps", "g")])  # fmt: skip
 def test_a_table_takes_no_name_of_what_goes_beside_it(command: tuple, tmp_path: Path) -> None:
     out = tmp_path / "table.png"
+    for folder in "vmg":
+        (tmp_path / folder).mkdir()
+    command = tuple(str(tmp_path / word) if len(word) == 1 else word for word in command)
     result = run_cli(*command, "--checkpoint", tmp_path, "--out", out)
     assert result.code == 2
     assert "goes beside the table" in result.err

@@ -67,3 +67,18 @@ def test_libraries_load_without_what_is_deferred_and_have_it_when_asked(tmp_path
     whole = [] if told[0] == "" else told[0].split()
     assert set(whole) <= set(TORCH_LEAVES)  # another version of torch loads whole
     assert told[1:] == ["3 7.0", "0.5", "4 export", "(2, 3)"]
+
+
+def test_what_optimisers_load_finds_all_of_torch(tmp_path: Path) -> None:
+    told = run(
+        "from pointsdf_cli.deferred import defer_unused\n"
+        "defer_unused()\n"
+        "import torch\n"
+        "weight = torch.nn.Parameter(torch.ones(1))\n"
+        "step = torch.optim.AdamW([weight], lr=0.5, weight_decay=0.0)\n"
+        "weight.sum().backward()\n"
+        "step.step()\n"
+        "print(round(weight.item(), 3))\n",
+        tmp_path,
+    )
+    assert told == ["0.5"]

@@ -588,7 +588,7 @@ def test_the_command_trains_stops_and_resumes(cli, artifacts: Path, tmp_path: Pa
     assert other.code == 2
     assert "is a pointsdf-ray" in other.err
     for wrong, told in (
-        (["--views", tmp_path / "none"], "not a folder"),
+        (["--views", tmp_path / "none"], "no such folder"),
         (["--model", "resnet"], "pointsdf-ray"),
         (["--views-per-object", "many"], "FOLDER=N"),
         (["--held-out", "2"], "between 0 and 1"),

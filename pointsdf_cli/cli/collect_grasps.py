@@ -28,7 +28,7 @@ def collect_grasps(
         int, typer.Option(help="Total number of executed grasps; a fifth are of held-out objects.")
     ] = 9111,
     robot: common.Robot = None,
-    sensor: common.Sensor = "ideal",
+    sensor: common.Sensor = "structured-light",
     shake: Annotated[
         float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
     ] = 0.0,

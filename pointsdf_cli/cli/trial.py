@@ -72,7 +72,7 @@ def trial(
     robot: Annotated[
         Path | None, typer.Option(help="Robot YAML.", show_default="LBR4 + Allegro")
     ] = None,
-    sensor: common.Sensor = "ideal",
+    sensor: common.Sensor = "structured-light",
     clutter: Annotated[
         int,
         typer.Option(

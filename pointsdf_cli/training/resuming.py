@@ -45,7 +45,7 @@ def sense_of_state(where: Path | str | None = None) -> Iterator[None]:
 def progress_of(
     state: Mapping[str, Any], counted: str, judged_by: str
 ) -> tuple[int, float, list[dict[str, float]]]:
-    """How far a run came: steps or epochs, seconds, and one entry a validation.
+    """Steps or epochs done, seconds spent, and one entry a validation.
 
     Args:
         state: The state.
@@ -53,7 +53,7 @@ def progress_of(
         judged_by: Name of the number in each entry by which the best is chosen.
 
     Raises:
-        TypeError, ValueError, KeyError: Of another kind, negative or not finite.
+        TypeError, ValueError, KeyError: A value is missing, of another kind, negative or not finite.
     """
     count, seconds, history = state[counted], state["seconds"], list(state["history"])
     if not isinstance(count, int) or count < 0:

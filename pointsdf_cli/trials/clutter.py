@@ -64,7 +64,7 @@ class ClutterConfig:
 
 
 class Disturbance(NamedTuple):
-    """What became of the other objects.
+    """Movement of the other objects.
 
     Attributes:
         disturbed: One moved or tilted by more than is allowed.
@@ -250,7 +250,7 @@ def disturbance(
     Args:
         before: The neighbours as they were placed.
         after: T_world_object [4, 4] of each at the end.
-        config: What counts.
+        config: Limits of movement and tilt.
     """
     moves, tilts = [0.0], [0.0]
     for (item, was), now in zip(before, after, strict=True):

@@ -32,7 +32,7 @@ class Film:
         title: Title of the strip or film.
         mesh: The object.
         frames: Moments of it, in order.
-        beside: What else is drawn in each; nothing if empty.
+        beside: Further bodies drawn in each; may be empty.
     """
 
     title: str

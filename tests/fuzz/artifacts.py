@@ -69,7 +69,7 @@ def _plan(path: Path) -> object:
 
 
 def _trial(path: Path) -> object:
-    is_complete(path, schema="trial", version=1, config=_options(path))
+    is_complete(path, schema="trial", version=2, config=_options(path))
     row, evidence = read_trial(path)
     return _shown(path), caption(row), evidence.T_world_object[-1] @ np.eye(4)
 
