@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
 from pointsdf_cli.io.depth_images import read_mask
 from pointsdf_cli.planning.object_view import bare_view, segmented_view
@@ -216,7 +217,11 @@ def test_a_viewpoint_that_contradicts_the_points_is_not_used(tmp_path: Path) -> 
 def test_a_mask_may_be_an_image_of_labels_or_of_colours(tmp_path: Path) -> None:
     labels = np.array([[0, 1], [2, 2]], np.uint8)
     Image.fromarray(labels).save(tmp_path / "l.png")
-    assert read_mask(str(tmp_path / "l.png")).tolist() == [[False, True], [True, True]]
+    with pytest.raises(InputError, match="2 numbers besides 0: 1, 2") as refused:
+        read_mask(str(tmp_path / "l.png"))
+    assert "l.png:1" in str(refused.value.hint)
+    Image.fromarray(np.array([[0, 90], [255, 255]], np.uint8)).save(tmp_path / "soft.png")
+    assert read_mask(str(tmp_path / "soft.png")).tolist() == [[False, True], [True, True]]
     assert read_mask(f"{tmp_path / 'l.png'}:2").tolist() == [[False, False], [True, True]]
     colours = np.zeros((2, 2, 4), np.uint8)
     colours[0, 0] = (0, 0, 9, 255)

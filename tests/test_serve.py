@@ -138,7 +138,7 @@ def test_a_mesh_is_closed_and_where_the_cloud_is(server: Server) -> None:
         ({"clouds": []}, "clouds"),
         ({"clouds": [{"points": [[1, 2]]}]}, "[N, 3]"),
         ({"clouds": [{"points": "many"}]}, "not numbers"),
-        ({"clouds": [{"points": [[0, 0, 1]] * 9}]}, "nothing says where the camera stood"),
+        ({"clouds": [{"points": [[0, 0, 1]] * 9}]}, "the camera's pose is not known"),
         ({"clouds": [{"points": [[0, 0, 1]], "pose": 3}]}, "pose"),
         ({**cloud_body(MUG), "method": "guess"}, "reconstruction, partial-view"),
         ({**cloud_body(MUG), "margin": -1}, "--margin"),

@@ -89,9 +89,20 @@ def _nothing_seen(depth: NDArray[np.float64], nearest: float, farthest: float) -
     return InputError(
         f"no depth between {nearest:g} and {farthest:g} m (there is {found})",
         allowed="depths of a table-top scene",
-        hint="check --depth-scale: 0.001 if the numbers are millimetres, 0.00025 for a "
-        "RealSense L515, 1 for metres",
+        hint=_scale_hint(seen, nearest, farthest),
     )
+
+
+def _scale_hint(seen: NDArray[np.float64], nearest: float, farthest: float) -> str:
+    """What to type for --depth-scale, from measured depths [N] that are out of range, m."""
+    for factor in (0.1, 0.25, 10.0, 0.001, 1000.0):
+        low, high = factor * seen.min(), factor * seen.max()
+        if nearest <= low and high <= farthest:
+            return (
+                f"multiply --depth-scale (0.001 by default for whole numbers) by {factor:g}: the "
+                f"depths are then {low:.2g} to {high:.2g} m"
+            )
+    return "check --depth-scale: 0.001 if the numbers are millimetres, 1 for metres"
 
 
 def _off_centre(camera: Camera) -> tuple[str, ...]:

@@ -103,9 +103,9 @@ class Cloud:
             points = apply_transform(invert_transform(T_frame_camera), self.points)
         else:
             raise InputError(
-                f"the cloud is in frame {self.frame!r}, and nothing says where the camera stood",
-                allowed="a header comment `T_world_camera` with 16 numbers, row by row",
-                hint="add --camera-pose X,Y,Z,QW,QX,QY,QZ",
+                f"the cloud is in frame {self.frame!r}, and the camera's pose in it is not known",
+                allowed="--camera-pose, or `T_world_camera` in a PLY header",
+                hint="add --camera-pose T.json, or --frame camera if it is in the camera's frame",
             )
         behind = np.count_nonzero(points[:, 2] <= 0)
         if behind and behind == np.count_nonzero(~self.points.any(axis=1)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,10 @@ def read_colour(path: Path | str) -> NDArray[np.uint8]:
             raise InputError("is damaged or cut short", where=path) from error
 
 
+LABELS = 64
+"""An image of at most so many numbers is one of labels; one of more is a mask with soft edges."""
+
+
 def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.bool_]:
     """A mask bool [height, width]: where an image is not 0, or has one number.
 
@@ -77,7 +82,7 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
         shape: [height, width] that it must have; any if None.
 
     Raises:
-        InputError: No such image, another size, or nothing in it.
+        InputError: No such image, another size, nothing in it, or the numbers of several objects.
     """
     path, number = Path(text), None
     before, colon, after = text.rpartition(":")
@@ -105,6 +110,8 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
             allowed="a mask of the depth image's size",
             hint="resize it with nearest-neighbour sampling",
         )
+    if number is None:
+        _require_one_object(values, path)
     mask = values != 0 if number is None else values == number
     if not mask.any():
         there = ", ".join(f"{value:g}" for value in np.unique(values)[:20])
@@ -116,6 +123,23 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
             else f"numbers in it: {there}",
         )
     return np.asarray(mask)
+
+
+def _require_one_object(values: NDArray[Any], path: Path) -> None:
+    """Refuse an image of labels of which none is named.
+
+    Raises:
+        InputError: It holds the numbers of several objects.
+    """
+    numbers = np.unique(values[values != 0])
+    # 255 is the foreground of masks, whose edges may have other numbers.
+    if 1 < len(numbers) <= LABELS and numbers[-1] != 255:
+        raise InputError(
+            f"holds {len(numbers)} numbers besides 0: {', '.join(f'{n:g}' for n in numbers[:12])}",
+            where=path,
+            allowed="a mask of one object",
+            hint=f"name the object's number: --mask {path}:{numbers[0]:g}",
+        )
 
 
 def _image(path: Path) -> NDArray:

@@ -127,6 +127,8 @@ def numbers_in(text: str, where: str, allowed: str) -> NDArray[np.float64]:
         # Unlike Path's, it takes 16 numbers that are too long for a name. A pipe is no number.
         if os.path.exists(text):
             numbers = _of_file(path)
+        elif path.suffix and any(letter.isalpha() for letter in path.suffix):
+            raise InputError("no such file", where=f"{where} {text[:200]}", allowed=allowed)
         else:
             numbers = _of_text(text)
     except (ValueError, TypeError, OverflowError, OSError) as error:

@@ -8,6 +8,22 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
 
 
+def require_pose(cloud: Cloud, name: str) -> None:
+    """Refuse a cloud whose camera pose is not known.
+
+    Raises:
+        InputError: It is not.
+    """
+    if cloud.T_world_camera is None:
+        raise InputError(
+            "the camera's pose is not known",
+            where=name,
+            allowed="--camera-pose (the camera in the world), or `T_world_camera` in a PLY header",
+            hint="add --camera-pose T.json (`rgrasp calibrate` makes one); to try it out on the "
+            "table that is seen: --camera-pose table",
+        )
+
+
 def check_scene_inputs(clouds: Sequence[Cloud], names: Sequence[str], segment: str) -> None:
     """Refuse clouds that no grasp can be planned from.
 
@@ -20,12 +36,6 @@ def check_scene_inputs(clouds: Sequence[Cloud], names: Sequence[str], segment: s
         InputError: A cloud without a pose, or in another unit than metres, or of too few points.
     """
     for cloud, name in zip(clouds, names, strict=True):
-        if cloud.T_world_camera is None:
-            raise InputError(
-                "nothing says where the camera stood",
-                where=name,
-                allowed="a header comment `T_world_camera` with 16 numbers, row by row",
-                hint="add --camera-pose X,Y,Z,QW,QX,QY,QZ, or --camera-pose table to try it out",
-            )
+        require_pose(cloud, name)
         check = check_object_cloud if segment == "none" else check_scene_cloud
         check(cloud, name)

@@ -10,10 +10,11 @@ import numpy as np
 from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.io.clouds import check_scene_cloud
 from pointsdf_cli.io.depth_images import read_colour
+from pointsdf_cli.planning.cloud_checks import require_pose
 from pointsdf_cli.planning.object_choice import NoObjectError, Thing, reach_of
 from pointsdf_cli.planning.scene import Scene, sort_scene
 from pointsdf_cli.planning.scene_input import read_scene
-from pointsdf_cli.planning.table_top import chosen_thing, require_pose, workspace_of
+from pointsdf_cli.planning.table_top import chosen_thing, workspace_of
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 from pointsdf_cli.viz.segment_picture import segment_picture

@@ -15,6 +15,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.plans import OK, Plan
+from pointsdf_cli.planning.cloud_checks import require_pose
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.grasp_planner import Answer, GraspPlanner, PlanOptions
 from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
@@ -27,7 +28,6 @@ from pointsdf_cli.planning.table_top import (
     WORKSPACE,
     TableTop,
     look_at_table,
-    require_pose,
     workspace_of,
 )
 from pointsdf_cli.planning.take_order import Turn, take_order

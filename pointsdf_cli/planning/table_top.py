@@ -22,6 +22,7 @@ from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
+from pointsdf_cli.planning.cloud_checks import require_pose
 from pointsdf_cli.planning.object_choice import NoObjectError, Target, Thing, choose, reach_of
 from pointsdf_cli.planning.scene import VOXEL, Scene, Sighting, describe, sighting, sort_scene
 from pointsdf_cli.robot.description import RobotDescription
@@ -200,22 +201,6 @@ def _check_options(segment: str, target: object, workspace: SegmentationConfig) 
         raise InputError("--target without --segment auto", hint="leave one of the two out")
     if segment == "none" and workspace is not WORKSPACE:
         raise InputError("--workspace without --segment auto", hint="leave one of the two out")
-
-
-def require_pose(cloud: Cloud, name: str) -> None:
-    """Refuse a cloud without a known camera pose.
-
-    Raises:
-        InputError: It is not.
-    """
-    if cloud.T_world_camera is None:
-        raise InputError(
-            "nothing says where the camera stood",
-            where=name,
-            allowed="a header comment `T_world_camera` with 16 numbers, row by row",
-            hint="add --camera-pose X,Y,Z,QW,QX,QY,QZ, or --camera-pose table to try it out on "
-            "the table that is seen",
-        )
 
 
 def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) -> TableTop:

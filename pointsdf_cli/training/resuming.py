@@ -53,7 +53,7 @@ def progress_of(
         judged_by: Name of the number in each entry by which the best is chosen.
 
     Raises:
-        TypeError, ValueError, KeyError: A value is missing, of another kind, negative or not finite.
+        TypeError, ValueError, KeyError: A value is missing, of another kind or not finite.
     """
     count, seconds, history = state[counted], state["seconds"], list(state["history"])
     if not isinstance(count, int) or count < 0:
