@@ -223,11 +223,12 @@ def _mesh_one(
         reporter.say(f"{cloud}: wide for one object; of a whole table, add --segment auto")
 
     # Seconds of imports: only for a cloud that can be used.
-    from pointsdf_cli.models.registry import load_model, use_threads
+    from pointsdf_cli.models.registry import completion_checkpoint, load_model, use_threads
     from pointsdf_cli.planning.complete_mesh import complete_mesh
 
     use_threads(threads or idle.count())
-    model = load_model(settings.checkpoint, common.torch_device(settings.device))
+    weights = settings.checkpoint or completion_checkpoint()
+    model = load_model(weights, common.torch_device(settings.device))
     completed = complete_mesh(model, seen, choices, str(cloud))
     made, seconds = completed.mesh, completed.seconds
     vertices = apply_transform(T_frame_camera, made.vertices) / UNITS[unit]

@@ -28,6 +28,14 @@ def default_checkpoint() -> Path:
     return asset_path("weights/pointsdf_ray")
 
 
+def completion_checkpoint() -> Path:
+    """The bundled reconstruction network for meshes, which learned from sensors and masks that err.
+
+    Grasps are planned with `default_checkpoint`: the success network learned from its fields.
+    """
+    return asset_path("weights/pointsdf_real")
+
+
 def build_model(
     architecture: str, arguments: Mapping[str, Any] | None = None, seed: int = 0
 ) -> ShapeModel:
