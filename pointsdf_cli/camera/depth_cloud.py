@@ -94,7 +94,7 @@ def _nothing_seen(depth: NDArray[np.float64], nearest: float, farthest: float) -
 
 
 def _scale_hint(seen: NDArray[np.float64], nearest: float, farthest: float) -> str:
-    """What to type for --depth-scale, from measured depths [N] that are out of range, m."""
+    """Hint about --depth-scale for measured depths [N] out of range, m."""
     for factor in (0.1, 0.25, 10.0, 0.001, 1000.0):
         low, high = factor * seen.min(), factor * seen.max()
         if nearest <= low and high <= farthest:
