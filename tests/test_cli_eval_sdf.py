@@ -12,6 +12,7 @@ import pytest
 from conftest import run_cli
 from test_cli_mesh import constant_network
 
+from pointsdf_cli.assets import asset_path
 from pointsdf_cli.geometry.metrics import Score
 from pointsdf_cli.training.evaluate_sdf import (
     PARTIAL_HULL,
@@ -201,14 +202,20 @@ def test_hull_is_closed_and_outward() -> None:
     assert convex_hull(cube * [1, 1, 0]) is None
 
 
-@pytest.mark.parametrize("command", [("eval-sdf", "--views", "v", "--meshes", "m"),
-                                     ("eval-gs", "--grasps", "g")])  # fmt: skip
-def test_a_table_takes_no_name_of_what_goes_beside_it(command: tuple, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("command", "weights"),
+    [(("eval-sdf", "--views", "v", "--meshes", "m"), "pointsdf"),
+     (("eval-gs", "--grasps", "g"), "grasp_geometry")],
+)  # fmt: skip
+def test_a_table_takes_no_name_of_what_goes_beside_it(
+    command: tuple, weights: str, tmp_path: Path
+) -> None:
     out = tmp_path / "table.png"
     for folder in "vmg":
         (tmp_path / folder).mkdir()
     command = tuple(str(tmp_path / word) if len(word) == 1 else word for word in command)
-    result = run_cli(*command, "--checkpoint", tmp_path, "--out", out)
+    checkpoint = asset_path(f"weights/{weights}")
+    result = run_cli(*command, "--checkpoint", checkpoint, "--out", out)
     assert result.code == 2
     assert "goes beside the table" in result.err
     assert not out.exists()

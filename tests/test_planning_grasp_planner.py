@@ -174,21 +174,21 @@ def test_the_hand_keeps_off_what_was_seen_where_the_network_saw_nothing(
     planner: GraspPlanner,
 ) -> None:
     # A wire that stands out of the can: far too thin for a reconstruction.
-    wire = np.array(CAN) + np.column_stack([np.zeros((8, 2)), HEIGHT / 2 + 0.004 * np.arange(8)])
+    wire = np.array(CAN) + np.column_stack([np.zeros((3, 2)), HEIGHT / 2 + 0.01 * np.arange(3)])
     T = VIEW.T_world_camera
     seen = np.concatenate([VIEW.points, (wire - T[:3, 3]) @ T[:3, :3]])
     perceived = planner.see([View(seen, T)])
     beside = wire[-1:] + [0.0, 0.01, 0.0]
-    assert ReconstructionField(perceived.reconstruction)(beside)[0] > 0.0105
+    assert ReconstructionField(perceived.reconstruction)(beside)[0] > 0.012
     for field in (perceived.target.field, perceived.target.kept):
         value = field.with_gradient(beside)[0]
-        assert value[0] < 0.0101
+        assert value[0] < 0.012
         np.testing.assert_allclose(field(beside), value)
     np.testing.assert_allclose(
         perceived.target.field.with_gradient(beside)[1], [[0, 1, 0]], atol=1e-6
     )
     assert isinstance(perceived.target.score, CanGrasps)
-    assert perceived.target.score.field(beside)[0] > 0.0105
+    assert perceived.target.score.field(beside)[0] > 0.012
 
 
 def test_the_mean_has_the_mean_gradient() -> None:

@@ -52,7 +52,7 @@ COMMANDS = {
     ],
     "cloud": [
         "cloud", CAPTURE / "depth.png", "--intrinsics", CAPTURE / "K.json",
-        "--out", "OUT/cloud.ply",
+        "--depth-scale", 0.0001, "--out", "OUT/cloud.ply",
     ],
     "trial": [
         "trial", "--meshes", "@meshes", "--pattern", "box*", "--out", "OUT", "--yaws", 1,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +128,7 @@ def numbers_in(text: str, where: str, allowed: str) -> NDArray[np.float64]:
         # Unlike Path's, it takes 16 numbers that are too long for a name. A pipe is no number.
         if os.path.exists(text):
             numbers = _of_file(path)
-        elif path.suffix and any(letter.isalpha() for letter in path.suffix):
+        elif re.fullmatch(r"[^,\s]*\.[A-Za-z]+", text):
             raise InputError("no such file", where=f"{where} {text[:200]}", allowed=allowed)
         else:
             numbers = _of_text(text)
