@@ -166,3 +166,25 @@ def test_a_lower_support_plane_is_lower_by_as_much() -> None:
     cloud = torch.tensor([[[0.0, 0.0, 0.0], [0.0, 0.3, 0.0]]])
     first = down._replace(**{name: value[:1] for name, value in down._asdict().items()})
     assert plane_evidence(x, cloud, first)[0, 0, 0].item() == pytest.approx(0.4)
+
+
+def test_dense_images_give_the_cells_that_a_search_of_every_pixel_gives(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Thinning to one pixel a bin moves the silhouette by no more than a few cells' worth."""
+    fine = PITCH / 4
+    angle = np.arange(-0.15, 0.15, fine)
+    x, y = np.meshgrid(angle, angle)
+    tangents = np.stack([x.ravel(), y.ravel()], axis=1)
+    inside = np.hypot(*tangents.T) < 0.05
+    depth = np.where(inside, 1.0, 2.0)
+    points = np.column_stack([tangents * depth[:, None], depth])
+    thinned = visibility_image(points[inside], points[~inside], pitch=fine)
+    monkeypatch.setattr(
+        "pointsdf_cli.geometry.visibility._nearest_of_each_bin",
+        lambda places, side: np.arange(len(places)),
+    )
+    exact = visibility_image(points[inside], points[~inside], pitch=fine)
+    assert thinned.seen.sum() > 500
+    assert (thinned.seen != exact.seen).sum() <= 8
+    assert (thinned.free != exact.free).sum() <= 8

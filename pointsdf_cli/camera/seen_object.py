@@ -43,7 +43,7 @@ class SegmentationErrors:
     """
 
     masked: float = 0.45
-    offset: tuple[float, float] = (-4.0, 2.0)
+    offset: tuple[float, float] = (-3.0, 1.5)
     sensor_focal: float = 570.0
     uneven: float = 0.4
     ragged: float = 0.5

@@ -184,7 +184,7 @@ def _compose(
     rays = np.ones((*depth.shape, 3))
     rays[..., 0] = (columns - camera.cx) / camera.fx
     rays[..., 1] = ((rows - camera.cy) / camera.fy)[:, None]
-    length = np.linalg.norm(rays, axis=-1)
+    length = _length(rays)
 
     plane = None
     if T_camera_table is not None:
@@ -194,9 +194,7 @@ def _compose(
         with np.errstate(divide="ignore"):
             table = np.where(down < -1e-6, plane[3] / down, np.inf)
         foot = T_camera_object[:3, 3] - (normal @ T_camera_object[:3, 3] - plane[3]) * normal
-        away = np.linalg.norm(
-            rays * np.where(np.isfinite(table), table, 0)[..., None] - foot, axis=-1
-        )
+        away = _length(rays * np.where(np.isfinite(table), table, 0)[..., None] - foot)
         radius = rng.uniform(*config.table_radius)
         table = np.where((table > 0) & (away < radius), table, np.inf)
         _put(depth, cosine, label, table, np.abs(down) / length, TABLE)
@@ -211,6 +209,12 @@ def _compose(
         _put(depth, cosine, label, np.full(depth.shape, behind), 1.0 / length, OTHER)
     window = DepthWindow(alone.origin, depth, cosine)
     return Scene(window, label, object_alone, T_camera_object, plane)
+
+
+def _length(vectors: Array) -> Array:
+    """Lengths [...] of vectors [..., 3]: faster than a norm along a short axis."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.sqrt(x * x + y * y + z * z)
 
 
 def _put(

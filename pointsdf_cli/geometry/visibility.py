@@ -32,6 +32,10 @@ still lies inside."""
 REACH = 1.5
 """Largest distance, in cells or pixels, to the pixel whose evidence a cell takes over."""
 
+BINS = 3
+"""Bins along each side of a cell; of the pixels in a bin the one nearest to its centre is looked
+at."""
+
 PLANE_BAND = 0.006
 """Points nearer to the support plane than this [m] belong to it."""
 
@@ -90,7 +94,8 @@ def visibility_image(
 
     other_points = other_points[other_points[:, 2] > 0]
     others = other_points[:, :2] / other_points[:, 2:]
-    near = (np.abs(others - (low + high) / 2.0) < 0.6 * side).all(axis=1)
+    away = np.abs(others - (low + high) / 2.0) < 0.6 * side
+    near = away[:, 0] & away[:, 1]
     other_points, others = other_points[near], others[near]
     until = other_points[:, 2].copy()
     if support_plane is not None:
@@ -101,8 +106,11 @@ def visibility_image(
     cell = side / SIZE
     centres = (np.arange(SIZE) + 0.5) * cell
     x, y = np.meshgrid(window[0] + centres, window[1] + centres)
-    tree = cKDTree(np.concatenate([tangents, others]))
-    away, index = tree.query(np.stack([x.ravel(), y.ravel()], axis=1))
+    every = np.concatenate([tangents, others])
+    some = _nearest_of_each_bin(every, cell / BINS)
+    tree = cKDTree(every[some], compact_nodes=False, balanced_tree=False)
+    away, nearest = tree.query(np.stack([x.ravel(), y.ravel()], axis=1))
+    index = some[nearest]
     index[away > REACH * max(cell, pitch)] = -1
     seen = (index >= 0) & (index < len(tangents))
     # The last entry is that of cells that know nothing.
@@ -111,6 +119,22 @@ def visibility_image(
     return VisibilityImage(
         window, seen.reshape(shape), depth[index].astype(np.float32).reshape(shape)
     )
+
+
+def _nearest_of_each_bin(places: Array, side: float) -> NDArray[np.intp]:
+    """Indices into `places` [N, 2] of the one nearest to the centre of each square bin.
+
+    A dense image has tens of pixels in a cell, and one search tree of all of them costs more than
+    everything else.
+    """
+    scaled = (places - places.min(axis=0)) / side
+    bins = scaled.astype(np.int64)
+    apart = scaled - bins - 0.5
+    off = apart[:, 0] ** 2 + apart[:, 1] ** 2
+    number = bins[:, 1] * (int(bins[:, 0].max()) + 1) + bins[:, 0]
+    least = np.full(int(number.max()) + 1, np.inf)
+    np.minimum.at(least, number, off)
+    return np.flatnonzero(off == least[number])
 
 
 def _pitch(tangents: Array) -> float:
