@@ -18,9 +18,9 @@ echo '{"width": 640, "height": 480, "K": [[1067, 0, 319.5], [0, 1067, 239.5], [0
 exact() { # views of the object alone, without errors: shapes are learned from these
     rgrasp render --meshes "$1" --out "$work/exact/$2" --views "$3" --distance "$4" --skip-bad --seed "$seed"
 }
-scenes() { # views of tables by cameras that err, a quarter of them exact
+scenes() { # views of tables by cameras that err, almost half of them exact
     rgrasp render --meshes "$1" --out "$work/scenes/$2" --views "$3" --camera "$4" --scene table \
-        --sensor structured-light,stereo --exact 0.25 --skip-bad --seed "$seed"
+        --sensor structured-light,stereo --exact 0.45 --skip-bad --seed "$seed"
 }
 labels() {
     rgrasp label-sdf --views "$work/exact/$2" --meshes "$1" --out "$work/labels/$2" --points "$3" --skip-bad
@@ -30,12 +30,12 @@ for half in "far 1.5 xtion 0" "near 0.9 $work/colour.json 1"; do
     rgrasp objects make --out "$work/meshes/$name" --count $((objects / 2)) --seed $((2 * seed + more))
     exact "$work/meshes/$name" "$name" 8 "$distance"
     labels "$work/meshes/$name" "$name" 16000
-    scenes "$work/meshes/$name" "$name" 5 "$camera"
+    scenes "$work/meshes/$name" "$name" 8 "$camera"
 done
 if [ -n "$real" ]; then
     exact "$real" real 60 1.5
     labels "$real" real 24000
-    scenes "$real" real 30 realsense
+    scenes "$real" real 40 realsense
 fi
 
 train() { # VIEWS OUT [options]

@@ -17,6 +17,7 @@ from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
 from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
+from pointsdf_cli.planning.pose_mistakes import require_no_mistaken_pose
 from pointsdf_cli.planning.scene import VOXEL, sort_scene
 from pointsdf_cli.planning.table_top import WORKSPACE, chosen_thing
 from pointsdf_cli.robot.description import RobotDescription
@@ -85,7 +86,8 @@ def read_scene(
         workspace, cleaned, robot: As in `look_at_table`, where the pose is `table`.
 
     Raises:
-        InputError: A file cannot be read, an option does not fit, or no table is seen.
+        InputError: A file cannot be read, an option does not fit, no table is seen,
+            or a pose is right only in another convention (`pose_mistakes.py`).
         NoObjectError: The target is not there, where the pose is `table`.
     """
     if poses and len(poses) != len(paths):
@@ -117,6 +119,8 @@ def read_scene(
                 cloud, str(path), place, wanted, workspace, cleaned, reach
             )
             notes.append(table_note(cloud, place))
+        else:
+            require_no_mistaken_pose(cloud, str(path))
         clouds.append(cloud)
     return SceneInput(tuple(clouds), wanted, tuple(notes))
 

@@ -1,0 +1,105 @@
+"""Common mistakes in a camera pose, found by the table that the camera sees.
+
+A pose whose table is not level at z = 0 may be a right one in another convention. Each convention
+is tried; if one puts the table level at z = 0, the user is told which.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pointsdf_cli.camera.segmentation import SegmentationConfig, find_table
+from pointsdf_cli.camera.support_plane import find_support_plane
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import (
+    apply_transform,
+    invert_transform,
+    rotation_from_wxyz,
+    transform,
+    wxyz_from_rotation,
+)
+from pointsdf_cli.io.clouds import Cloud
+
+SAMPLE = 20_000
+"""Points that are looked at."""
+LEVEL = np.deg2rad(6.0)
+"""Largest tilt [rad] of a table that counts as level."""
+AT_ZERO = 0.03
+"""Largest distance [m] of the table from z = 0 for a pose that counts as right."""
+TILTED = np.deg2rad(15.0)
+"""A table that a pose tilts by more than this [rad] shows that the pose is wrong."""
+
+BODY_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""OpenCV axes (x right, y down, z forward) in those of a ROS camera body (x forward, z up)."""
+GRAPHICS_AXES = np.diag([1.0, -1.0, -1.0])
+"""OpenCV axes in those of computer graphics (y up, z backward)."""
+
+
+def require_no_mistaken_pose(cloud: Cloud, name: str) -> None:
+    """Refuse a pose that is wrong as it stands and right in another convention.
+
+    A cloud in which no table is found, or whose pose no other convention explains, passes.
+
+    Args:
+        cloud: A view with its pose.
+        name: Its name, for the message.
+
+    Raises:
+        InputError: Another convention puts the table level at z = 0. The message names it and
+            gives the numbers to type.
+    """
+    if cloud.T_world_camera is None or cloud.frame == "world":
+        return
+    pose = np.asarray(cloud.T_world_camera)
+    points, _ = cloud.in_camera_frame()
+    points = points[:: max(1, len(points) // SAMPLE)]
+    if find_table(apply_transform(pose, points), SegmentationConfig()) is not None:
+        return
+    try:
+        plane = find_support_plane(points)
+    except InputError:
+        return
+    tilt, _ = _table(plane, pose)
+    if tilt < TILTED:
+        return
+    for mistake, right in _corrections(pose):
+        corrected_tilt, corrected_height = _table(plane, right)
+        if corrected_tilt < LEVEL and abs(corrected_height) < AT_ZERO:
+            numbers = [*right[:3, 3], *wxyz_from_rotation(right[:3, :3])]
+            typed = ",".join(f"{number + 0.0:.6g}" for number in numbers)
+            raise InputError(
+                f"the camera's pose tilts the table that it sees by {np.rad2deg(tilt):.0f}°; "
+                f"{mistake}",
+                where=name,
+                allowed="the camera in the world, OpenCV axes (z forward, y down), quaternion "
+                "scalar first, the table level at z = 0",
+                hint=f"--camera-pose {typed}",
+            )
+
+
+def _table(plane: Array, pose: Array) -> tuple[float, float]:
+    """Tilt [rad] and height [m] of a plane [4] of the camera frame, in the world."""
+    normal = pose[:3, :3] @ plane[:3]
+    height = (pose[:3, :3] @ (plane[3] * plane[:3]) + pose[:3, 3]) @ normal
+    return float(np.arccos(np.clip(normal[2], -1.0, 1.0))), float(height)
+
+
+def _corrections(pose: Array) -> Iterator[tuple[str, Array]]:
+    """Mistakes, each with the pose [4, 4] that was meant if it was made."""
+    rotation, place = pose[:3, :3], pose[:3, 3]
+    # Of two quaternions of one rotation the user typed either; both read alike.
+    w, x, y, z = wxyz_from_rotation(rotation)
+    reordered = transform(rotation_from_wxyz([z, w, x, y]), place)
+    yield "with its quaternion read as x,y,z,w (as ROS prints it) the table is level", reordered
+    yield "its inverse puts the table level: it is the world in the camera", invert_transform(pose)
+    for axes, whose in (
+        (BODY_AXES, "the camera's body (x forward, z up)"),
+        (GRAPHICS_AXES, "computer graphics (y up, z backward)"),
+    ):
+        turned = transform(rotation @ axes, place)
+        yield f"with the axes of {whose} the table is level", turned
+        both = transform(reordered[:3, :3] @ axes, place)
+        yield f"with x,y,z,w and the axes of {whose} the table is level", both

@@ -1,0 +1,67 @@
+"""Poses in another convention, recognised by the table that the camera sees."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_planning_table_top import POSE, TABLE, THINGS, cloud
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import (
+    apply_transform,
+    invert_transform,
+    rotation_from_wxyz,
+    transform,
+    wxyz_from_rotation,
+)
+from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.io.poses import camera_pose
+from pointsdf_cli.planning.pose_mistakes import (
+    BODY_AXES,
+    GRAPHICS_AXES,
+    require_no_mistaken_pose,
+)
+
+WXYZ = wxyz_from_rotation(POSE[:3, :3])
+
+
+def seen(pose: np.ndarray) -> Cloud:
+    """What the camera at `POSE` sees, with another pose written beside it."""
+    points = apply_transform(invert_transform(POSE), np.concatenate([TABLE, THINGS]))
+    return replace(cloud(np.concatenate([TABLE, THINGS])), points=points, T_world_camera=pose)
+
+
+def test_the_right_pose_passes() -> None:
+    require_no_mistaken_pose(seen(POSE), "depth.png")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (transform(rotation_from_wxyz([*WXYZ[1:], WXYZ[0]]), POSE[:3, 3]), "x,y,z,w"),
+        (invert_transform(POSE), "inverse"),
+        (transform(POSE[:3, :3] @ BODY_AXES.T, POSE[:3, 3]), "body"),
+        (transform(POSE[:3, :3] @ GRAPHICS_AXES.T, POSE[:3, 3]), "graphics"),
+    ],
+)
+def test_a_mistaken_convention_is_named_and_the_pose_to_type_is_right(
+    given: np.ndarray, said: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        require_no_mistaken_pose(seen(given), "depth.png")
+    assert said in caught.value.what
+    assert caught.value.hint is not None
+    typed = camera_pose(caught.value.hint.removeprefix("--camera-pose "))
+    in_world = apply_transform(typed, seen(POSE).points)
+    table = in_world[: len(TABLE)]
+    assert np.abs(table[:, 2]).max() < 0.03
+
+
+def test_a_pose_that_no_convention_explains_passes() -> None:
+    tipped = POSE.copy()
+    tipped[:3, :3] = rotation_from_wxyz([0.9, 0.3, 0.3, 0.1]) @ tipped[:3, :3]
+    require_no_mistaken_pose(seen(tipped), "depth.png")
+    bare = replace(seen(invert_transform(POSE)), points=seen(POSE).points[len(TABLE) :])
+    require_no_mistaken_pose(bare, "object.ply")
