@@ -1,6 +1,7 @@
 """Latency and memory of `rgrasp serve`: plans of a table asked by several clients at once.
 
 python benchmarks/bench_serve.py [--requests 200] [--clients 4] [--threads 1]
+python benchmarks/bench_serve.py --endless 1000    # memory every 100 plans of different seeds
 
 Each client asks for its next plan when it has the last; a refusal (429) is waited out and asked
 again. Printed are the median and the 95th percentile of a request from a client's side and of the
@@ -30,6 +31,7 @@ def main() -> None:
     parser.add_argument("--requests", type=int, default=200)
     parser.add_argument("--clients", type=int, default=4)
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--endless", type=int, metavar="PLANS", help="One client, memory only.")
     options = parser.parse_args()
     command = [sys.executable, "-m", "pointsdf_cli.cli.main", "serve", "--port", "0", "--json"]
     command += ["--threads", str(options.threads)]
@@ -37,14 +39,17 @@ def main() -> None:
         try:
             assert process.stdout is not None
             url = json.loads(process.stdout.readline())["url"]
-            measure(url, process.pid, options.requests, options.clients)
+            if options.endless:
+                endless(url, process.pid, options.endless)
+            else:
+                measure(url, process.pid, options.requests, options.clients)
         finally:
             process.terminate()
 
 
 def measure(url: str, process: int, requests: int, clients: int) -> None:
     """Ask and print."""
-    bodies = table_bodies()
+    bodies = table_bodies(10)
     alone = [asked(url, bodies[0])[1] for _ in range(5)]  # the first loads what is loaded late
     print(f"one client, warm: planning {np.median(alone[1:]):.2f} s median of 4")
     before = resident_megabytes(process)
@@ -83,7 +88,18 @@ def measure(url: str, process: int, requests: int, clients: int) -> None:
         print(error)
 
 
-def table_bodies() -> list[bytes]:
+def endless(url: str, process: int, plans: int, every: int = 100) -> None:
+    """Ask one plan after another, each with a seed of its own, and print memory on the way."""
+    bodies, seconds = table_bodies(plans), []
+    for k, body in enumerate(bodies):
+        seconds.append(asked(url, body)[0])
+        if k == 0 or (k + 1) % every == 0:
+            recent = np.median(seconds[-every:])
+            megabytes = resident_megabytes(process)
+            print(f"plans {k + 1:5}  {megabytes:5.0f} MB  request {recent:.2f} s", flush=True)
+
+
+def table_bodies(count: int) -> list[bytes]:
     """Requests for plans of the demo table, each with another seed."""
     cloud = read_cloud(asset_path("clouds/table.ply"))
     view = {
@@ -91,7 +107,7 @@ def table_bodies() -> list[bytes]:
         "frame": cloud.frame,
         "T_world_camera": cloud.T_world_camera,
     }
-    return [tree_to_npz({"clouds": [view], "seed": seed}) for seed in range(10)]
+    return [tree_to_npz({"clouds": [view], "seed": seed}) for seed in range(count)]
 
 
 def asked(url: str, body: bytes) -> tuple[float, float]:

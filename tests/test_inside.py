@@ -29,3 +29,13 @@ def test_inside_is_where_the_mesh_winds_around(mesh: trimesh.Trimesh, convex: bo
     told = np.array([inside(point) for point in points])
     np.testing.assert_array_equal(told, exact.inside(points))
     assert 0 < told.sum() < len(told)
+
+
+def test_points_beside_the_box_of_a_mesh_need_no_signed_distance() -> None:
+    torus = trimesh.creation.torus(0.04, 0.012)
+    inside = Inside(np.asarray(torus.vertices), np.asarray(torus.faces))
+    assert inside._planes is None
+    assert not inside(np.array([0.04, 0.0, 0.0121]))
+    assert "_distance" not in vars(inside)
+    assert inside(np.array([0.04, 0.0, 0.0]))
+    assert "_distance" in vars(inside)

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array
+
+if TYPE_CHECKING:
+    from pointsdf_cli.geometry.signed_distance import SignedDistance
 
 FEW = 4096
 """Meshes of more faces are not tested for being convex."""
@@ -25,18 +31,24 @@ class Inside:
 
     def __init__(self, vertices: Array, faces: NDArray[np.integer]) -> None:
         self._planes = _planes(vertices, faces)
-        if self._planes is None:
-            # Open3D takes half a second to load, and most obstacles are hulls.
-            from pointsdf_cli.geometry.signed_distance import SignedDistance
-
-            self._distance = SignedDistance(vertices, faces, threads=1)
+        self._mesh = vertices, faces
+        self._low, self._high = vertices.min(axis=0), vertices.max(axis=0)
 
     def __call__(self, point: Array) -> bool:
         """Whether a point [3] is inside; on the surface either may be said."""
+        if (point < self._low).any() or (point > self._high).any():
+            return False
         if self._planes is None:
             return bool(self._distance(point[None])[0] < 0)
         normals, offsets = self._planes
         return bool((normals @ point < offsets).all())
+
+    @cached_property
+    def _distance(self) -> SignedDistance:
+        # Open3D takes half a second to load, and few points ever lie within a mesh's box.
+        from pointsdf_cli.geometry.signed_distance import SignedDistance
+
+        return SignedDistance(*self._mesh, threads=1)
 
 
 def _planes(vertices: Array, faces: NDArray[np.integer]) -> tuple[Array, Array] | None:
