@@ -15,6 +15,7 @@ from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
 from pointsdf_cli.io.depth_images import read_mask
+from pointsdf_cli.planning.list_things import list_things
 from pointsdf_cli.planning.object_view import bare_view, segmented_view
 from tests import scenes
 
@@ -93,6 +94,21 @@ def test_a_number_a_pixel_and_a_mask_name_the_same_object(
         away = np.median(view.points, axis=0) - top[:3]
         assert np.linalg.norm(away) < 0.04
         assert np.ptp(view.points, axis=0).max() < 0.14
+
+
+def test_numbers_stay_when_the_world_moves_with_the_target(scene: list[Any]) -> None:
+    listing = list_things(scene[0], options(scene), "table")
+    for thing in listing.things:
+        found = segmented_view(
+            scene[0], options(scene), "table", "auto", str(thing.number), None, None
+        )
+        assert f"object {thing.number} of {len(listing.things)}" in " ".join(found.said)
+
+
+def test_a_pixel_outside_the_image_is_refused(scene: list[Any]) -> None:
+    for pixel in ("640,100", "10,480", "-1,5"):
+        with pytest.raises(InputError, match="outside of the image"):
+            segmented_view(scene[0], options(scene), "table", "auto", pixel, None, None)
 
 
 def test_cloud_and_depth_image_show_the_same_object(cli: Callable, scene: list[Any]) -> None:

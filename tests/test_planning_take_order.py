@@ -8,9 +8,9 @@ from scenes import POSE, box, cloud, seen, table
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.object_choice import Target
-from pointsdf_cli.planning.scene import sort_scene
+from pointsdf_cli.planning.scene import WORKSPACE, sort_scene
 from pointsdf_cli.planning.scene_input import parse_target
-from pointsdf_cli.planning.table_top import WORKSPACE, look_at_table
+from pointsdf_cli.planning.table_top import look_at_table
 from pointsdf_cli.planning.take_order import HAND_ROOM, free_share, take_order
 from pointsdf_cli.robot.description import load_robot
 

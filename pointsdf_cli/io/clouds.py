@@ -77,6 +77,8 @@ class Cloud:
         image: The depth image that the points are of; None where there was none.
         mask: bool [N], the points that a mask of the user's says are the object's; None for none.
         notes: Sentences about how the file was read that its user should see.
+        over_table: The pose was made from the table that is seen: of where a robot stands it says
+            nothing.
     """
 
     points: NDArray[np.float64]
@@ -88,6 +90,7 @@ class Cloud:
     image: DepthImage | None = None
     mask: NDArray[np.bool_] | None = None
     notes: tuple[str, ...] = ()
+    over_table: bool = False
 
     def in_camera_frame(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The points [N, 3] in the camera's frame, and T_frame_camera [4, 4] to go back.

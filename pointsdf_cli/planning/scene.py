@@ -25,6 +25,13 @@ from pointsdf_cli.geometry.voxels import Thinned, thin
 from pointsdf_cli.io.clouds import Cloud, DepthImage
 from pointsdf_cli.planning.object_choice import Thing, numbered
 
+WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
+"""Default workspace. Wider than the bundled arm's reach, so that objects beyond are seen and
+reported as out of reach."""
+
+ANYWHERE = SegmentationConfig(low=(-5.0, -5.0, -0.05), high=(5.0, 5.0, 0.6))
+"""Default workspace where the robot's place is not known."""
+
 VOXEL = 0.0025
 """Scenes are thinned to one point a voxel of this side [m] before anything is looked for."""
 
@@ -127,6 +134,9 @@ def sort_scene(
     Raises:
         InputError: The cloud's frame is not known, or a mask covers nothing above the table.
     """
+    if cloud.over_table:
+        # The world moves with the object that is meant: the numbers must not move with it.
+        reach, workspace = None, ANYWHERE if workspace is WORKSPACE else workspace
     points, _ = cloud.in_camera_frame()
     assert cloud.T_world_camera is not None
     thinned, flying = thin_and_clean(points, cloud, cleaned)

@@ -18,8 +18,8 @@ from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
 from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
 from pointsdf_cli.planning.pose_mistakes import require_no_mistaken_pose
-from pointsdf_cli.planning.scene import VOXEL, sort_scene
-from pointsdf_cli.planning.table_top import WORKSPACE, chosen_thing
+from pointsdf_cli.planning.scene import ANYWHERE, VOXEL, WORKSPACE, sort_scene
+from pointsdf_cli.planning.table_top import chosen_thing
 from pointsdf_cli.robot.description import RobotDescription
 
 MANY = 400_000
@@ -27,9 +27,6 @@ MANY = 400_000
 
 ANY = "any"
 """`--target` of whichever object can be taken first."""
-
-ANYWHERE = SegmentationConfig(low=(-5.0, -5.0, -0.05), high=(5.0, 5.0, 0.6))
-"""Workspace while the robot's place is still unknown."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +106,8 @@ def read_scene(
         place = places[k] if poses else None
         pose = camera_pose(poses[k]) if poses and place is None else None
         cloud = read_view(path, option, pose)
+        if k == 0:
+            _require_pixel_within(wanted, cloud)
         notes += [f"{path}: {note}" for note in cloud.notes]
         if len(cloud.points) > MANY:
             side = f"{VOXEL * 1000:g} mm"
@@ -123,6 +122,20 @@ def read_scene(
             require_no_mistaken_pose(cloud, str(path))
         clouds.append(cloud)
     return SceneInput(tuple(clouds), wanted, tuple(notes))
+
+
+def _require_pixel_within(target: Target | None, cloud: Cloud) -> None:
+    """Refuse a pixel that lies outside of the first view's image."""
+    if target is None or target.pixel is None or cloud.image is None:
+        return
+    height, width = cloud.image.depth.shape
+    u, v = target.pixel
+    if not (0 <= u < width and 0 <= v < height):
+        raise InputError(
+            f"the pixel {u:g},{v:g} is outside of the image",
+            where="--target",
+            allowed=f"U from 0 to {width - 1}, V from 0 to {height - 1}",
+        )
 
 
 def table_note(cloud: Cloud, place: tuple[float, float]) -> str:
@@ -175,7 +188,7 @@ def stand_on_table(
     except InputError as error:
         raise InputError(error.what, where=name, allowed=error.allowed, hint=error.hint) from error
     above = pose_over_plane(plane)
-    cloud = replace(cloud, T_world_camera=above)
+    cloud = replace(cloud, T_world_camera=above, over_table=True)
     try:
         # What is listed first stands at the place, so that numbers are those of `segment`.
         cloud = _moved(cloud, _centre(cloud, name, None, ANYWHERE, cleaned, None), place)

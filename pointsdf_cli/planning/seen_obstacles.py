@@ -27,8 +27,8 @@ from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.environment import Obstacle
-from pointsdf_cli.planning.scene import VOXEL, Scene, sighting
-from pointsdf_cli.planning.table_top import WIDEST, WORKSPACE, TableTop, level_width, view_of
+from pointsdf_cli.planning.scene import VOXEL, WORKSPACE, Scene, sighting
+from pointsdf_cli.planning.table_top import WIDEST, TableTop, level_width, view_of
 
 RESOLUTION = 32
 """Cells along the network's box for an obstacle's surface: 0.2 s a thing on one core, where 64 take

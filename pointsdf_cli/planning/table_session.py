@@ -22,14 +22,9 @@ from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
 from pointsdf_cli.planning.option_checks import RECONSTRUCTION
 from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult, as_sentences
 from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
-from pointsdf_cli.planning.scene import sort_scene
+from pointsdf_cli.planning.scene import WORKSPACE, sort_scene
 from pointsdf_cli.planning.seen_obstacles import seen_obstacles
-from pointsdf_cli.planning.table_top import (
-    WORKSPACE,
-    TableTop,
-    look_at_table,
-    workspace_of,
-)
+from pointsdf_cli.planning.table_top import TableTop, look_at_table, workspace_of
 from pointsdf_cli.planning.take_order import Turn, take_order
 from pointsdf_cli.planning.target import surface_of
 from pointsdf_cli.robot.own_points import off_robot, robot_points

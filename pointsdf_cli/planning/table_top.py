@@ -24,15 +24,19 @@ from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
 from pointsdf_cli.planning.cloud_checks import require_pose
 from pointsdf_cli.planning.object_choice import NoObjectError, Target, Thing, choose, reach_of
-from pointsdf_cli.planning.scene import VOXEL, Scene, Sighting, describe, sighting, sort_scene
+from pointsdf_cli.planning.scene import (
+    VOXEL,
+    WORKSPACE,
+    Scene,
+    Sighting,
+    describe,
+    sighting,
+    sort_scene,
+)
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 
 SEGMENT = ("auto", "none")
-
-WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
-"""Default workspace. Wider than the bundled arm's reach, so that objects beyond are seen and
-reported as out of reach."""
 
 
 def workspace_of(corners: tuple[tuple[float, ...], tuple[float, ...]] | None) -> SegmentationConfig:

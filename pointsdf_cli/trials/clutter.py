@@ -20,8 +20,8 @@ from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.trials import TrialRow
 from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
-from pointsdf_cli.planning.scene import sort_scene
-from pointsdf_cli.planning.table_top import WORKSPACE, TableTop, look_at_table
+from pointsdf_cli.planning.scene import WORKSPACE, sort_scene
+from pointsdf_cli.planning.table_top import TableTop, look_at_table
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 from pointsdf_cli.simulation.attempt import placed
