@@ -25,6 +25,8 @@ from pointsdf_cli.io.clouds import Cloud
 
 SAMPLE = 20_000
 """Points that are looked at."""
+FEWEST, FARTHEST = 1000, 10.0
+"""Fewest points that show a table, and its largest depth [m]."""
 LEVEL = np.deg2rad(6.0)
 """Largest tilt [rad] of a table that counts as level."""
 AT_ZERO = 0.03
@@ -56,6 +58,8 @@ def require_no_mistaken_pose(cloud: Cloud, name: str) -> None:
     pose = np.asarray(cloud.T_world_camera)
     points, _ = cloud.in_camera_frame()
     points = points[:: max(1, len(points) // SAMPLE)]
+    if len(points) < FEWEST or float(np.median(points[:, 2])) > FARTHEST:
+        return  # too few points for a table, or another unit: told by the checks that follow
     if find_table(apply_transform(pose, points), SegmentationConfig()) is not None:
         return
     try:
