@@ -38,7 +38,8 @@ from pointsdf_cli.training.sdf_data import (
     split_views,
     training_views,
 )
-from pointsdf_cli.training.sdf_loop import Progress, TrainConfig, TrainResult, train_sdf
+from pointsdf_cli.training.sdf_config import TrainConfig
+from pointsdf_cli.training.sdf_loop import Progress, TrainResult, train_sdf
 from pointsdf_cli.training.sdf_loss import SdfLoss, label_iou
 from pointsdf_cli.training.sdf_pack import Pack, open_pack, pair_artifacts, read_pack
 

@@ -122,108 +122,167 @@ def train_success(
         RgraspError: The loss is no longer finite.
     """
     keep_large_allocations()
-    label = torch.from_numpy(data.label)
-    held = float(data.label[split.train].mean())
-    weight = torch.tensor([0.5 / (1.0 - held), 0.5 / held])
-    head = [p for name, m in learner.modules.items() if name == "network" for p in m.parameters()]
-    others = [p for name, m in learner.modules.items() if name != "network" for p in m.parameters()]
-    groups = [{"params": head, "share": 1.0}]
-    if others:
-        groups.append({"params": others, "share": config.encoder_rate})
-    optimiser = torch.optim.AdamW(groups, weight_decay=config.weight_decay, fused=True)
-    per_epoch = _batch_count(len(split.train), config.batch_size)
-    torch.manual_seed(config.seed)
-    epoch, seconds = 0, 0.0
-    history: list[dict[str, float]] = []
-    best: dict[str, Tensor] = {}
-    learns_from = data_sha256(
-        data.names, data.object_of, data.T_world_palm, data.label, split.train, split.validation
-    )
+    run = _Run(data, split, learner, config)
     if resume is not None:
+        run.restore(resume)
+    clock = time.monotonic()
+    while not run.finished:
+        if not run.train_epoch(should_stop):
+            return run.found(finished=False)
+        run.judge_epoch()
+        now = time.monotonic()
+        run.seconds, clock = run.seconds + now - clock, now
+        on_epoch(run.found(finished=False), run.state())
+    return run.found(finished=True)
+
+
+class _Run:
+    """State of a training run, and what changes it."""
+
+    def __init__(
+        self, data: GraspData, split: Split, learner: Learner, config: SuccessTraining
+    ) -> None:
+        self._data, self._split, self._learner, self._config = data, split, learner, config
+        self._label = torch.from_numpy(data.label)
+        self._truth = data.label[split.validation]
+        held = float(data.label[split.train].mean())
+        self._class_weight = torch.tensor([0.5 / (1.0 - held), 0.5 / held])
+        groups = [{"params": _weights(learner, network=True), "share": 1.0}]
+        encoder = _weights(learner, network=False)
+        if encoder:
+            groups.append({"params": encoder, "share": config.encoder_rate})
+        self._optimiser = torch.optim.AdamW(groups, weight_decay=config.weight_decay, fused=True)
+        torch.manual_seed(config.seed)
+        self._data_hash = data_sha256(
+            data.names, data.object_of, data.T_world_palm, data.label, split.train, split.validation
+        )
+        self._epoch, self._train_loss, self.seconds = 0, 0.0, 0.0
+        self._history: list[dict[str, float]] = []
+        self._best: dict[str, Tensor] = {}
+        self._platt, self._logits = Platt(1.0, 0.0), np.zeros(len(self._truth))
+
+    @property
+    def finished(self) -> bool:
+        """Whether all epochs are done, or the last ones brought nothing."""
+        config = self._config
+        return self._epoch >= config.epochs or _exhausted(self._history, config.patience)
+
+    def train_epoch(self, should_stop: Callable[[], bool]) -> bool:
+        """One pass over the training grasps; False if it was stopped.
+
+        Raises:
+            RgraspError: The loss is not finite.
+        """
+        config, train = self._config, self._split.train
+        batches = _batch_count(len(train), config.batch_size)
+        rng = np.random.default_rng([config.seed, 3, self._epoch])
+        order = scene_order(self._data, train, rng)
+        total = 0.0
+        self._learner.train(True)
+        for number in range(batches):
+            if should_stop():
+                return False
+            last = None if number + 1 == batches else (number + 1) * config.batch_size
+            rate = config.rate(self._epoch * batches + number, config.epochs * batches)
+            total += self._take_step(order[number * config.batch_size : last], rate, rng) / batches
+        if not math.isfinite(total):
+            raise RgraspError(
+                f"the loss is {total} in epoch {self._epoch}", hint="lower --learning-rate"
+            )
+        self._epoch += 1
+        self._train_loss = total
+        return True
+
+    def _take_step(self, index: Index, rate: float, rng: np.random.Generator) -> float:
+        """One optimiser step on some grasps; its loss."""
+        for group in self._optimiser.param_groups:
+            group["lr"] = rate * group["share"]
+        predicted = self._learner.training_logits(index, rng)
+        target = self._label[index]
+        weight = self._learner.member_weights(index) * self._class_weight[target.long()]
+        loss = torch.nn.functional.binary_cross_entropy_with_logits(
+            predicted, target.expand_as(predicted), weight=weight.expand_as(predicted)
+        )
+        # Members share but the gains of two layer norms: each must get the gradient of its own
+        # loss, not of the mean.
+        self._optimiser.zero_grad(set_to_none=True)
+        (loss * len(predicted)).backward()
+        weights = [p for group in self._optimiser.param_groups for p in group["params"]]
+        torch.nn.utils.clip_grad_norm_(weights, 5.0)
+        self._optimiser.step()
+        return loss.item()
+
+    def judge_epoch(self) -> None:
+        """Judge the weights by the validation grasps, and keep them if they are the best yet."""
+        logits = self._learner.validation_logits(self._split.validation)
+        platt = fit_platt(self._truth, logits)
+        entry = {
+            "epoch": float(self._epoch),
+            "train_loss": self._train_loss,
+            "loss": negative_log_likelihood(self._truth, logits, platt),
+            "average_precision": average_precision(self._truth, logits),
+            "roc_auc": roc_auc(self._truth, logits),
+        }
+        if not self._history or entry["loss"] < min(e["loss"] for e in self._history):
+            self._best = copy.deepcopy(weights_of(self._learner))
+            self._platt, self._logits = platt, logits
+        self._history.append(entry)
+
+    def found(self, finished: bool) -> Fitted:
+        """The best weights so far."""
+        return Fitted(finished, self._best, self._platt, self._logits, self._history, self.seconds)
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` needs; copies, since a stop within the next epoch writes them later."""
+        return {
+            "config": asdict(self._config),
+            "data": self._data_hash,
+            "weights": copy.deepcopy(weights_of(self._learner)),
+            "optimiser": copy.deepcopy(self._optimiser.state_dict()),
+            "rng": torch.get_rng_state(),
+            "epoch": self._epoch,
+            "seconds": self.seconds,
+            "history": self._history,
+            "best": self._best,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Carry on from a state.
+
+        Raises:
+            InputError: It is of another run.
+        """
         with sense_of_state():
-            if resume["config"] != asdict(config):
+            if state["config"] != asdict(self._config):
                 raise InputError("was begun with other settings", hint="drop --resume")
-            if resume.get("data", learns_from) != learns_from:
+            if state.get("data", self._data_hash) != self._data_hash:
                 raise InputError(
                     "was begun with other grasps, or with other objects held out",
                     hint="drop --resume",
                 )
-            load_weights(learner, resume["weights"])
-            put_back_optimiser(optimiser, resume["optimiser"])
-            torch.set_rng_state(resume["rng"])
-            epoch, seconds, history = progress_of(resume, "epoch", "loss")
-            best = dict(resume["best"])
-            load_weights(learner, best or resume["weights"])  # whether they fit
-            load_weights(learner, resume["weights"])
-            if history and not best:
+            load_weights(self._learner, state["weights"])
+            put_back_optimiser(self._optimiser, state["optimiser"])
+            torch.set_rng_state(state["rng"])
+            self._epoch, self.seconds, self._history = progress_of(state, "epoch", "loss")
+            self._best = dict(state["best"])
+            load_weights(self._learner, self._best or state["weights"])  # whether they fit
+            load_weights(self._learner, state["weights"])
+            if self._history and not self._best:
                 raise ValueError("epochs without weights")
-
-    truth = data.label[split.validation]
-    platt, logits = Platt(1.0, 0.0), np.zeros(len(truth))
-    if best:
-        platt, logits = _judged(learner, best, split.validation, truth)
-
-    def found(finished: bool) -> Fitted:
-        return Fitted(finished, best, platt, logits, history, seconds)
-
-    clock = time.monotonic()
-    while epoch < config.epochs and not _exhausted(history, config.patience):
-        rng = np.random.default_rng([config.seed, 3, epoch])
-        order = scene_order(data, split.train, rng)
-        total = 0.0
-        learner.train(True)
-        for number in range(per_epoch):
-            if should_stop():
-                return found(False)
-            last = None if number + 1 == per_epoch else (number + 1) * config.batch_size
-            index = order[number * config.batch_size : last]
-            rate = config.rate(epoch * per_epoch + number, config.epochs * per_epoch)
-            for group in optimiser.param_groups:
-                group["lr"] = rate * group["share"]
-            predicted = learner.training_logits(index, rng)
-            target = label[index]
-            teaches = learner.member_weights(index) * weight[target.long()]
-            loss = torch.nn.functional.binary_cross_entropy_with_logits(
-                predicted, target.expand_as(predicted), weight=teaches.expand_as(predicted)
+        if self._best:
+            self._platt, self._logits = _judged(
+                self._learner, self._best, self._split.validation, self._truth
             )
-            # Members share but the gains of two layer norms: each must get the gradient of its own
-            # loss, not of the mean.
-            optimiser.zero_grad(set_to_none=True)
-            (loss * len(predicted)).backward()
-            torch.nn.utils.clip_grad_norm_(head + others, 5.0)
-            optimiser.step()
-            total += loss.item() / per_epoch
-        if not math.isfinite(total):
-            raise RgraspError(f"the loss is {total} in epoch {epoch}", hint="lower --learning-rate")
-        epoch += 1
-        now_logits = learner.validation_logits(split.validation)
-        now_platt = fit_platt(truth, now_logits)
-        entry = {
-            "epoch": float(epoch),
-            "train_loss": total,
-            "loss": negative_log_likelihood(truth, now_logits, now_platt),
-            "average_precision": average_precision(truth, now_logits),
-            "roc_auc": roc_auc(truth, now_logits),
-        }
-        if not history or entry["loss"] < min(e["loss"] for e in history):
-            best, platt, logits = copy.deepcopy(weights_of(learner)), now_platt, now_logits
-        history.append(entry)
-        now = time.monotonic()
-        seconds, clock = seconds + now - clock, now
-        state = {
-            "config": asdict(config),
-            "data": learns_from,
-            # Copies: a stop within the next epoch writes this state after more steps.
-            "weights": copy.deepcopy(weights_of(learner)),
-            "optimiser": copy.deepcopy(optimiser.state_dict()),
-            "rng": torch.get_rng_state(),
-            "epoch": epoch,
-            "seconds": seconds,
-            "history": history,
-            "best": best,
-        }
-        on_epoch(found(False), state)
-    return found(True)
+
+
+def _weights(learner: Learner, network: bool) -> list[torch.nn.Parameter]:
+    """Weights of the success network, or of what is trained along with it."""
+    return [
+        weight
+        for name, module in learner.modules.items()
+        if (name == "network") == network
+        for weight in module.parameters()
+    ]
 
 
 def _batch_count(grasps: int, size: int) -> int:

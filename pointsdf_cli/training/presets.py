@@ -7,7 +7,7 @@ from typing import Any
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.pointsdf import PRESETS as POINTSDF_PRESETS
 from pointsdf_cli.models.revolution import SIDEWAYS
-from pointsdf_cli.training.sdf_loop import TrainConfig
+from pointsdf_cli.training.sdf_config import TrainConfig
 from pointsdf_cli.training.sdf_loss import SdfLoss
 
 PAPER_EPOCHS = 100

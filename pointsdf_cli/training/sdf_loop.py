@@ -1,11 +1,11 @@
-"""Training a reconstruction network (`rgrasp train-sdf`): config, data, model, optimiser, loop."""
+"""Training a reconstruction network (`rgrasp train-sdf`): data, model, optimiser, loop."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,78 +27,10 @@ from pointsdf_cli.training.resuming import (
     require_same_run,
     sense_of_state,
 )
+from pointsdf_cli.training.sdf_config import TrainConfig
 from pointsdf_cli.training.sdf_data import Split, augment, predict, read_batch, training_views
-from pointsdf_cli.training.sdf_loss import SdfLoss
 from pointsdf_cli.training.sdf_pack import Pack
-from pointsdf_cli.training.sdf_validation import Validation, validate
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """Everything that decides a run, besides data and architecture.
-
-    Attributes:
-        steps: Optimiser steps.
-        minutes: If given, the schedule follows the clock instead: it ends after so many minutes of
-            training, wherever the step count then stands (`steps` is only an upper limit). Such a
-            run resumes, but how far it gets depends on the machine.
-        batch_size: Clouds a step.
-        queries: Labelled points a cloud.
-        learning_rate: At its highest.
-        schedule: `cosine` to 2% of it, or `constant` (the paper).
-        warmup: Steps of linear warm-up.
-        weight_decay: AdamW's; 0 makes it Adam (the paper).
-        clip: Largest gradient norm; 0 for none.
-        average: Decay of the exponential moving average of the weights a step; 0 for none.
-        augmentation: Mirror and turn the views.
-        loss: See `SdfLoss`.
-        validate_every: Steps between validations, each followed by a checkpoint.
-        precision: `auto` (bfloat16 where the processor has it), `bfloat16` or `float32`.
-        seed: Random seed of the weights, the order and the queries.
-    """
-
-    steps: int = 20_000
-    minutes: float | None = None
-    batch_size: int = 32
-    queries: int = 256
-    learning_rate: float = 1e-3
-    schedule: str = "cosine"
-    warmup: int = 200
-    weight_decay: float = 0.01
-    clip: float = 1.0
-    average: float = 0.999
-    augmentation: bool = True
-    loss: SdfLoss = field(default_factory=SdfLoss)
-    validate_every: int = 1000
-    precision: str = "auto"
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        positive = ("steps", "batch_size", "queries", "learning_rate", "validate_every", "minutes")
-        for name in positive:
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise InputError(
-                    f"{value} is not positive and finite", where="--" + name.replace("_", "-")
-                )
-        if self.schedule not in ("cosine", "constant"):
-            raise InputError(
-                f"no schedule {self.schedule!r}", where="--schedule", allowed="cosine, constant"
-            )
-        if not 0.0 <= self.average < 1.0:
-            raise InputError(f"{self.average} is no decay", where="average", allowed="0 to below 1")
-
-    def rate(self, step: int, progress: float) -> float:
-        """The learning rate at a step, `progress` ∈ [0, 1] of the way."""
-        warm = min(1.0, (step + 1) / max(1, self.warmup))
-        if self.schedule == "constant":
-            return self.learning_rate * warm
-        return self.learning_rate * warm * (0.02 + 0.49 * (1.0 + math.cos(math.pi * progress)))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain types for config.json."""
-        return asdict(self)
-
+from pointsdf_cli.training.sdf_validation import validate
 
 LABEL_STRIDE = 101
 """Stride of the labels that identify a data set."""
@@ -168,7 +100,7 @@ def train_sdf(
         pack: The data.
         split: Views for training and for validation.
         model: Freshly built; its weights are overwritten when resuming.
-        config: See `TrainConfig`.
+        config: Settings.
         out: Checkpoint directory: best weights, and the state to resume from.
         provenance: Goes into config.json.
         resume: Carry on from the state in `out`.
@@ -191,144 +123,233 @@ def train_sdf(
             where="--batch-size",
             allowed="2 or more, and as many training views",
         )
-    target = torch.device(device)
-    model.to(target).train()
-    optimiser = torch.optim.AdamW(
-        model.parameters(),
-        lr=config.learning_rate,
-        weight_decay=config.weight_decay,
-        betas=(0.9, 0.98) if config.schedule == "cosine" else (0.9, 0.999),
-        fused=True,
-    )
-    average = WeightAverage(model, config.average)
-    low_precision = autocast_dtype(config.precision, target)
-    step, seconds, history = 0, 0.0, list[dict[str, float]]()
-    learned_from = data_sha256(
-        pack.names,
-        pack.object_of_view,
-        pack.label_start,
-        pack.to_network,  # other views lie elsewhere, other labels are other numbers
-        pack.sdf[::LABEL_STRIDE],
-        *split,
-    )
-    losses = torch.zeros((), device=target)
-    since_report, since_validation, total = 0, 0, 0.0
+    run = _Run(pack, split, model, config, torch.device(device), workers)
     if resume:
-        state = read_train_state(out)
-        with sense_of_state(out):
-            require_same_run(state, model, config.as_dict(), out)
-            require_same_data(state, learned_from, out)
-            model.load_state_dict(state["model"])
-            put_back_optimiser(optimiser, state["optimiser"])
-            average.load(state["average"])
-            step, seconds, history = progress_of(state, "step", "object_loss")
-            # A run of an earlier version does not say: the first mean loss is of what follows then.
-            since_validation = max(0, int(state.get("since_validation", 0)))
-            total = float(state.get("total", 0.0))
+        run.restore(out)
+    clock = reported = time.monotonic()
+    since_report = 0
+    while run.fraction < 1.0:
+        if workers.most(should_stop()):
+            run.collect_losses()  # raises before a state without finite losses replaces a good one
+            run.save(out, None if run.history else run.average.weights(), provenance)
+            return run.result(finished=False)
+        run.take_step()
+        since_report += 1
+        now = time.monotonic()
+        run.add_time(now - clock)
+        clock = now
+        if now - reported >= report_every:
+            speed = since_report * config.batch_size / (now - reported)
+            left = run.seconds * (1.0 / max(run.fraction, 1e-9) - 1.0)
+            loss = run.sum_losses() / since_report
+            on_progress(Progress(run.step, run.fraction, loss, speed, left))
+            since_report, reported = 0, now
+        if run.step % config.validate_every == 0 or run.fraction >= 1.0:
+            entry = run.validate()
+            is_best = _best(run.history) is entry
+            run.save(out, run.average.weights() if is_best else None, provenance)
+            on_progress(Progress(run.step, run.fraction, entry["train_loss"], 0.0, 0.0, entry))
+            since_report = 0
+            clock = reported = time.monotonic()
+    return run.result(finished=True)
 
-    def save(weights: dict[str, torch.Tensor] | None) -> None:
-        if not workers.is_first:
+
+class _Run:
+    """State of a training run, and what changes it.
+
+    Attributes:
+        average: Moving average of the weights.
+        step: Steps done.
+        seconds: Training time, over all resumed parts.
+        history: One entry per validation.
+    """
+
+    def __init__(
+        self,
+        pack: Pack,
+        split: Split,
+        model: ShapeModel,
+        config: TrainConfig,
+        device: torch.device,
+        workers: Workers,
+    ) -> None:
+        self._pack, self._split, self._config = pack, split, config
+        self._device, self._workers = device, workers
+        self._precision = autocast_dtype(config.precision, device)
+        self._model = model.to(device).train()
+        self._optimiser = torch.optim.AdamW(
+            model.parameters(),
+            lr=config.learning_rate,
+            weight_decay=config.weight_decay,
+            betas=(0.9, 0.98) if config.schedule == "cosine" else (0.9, 0.999),
+            fused=True,
+        )
+        self.average = WeightAverage(model, config.average)
+        self._data_hash = data_sha256(
+            pack.names,
+            pack.object_of_view,
+            pack.label_start,
+            pack.to_network,  # other views lie elsewhere, other labels are other numbers
+            pack.sdf[::LABEL_STRIDE],
+            *split,
+        )
+        self.step, self.seconds = 0, 0.0
+        self.history: list[dict[str, float]] = []
+        # Losses since the last validation: their number, the sum of those that were read back, and
+        # on the device the sum of the others.
+        self._loss_count, self._loss_sum = 0, 0.0
+        self._unread = torch.zeros((), device=device)
+
+    @property
+    def fraction(self) -> float:
+        """Share of the run that is done, by steps or by the clock."""
+        done = self.step / self._config.steps
+        if self._config.minutes is None:
+            return done
+        return min(1.0, max(done, self.seconds / (60.0 * self._config.minutes)))
+
+    def take_step(self) -> None:
+        """One optimiser step."""
+        config, model = self._config, self._model
+        # The batch, the queries and their turn are a function of (seed, step) alone, as is what
+        # dropout leaves out of this worker's share.
+        rng = np.random.default_rng([config.seed, 2, self.step])
+        views = training_views(self._split.train, config.batch_size, self.step, config.seed)
+        batch = read_batch(self._pack, views, config.queries, rng)
+        batch = augment(batch, rng) if config.augmentation else batch
+        batch = self._workers.share(batch).to(self._device)
+        torch.manual_seed(int(rng.integers(2**62)) + self._workers.rank)
+
+        for group in self._optimiser.param_groups:
+            group["lr"] = config.rate(self.step, self.fraction)
+        low = self._precision
+        with torch.autocast(self._device.type, low, enabled=low is not None):
+            predicted = predict(model, batch)
+        loss = config.loss(predicted, batch.sdf)
+        self._optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        self._workers.average_gradients(model)
+        if config.clip:
+            torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
+        self._optimiser.step()
+        self.average.update(model, self.step)
+        self.step += 1
+        self._loss_count += 1
+        self._unread += loss.detach()
+
+    def add_time(self, seconds: float) -> None:
+        """Count training time [s]; with several workers, the longest of theirs."""
+        self.seconds += seconds
+        if self._config.minutes is not None:
+            # Without one clock they would not end at the same step.
+            self.seconds = self._workers.most(self.seconds)
+
+    def sum_losses(self) -> float:
+        """This worker's losses since the last call, summed.
+
+        Raises:
+            RgraspError: They are not finite.
+        """
+        read = _finite(float(self._unread), self.step)
+        self._unread.zero_()
+        self._loss_sum += read
+        return read
+
+    def collect_losses(self) -> None:
+        """Make the sum of losses that of all workers, on average.
+
+        Raises:
+            RgraspError: It is not finite.
+        """
+        total = self._workers.mean(self._loss_sum + float(self._unread))
+        self._loss_sum = _finite(total, self.step)
+        self._unread.zero_()
+
+    def validate(self) -> dict[str, float]:
+        """Judge the averaged weights by held-out views; the new entry of the history."""
+        self.collect_losses()
+        result = validate(
+            self._pack,
+            self._split,
+            self.average.model,
+            self._config.loss,
+            self._precision,
+            self._device,
+        )
+        entry = {
+            "step": self.step,
+            "seconds": self.seconds,
+            "train_loss": self._loss_sum / self._loss_count,
+            **result._asdict(),
+        }
+        self.history.append(entry)
+        self._loss_count, self._loss_sum = 0, 0.0
+        return entry
+
+    def result(self, finished: bool) -> TrainResult:
+        """The run so far."""
+        return TrainResult(finished, self.step, self.seconds, self.history, _best(self.history))
+
+    def save(
+        self,
+        out: Path | str,
+        weights: Mapping[str, torch.Tensor] | None,
+        provenance: Mapping[str, Any] | None,
+    ) -> None:
+        """Write the state, and weights if there are better ones; the first worker alone does."""
+        if not self._workers.is_first:
             return
+        model, config = self._model, self._config.as_dict()
         write_checkpoint(
             out,
             config={
                 "architecture": model.architecture,
                 "model": model.config(),
-                "training": config.as_dict(),
-                "progress": {"step": step, "seconds": round(seconds, 1)},
-                "best": _best(history),
+                "training": config,
+                "progress": {"step": self.step, "seconds": round(self.seconds, 1)},
+                "best": _best(self.history),
                 **(provenance or {}),
             },
             weights=weights,
             train_state={
                 "architecture": model.architecture,
                 "arguments": model.config(),
-                "config": config.as_dict(),
-                "data": learned_from,
+                "config": config,
+                "data": self._data_hash,
                 "model": model.state_dict(),
-                "optimiser": optimiser.state_dict(),
-                "average": average.state(),
-                "since_validation": since_validation,
-                "total": total,
-                "step": step,
-                "seconds": seconds,
-                "history": history,
+                "optimiser": self._optimiser.state_dict(),
+                "average": self.average.state(),
+                "since_validation": self._loss_count,
+                "total": self._loss_sum,
+                "step": self.step,
+                "seconds": self.seconds,
+                "history": self.history,
             },
         )
 
-    def fraction_done() -> float:
-        if config.minutes is None:
-            return step / config.steps
-        return min(1.0, max(step / config.steps, seconds / (60.0 * config.minutes)))
+    def restore(self, out: Path | str) -> None:
+        """Read the state that `save` wrote.
 
-    clock = reported = time.monotonic()
-    while fraction_done() < 1.0:
-        if workers.most(should_stop()):
-            total = _finite(workers.mean(total + float(losses)), step)  # or the good state stays
-            save(None if history else average.weights())
-            return TrainResult(False, step, seconds, history, _best(history))
-
-        # The batch, the queries and their turn are a function of (seed, step) alone, as is what
-        # dropout leaves out of this worker's share.
-        rng = np.random.default_rng([config.seed, 2, step])
-        views = training_views(split.train, config.batch_size, step, config.seed)
-        batch = read_batch(pack, views, config.queries, rng)
-        batch = augment(batch, rng) if config.augmentation else batch
-        batch = workers.share(batch).to(target)
-        torch.manual_seed(int(rng.integers(2**62)) + workers.rank)
-
-        for group in optimiser.param_groups:
-            group["lr"] = config.rate(step, fraction_done())
-        with torch.autocast(target.type, low_precision, enabled=low_precision is not None):
-            predicted = predict(model, batch)
-        loss = config.loss(predicted, batch.sdf)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        workers.average_gradients(model)
-        if config.clip:
-            torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
-        optimiser.step()
-        average.update(model, step)
-
-        step += 1
-        since_report += 1
-        since_validation += 1
-        losses += loss.detach()
-        now = time.monotonic()
-        seconds, clock = seconds + now - clock, now
-        if config.minutes is not None:
-            seconds = workers.most(seconds)  # one clock, or they would not end at the same step
-        if now - reported >= report_every:
-            mean = float(losses) / since_report
-            total += _finite(float(losses), step)
-            speed = since_report * config.batch_size / (now - reported)
-            left = seconds * (1.0 / max(fraction_done(), 1e-9) - 1.0)
-            on_progress(Progress(step, fraction_done(), mean, speed, left))
-            losses.zero_()
-            since_report, reported = 0, now
-        if step % config.validate_every == 0 or fraction_done() >= 1.0:
-            total = _finite(workers.mean(total + float(losses)), step)
-            result = validate(pack, split, average.model, config.loss, low_precision, target)
-            history.append(_entry(step, seconds, total / since_validation, result))
-            losses.zero_()
-            since_report, since_validation, total = 0, 0, 0.0
-            is_best = _best(history) is history[-1]
-            save(average.weights() if is_best else None)
-            on_progress(
-                Progress(step, fraction_done(), history[-1]["train_loss"], 0.0, 0.0, history[-1])
-            )
-            clock = reported = time.monotonic()
-    return TrainResult(True, step, seconds, history, _best(history))
+        Raises:
+            InputError: There is none, or it is of another configuration or of other data.
+        """
+        state = read_train_state(out)
+        with sense_of_state(out):
+            require_same_run(state, self._model, self._config.as_dict(), out)
+            require_same_data(state, self._data_hash, out)
+            self._model.load_state_dict(state["model"])
+            put_back_optimiser(self._optimiser, state["optimiser"])
+            self.average.load(state["average"])
+            self.step, self.seconds, self.history = progress_of(state, "step", "object_loss")
+            # A run of an earlier version does not say: the first mean loss is of what follows then.
+            self._loss_count = max(0, int(state.get("since_validation", 0)))
+            self._loss_sum = float(state.get("total", 0.0))
 
 
 def _finite(loss: float, step: int) -> float:
     if not math.isfinite(loss):
         raise RgraspError(f"the loss is {loss} at step {step}", hint="lower --learning-rate")
     return loss
-
-
-def _entry(step: int, seconds: float, loss: float, result: Validation) -> dict[str, float]:
-    return {"step": step, "seconds": seconds, "train_loss": loss, **result._asdict()}
 
 
 def _best(history: list[dict[str, float]]) -> dict[str, float] | None:
