@@ -26,9 +26,10 @@ from plan_scenes import TableScene, table_scenes
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.io.plans import OK, Plan, write_plan
+from pointsdf_cli.planning.answer import Answer
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import RefinedField
-from pointsdf_cli.planning.grasp_planner import METHODS, Answer, GraspPlanner, PlanOptions
+from pointsdf_cli.planning.grasp_planner import METHODS, GraspPlanner, PlanOptions
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics

@@ -23,6 +23,7 @@ from pointsdf_cli.models.surroundings import Surroundings
 from pointsdf_cli.training import sdf_loop
 from pointsdf_cli.training.distributed import Workers
 from pointsdf_cli.training.sdf_data import Batch
+from pointsdf_cli.training.sdf_progress import TrainResult
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +94,7 @@ def test_a_stopped_training_is_not_taken_for_done(
 ) -> None:
     real = sdf_loop.train_sdf
 
-    def interrupted(*arguments: Any, **options: Any) -> sdf_loop.TrainResult:
+    def interrupted(*arguments: Any, **options: Any) -> TrainResult:
         os.kill(os.getpid(), getattr(signal, name))
         return real(*arguments, **options)
 

@@ -31,6 +31,7 @@ from pointsdf_cli.io.views import Views, write_views
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import build_model, load_model
+from pointsdf_cli.training.sdf_config import TrainConfig
 from pointsdf_cli.training.sdf_data import (
     augment,
     held_out_names,
@@ -38,10 +39,10 @@ from pointsdf_cli.training.sdf_data import (
     split_views,
     training_views,
 )
-from pointsdf_cli.training.sdf_config import TrainConfig
-from pointsdf_cli.training.sdf_loop import Progress, TrainResult, train_sdf
+from pointsdf_cli.training.sdf_loop import train_sdf
 from pointsdf_cli.training.sdf_loss import SdfLoss, label_iou
 from pointsdf_cli.training.sdf_pack import Pack, open_pack, pair_artifacts, read_pack
+from pointsdf_cli.training.sdf_progress import Progress, TrainResult
 
 VIEWS, LABELS = 4, 3000
 

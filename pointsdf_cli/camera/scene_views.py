@@ -28,7 +28,7 @@ FEWEST_POINTS = 60
 """A view of fewer points of the object is drawn again."""
 MOST_HIDDEN = 0.45
 """A view in which more of the object's pixels are hidden is drawn again."""
-REDRAWS = 30
+DRAWS = 30
 NO_ERRORS = SegmentationErrors(
     masked=1.0, offset=(0.0, 0.0), uneven=0.0, ragged=0.0, height=0.0, tilt=0.0
 )
@@ -112,7 +112,7 @@ class SceneViews:
         exact = rng.random() < config.exact
         content = self._alone if exact else config.scene
         errors = NO_ERRORS if exact else config.errors
-        for vain in range(REDRAWS):
+        for rejected in range(DRAWS):
             scene = draw_scene(self._caster, self._vertices, self._poses, camera, content, rng)
             if _hidden(scene) > MOST_HIDDEN:
                 continue
@@ -129,9 +129,9 @@ class SceneViews:
             # What cleaning drops lies between surfaces: of its pixels nothing is known.
             seen = SeenObject(seen.points[kept], seen.others, seen.support_plane)
             view = SceneView(seen.points, scene.T_camera_object, seen.evidence(1.0 / camera.fx))
-            return view, vain
+            return view, rejected
         raise InputError(
-            f"{REDRAWS} scenes showed fewer than {FEWEST_POINTS} points of it",
+            f"{DRAWS} scenes showed fewer than {FEWEST_POINTS} points of it",
             hint="check its size and unit, or choose another --camera",
         )
 

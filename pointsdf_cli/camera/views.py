@@ -30,7 +30,7 @@ FEWEST_PIXELS = 50
 """A view of fewer pixels sees almost nothing: it is drawn again."""
 LARGEST_COVER = 0.95
 """A view that covers more of the image has no silhouette left: it is drawn again."""
-REDRAWS = 50
+DRAWS = 50
 EDGE_MARGIN = 6
 """Sensor pixels around the mesh into which its silhouette may be displaced."""
 
@@ -156,7 +156,7 @@ def render_views(
     depths = np.empty((config.views, height, width), np.float32) if config.keep_depth else None
     redrawn, sensor = 0, config.measures
     for k in range(config.views):
-        for _ in range(REDRAWS):
+        for _ in range(DRAWS):
             rotation = random_rotation(rng)
             if config.above and rotation[2, 2] > 0:  # the camera looks along z, so from below
                 rotation = rotation * [1.0, -1.0, -1.0]
@@ -169,7 +169,7 @@ def render_views(
             redrawn += 1
         else:
             raise InputError(
-                f"{REDRAWS} views at {config.distance} m saw fewer than {FEWEST_PIXELS} pixels of "
+                f"{DRAWS} views at {config.distance} m saw fewer than {FEWEST_PIXELS} pixels of "
                 "it, or nothing else",
                 hint="check its size and unit, or choose another --distance or --camera",
             )
@@ -210,7 +210,7 @@ def _scene_views(
         mesh_repair=mesh.repair,
         evidence=tuple(view.evidence for view, _ in drawn),
     )
-    return views, sum(vain for _, vain in drawn)
+    return views, sum(rejected for _, rejected in drawn)
 
 
 def measured_patch(

@@ -276,7 +276,7 @@ def _limits(entries: list[str]) -> dict[str, int]:
 
 
 def _line(progress: object) -> str:
-    from pointsdf_cli.training.sdf_loop import Progress
+    from pointsdf_cli.training.sdf_progress import Progress
 
     assert isinstance(progress, Progress)
     if progress.validation is not None:

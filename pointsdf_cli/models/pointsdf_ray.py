@@ -22,6 +22,7 @@ import torch
 from torch import Tensor, nn
 
 from pointsdf_cli.models.box_frame import BOX_SIZE, BoxFrame, box_evidence, box_frame
+from pointsdf_cli.models.decoder_parts import CentreAttention, LocalFeatures, ResidualBlock
 from pointsdf_cli.models.neighbours import (
     SEARCHES,
     farthest_point_order,
@@ -50,9 +51,6 @@ from pointsdf_cli.models.surroundings import (
 
 OCTAVES = 4
 """Frequencies of the sines and cosines of a query's coordinates."""
-
-HEADS = 4
-"""Weighted means that a local read-out takes over the same neighbours."""
 
 
 class PointSDFRay(ShapeModel):
@@ -99,17 +97,10 @@ class PointSDFRay(ShapeModel):
         self.centres, self.neighbours = tuple(centres), tuple(neighbours)
         self.hidden, self.channels = tuple(hidden), tuple(channels)
         self.width, self.blocks, self.local, self.heads = width, blocks, local, heads
-        if search not in SEARCHES:
-            raise ValueError(f"no neighbour search {search!r}")
-        for found, k in zip((self.cloud_size, *centres), neighbours, strict=False):
-            if not 1 <= k <= found:
-                raise ValueError(f"{k} neighbours of {found} points")
-        if box and not revolution:
-            raise ValueError("the box is read with the axis of revolution only")
         self.search, self.revolution, self.sideways = search, revolution, sideways
         self.has_box, self.reads_surroundings = box, surroundings
         self.packed_neighbours = (centres[0], neighbours[0])
-
+        self._check()
         self.layers = nn.ModuleList(
             PointConv(
                 in_channels,
@@ -132,13 +123,7 @@ class PointSDFRay(ShapeModel):
         self.local_fine = LocalFeatures(channels[0], local, dimensions=3, radius=0.1)
         self.local_coarse = LocalFeatures(channels[1], local, dimensions=3, radius=0.2)
         self.local_image = LocalFeatures(channels[1], local, dimensions=3, radius=0.2)
-        inputs = 3 + 6 * OCTAVES + EVIDENCE_SIZE + 3 * local
-        # Last among the inputs, so that weights of a decoder without them fit (`begin_with`).
-        inputs += (TRUST_SIZE + EVIDENCE_SIZE + local) if revolution else 0
-        inputs += BOX_SIZE if box else 0
-        if surroundings:
-            inputs += SURROUNDINGS_SIZE + (VISIBILITY_SIZE if revolution else 0)
-        self.enter = nn.Linear(inputs, width)
+        self.enter = nn.Linear(self._input_size(), width)
         self.embed_first = nn.Linear(self.embedding_size, width)
         self.embed_middle = nn.Linear(self.embedding_size, width)
         self.attention = CentreAttention(width, channels[2], heads) if heads else None
@@ -147,6 +132,25 @@ class PointSDFRay(ShapeModel):
         self.leave = nn.Linear(width, 1)
         frequencies = 2.0 ** torch.arange(OCTAVES) * torch.pi
         self.register_buffer("frequencies", frequencies, persistent=False)
+
+    def _check(self) -> None:
+        if self.search not in SEARCHES:
+            raise ValueError(f"no neighbour search {self.search!r}")
+        for found, k in zip((self.cloud_size, *self.centres), self.neighbours, strict=False):
+            if not 1 <= k <= found:
+                raise ValueError(f"{k} neighbours of {found} points")
+        if self.has_box and not self.revolution:
+            raise ValueError("the box is read with the axis of revolution only")
+
+    def _input_size(self) -> int:
+        """Numbers that the decoder reads about a query."""
+        size = 3 + 6 * OCTAVES + EVIDENCE_SIZE + 3 * self.local
+        # Last among the inputs, so that weights of a decoder without them fit (`begin_with`).
+        size += (TRUST_SIZE + EVIDENCE_SIZE + self.local) if self.revolution else 0
+        size += BOX_SIZE if self.has_box else 0
+        if self.reads_surroundings:
+            size += SURROUNDINGS_SIZE + (VISIBILITY_SIZE if self.revolution else 0)
+        return size
 
     def config(self) -> dict[str, Any]:
         return {
@@ -228,15 +232,22 @@ class PointSDFRay(ShapeModel):
             around = surroundings or no_surroundings(len(cloud), cloud.device)
             evidence |= {f"around_{name}": value for name, value in around._asdict().items()}
         if self.revolution:
-            with torch.autocast(cloud.device.type, enabled=False):
-                normals = surface_normals(fine_at, neighbours, cloud, camera)
-                axis = revolution_axis(fine_at, normals, camera, self.sideways)
-                evidence |= {f"axis_{name}": value for name, value in axis._asdict().items()}
-                evidence["places"] = places(cloud, axis)
-                if self.has_box:
-                    box = box_frame(normals, cloud, camera, axis)
-                    evidence |= {f"box_{name}": value for name, value in box._asdict().items()}
+            evidence |= self._symmetry(cloud, camera, fine_at, neighbours)
         return Encoding(self.to_embedding(features.flatten(1)), evidence)
+
+    def _symmetry(
+        self, cloud: Tensor, camera: Tensor, centres: Tensor, neighbours: Tensor
+    ) -> dict[str, Tensor]:
+        """Axis of revolution of each cloud, and the box about it."""
+        with torch.autocast(cloud.device.type, enabled=False):
+            normals = surface_normals(centres, neighbours, cloud, camera)
+            axis = revolution_axis(centres, normals, camera, self.sideways)
+            known = {f"axis_{name}": value for name, value in axis._asdict().items()}
+            known["places"] = places(cloud, axis)
+            if self.has_box:
+                box = box_frame(normals, cloud, camera, axis)
+                known |= {f"box_{name}": value for name, value in box._asdict().items()}
+        return known
 
     def in_precision(self, encoding: Encoding, dtype: torch.dtype) -> Encoding:
         known = encoding.evidence
@@ -304,70 +315,3 @@ class PointSDFRay(ShapeModel):
 
 def _axis(known: dict[str, Tensor]) -> Axis:
     return Axis(*(known[f"axis_{name}"] for name in Axis._fields))
-
-
-class LocalFeatures(nn.Module):
-    """A PointConv-like read-out at the queries: relu(A f_j + B (x − c_j)), weighted over j.
-
-    A f_j − B c_j is one table per cloud, made at encoding; a query only gathers rows of it.
-    """
-
-    def __init__(self, channels: int, width: int, dimensions: int, radius: float) -> None:
-        super().__init__()
-        self.inverse_radius = 1.0 / radius
-        self.from_features = nn.Linear(channels, width)
-        self.from_offset = nn.Linear(dimensions, width, bias=False)
-        self.score = nn.Linear(width, HEADS)
-        self.out = nn.Linear(HEADS * width, width)
-
-    def table(self, features: Tensor, centres: Tensor) -> Tensor:
-        """[B, M, width] from features [B, M, C] at centres [B, M, 3]."""
-        at_centres = self.from_offset(centres * self.inverse_radius)
-        return self.from_features(features) - at_centres
-
-    def forward(self, x: Tensor, table: Tensor, index: Tensor) -> Tensor:
-        """[B, Q, width] at x [B, Q, 3] from rows `index` [B, Q, K] of the table."""
-        at_queries = self.from_offset(x * self.inverse_radius)
-        # In place: these are the largest tensors of the decoder, and memory is what they cost.
-        hidden = gather(table, index).add_(at_queries.unsqueeze(2)).relu_()
-        weights = self.score(hidden).softmax(dim=2).to(hidden.dtype)
-        read = torch.matmul(weights.transpose(-1, -2), hidden)
-        return self.out(read.flatten(-2))
-
-
-class CentreAttention(nn.Module):
-    """Multi-head attention of queries over the centres of one encoder level."""
-
-    def __init__(self, width: int, channels: int, heads: int, size: int = 32) -> None:
-        super().__init__()
-        self.heads, self.size = heads, size
-        self.norm = nn.LayerNorm(width)
-        self.query = nn.Linear(width, heads * size)
-        self.key_value = nn.Linear(channels + 3, 2 * heads * size)
-        self.out = nn.Linear(heads * size, width)
-
-    def keys_and_values(self, features: Tensor, centres: Tensor) -> dict[str, Tensor]:
-        """Keys and values [B, heads, M, size] of features [B, M, C] at centres [B, M, 3]."""
-        both = self.key_value(torch.cat([features, centres.to(features.dtype) * 4.0], dim=-1))
-        keys, values = both.unflatten(-1, (2, self.heads, self.size)).unbind(-3)
-        return {"keys": keys.transpose(1, 2), "values": values.transpose(1, 2)}
-
-    def forward(self, h: Tensor, keys: Tensor, values: Tensor) -> Tensor:
-        """[B, Q, width] from h [B, Q, width]."""
-        queries = self.query(self.norm(h)).unflatten(-1, (self.heads, self.size)).transpose(1, 2)
-        weights = torch.matmul(queries * self.size**-0.5, keys.transpose(-1, -2).to(queries.dtype))
-        read = torch.matmul(weights.softmax(-1).to(values.dtype), values)
-        return self.out(read.transpose(1, 2).flatten(-2))
-
-
-class ResidualBlock(nn.Module):
-    """h + W₂ gelu(W₁ norm(h))."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.norm = nn.LayerNorm(width)
-        self.first = nn.Linear(width, width)
-        self.second = nn.Linear(width, width)
-
-    def forward(self, h: Tensor) -> Tensor:
-        return h + self.second(torch.nn.functional.gelu(self.first(self.norm(h))))

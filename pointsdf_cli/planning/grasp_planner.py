@@ -24,11 +24,11 @@ from pointsdf_cli.assets import assets_folder
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
-from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.planning.answer import Answer, PerceivedObject
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed, given_constraint, unseen_support
 from pointsdf_cli.planning.environment import Environment
@@ -123,49 +123,6 @@ class PlanOptions:
         check_method(self.method)
         check_kind(self.kind)
         check_speed(self.speed)
-
-
-@dataclass(frozen=True)
-class PerceivedObject:
-    """An object as perceived, before anything is planned.
-
-    Attributes:
-        target: The object as a constraint and a score.
-        points: [N, 3], all views in the world, m.
-        reconstruction: Reconstruction of the first view; None in partial-view grasping.
-        timings: Seconds by stage.
-        resampled: Fields completed from further samples of the points, `resampled_views` of them.
-        fused: Mean field of all views; None for one view.
-    """
-
-    target: Target
-    points: Array
-    reconstruction: Reconstruction | None
-    timings: dict[str, float]
-    resampled: tuple[Field, ...] = ()
-    fused: Field | None = None
-
-
-@dataclass(frozen=True)
-class Answer:
-    """A plan and its inputs.
-
-    Attributes:
-        plan: The artifact; its status says whether there is a plan.
-        target: The object as a constraint and a score; None where there is no object.
-        reconstruction: Reconstruction of the cloud; None in partial-view grasping, or without an
-            object.
-        candidates: [C, J], the configurations of all accepted grasps, best first.
-    """
-
-    plan: Plan
-    target: Target | None
-    reconstruction: Reconstruction | None
-
-    @property
-    def candidates(self) -> Array:
-        """Configurations [C, J] of all accepted grasps, best first."""
-        return self.plan.accepted.q
 
 
 class GraspPlanner:
@@ -325,8 +282,8 @@ class GraspPlanner:
         search = replace(self.options.synthesis, kinds=self.kinds(points))
         if not self.too_large(points):
             return search
-        # It may still have a rim or a handle, but a long search would be in vain, and what touches
-        # nothing there merely stands beside it.
+        # It may still have a rim or a handle, but a long search seldom pays, and a hand that
+        # touches nothing there merely stands beside it.
         strict = replace(search.acceptance, floor=search.acceptance.least)
         return replace(search, rounds=min(search.rounds, 2), acceptance=strict)
 

@@ -178,12 +178,7 @@ def choose(
             "any, where one object is needed", where="--target", allowed="a number, U,V or X,Y,Z"
         )
     if target.number is not None:
-        if not 1 <= target.number <= len(things):
-            there = "; ".join(f"{thing.number} {thing.describe()}" for thing in things)
-            raise InputError(
-                f"no object {target.number}", where="--target", allowed=f"of {where}: {there}"
-            )
-        return things[target.number - 1]
+        return _of_number(things, target.number, where)
     by_label = {thing.label: thing for thing in things}
     mine = np.isin(label, list(by_label))
     if target.pixel is not None:
@@ -211,6 +206,13 @@ def choose(
                 allowed=f"a place within {TARGET_REACH:g} m of an object, world, m",
             )
     return by_label[int(label[mine][away.argmin()])]
+
+
+def _of_number(things: list[Thing], number: int, where: str) -> Thing:
+    if not 1 <= number <= len(things):
+        there = "; ".join(f"{thing.number} {thing.describe()}" for thing in things)
+        raise InputError(f"no object {number}", where="--target", allowed=f"of {where}: {there}")
+    return things[number - 1]
 
 
 def _sides(points: Array) -> Array:

@@ -15,9 +15,10 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.plans import OK, Plan
+from pointsdf_cli.planning.answer import Answer
 from pointsdf_cli.planning.cloud_checks import require_pose
 from pointsdf_cli.planning.environment import Environment, Obstacle
-from pointsdf_cli.planning.grasp_planner import Answer, GraspPlanner, PlanOptions
+from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
 from pointsdf_cli.planning.option_checks import RECONSTRUCTION
 from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult, as_sentences
@@ -155,11 +156,7 @@ def plan_on_table(
     try:
         seen = look_at_table(clouds, names, planner.robot, q, segment, target, workspace, cleaned)
     except NoObjectError as error:
-        world = np.concatenate([_in_world(cloud) for cloud in clouds])
-        camera = np.asarray(clouds[0].T_world_camera)[:3, 3]
-        answer = planner.nothing(f"{error.what}; {error.hint or error.allowed}")
-        said = (f"{error.where}: {error.what}",)
-        return TableSession(answer, said, q, world, camera, environment.obstacles)
+        return _without_object(planner, clouds, error, q, environment)
     report = list(seen.report)
     warnings = _warnings(seen, clouds, segment, environment.table)
     if warn is not None:
@@ -173,15 +170,34 @@ def plan_on_table(
         report += _said_of(beside, network is not None, seconds)
         environment = replace(environment, obstacles=(*known, *beside))
     answer = planner.plan(seen.views, environment, q, seed)
-    answer = replace(answer, plan=_with_surface(answer, seconds))
-    if warnings:
-        sentence = f"{answer.plan.sentence} {as_sentences(warnings)}".strip()
-        answer = replace(answer, plan=replace(answer.plan, sentence=sentence))
+    answer = replace(answer, plan=_with_remarks(_with_surface(answer, seconds), warnings))
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
     return TableSession(
         answer, tuple(report), q, points, camera, environment.obstacles, tuple(warnings)
     )
+
+
+def _without_object(
+    planner: GraspPlanner,
+    clouds: Sequence[Cloud],
+    error: NoObjectError,
+    q: Array,
+    environment: Environment,
+) -> TableSession:
+    """The session of clouds that show no object."""
+    world = np.concatenate([_in_world(cloud) for cloud in clouds])
+    camera = np.asarray(clouds[0].T_world_camera)[:3, 3]
+    answer = planner.nothing(f"{error.what}; {error.hint or error.allowed}")
+    said = (f"{error.where}: {error.what}",)
+    return TableSession(answer, said, q, world, camera, environment.obstacles)
+
+
+def _with_remarks(plan: Plan, warnings: Sequence[str]) -> Plan:
+    """A plan whose sentence ends with the warnings."""
+    if not warnings:
+        return plan
+    return replace(plan, sentence=f"{plan.sentence} {as_sentences(warnings)}".strip())
 
 
 def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: bool) -> list[str]:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.camera.cleaning import clean
@@ -110,34 +111,24 @@ def look_at_table(
         return _bare_objects(clouds, names, cleaned)
     own = robot_points(robot, start)
     reach = reach_of(robot)
+
+    def on_robot(world: Array) -> NDArray[np.bool_]:
+        return ~off_robot(world, own)
+
     seen: list[Sighting] = []
-    others, report, heights = [], [], []
+    others, report = [], []
     scenes: list[tuple[Scene, int]] = []
     problem: NoObjectError | None = None
     first: tuple[Array, Array] | None = None
     for cloud, name in zip(clouds, names, strict=True):
         require_pose(cloud, name)
-        scene = sort_scene(
-            check_scene_cloud(cloud, name),
-            name,
-            workspace,
-            lambda world: ~off_robot(world, own),
-            reach,
-            cleaned,
-        )
+        usable = check_scene_cloud(cloud, name)
+        scene = sort_scene(usable, name, workspace, on_robot, reach, cleaned)
         try:
             thing = chosen_thing(scene, wanted, workspace, first is not None)
             found = sighting(scene, thing, cleaned)
             in_world = apply_transform(found.T_world_camera, found.object_points)
-            if first is not None:
-                _require_same(in_world, first, name)
-            elif (width := level_width(in_world)) > WIDEST:
-                raise NoObjectError(
-                    f"what is seen there is {width:.2f} m wide or more in every direction: no hand "
-                    "reaches around that",
-                    where=name,
-                    hint="--target names another object, --mask a part of it",
-                )
+            _check_sighting(in_world, first, name)
         except NoObjectError as error:
             problem = problem or error
             report.append(f"{name}: the object is not seen")
@@ -149,18 +140,36 @@ def look_at_table(
         seen.append(found)
         others.append(found.others_in_world)
         scenes.append((scene, thing.label))
-        if scene.things.plane is not None:
-            heights.append(float(scene.things.plane[3]))
         if first is None:
             first = in_world, found.others_in_world
             # The other cameras are asked for what the first one chose.
             wanted = Target(place=np.median(in_world, axis=0))
     if problem is not None and not seen:
         raise problem
-    rest = np.concatenate(others) if others else np.zeros((0, 3))
-    height = float(np.median(heights)) if heights else None
     views = tuple(view_of(each) for each in seen)
-    return TableTop(views, rest, tuple(report), height, tuple(scenes))
+    return TableTop(
+        views, np.concatenate(others), tuple(report), _table_height(scenes), tuple(scenes)
+    )
+
+
+def _check_sighting(in_world: Array, first: tuple[Array, Array] | None, name: str) -> None:
+    """The first camera's object may be grasped; that of another one is the same object."""
+    if first is not None:
+        _require_same(in_world, first, name)
+    elif (width := level_width(in_world)) > WIDEST:
+        raise NoObjectError(
+            f"what is seen there is {width:.2f} m wide or more in every direction: no hand "
+            "reaches around that",
+            where=name,
+            hint="--target names another object, --mask a part of it",
+        )
+
+
+def _table_height(scenes: Sequence[tuple[Scene, int]]) -> float | None:
+    """Height of the table in the scenes that show the object [m]; None without a table."""
+    planes = [scene.things.plane for scene, label in scenes if label >= 0]
+    heights = [float(plane[3]) for plane in planes if plane is not None]
+    return float(np.median(heights)) if heights else None
 
 
 def view_of(seen: Sighting) -> View:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -19,29 +18,13 @@ from pointsdf_cli.simulation.bullet import import_bullet
 from pointsdf_cli.simulation.bullet_object import BulletObject, write_pieces
 from pointsdf_cli.simulation.bullet_robot import BulletRobot, CarriedHand
 from pointsdf_cli.simulation.bullet_urdf import bullet_urdf, hand_urdfs
+from pointsdf_cli.simulation.contacts import RobotContact, any_below, contact_of
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.physics import CONTACT_RECOVERY, JOINT_RECOVERY, PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
 
 TABLE_LOW, TABLE_HIGH = (-0.35, -0.75), (1.25, 0.75)
 """Corners of the table top in the world [m]."""
-
-
-@dataclass(frozen=True)
-class RobotContact:
-    """Contact model of robot and object.
-
-    Attributes:
-        links: Number of the robot's links that touch the object.
-        hand_links: Those of them that belong to the hand.
-        depth: Deepest overlap of any robot link with the object [m], 0 if none.
-        force: Sum of normal forces [N].
-    """
-
-    links: int
-    hand_links: int
-    depth: float
-    force: float
 
 
 class World:
@@ -258,20 +241,8 @@ class World:
 
     def robot_contact(self) -> RobotContact:
         """Present contacts of the robot with the object."""
-        points = [
-            point
-            for body in self._robot.bodies
-            for point in self._bullet.getContactPoints(
-                bodyA=body, bodyB=self._object_body, physicsClientId=self._client
-            )
-        ]
-        touching = [point for point in points if point[9] > 0.0 or point[8] < 0.0]
-        links = {(point[1], point[3]) for point in touching}
-        return RobotContact(
-            links=len(links),
-            hand_links=len(links & self._hand_links),
-            depth=max((max(0.0, -point[8]) for point in points), default=0.0),
-            force=float(sum(point[9] for point in points)),
+        return contact_of(
+            self._bullet, self._client, self._robot.bodies, self._object_body, self._hand_links
         )
 
     def rises_into_object(self, aside: float) -> bool:
@@ -282,17 +253,10 @@ class World:
         Args:
             aside: Nearer than this [m] counts as meeting.
         """
-        b, c = self._bullet, self._client
-        low, high = b.getAABB(self._there.body, -1, physicsClientId=c)
-        for link, (body, number) in self._robot.links.items():
-            if not self.robot.tree.shapes.get(link):
-                continue
-            at, end = b.getAABB(body, number, physicsClientId=c)
-            if at[2] < high[2] + aside and all(
-                at[k] < high[k] + aside and end[k] > low[k] - aside for k in (0, 1)
-            ):
-                return True
-        return False
+        links = [
+            place for link, place in self._robot.links.items() if self.robot.tree.shapes.get(link)
+        ]
+        return any_below(self._bullet, self._client, links, self._there.body, aside)
 
     def object_on_table(self) -> bool:
         """Whether the object touches the table."""
@@ -332,16 +296,9 @@ class World:
         recovery = JOINT_RECOVERY * self.physics.step
         self._robot: BulletRobot
         if hand_alone:
+            step = self.physics.step
             self._robot = CarriedHand(
-                b,
-                c,
-                robot,
-                self._hand,
-                recovery,
-                self.chain,
-                q,
-                self.physics.step,
-                self._gui,
+                b, c, robot, self._hand, recovery, self.chain, q, step, self._gui
             )
         else:
             self._robot = BulletRobot(
@@ -367,13 +324,9 @@ class World:
             path = self._folder / "object.obj"
             write_pieces(item.pieces, path, self._skin)
             self._object_file = item.pieces, path
+        path = self._object_file[1]
         self._object = BulletObject(
-            self._bullet,
-            self._client,
-            item,
-            self._object_file[1],
-            T_world_object,
-            self.physics,
+            self._bullet, self._client, item, path, T_world_object, self.physics
         )
 
     def _added(self, item: SimObject, T_world_object: Array, path: Path) -> BulletObject:

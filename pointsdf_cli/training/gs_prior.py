@@ -66,29 +66,36 @@ def fit_prior(
         torch.tensor(weights / weights.sum()), rotations, means, factors, torch.tensor(ranges)
     )
     for k in np.flatnonzero(weights):
-        chosen = np.flatnonzero(kind == k).tolist()
+        chosen = np.flatnonzero(kind == k)
+        theirs = [places[i] for i in chosen.tolist()]
         palm = torch.tensor(T_world_palm[chosen])
-        prior.rotations[k] = mean_rotation(
-            torch.stack(
-                [
-                    places[i].heading().T @ rotation
-                    for i, rotation in zip(chosen, palm[:, :3, :3], strict=True)
-                ]
-            )
-        )
-        y = torch.cat(
-            [
-                prior.coordinates(
-                    int(k), torch.tensor(preshape[i : i + 1]), palm[n, None], places[i]
-                )
-                for n, i in enumerate(chosen)
-            ]
-        ).numpy()
-        mixture = GaussianMixture(1, covariance_type="full", reg_covar=1.0).fit(y / floors)
-        prior.means[k] = torch.tensor(mixture.means_[0] * floors)
-        covariance = mixture.covariances_[0] * np.outer(floors, floors)
-        prior.choleskys[k] = torch.linalg.cholesky(torch.tensor(covariance))
+        _fit_kind(prior, int(k), torch.tensor(preshape[chosen]), palm, theirs, floors)
     return prior
+
+
+def _fit_kind(
+    prior: GraspPrior,
+    k: int,
+    preshape: Tensor,
+    palm: Tensor,
+    places: Sequence[ObjectPlace],
+    floors: NDArray[np.float64],
+) -> None:
+    """Fit the Gaussian of one kind to its grasps: preshape [n, K], palm [n, 4, 4]."""
+    headings = torch.stack(
+        [place.heading().T @ pose[:3, :3] for place, pose in zip(places, palm, strict=True)]
+    )
+    prior.rotations[k] = mean_rotation(headings)
+    y = torch.cat(
+        [
+            prior.coordinates(k, preshape[n, None], palm[n, None], place)
+            for n, place in enumerate(places)
+        ]
+    ).numpy()
+    mixture = GaussianMixture(1, covariance_type="full", reg_covar=1.0).fit(y / floors)
+    prior.means[k] = torch.tensor(mixture.means_[0] * floors)
+    covariance = mixture.covariances_[0] * np.outer(floors, floors)
+    prior.choleskys[k] = torch.linalg.cholesky(torch.tensor(covariance))
 
 
 def mean_rotation(rotations: Tensor) -> Tensor:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,50 +29,11 @@ from pointsdf_cli.training.resuming import (
 from pointsdf_cli.training.sdf_config import TrainConfig
 from pointsdf_cli.training.sdf_data import Split, augment, predict, read_batch, training_views
 from pointsdf_cli.training.sdf_pack import Pack
+from pointsdf_cli.training.sdf_progress import Progress, TrainResult
 from pointsdf_cli.training.sdf_validation import validate
 
 LABEL_STRIDE = 101
 """Stride of the labels that identify a data set."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Progress after a step.
-
-    Attributes:
-        step: Steps done.
-        fraction: Share of the whole run that is done.
-        loss: Mean training loss since the last report.
-        clouds_per_second: Since the last report.
-        seconds_left: Estimate.
-        validation: Set right after a validation.
-    """
-
-    step: int
-    fraction: float
-    loss: float
-    clouds_per_second: float
-    seconds_left: float
-    validation: dict[str, float] | None = None
-
-
-@dataclass(frozen=True)
-class TrainResult:
-    """Result of a run.
-
-    Attributes:
-        finished: False if it was stopped; `--resume` then carries on.
-        step: Steps done.
-        seconds: Training time, over all resumed parts.
-        history: One entry a validation: step, seconds, train_loss, and the validation's numbers.
-        best: The entry whose weights were kept.
-    """
-
-    finished: bool
-    step: int
-    seconds: float
-    history: list[dict[str, float]]
-    best: dict[str, float] | None
 
 
 def train_sdf(
@@ -93,8 +53,8 @@ def train_sdf(
 ) -> TrainResult:
     """Train `model` and keep the weights with the lowest loss on held-out objects.
 
-    A stopped and resumed run gives bit for bit the weights of an uninterrupted one (with `steps`,
-    on the same machine).
+    A run that was stopped and resumed gives bit for bit the weights of an uninterrupted one (with
+    `steps`, on the same machine).
 
     Args:
         pack: The data.
@@ -115,14 +75,7 @@ def train_sdf(
         RgraspError: The loss is no longer finite.
     """
     keep_large_allocations()
-    share = min(config.batch_size, len(split.train)) // workers.count
-    if share < 2 and has_batch_norm(model):
-        raise InputError(
-            f"{share} cloud a step in each process: {model.architecture} has batch norm, which "
-            "compares clouds",
-            where="--batch-size",
-            allowed="2 or more, and as many training views",
-        )
+    _require_enough_clouds(model, config, split, workers)
     run = _Run(pack, split, model, config, torch.device(device), workers)
     if resume:
         run.restore(out)
@@ -131,7 +84,7 @@ def train_sdf(
     while run.fraction < 1.0:
         if workers.most(should_stop()):
             run.collect_losses()  # raises before a state without finite losses replaces a good one
-            run.save(out, None if run.history else run.average.weights(), provenance)
+            run.save(out, provenance)
             return run.result(finished=False)
         run.take_step()
         since_report += 1
@@ -139,15 +92,11 @@ def train_sdf(
         run.add_time(now - clock)
         clock = now
         if now - reported >= report_every:
-            speed = since_report * config.batch_size / (now - reported)
-            left = run.seconds * (1.0 / max(run.fraction, 1e-9) - 1.0)
-            loss = run.sum_losses() / since_report
-            on_progress(Progress(run.step, run.fraction, loss, speed, left))
+            on_progress(run.progress(since_report, now - reported))
             since_report, reported = 0, now
         if run.step % config.validate_every == 0 or run.fraction >= 1.0:
             entry = run.validate()
-            is_best = _best(run.history) is entry
-            run.save(out, run.average.weights() if is_best else None, provenance)
+            run.save(out, provenance)
             on_progress(Progress(run.step, run.fraction, entry["train_loss"], 0.0, 0.0, entry))
             since_report = 0
             clock = reported = time.monotonic()
@@ -244,16 +193,18 @@ class _Run:
             # Without one clock they would not end at the same step.
             self.seconds = self._workers.most(self.seconds)
 
-    def sum_losses(self) -> float:
-        """This worker's losses since the last call, summed.
+    def progress(self, steps: int, seconds: float) -> Progress:
+        """Progress after this worker's last `steps`, which took `seconds`.
 
         Raises:
-            RgraspError: They are not finite.
+            RgraspError: Their losses are not finite.
         """
         read = _finite(float(self._unread), self.step)
         self._unread.zero_()
         self._loss_sum += read
-        return read
+        speed = steps * self._config.batch_size / seconds
+        left = self.seconds * (1.0 / max(self.fraction, 1e-9) - 1.0)
+        return Progress(self.step, self.fraction, read / steps, speed, left)
 
     def collect_losses(self) -> None:
         """Make the sum of losses that of all workers, on average.
@@ -290,15 +241,12 @@ class _Run:
         """The run so far."""
         return TrainResult(finished, self.step, self.seconds, self.history, _best(self.history))
 
-    def save(
-        self,
-        out: Path | str,
-        weights: Mapping[str, torch.Tensor] | None,
-        provenance: Mapping[str, Any] | None,
-    ) -> None:
-        """Write the state, and weights if there are better ones; the first worker alone does."""
+    def save(self, out: Path | str, provenance: Mapping[str, Any] | None) -> None:
+        """Write the state, and the weights unless better ones are there; by the first worker."""
         if not self._workers.is_first:
             return
+        validated = self.history and self._loss_count == 0
+        is_best = not self.history or (validated and _best(self.history) is self.history[-1])
         model, config = self._model, self._config.as_dict()
         write_checkpoint(
             out,
@@ -310,7 +258,7 @@ class _Run:
                 "best": _best(self.history),
                 **(provenance or {}),
             },
-            weights=weights,
+            weights=self.average.weights() if is_best else None,
             train_state={
                 "architecture": model.architecture,
                 "arguments": model.config(),
@@ -344,6 +292,19 @@ class _Run:
             # A run of an earlier version does not say: the first mean loss is of what follows then.
             self._loss_count = max(0, int(state.get("since_validation", 0)))
             self._loss_sum = float(state.get("total", 0.0))
+
+
+def _require_enough_clouds(
+    model: ShapeModel, config: TrainConfig, split: Split, workers: Workers
+) -> None:
+    share = min(config.batch_size, len(split.train)) // workers.count
+    if share < 2 and has_batch_norm(model):
+        raise InputError(
+            f"{share} cloud a step in each process: {model.architecture} has batch norm, which "
+            "compares clouds",
+            where="--batch-size",
+            allowed="2 or more, and as many training views",
+        )
 
 
 def _finite(loss: float, step: int) -> float:

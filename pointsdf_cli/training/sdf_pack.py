@@ -19,7 +19,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.lib.format import dtype_to_descr, write_array_header_1_0
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -41,6 +40,7 @@ from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.shape_model import PACKED_CENTRES as CENTRES
 from pointsdf_cli.models.shape_model import PACKED_NEIGHBOURS as NEIGHBOURS
 from pointsdf_cli.models.surroundings import surroundings_arrays
+from pointsdf_cli.training.array_files import ArrayWriter, write_array
 
 FORMAT = 3
 PREFIX, INDEX = "pack-", "index.json"
@@ -157,7 +157,7 @@ def open_pack(
         ]
         _check_limits(objects, limits)
         label_start = _build(pairs, objects, building, limits, on_progress)
-        _write_array(building / "label_start.npy", label_start)
+        write_array(building / "label_start.npy", label_start)
         write_text_atomic(building / INDEX, json.dumps({"names": objects}))
         # Who has a pack's files open keeps them, whoever moves or removes it.
         pack = load_pack(building, tuple(objects))
@@ -235,7 +235,7 @@ def _build(
     on_progress: Callable[[int, int], None] | None,
 ) -> NDArray[np.int64]:
     """Write the arrays into a folder; where each object's labels start."""
-    writers: dict[str, _Appender] = {}
+    writers: dict[str, ArrayWriter] = {}
     starts = [0]
     for done, (name, (view_file, label_file)) in enumerate(zip(names, pairs, strict=True)):
         views, labels = read_views(view_file), read_labels(label_file)
@@ -253,7 +253,7 @@ def _build(
         arrays["points"], arrays["sdf"] = labels.points, labels.sdf
         for key, array in arrays.items():
             if key not in writers:
-                writers[key] = _Appender(folder / f"{key}.bin", array)
+                writers[key] = ArrayWriter(folder / f"{key}.bin", array)
             writers[key].append(array, view_file)
         starts.append(starts[-1] + len(labels.sdf))
         if on_progress is not None:
@@ -281,47 +281,6 @@ def _limit(name: str, limits: Mapping[str, int]) -> int | None:
         prefix for prefix in limits if not prefix or name.startswith(prefix.rstrip("/") + "/")
     ]
     return limits[max(fitting, key=len)] if fitting else None
-
-
-class _Appender:
-    """Raw rows appended to a file, then copied behind a .npy header once their number is known."""
-
-    def __init__(self, path: Path, first: NDArray) -> None:
-        self.path, self.dtype, self.row = path, first.dtype, first.shape[1:]
-        self.rows = 0
-        path.write_bytes(b"")
-
-    def append(self, array: NDArray, where: Path) -> None:
-        if array.shape[1:] != self.row:
-            raise InputError(
-                f"has arrays of shape {array.shape[1:]} where the others have {self.row}",
-                where=where,
-                hint="make all artifacts of one data set with the same options",
-            )
-        with open(self.path, "ab") as handle:
-            handle.write(np.ascontiguousarray(array, dtype=self.dtype).tobytes())
-        self.rows += len(array)
-
-    def finish(self, target: Path) -> None:
-        header = {
-            "descr": dtype_to_descr(self.dtype),
-            "fortran_order": False,
-            "shape": (self.rows, *self.row),
-        }
-        # Plain writes: on a disk that fills, one into a mapped file kills the process.
-        with open(self.path, "rb") as rows, open(target, "wb") as handle:
-            write_array_header_1_0(handle, header)
-            shutil.copyfileobj(rows, handle)
-            handle.flush()
-            os.fsync(handle.fileno())
-        self.path.unlink()
-
-
-def _write_array(path: Path, array: NDArray) -> None:
-    with open(path, "wb") as handle:
-        np.save(handle, array)
-        handle.flush()
-        os.fsync(handle.fileno())
 
 
 def _finished(home: Path) -> Pack | None:

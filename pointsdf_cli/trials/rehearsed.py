@@ -23,12 +23,12 @@ from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.planning.acceptance import Candidate
+from pointsdf_cli.planning.answer import PerceivedObject
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.grasp_planner import (
     RECONSTRUCTION,
     Answer,
     GraspPlanner,
-    PerceivedObject,
     PlanOptions,
     SuccessModel,
 )

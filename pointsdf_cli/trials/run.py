@@ -25,10 +25,11 @@ from pointsdf_cli.io.trials import (
     read_trial,
     write_trial,
 )
+from pointsdf_cli.planning.answer import Answer
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
-from pointsdf_cli.planning.grasp_planner import Answer, SuccessModel
+from pointsdf_cli.planning.grasp_planner import SuccessModel
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.description import load_robot, robot_digest

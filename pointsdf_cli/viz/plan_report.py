@@ -50,7 +50,7 @@ def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
         rejected = plan.rejected
         parts += [
             html.heading("Rejected"),
-            html.note("Room is distance less the clearance asked for: negative is too near."),
+            html.note("Slack is the distance minus the required clearance: below 0 is too near."),
             html.table(
                 ("reason", "success", "objective", *(f"slack to {slack} [mm]" for slack in SLACKS)),
                 [
