@@ -145,14 +145,33 @@ def plan_on_table(
     q = start_configuration(start, planner.robot)
     if segment == "auto" and environment.table:
         require_table_at_zero([_in_world(cloud) for cloud in clouds], names)
-    if isinstance(target, Target) and target.any:
-        same = (planner, clouds, names, environment, start, seed, segment)
-        attempt = partial(
-            plan_on_table, *same, others=others, workspace=workspace, cleaned=cleaned,
-            obstacles=obstacles,
-        )  # fmt: skip
-        turns = _turns(planner, clouds[0], names[0], q, workspace, cleaned)
-        return _first_good(turns, attempt, planner.options.synthesis.acceptance.success, warn)
+    attempt = partial(
+        _plan_for, planner, clouds, names, environment, q, seed, segment,
+        others=others, workspace=workspace, cleaned=cleaned, obstacles=obstacles,
+    )  # fmt: skip
+    if not (isinstance(target, Target) and target.any):
+        return attempt(target=target, warn=warn)
+    turns = _turns(planner, clouds[0], names[0], q, workspace, cleaned)
+    return _first_good(turns, attempt, planner.options.synthesis.acceptance.success, warn)
+
+
+def _plan_for(
+    planner: GraspPlanner,
+    clouds: Sequence[Cloud],
+    names: Sequence[str],
+    environment: Environment,
+    q: Array,
+    seed: int,
+    segment: str,
+    *,
+    target: Target | Array | None,
+    others: bool,
+    workspace: SegmentationConfig,
+    cleaned: bool,
+    obstacles: str,
+    warn: Callable[[str], None] | None = None,
+) -> TableSession:
+    """`plan_on_table` for one object, from the start q [J]."""
     try:
         seen = look_at_table(clouds, names, planner.robot, q, segment, target, workspace, cleaned)
     except NoObjectError as error:

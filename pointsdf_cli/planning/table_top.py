@@ -7,11 +7,10 @@ unchanged, as nothing but its largest part is left to keep.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.camera.cleaning import clean
@@ -109,21 +108,32 @@ def look_at_table(
     wanted = target if isinstance(target, Target) or target is None else Target(place=target)
     if segment == "none":
         return _bare_objects(clouds, names, cleaned)
-    own = robot_points(robot, start)
-    reach = reach_of(robot)
+    own, reach = robot_points(robot, start), reach_of(robot)
 
-    def on_robot(world: Array) -> NDArray[np.bool_]:
-        return ~off_robot(world, own)
+    def sorted_scene(cloud: Cloud, name: str) -> Scene:
+        require_pose(cloud, name)
+        usable = check_scene_cloud(cloud, name)
+        return sort_scene(
+            usable, name, workspace, lambda world: ~off_robot(world, own), reach, cleaned
+        )
 
+    scenes = ((sorted_scene(cloud, name), name) for cloud, name in zip(clouds, names, strict=True))
+    return _look(scenes, wanted, workspace, cleaned)
+
+
+def _look(
+    named_scenes: Iterable[tuple[Scene, str]],
+    wanted: Target | None,
+    workspace: SegmentationConfig,
+    cleaned: bool,
+) -> TableTop:
+    """The object in each scene; the other cameras are asked for what the first one chose."""
     seen: list[Sighting] = []
     others, report = [], []
     scenes: list[tuple[Scene, int]] = []
     problem: NoObjectError | None = None
     first: tuple[Array, Array] | None = None
-    for cloud, name in zip(clouds, names, strict=True):
-        require_pose(cloud, name)
-        usable = check_scene_cloud(cloud, name)
-        scene = sort_scene(usable, name, workspace, on_robot, reach, cleaned)
+    for scene, name in named_scenes:
         try:
             thing = chosen_thing(scene, wanted, workspace, first is not None)
             found = sighting(scene, thing, cleaned)
@@ -142,7 +152,6 @@ def look_at_table(
         scenes.append((scene, thing.label))
         if first is None:
             first = in_world, found.others_in_world
-            # The other cameras are asked for what the first one chose.
             wanted = Target(place=np.median(in_world, axis=0))
     if problem is not None and not seen:
         raise problem

@@ -79,27 +79,22 @@ def train_sdf(
     run = _Run(pack, split, model, config, torch.device(device), workers)
     if resume:
         run.restore(out)
-    clock = reported = time.monotonic()
-    since_report = 0
+    reported = time.monotonic()
     while run.fraction < 1.0:
         if workers.most(should_stop()):
             run.collect_losses()  # raises before a state without finite losses replaces a good one
             run.save(out, provenance)
             return run.result(finished=False)
         run.take_step()
-        since_report += 1
         now = time.monotonic()
-        run.add_time(now - clock)
-        clock = now
         if now - reported >= report_every:
-            on_progress(run.progress(since_report, now - reported))
-            since_report, reported = 0, now
+            on_progress(run.progress(now - reported))
+            reported = now
         if run.step % config.validate_every == 0 or run.fraction >= 1.0:
             entry = run.validate()
             run.save(out, provenance)
             on_progress(Progress(run.step, run.fraction, entry["train_loss"], 0.0, 0.0, entry))
-            since_report = 0
-            clock = reported = time.monotonic()
+            reported = time.monotonic()
     return run.result(finished=True)
 
 
@@ -148,6 +143,7 @@ class _Run:
         # on the device the sum of the others.
         self._loss_count, self._loss_sum = 0, 0.0
         self._unread = torch.zeros((), device=device)
+        self._unread_count = 0
 
     @property
     def fraction(self) -> float:
@@ -158,7 +154,8 @@ class _Run:
         return min(1.0, max(done, self.seconds / (60.0 * self._config.minutes)))
 
     def take_step(self) -> None:
-        """One optimiser step."""
+        """One optimiser step; its time counts as training time."""
+        began = time.monotonic()
         config, model = self._config, self._model
         # The batch, the queries and their turn are a function of (seed, step) alone, as is what
         # dropout leaves out of this worker's share.
@@ -185,26 +182,28 @@ class _Run:
         self.step += 1
         self._loss_count += 1
         self._unread += loss.detach()
-
-    def add_time(self, seconds: float) -> None:
-        """Count training time [s]; with several workers, the longest of theirs."""
-        self.seconds += seconds
-        if self._config.minutes is not None:
+        self._unread_count += 1
+        self.seconds += time.monotonic() - began
+        if config.minutes is not None:
             # Without one clock they would not end at the same step.
             self.seconds = self._workers.most(self.seconds)
 
-    def progress(self, steps: int, seconds: float) -> Progress:
-        """Progress after this worker's last `steps`, which took `seconds`.
+    def progress(self, seconds: float) -> Progress:
+        """Progress after this worker's last steps, which took `seconds`.
 
         Raises:
             RgraspError: Their losses are not finite.
         """
-        read = _finite(float(self._unread), self.step)
-        self._unread.zero_()
+        read, steps = _finite(float(self._unread), self.step), self._unread_count
         self._loss_sum += read
+        self._clear_unread()
         speed = steps * self._config.batch_size / seconds
         left = self.seconds * (1.0 / max(self.fraction, 1e-9) - 1.0)
         return Progress(self.step, self.fraction, read / steps, speed, left)
+
+    def _clear_unread(self) -> None:
+        self._unread.zero_()
+        self._unread_count = 0
 
     def collect_losses(self) -> None:
         """Make the sum of losses that of all workers, on average.
@@ -214,7 +213,7 @@ class _Run:
         """
         total = self._workers.mean(self._loss_sum + float(self._unread))
         self._loss_sum = _finite(total, self.step)
-        self._unread.zero_()
+        self._clear_unread()
 
     def validate(self) -> dict[str, float]:
         """Judge the averaged weights by held-out views; the new entry of the history."""
