@@ -115,3 +115,9 @@ def test_a_table_at_another_height_is_said_before_the_planning(
     assert "a table is seen at z = 100 mm" in run.err
     assert time.process_time() - began < 10
     assert not (tmp_path / "p.h5").exists()
+    for command, without in ((["segment"], "nothing to list"), (["mesh"], "--segment none")):
+        out = [] if command == ["segment"] else ["--segment", "auto", "--out", tmp_path / "a.obj"]
+        run = cli(*command, tmp_path / "a.ply", *out)
+        assert run.code == 2
+        assert "a table is seen at z = 100 mm" in run.err
+        assert without in run.err

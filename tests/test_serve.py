@@ -237,6 +237,19 @@ def test_one_works_the_next_wait_and_more_are_refused() -> None:
     desk.join()
 
 
+def test_memory_is_returned_after_each_job_even_one_that_fails() -> None:
+    returned = threading.Semaphore(0)
+    desk = Desk(after=returned.release)
+    answer = desk.submit(desk.take_place(), lambda: 3)
+    assert answer.result(5) == 3
+    assert returned.acquire(timeout=5)
+    failed = desk.submit(desk.take_place(), lambda: 1 // 0)
+    assert isinstance(failed.exception(5), ZeroDivisionError)
+    assert returned.acquire(timeout=5)
+    desk.close()
+    desk.join()
+
+
 def test_work_that_nobody_waits_for_is_stopped() -> None:
     desk, begun = Desk(places=1), threading.Event()
 

@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
+
+
+def in_world(cloud: Cloud) -> Array:
+    """The points [N, 3] of a cloud in the world, m; as they are where its pose is not known."""
+    if cloud.frame == "world" or cloud.T_world_camera is None:
+        return cloud.points
+    return apply_transform(cloud.T_world_camera, cloud.points)
 
 
 def require_pose(cloud: Cloud, name: str) -> None:

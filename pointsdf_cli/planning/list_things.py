@@ -10,8 +10,9 @@ import numpy as np
 from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.io.clouds import check_scene_cloud
 from pointsdf_cli.io.depth_images import read_colour
-from pointsdf_cli.planning.cloud_checks import require_pose
+from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 from pointsdf_cli.planning.object_choice import NoObjectError, Thing, reach_of
+from pointsdf_cli.planning.plausibility import require_table_at_zero
 from pointsdf_cli.planning.scene import Scene, sort_scene
 from pointsdf_cli.planning.scene_input import read_scene
 from pointsdf_cli.planning.table_top import chosen_thing, workspace_of
@@ -65,6 +66,7 @@ def list_things(
     )
     (cloud,) = given.clouds
     require_pose(cloud, str(path))
+    require_table_at_zero([in_world(cloud)], [str(path)], "there is nothing to list")
     own = robot_points(described, described.home)
     scene = sort_scene(
         check_scene_cloud(cloud, path),

@@ -12,6 +12,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud
 from pointsdf_cli.io.poses import box, camera_pose, table_place
+from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 
 if TYPE_CHECKING:
     from pointsdf_cli.camera.segmentation import SegmentationConfig
@@ -169,8 +170,12 @@ def segmented_cloud(
         InputError: It has no pose, or shows no such object.
     """
     from pointsdf_cli.planning.object_choice import NoObjectError
+    from pointsdf_cli.planning.plausibility import require_table_at_zero
     from pointsdf_cli.planning.table_top import look_at_table
 
+    require_pose(cloud, name)
+    if segment == "auto":
+        require_table_at_zero([in_world(cloud)], [name], "--segment none")
     try:
         found = look_at_table(
             [cloud], [name], robot, robot.home, segment, target, workspace, cleaned

@@ -32,12 +32,17 @@ OTHER_TABLE = 0.6
 """A table is looked for within this height [m] of z = 0 where none is seen there."""
 
 
-def require_table_at_zero(worlds: Sequence[Array], names: Sequence[str]) -> None:
-    """Refuse views of a table that is far from z = 0, where plans take it to be.
+def require_table_at_zero(
+    worlds: Sequence[Array],
+    names: Sequence[str],
+    without_table: str = "--environment with `table: false`",
+) -> None:
+    """Refuse views of a table that is far from z = 0, where it is taken to be.
 
     Args:
         worlds: Points [N, 3] of each view in the world, m.
         names: Names of the views, for messages.
+        without_table: What to type where there is no table.
 
     Raises:
         InputError: A view shows a table at another height, and none at z = 0.
@@ -46,11 +51,11 @@ def require_table_at_zero(worlds: Sequence[Array], names: Sequence[str]) -> None
         height = table_elsewhere(world)
         if height is not None:
             raise InputError(
-                f"a table is seen at z = {1000 * height:.0f} mm, and plans take it to be at z = 0: "
-                "the camera's pose is off by as much",
+                f"a table is seen at z = {1000 * height:.0f} mm, and is taken to be at z = 0: the "
+                "camera's pose is off by as much",
                 where=name,
                 hint="correct --camera-pose; --camera-pose table takes the table that is seen for "
-                "z = 0. If there is no table: --environment with `table: false`",
+                f"z = 0. If there is no table: {without_table}",
             )
 
 

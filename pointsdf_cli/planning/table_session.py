@@ -12,11 +12,10 @@ import numpy as np
 
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.plans import OK, Plan
 from pointsdf_cli.planning.answer import Answer
-from pointsdf_cli.planning.cloud_checks import require_pose
+from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
@@ -144,7 +143,7 @@ def plan_on_table(
     environment = environment or Environment()
     q = start_configuration(start, planner.robot)
     if segment == "auto" and environment.table:
-        require_table_at_zero([_in_world(cloud) for cloud in clouds], names)
+        require_table_at_zero([in_world(cloud) for cloud in clouds], names)
     attempt = partial(
         _plan_for, planner, clouds, names, environment, q, seed, segment,
         others=others, workspace=workspace, cleaned=cleaned, obstacles=obstacles,
@@ -205,7 +204,7 @@ def _without_object(
     environment: Environment,
 ) -> TableSession:
     """The session of clouds that show no object."""
-    world = np.concatenate([_in_world(cloud) for cloud in clouds])
+    world = np.concatenate([in_world(cloud) for cloud in clouds])
     camera = np.asarray(clouds[0].T_world_camera)[:3, 3]
     answer = planner.nothing(f"{error.what}; {error.hint or error.allowed}")
     said = (f"{error.where}: {error.what}",)
@@ -311,7 +310,7 @@ def table_doubt(height: float | None, clouds: Sequence[Cloud]) -> str:
     """Evidence against the camera's pose; empty if the table is where it should be."""
     if height is not None and abs(height) > TABLE_OFF:
         return f"the table is seen at z = {height * 1000:.0f} mm, not 0: check the camera's pose"
-    world = np.concatenate([_in_world(cloud) for cloud in clouds])
+    world = np.concatenate([in_world(cloud) for cloud in clouds])
     below = float((world[:, 2] < -BELOW).mean())
     if height is None and below > MUCH:
         return (
@@ -319,9 +318,3 @@ def table_doubt(height: float | None, clouds: Sequence[Cloud]) -> str:
             "camera's pose"
         )
     return ""
-
-
-def _in_world(cloud: Cloud) -> Array:
-    if cloud.frame == "world" or cloud.T_world_camera is None:
-        return cloud.points
-    return apply_transform(cloud.T_world_camera, cloud.points)

@@ -47,10 +47,12 @@ class Desk:
 
     Args:
         places: Jobs that may wait beside the one that runs.
+        after: Called after each job, in the same thread.
     """
 
-    def __init__(self, places: int = 8) -> None:
+    def __init__(self, places: int = 8, after: Callable[[], None] = lambda: None) -> None:
         self.places = places
+        self._after = after
         self._jobs: set[Job] = set()
         self._ready: deque[Job] = deque()
         self._changed = threading.Condition()
@@ -146,4 +148,6 @@ class Desk:
             job.future.set_exception(error)
         else:
             job.future.set_result(outcome)
+            del outcome
         job.work = None
+        self._after()

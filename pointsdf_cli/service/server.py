@@ -12,6 +12,7 @@ from typing import Any
 import uvicorn
 
 from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.models.processor import return_freed_memory
 from pointsdf_cli.service.app import LARGEST_BODY, make_app
 from pointsdf_cli.service.desk import Desk
 from pointsdf_cli.service.resident import Resident
@@ -48,7 +49,7 @@ class Server:
     ) -> None:
         self._socket = _listening(host, port)
         self.host, self.port = host, int(self._socket.getsockname()[1])
-        self.desk = Desk(places)
+        self.desk = Desk(places, return_freed_memory)
         app: Any = make_app(resident, self.desk, host, token, largest)
         self._server = uvicorn.Server(
             uvicorn.Config(
