@@ -42,7 +42,7 @@ class SegmentationErrors:
         tilt: Tilt of its direction [rad].
     """
 
-    masked: float = 0.75
+    masked: float = 0.45
     offset: tuple[float, float] = (-3.0, 1.5)
     sensor_focal: float = 570.0
     uneven: float = 0.4

@@ -42,7 +42,7 @@ def require_table_at_zero(
     Args:
         worlds: Points [N, 3] of each view in the world, m.
         names: Names of the views, for messages.
-        without_table: What to type where there is no table.
+        without_table: Advice for scenes without a table.
 
     Raises:
         InputError: A view shows a table at another height, and none at z = 0.

@@ -1,4 +1,4 @@
-"""What touches what in PyBullet, and what would on the way up."""
+"""Contacts of the robot in PyBullet, and links below an object."""
 
 from __future__ import annotations
 

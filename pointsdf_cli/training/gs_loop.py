@@ -233,7 +233,7 @@ class _Run:
         return Fitted(finished, self._best, self._platt, self._logits, self._history, self.seconds)
 
     def state(self) -> dict[str, Any]:
-        """What `restore` needs; copies, since a stop within the next epoch writes them later."""
+        """State for `restore`; copies, since a stop within the next epoch writes them later."""
         return {
             "config": asdict(self._config),
             "data": self._data_hash,
