@@ -68,21 +68,13 @@ def _versions() -> tuple[bool, str]:
 def _processor() -> tuple[bool, str]:
     import torch
 
+    from pointsdf_cli.training.precision import bfloat16_is_faster
+
     cores = len(os.sched_getaffinity(0))
     return True, (
-        f"{cores} cores, bfloat16 {'in hardware' if bfloat16_in_hardware() else 'emulated'}, "
+        f"{cores} cores, networks in {'bfloat16' if bfloat16_is_faster() else 'float32'}, "
         f"{torch.cuda.device_count()} CUDA devices"
     )
-
-
-def bfloat16_in_hardware() -> bool:
-    """Whether the processor multiplies bfloat16 matrices itself (AVX512-BF16 or AMX)."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as handle:
-            flags = next((line for line in handle if line.startswith("flags")), "")
-    except OSError:
-        return False
-    return "avx512_bf16" in flags or "amx_bf16" in flags
 
 
 def _assets() -> tuple[bool, str]:

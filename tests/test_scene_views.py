@@ -84,6 +84,29 @@ def test_a_mask_that_is_too_small_shows_less(box: LoadedMesh) -> None:
     assert 0 < MOST_HIDDEN < 1
 
 
+def test_a_side_from_which_nothing_returns_is_unknown_and_not_free(box: LoadedMesh) -> None:
+    """A third of the object's image is lost on one side; those rays are neither seen nor free."""
+    lost, free = [], []
+    for share in (0.0, 1.0):
+        errors = SegmentationErrors(
+            1.0, (0.0, 0.0), ragged=0.0, height=0.0, tilt=0.0, cut=share, holed=share
+        )
+        config = SceneViewConfig(("ideal",), SceneConfig(resting=0.0, neighbours=0), errors)
+        view, _ = SceneViews(box, CAMERAS["xtion"], config).draw(np.random.default_rng(3))
+        image = view.evidence.visibility
+        assert image is not None
+        lost.append(len(view.points))
+        own = apply_transform(view.T_camera_object, box.vertices)
+        middle = own.mean(axis=0)
+        column, row = ((middle[:2] / middle[2] - image.window[:2]) / image.window[2:] * 64).astype(
+            int
+        )
+        around = image.free[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4]
+        free.append(bool((around > middle[2] + 0.1).any()))
+    assert lost[1] < 0.96 * lost[0]
+    assert not any(free)
+
+
 def test_exact_views_show_exactly_the_object(box: LoadedMesh) -> None:
     config = SceneViewConfig(("structured-light",), RESTING, exact=1.0)
     views = SceneViews(box, CAMERAS["xtion"], config)

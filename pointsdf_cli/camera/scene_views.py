@@ -30,7 +30,14 @@ MOST_HIDDEN = 0.45
 """A view in which more of the object's pixels are hidden is drawn again."""
 DRAWS = 30
 NO_ERRORS = SegmentationErrors(
-    masked=1.0, offset=(0.0, 0.0), uneven=0.0, ragged=0.0, height=0.0, tilt=0.0
+    masked=1.0,
+    offset=(0.0, 0.0),
+    uneven=0.0,
+    ragged=0.0,
+    height=0.0,
+    tilt=0.0,
+    cut=0.0,
+    holed=0.0,
 )
 
 

@@ -40,15 +40,22 @@ class SegmentationErrors:
         ragged: The same, whatever the offset [sensor px].
         height: Standard deviation of the error of the plane's height [m].
         tilt: Tilt of its direction [rad].
+        cut: Share of views in which nothing returns from one side of the object, as from dark or
+            shiny parts.
+        most_cut: Largest share of the object's pixels that lies on this side.
+        holed: Share of views in which nothing returns from an ellipse in the object's image.
     """
 
-    masked: float = 0.45
-    offset: tuple[float, float] = (-3.0, 1.5)
+    masked: float = 0.75
+    offset: tuple[float, float] = (-3.0, 1.0)
     sensor_focal: float = 570.0
     uneven: float = 0.4
     ragged: float = 0.5
     height: float = 0.001
     tilt: float = 0.004
+    cut: float = 0.12
+    most_cut: float = 0.35
+    holed: float = 0.2
 
     def __post_init__(self) -> None:
         if not 0 <= self.masked <= 1 or self.offset[0] > self.offset[1]:
@@ -96,7 +103,7 @@ def segment_scene(
         errors: Errors of the segmentation.
         rng: Random generator of the errors.
     """
-    rows, columns = np.nonzero(measured > 0)
+    rows, columns = np.nonzero((measured > 0) & ~_without_return(scene, errors, rng))
     left, top = scene.window.origin
     points = camera.back_project(columns + left, rows + top, measured[rows, columns])
     plane = _known_plane(scene.support_plane, scene.T_camera_object[:3, 3], errors, rng)
@@ -111,6 +118,29 @@ def segment_scene(
         mask = near & (scene.label != OTHER)
     kept = mask[rows, columns] & above
     return SeenObject(points[kept], points[~kept], plane)
+
+
+def _without_return(
+    scene: Scene, errors: SegmentationErrors, rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """bool [h, w]: pixels of the object from which nothing returns, whatever the sensor."""
+    visible = scene.label == OBJECT
+    missing = np.zeros_like(visible)
+    pixels = np.argwhere(visible).astype(float)
+    if len(pixels) == 0:
+        return missing
+    rows, columns = np.indices(visible.shape)
+    if rng.random() < errors.cut:
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        across = np.array([np.cos(angle), np.sin(angle)])
+        limit = np.quantile(pixels @ across, 1.0 - rng.uniform(0.05, errors.most_cut))
+        missing |= rows * across[0] + columns * across[1] > limit
+    if rng.random() < errors.holed:
+        middle = pixels[rng.integers(len(pixels))]
+        size = np.sqrt(len(pixels))
+        radii = np.maximum(rng.uniform(0.04, 0.2, 2) * size, 1.0)
+        missing |= ((rows - middle[0]) / radii[0]) ** 2 + ((columns - middle[1]) / radii[1]) ** 2 < 1
+    return missing & visible
 
 
 def _known_plane(

@@ -34,7 +34,7 @@ def eval_sdf(
     precision: Annotated[
         str,
         typer.Option(
-            help="Precision: auto (bfloat16 if the processor supports it), bfloat16 or float32."
+            help="Precision: auto (bfloat16 where it is faster), bfloat16 or float32."
         ),
     ] = "auto",
     apart: Annotated[

@@ -116,7 +116,7 @@ def mesh(
     precision: Annotated[
         str,
         typer.Option(
-            help="Precision: auto (bfloat16 if the processor supports it), bfloat16 or float32."
+            help="Precision: auto (bfloat16 where it is faster), bfloat16 or float32."
         ),
     ] = "auto",
     threads: common.Threads = 0,

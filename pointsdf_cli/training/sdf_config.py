@@ -30,7 +30,7 @@ class TrainConfig:
         augmentation: Mirror and turn the views.
         loss: See `SdfLoss`.
         validate_every: Steps between validations, each followed by a checkpoint.
-        precision: `auto` (bfloat16 where the processor has it), `bfloat16` or `float32`.
+        precision: `auto` (bfloat16 where it is faster), `bfloat16` or `float32`.
         seed: Random seed of the weights, the order and the queries.
     """
 

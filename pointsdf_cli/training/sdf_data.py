@@ -21,7 +21,7 @@ from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.models.surroundings import Surroundings, forgotten, lower_plane, transformed
 from pointsdf_cli.training.sdf_pack import SURROUNDINGS, Pack
 
-FORGET_IMAGE, FORGET_ALL = 0.2, 0.15
+FORGET_IMAGE, FORGET_ALL = 0.5, 0.4
 """Share of training views that keep no visibility image, and of those that keep no plane either."""
 RAISED, HIGHEST = 0.2, 1.0
 """Share of training views whose support plane lies lower by up to so much [network units]: the
