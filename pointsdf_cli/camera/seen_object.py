@@ -139,7 +139,8 @@ def _without_return(
         middle = pixels[rng.integers(len(pixels))]
         size = np.sqrt(len(pixels))
         radii = np.maximum(rng.uniform(0.04, 0.2, 2) * size, 1.0)
-        missing |= ((rows - middle[0]) / radii[0]) ** 2 + ((columns - middle[1]) / radii[1]) ** 2 < 1
+        down, right = (rows - middle[0]) / radii[0], (columns - middle[1]) / radii[1]
+        missing |= down**2 + right**2 < 1
     return missing & visible
 
 

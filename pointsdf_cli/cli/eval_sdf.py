@@ -33,9 +33,7 @@ def eval_sdf(
     ] = False,
     precision: Annotated[
         str,
-        typer.Option(
-            help="Precision: auto (bfloat16 where it is faster), bfloat16 or float32."
-        ),
+        typer.Option(help="Precision: auto (bfloat16 where it is faster), bfloat16 or float32."),
     ] = "auto",
     apart: Annotated[
         list[str] | None,

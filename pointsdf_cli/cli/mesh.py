@@ -115,9 +115,7 @@ def mesh(
     skip_bad: common.EachSkipBad = False,
     precision: Annotated[
         str,
-        typer.Option(
-            help="Precision: auto (bfloat16 where it is faster), bfloat16 or float32."
-        ),
+        typer.Option(help="Precision: auto (bfloat16 where it is faster), bfloat16 or float32."),
     ] = "auto",
     threads: common.Threads = 0,
     seed: common.Seed = 0,

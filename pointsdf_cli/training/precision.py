@@ -11,7 +11,6 @@ import torch
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.processor import one_thread
 
-
 ROWS, WIDTH = 2048, 256
 """Size of the products that are timed: a decoder's, for a few thousand queries."""
 FASTER = 1.3
