@@ -148,3 +148,16 @@ def test_render_makes_views_of_scenes_with_their_evidence(cli: Any, tmp_path: Pa
 def test_unknown_sensors_are_refused() -> None:
     with pytest.raises(InputError, match="lidar"):
         SceneViewConfig(("lidar",))
+
+
+def test_an_object_that_leans_touches_the_table_in_another_pose(box: LoadedMesh) -> None:
+    """A box that is tilted by 0.5 rad stands on one edge: two corners on the table, none below."""
+    scene = SceneConfig(resting=1.0, neighbours=0, wall=0.0, leaning=1.0, lean=(0.5, 0.5))
+    views = SceneViews(box, CAMERAS["xtion"], SceneViewConfig(("ideal",), scene, EXACT))
+    view, _ = views.draw(np.random.default_rng(0))
+    plane = view.evidence.support_plane
+    assert plane is not None
+    heights = np.sort(apply_transform(view.T_camera_object, box.vertices) @ plane[:3] - plane[3])
+    assert heights[0] == pytest.approx(0.0, abs=1e-6)
+    up = view.T_camera_object[:3, :3].T @ plane[:3]
+    assert np.abs(up).max() < 0.99

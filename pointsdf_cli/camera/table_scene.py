@@ -34,6 +34,9 @@ class SceneConfig:
     Attributes:
         resting: Share of scenes in which the object rests on a table; in the others it is turned
             at random and stands in the void.
+        leaning: Share of the objects on a table that touch it in no stable pose, as if they leaned
+            on something.
+        lean: Angle between a stable pose and that of an object that leans [rad].
         distance: From the camera to the object's centre [m].
         elevation: Elevation of the camera above the table [rad].
         neighbours: Most bodies around the object.
@@ -46,6 +49,8 @@ class SceneConfig:
     """
 
     resting: float = 0.85
+    leaning: float = 0.35
+    lean: tuple[float, float] = (0.1, 0.9)
     distance: tuple[float, float] = (0.4, 1.6)
     elevation: tuple[float, float] = (0.2, 1.3)
     neighbours: int = 3
@@ -57,7 +62,7 @@ class SceneConfig:
     margin: float = 0.45
 
     def __post_init__(self) -> None:
-        for name in ("distance", "elevation", "table_radius", "wall_behind"):
+        for name in ("lean", "distance", "elevation", "table_radius", "wall_behind"):
             low, high = getattr(self, name)
             if not 0 < low <= high:
                 raise InputError(f"{name} from {low} to {high}", allowed="two numbers above 0")
@@ -112,6 +117,8 @@ def draw_scene(
         return _compose(caster, pose, None, [], camera, config, rng)
     index, _ = draw_pose(poses, StandingConfig(standing=0.6), rng)
     T_table_object = _turned(rng.uniform(0, 2 * np.pi)) @ poses[index].T_table_object
+    if rng.random() < config.leaning:
+        T_table_object = _leaning(T_table_object, vertices, rng.uniform(*config.lean))
     resting = apply_transform(T_table_object, vertices)
     middle = (resting.min(axis=0) + resting.max(axis=0)) / 2
     T_camera_table = _camera_from_table(rng.uniform(*config.elevation), rng.normal(0, 0.05))
@@ -125,6 +132,15 @@ def draw_scene(
 def _turned(yaw: float) -> Array:
     c, s = np.cos(yaw), np.sin(yaw)
     return transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [0, 0, 0])
+
+
+def _leaning(T_table_object: Array, vertices: Array, angle: float) -> Array:
+    """The pose tilted by an angle [rad] about the table's x axis, down to where the object touches
+    the table."""
+    c, s = np.cos(angle), np.sin(angle)
+    tilted = transform([[1, 0, 0], [0, c, -s], [0, s, c]], [0, 0, 0]) @ T_table_object
+    tilted[2, 3] -= apply_transform(tilted, vertices)[:, 2].min()
+    return tilted
 
 
 def _camera_from_table(elevation: float, roll: float) -> Array:
