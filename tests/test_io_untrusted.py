@@ -7,10 +7,13 @@ import gzip
 import io
 import json
 import os
+import resource
 import subprocess
 import sys
 import tarfile
 import time
+import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
@@ -149,6 +152,49 @@ def test_a_dataset_that_promises_terabytes(tmp_path: Path) -> None:
         file.create_dataset("sdf", shape=(1 << 40,), dtype="f4", chunks=(1 << 16,))
     with pytest.raises(InputError, match="bytes that are not there"):
         read_artifact(tmp_path / "a.h5", schema="labels", version=1)
+
+
+def test_a_chunk_that_unpacks_to_more_than_it_holds(tmp_path: Path) -> None:
+    # A chunk of 12 kB whose stream unpacks to 600 MB; 3 MB of stream would take 3 GB of memory.
+    packer, zeros = zlib.compressobj(6), bytes(1 << 22)
+    stream = b"".join(packer.compress(zeros) for _ in range(150)) + packer.flush()
+    with packed_file(tmp_path / "a.h5", [6]) as chunk:
+        chunk.write_direct_chunk((0, 0), stream)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InputError, match="points unpacks to more than it holds"):
+        read_artifact(tmp_path / "a.h5", schema="labels", version=1)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kB
+
+
+def test_a_dataset_that_is_packed_twice(tmp_path: Path) -> None:
+    with packed_file(tmp_path / "a.h5", [9, 9]) as chunk:  # a million to one
+        chunk.write_direct_chunk((0, 0), zlib.compress(zlib.compress(bytes(12_000))))
+    with pytest.raises(InputError, match="packed in a way"):
+        read_artifact(tmp_path / "a.h5", schema="labels", version=1)
+
+
+def test_large_chunks_as_rgrasp_writes_them_are_read(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).random((1000, 300, 3))
+    with packed_file(tmp_path / "a.h5", [1], shape=noise.shape) as chunk:
+        h5py.Dataset(chunk)[...] = noise
+    assert (tmp_path / "a.h5").stat().st_size > 3_000_000
+    found = read_artifact(tmp_path / "a.h5", schema="labels", version=1)
+    np.testing.assert_array_equal(found.datasets["points"], noise.astype(np.float32))
+
+
+@contextlib.contextmanager
+def packed_file(
+    path: Path, levels: list[int], shape: tuple[int, ...] = (1000, 3)
+) -> Iterator[h5py.h5d.DatasetID]:
+    """A file whose dataset `points` is one chunk with these gzip filters."""
+    with h5py.File(path, "w") as file:
+        file.attrs["schema"], file.attrs["schema_version"] = "labels", 1
+        made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        made.set_chunk(shape)
+        for level in levels:
+            made.set_deflate(level)
+        space = h5py.h5s.create_simple(shape)
+        yield h5py.h5d.create(file.id, b"points", h5py.h5t.NATIVE_FLOAT, space, made)
 
 
 def test_a_heap_of_strings_that_never_ends(tmp_path: Path) -> None:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import ast
+import time
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 from planning_worlds import CylinderField, SphereField
 
+import pointsdf_cli
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.approach import ApproachConfig, retreat
 from pointsdf_cli.planning.environment import Environment, Obstacle
@@ -108,23 +113,69 @@ def test_a_motion_ends_in_the_grasp_and_is_free_at_every_millimetre() -> None:
     np.testing.assert_array_equal(after, np.tile(q[7:], (len(after), 1)))
 
 
-def test_a_wall_is_driven_around_and_equal_seeds_give_equal_motions() -> None:
+def behind_a_wall() -> tuple[PathChecker, np.ndarray, np.ndarray]:
+    """A checker with a wall, a start and a grasp that it stands between."""
     q = grasp()
     pose = np.eye(4)
     pose[:3, 3] = (0.42, -0.16, 0.25)
     wall = Obstacle("wall", "box", (0.3, 0.02, 0.5), pose)
     start = ROBOT.home.copy()
     start[0] = -1.2
+    checker = PathChecker(GEOMETRY, FIELD, Environment((wall,)))
+    assert checker.slack(q[None])[0] >= 0
+    assert not checker.is_free(np.stack([start, q]))
+    return checker, start, q
+
+
+def test_a_wall_is_driven_around_and_equal_seeds_give_equal_motions() -> None:
     motions = []
     for _ in range(2):
-        checker = PathChecker(GEOMETRY, FIELD, Environment((wall,)))
-        if checker.slack(q[None])[0] < 0:
-            pytest.fail("the grasp itself must be free of the wall")
-        assert not checker.is_free(np.stack([start, q]))
+        checker, start, q = behind_a_wall()
         motions.append(plan_motion(checker, IK, start, q, seed=1))
     assert motions[0].failure == ""
     assert checker.is_free(motions[0].corners)
     np.testing.assert_array_equal(motions[0].corners, motions[1].corners)
+
+
+CLOCKS = ("time", "monotonic", "perf_counter", "process_time", "thread_time")
+
+
+def test_a_motion_does_not_depend_on_any_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    checker, start, q = behind_a_wall()
+    usual = plan_motion(checker, IK, start, q, seed=1)
+    hours = iter(range(0, 10**9, 3600))
+    for clock in CLOCKS:  # a machine so busy that an hour passes between any two looks
+        monkeypatch.setattr(time, clock, lambda: float(next(hours)))
+    slow = plan_motion(checker, IK, start, q, seed=1)
+    monkeypatch.undo()
+    assert slow.failure == ""
+    np.testing.assert_array_equal(slow.corners, usual.corners)
+
+
+def test_a_search_ends_with_its_number_of_looks() -> None:
+    checker, start, q = behind_a_wall()
+    before = checker.looked_at
+    few = plan_motion(checker, IK, start, q, seed=1, config=MotionConfig(attempts=2, looks=1))
+    assert few.failure == "no free way was found to where the approach begins"
+    assert few.attempts == 2
+    assert checker.looked_at - before < 1000  # the retreat and the last edge of each search, too
+
+
+def test_results_are_decided_by_no_clock() -> None:
+    # Below the command line a clock may only measure what is reported: `perf_counter`.
+    decided = {}
+    for floor in ("geometry", "robot", "camera", "models", "planning", "simulation", "trials"):
+        for file in (Path(pointsdf_cli.__file__).parent / floor).rglob("*.py"):
+            named = {
+                node.attr
+                for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+                if isinstance(node, ast.Attribute)
+                and isinstance(node.value, ast.Name)
+                and node.value.id == "time"
+            } - {"perf_counter"}
+            if named:
+                decided[file.name] = named
+    assert decided == {"run.py": {"process_time"}}  # trials/run.py reports it as planning_cpu
 
 
 def test_why_there_is_no_motion() -> None:

@@ -131,7 +131,7 @@ def test_out_of_a_chimney_there_is_no_motion(planner: Planner) -> None:
     start = np.clip(np.zeros(23), planner.robot.lower, planner.robot.upper)
     hasty = Planner(
         planner.robot,
-        PlannerConfig(synthesis=SMALL, motion=MotionConfig(attempts=1, seconds=0.3)),
+        PlannerConfig(synthesis=SMALL, motion=MotionConfig(attempts=1, looks=400)),
     )
     plan = hasty.plan(target(), Environment(tuple(walls)), start=start)
     assert plan.status == "no_plan"

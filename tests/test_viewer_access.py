@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import socket
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -142,3 +143,43 @@ def test_a_message_beyond_all_measure_ends_the_connection_and_not_the_server(vie
                 pass
     with connect(f"ws://127.0.0.1:{viewer.port}", **options) as client:
         assert client.recv(timeout=10)
+
+
+def test_a_client_changes_values_and_nothing_else(
+    viewer: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import msgspec
+    from viser import _messages as messages
+    from websockets.sync.client import connect
+
+    shared: list[str] = []
+    monkeypatch.setattr(viewer._server, "request_share_url", lambda: shared.append("asked"))
+    slider = viewer._slider
+    known = {"uuid": slider._impl.uuid}
+    upload = {
+        "source_component_uuid": slider._impl.uuid, "transfer_uuid": "t", "filename": "f",
+        "mime_type": "m", "part_count": 9, "size_bytes": 9,
+    }  # fmt: skip
+    sent: list[Any] = [
+        messages.ShareUrlRequest(),
+        messages.FileTransferStartUpload(**upload),
+        messages.GuiUpdateMessage(**known, updates={"removed": True}),
+        messages.GuiUpdateMessage(**known, updates={"update_cb": None, "value": 0}),
+        messages.GuiUpdateMessage(**known, updates={"value": float("inf")}),
+        messages.GuiUpdateMessage(**known, updates={"value": "nothing"}),
+        messages.GuiUpdateMessage(**known, updates={"value": 1}),
+    ]
+    version = __import__("viser").__version__
+    address, options = f"ws://127.0.0.1:{viewer.port}", {"subprotocols": [f"viser-v{version}"]}
+    with connect(address, max_size=None, compression=None, **options) as client:  # type: ignore
+        for message in sent:
+            client.send(msgspec.msgpack.encode(message.as_serializable_dict()))
+        end = time.monotonic() + 20
+        while slider.value != 1:
+            assert time.monotonic() < end, "the value is not taken"
+            time.sleep(0.05)
+    time.sleep(0.2)  # what viser does in threads
+    assert shared == []
+    assert viewer._server.gui._current_file_upload_states == {}
+    assert not slider._impl.removed
+    assert slider._impl.update_cb

@@ -15,6 +15,7 @@ import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.hdf5_packing import check_packing
 
 DEEPEST = 8
 """Groups within groups."""
@@ -28,8 +29,8 @@ def datasets_of(path: Path, file: h5py.File) -> dict[str, h5py.Dataset]:
     """All datasets by their path in the file, none of which has been read.
 
     Raises:
-        InputError: A link, a dataset that is stored elsewhere, more objects or deeper groups or
-            larger attributes than any artifact has.
+        InputError: A link, a dataset that is stored elsewhere or unpacks to too much, more objects
+            or deeper groups or larger attributes than any artifact has.
     """
     return {
         name: h5py.Dataset(found)
@@ -53,6 +54,7 @@ def _walk(path: Path, root: h5g.GroupID) -> Iterator[tuple[str, h5d.DatasetID | 
             _check_attributes(path, name, found)
             if isinstance(found, h5d.DatasetID):
                 _require_stored_here(path, name, found)
+                check_packing(path, name, found)
                 yield name, found
             elif isinstance(found, h5g.GroupID):
                 address = h5o.get_info(found).addr

@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
+from starlette.requests import ClientDisconnect
 
 from pointsdf_cli import __version__
 from pointsdf_cli.errors import InputError, RgraspError
@@ -174,6 +175,8 @@ async def _answered(
         return _error_response(error, 413, {"Connection": "close"})
     except CancelledError as error:
         return _error_response(error, 499)
+    except ClientDisconnect:
+        return _error_response(RgraspError("the client hung up"), 499)
     except ClosingError as error:
         return _error_response(error, 503)
     except InputError as error:

@@ -14,6 +14,7 @@ import uvicorn
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.models.processor import return_freed_memory
 from pointsdf_cli.service.app import LARGEST_BODY, make_app
+from pointsdf_cli.service.deadlines import PunctualProtocol
 from pointsdf_cli.service.desk import Desk
 from pointsdf_cli.service.resident import Resident
 
@@ -54,6 +55,7 @@ class Server:
         self._server = uvicorn.Server(
             uvicorn.Config(
                 app,
+                http=PunctualProtocol,
                 log_level="warning",
                 access_log=False,
                 limit_concurrency=CONNECTIONS,

@@ -12,7 +12,7 @@ import numpy as np
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.geometry.frames import wxyz_from_rotation
 from pointsdf_cli.viz.scene import WORLD, Part, Scene
-from pointsdf_cli.viz.viewer_access import free_port, guarded
+from pointsdf_cli.viz.viewer_access import free_port, guarded, only_controls
 
 
 class Viewer:
@@ -40,7 +40,7 @@ class Viewer:
         # It prints a banner, and stdout is for results.
         with guarded(host) as started, redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(host=host, port=port, label=scene.title, verbose=False)
-        if not started:
+        if not started or not only_controls(self._server._websock_server):
             self._server.stop()
             raise RgraspError(
                 "this version of viser serves in a way that cannot be guarded",

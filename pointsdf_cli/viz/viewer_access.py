@@ -11,7 +11,7 @@ import http
 import ipaddress
 import socket
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -99,6 +99,39 @@ def guarded(bound: str) -> Iterator[list[Any]]:
         yield started
     finally:
         library.serve = serve  # type: ignore[misc, assignment]
+
+
+def only_controls(server: Any) -> bool:
+    """Take a browser's word for the values of controls and for nothing else.
+
+    viser also takes files, for whoever sends them and as large as they are, changes any property of
+    a control, and opens a public address for the scene when a client asks for one, whether the page
+    has a button for it or not.
+
+    Args:
+        server: viser's server of WebSockets, once all controls are made.
+
+    Returns:
+        Whether this version of viser can be told so.
+    """
+    handlers: dict[Any, list[Callable[..., Any]]] | None
+    handlers = getattr(server, "_incoming_handlers", None)
+    kinds = {kind.__name__: kind for kind in handlers or {}}
+    update = kinds.pop("GuiUpdateMessage", None)
+    if handlers is None or update is None or len(handlers[update]) != 1:
+        return False
+    for kind in kinds.values():
+        server.unregister_handler(kind)
+    (usual,) = handlers[update]
+
+    async def values_alone(client: Any, message: Any) -> None:
+        if set(message.updates) == {"value"}:
+            with suppress(TypeError, ValueError, OverflowError):  # no value of this control
+                await usual(client, message)
+
+    server.unregister_handler(update)
+    server.register_handler(update, values_alone)
+    return True
 
 
 def _name_of(url: str) -> str | None:
