@@ -20,8 +20,6 @@ from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.robot_geometry import (
     Body,
     RobotGeometry,
-    coal_points,
-    coal_triangles,
     link_body,
 )
 from pointsdf_cli.robot.shapes import Shape
@@ -237,7 +235,8 @@ def _obstacle_body(obstacle: Obstacle) -> Body:
         return link_body(WORLD, obstacle.name, shape)
     mesh = coal.BVHModelOBBRSS()
     mesh.beginModel(len(obstacle.faces), len(obstacle.vertices))
-    mesh.addSubModel(coal_points(obstacle.vertices), coal_triangles(obstacle.faces))
+    mesh.addVertices(np.asarray(obstacle.vertices, dtype=np.float64))
+    mesh.addTriangles(np.asarray(obstacle.faces, dtype=np.int64))
     mesh.endModel()
     middle = (obstacle.vertices.min(axis=0) + obstacle.vertices.max(axis=0)) / 2
     radius = float(np.linalg.norm(obstacle.vertices - middle, axis=1).max())

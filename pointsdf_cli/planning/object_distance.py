@@ -51,6 +51,12 @@ class ObjectDistances:
         other._reach = reach
         return other
 
+    def asking(self, field: Field, reach: float) -> ObjectDistances:
+        """The same of another field, exact up to `reach` [m]."""
+        other = self.reaching(reach)
+        other.field = field
+        return other
+
     def __call__(self, poses: Poses, gradients: bool = True) -> Contacts:
         """Distances [B, M] of all patches, with the samples where they are lowest."""
         rotation, position = poses.rotation[:, self.link], poses.position[:, self.link]

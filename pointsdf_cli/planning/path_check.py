@@ -20,11 +20,14 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.bodies import BodyDistances
-from pointsdf_cli.planning.contacts import WORLD, ContactJacobian, Poses, link_poses
+from pointsdf_cli.planning.contacts import WORLD, ContactJacobian, Poses
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
+
+REACH = 0.02
+"""Distances between bodies are exact up to here [m], and bounds beyond."""
 
 KEPT = 512
 """Configurations whose distances are kept: those of the trees of one search; 14 kB each."""
@@ -57,6 +60,7 @@ class PathChecker:
         environment: Obstacles and table.
         clearances: Least distances.
         config: Resolution.
+        bodies: Distances to this environment, where they are made already.
 
     Attributes:
         looked_at: Configurations asked about so far.
@@ -69,12 +73,14 @@ class PathChecker:
         environment: Environment | None = None,
         clearances: Clearances | None = None,
         config: PathCheckConfig | None = None,
+        bodies: BodyDistances | None = None,
     ) -> None:
         self.config = config or PathCheckConfig()
         kinematics = self.kinematics = geometry.kinematics
         clearances = clearances or Clearances()
         self._object = ObjectDistances(geometry, field)
-        self._bodies = BodyDistances(geometry, environment or Environment(), reach=0.02)
+        bodies = bodies or BodyDistances(geometry, environment or Environment())
+        self._bodies = bodies.reaching(REACH)
         self._body_margin = np.where(
             self._bodies.other_link != WORLD, clearances.self, clearances.environment
         )
@@ -138,7 +144,7 @@ class PathChecker:
         for begin in range(0, len(fresh), self.config.batch):
             some = fresh[begin : begin + self.config.batch]
             rows = np.repeat(np.arange(len(some)), len(columns))
-            poses = link_poses(self.kinematics, q[some])
+            poses = Poses(*self.kinematics.poses(q[some]))
             found = self._distances(poses, rows, np.tile(columns, len(some)))
             for b, distances in zip(some, found.reshape(len(some), -1), strict=True):
                 self._kept[keys[b]] = distances
@@ -192,7 +198,7 @@ class PathChecker:
             ways, rows = np.unique(doubt.way, return_inverse=True)
             a, b = a[ways], b[ways]
             middle = (a + b) / 2
-            poses = link_poses(self.kinematics, middle)
+            poses = Poses(*self.kinematics.poses(middle))
             self.looked_at += len(middle)
             slack = self._distances(poses, rows, doubt.pair) - margins[doubt.pair]
             least = min(least, float(slack.min()))
@@ -220,7 +226,13 @@ class PathChecker:
             np.tile(doubt.motion / 2, 2),
         )
         still = self._in_doubt(halves.a, halves.b, halves.motion)
-        return _Doubt(*(part[still] for part in halves))
+        return _Doubt(
+            halves.way[still],
+            halves.pair[still],
+            halves.a[still],
+            halves.b[still],
+            halves.motion[still],
+        )
 
 
 class _Doubt(NamedTuple):
