@@ -119,6 +119,18 @@ def test_a_mesh_obstacle_is_as_far_as_the_same_box(robot, kinematics, geometry) 
     assert (two[one < -1e-4] < 0).all()
 
 
+def test_single_pairs_are_as_far_as_among_all(robot, kinematics, geometry) -> None:
+    poses = link_poses(kinematics, draw(robot, 12, seed=4))
+    around = (mesh_box("a", (0.2, 0.3, 0.1), (0.45, 0.1, 0.5)), box("b", (0.2,) * 3, (0, 0.4, 0.3)))
+    bodies = BodyDistances(geometry, Environment(around), reach=0.1)
+    surface = ObjectDistances(geometry, SphereField(0.2, (0.4, 0.0, 0.5)), reach=0.1)
+    for source, whole in ((bodies, bodies(poses)), (surface, surface(poses, gradients=False))):
+        rows, columns = np.random.default_rng(0).integers((12, len(source.names)), size=(500, 2)).T
+        expected = whole.distance[rows, columns]
+        assert 0 < (expected < 0.1).sum() < 500
+        np.testing.assert_allclose(source.of(poses, rows, columns), expected, atol=1e-9)
+
+
 def test_boxes_are_of_one_size_whatever_a_process_asks_first() -> None:
     """coal grows boxes by 1e-10 for ever where the first direction asked about has a zero in it."""
     first = """

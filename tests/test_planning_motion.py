@@ -76,6 +76,22 @@ def test_a_thin_wall_between_two_free_ends_is_not_jumped() -> None:
     assert PathChecker(GEOMETRY, far).is_free(ends)
 
 
+def test_ways_are_free_where_a_close_look_at_everything_finds_them_free() -> None:
+    checker, rng = PathChecker(GEOMETRY, FIELD), np.random.default_rng(2)
+    free = []
+    for _ in range(40):
+        ends = np.stack([ROBOT.home, grasp()])[rng.integers(2, size=2)]
+        ends[:, :7] += rng.normal(0, 0.3, (2, 7))
+        ends = np.clip(ends, ROBOT.lower, ROBOT.upper)
+        dense = ends[0] + np.linspace(0, 1, 400)[:, None] * (ends[1] - ends[0])
+        close = float(checker.slack(dense).min())
+        free.append(checker.is_free(ends))
+        if abs(close) > 1e-3:  # between the looks there may be a little less
+            assert free[-1] == (close >= 0)
+        assert checker.is_free(ends) == free[-1]
+    assert 5 < sum(free) < 35
+
+
 def test_the_retreat_is_straight_and_keeps_turn_and_hand() -> None:
     q = grasp()
     checker = PathChecker(GEOMETRY, FIELD)

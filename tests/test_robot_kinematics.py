@@ -87,6 +87,14 @@ def test_gradients_agree_with_finite_differences() -> None:
     assert torch.autograd.gradcheck(lambda v: kinematics(v)[1][:, 7:], (q,), atol=1e-6)
 
 
+@pytest.mark.parametrize("path", [None, GRIPPER], ids=["lbr4_allegro", "gripper"])
+def test_poses_in_numpy_are_those_of_torch(path: Path | None) -> None:
+    robot = load_robot(path)
+    kinematics, q = Kinematics(robot), random_configurations(robot, 20)
+    for ours, theirs in zip(kinematics.poses(q), kinematics(torch.from_numpy(q)), strict=True):
+        np.testing.assert_allclose(ours, theirs.numpy(), atol=1e-14)
+
+
 def test_batch_dimensions_are_kept() -> None:
     robot = load_robot()
     kinematics = Kinematics(robot)

@@ -13,10 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array, Mask
@@ -109,7 +107,7 @@ def clean(points: ArrayLike, config: CleaningConfig | None = None, specks: bool 
     if len(points) < 4 * config.neighbours:
         return Cleaning(np.ones(len(points), dtype=bool))
     even, seen_from_camera = _evenly_sampled(points)
-    tree = cKDTree(even, compact_nodes=False, balanced_tree=False)
+    tree = scipy.spatial.cKDTree(even, compact_nodes=False, balanced_tree=False)
     distance, neighbour = tree.query(even, k=config.neighbours + 1)
     pitch = _typical(distance[:, -1])
     isolated = distance[:, -1] > config.isolation * pitch
@@ -182,7 +180,7 @@ def _count_flying(even: Array, isolated: Mask, near: float) -> int:
     lone = even[isolated, :2]
     if not len(lone) or isolated.all():
         return 0
-    image = cKDTree(even[~isolated, :2], compact_nodes=False, balanced_tree=False)
+    image = scipy.spatial.cKDTree(even[~isolated, :2], compact_nodes=False, balanced_tree=False)
     return int((image.query(lone)[0] <= near).sum())
 
 
@@ -194,8 +192,8 @@ def _specks(
     rows = np.repeat(np.arange(count), neighbour.shape[1])
     joined = close.ravel() & kept[rows] & kept[neighbour.ravel()]
     ends = rows[joined], neighbour.ravel()[joined]
-    graph = sparse.coo_array((np.ones(len(ends[0]), dtype=np.int8), ends), (count, count))
-    _, label = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_array((np.ones(len(ends[0]), dtype=np.int8), ends), (count, count))
+    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     sizes = np.bincount(label, weights=kept).astype(np.int64)
     dropped = np.zeros(count, dtype=bool)
     if sizes.max() == kept.sum():
@@ -214,7 +212,9 @@ def _specks(
             body |= group
     tiny = kept & ~body & ~dropped
     gaps = np.full(len(sizes), np.inf)
-    np.minimum.at(gaps, label[tiny], cKDTree(_thinned(points[body])).query(points[tiny])[0])
+    np.minimum.at(
+        gaps, label[tiny], scipy.spatial.cKDTree(_thinned(points[body])).query(points[tiny])[0]
+    )
     dropped |= tiny & (gaps[label] > config.tiny_gap)
     # What falls apart so far is no one body with specks around it.
     return dropped if 2 * dropped.sum() < total else np.zeros(count, dtype=bool)
@@ -223,7 +223,7 @@ def _specks(
 def _gap(points: Array, others: Array) -> float:
     """The least distance [m] between points [N, 3] and others [M, 3], to within their spacing when
     both are thinned."""
-    return float(cKDTree(_thinned(points)).query(_thinned(others))[0].min())
+    return float(scipy.spatial.cKDTree(_thinned(points)).query(_thinned(others))[0].min())
 
 
 def _thinned(points: Array) -> Array:

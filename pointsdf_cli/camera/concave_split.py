@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from pointsdf_cli.geometry.arrays import Array
 
@@ -63,15 +61,15 @@ def standing_parts(
     whole = np.zeros(len(points), dtype=np.int64)
     if not 200 <= len(points) <= config.most:
         return whole, False
-    tree = cKDTree(points)
+    tree = scipy.spatial.cKDTree(points)
     concave = _valley(points, camera, tree, config)
     smooth = np.flatnonzero(~concave)
     if len(smooth) < 100:
         return whole, False
-    pairs = cKDTree(points[smooth]).query_pairs(config.gap, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(points[smooth]).query_pairs(config.gap, output_type="ndarray")
     shape = (len(smooth), len(smooth))
-    graph = coo_array((np.ones(len(pairs), dtype=np.int8), tuple(pairs.T)), shape)
-    _, label = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_array((np.ones(len(pairs), dtype=np.int8), tuple(pairs.T)), shape)
+    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     sizes = np.bincount(label)
     large = np.flatnonzero(sizes >= max(60.0, config.share * len(points)))
     if len(large) < 2:
@@ -84,12 +82,14 @@ def standing_parts(
     if len(standing) < 2:
         return whole, True
     chosen = np.isin(label, standing)
-    _, nearest = cKDTree(points[smooth[chosen]]).query(points)
+    _, nearest = scipy.spatial.cKDTree(points[smooth[chosen]]).query(points)
     part = np.searchsorted(np.sort(standing), label[chosen][nearest])
     return part.astype(np.int64), len(standing) < len(large)
 
 
-def _valley(points: Array, camera: Array, tree: cKDTree, config: SplitConfig) -> NDArray[np.bool_]:
+def _valley(
+    points: Array, camera: Array, tree: scipy.spatial.cKDTree, config: SplitConfig
+) -> NDArray[np.bool_]:
     """Points [N] whose neighbours lie above the tangent plane."""
     distance, neighbour = tree.query(points, k=48, distance_upper_bound=config.radius)
     found = np.isfinite(distance)

@@ -15,9 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from pointsdf_cli.camera.charuco import BoardView
 from pointsdf_cli.camera.pinhole import Camera
@@ -185,10 +184,12 @@ def board_pose(
     if start is None:
         _, turn, shift = cv2.solvePnP(points, pixels, camera.K, None, flags=cv2.SOLVEPNP_IPPE)
     else:
-        turn = Rotation.from_matrix(start[:3, :3]).as_rotvec()[:, None]
+        turn = scipy.spatial.transform.Rotation.from_matrix(start[:3, :3]).as_rotvec()[:, None]
         shift = start[:3, 3:].copy()
     turn, shift = cv2.solvePnPRefineLM(points, pixels, camera.K, None, turn, shift)
-    return transform(Rotation.from_rotvec(np.ravel(turn)).as_matrix(), np.ravel(shift))
+    return transform(
+        scipy.spatial.transform.Rotation.from_rotvec(np.ravel(turn)).as_matrix(), np.ravel(shift)
+    )
 
 
 def _fit(
@@ -228,13 +229,16 @@ def _refine(seen: _Observations, poses: HandEyePoses, images: Sequence[int]) -> 
     def residuals(change: Array) -> Array:
         return np.concatenate(seen.errors(_moved(poses, change), images)).ravel()
 
-    return _moved(poses, least_squares(residuals, np.zeros(12), x_scale=0.1, loss="soft_l1").x)
+    return _moved(
+        poses, scipy.optimize.least_squares(residuals, np.zeros(12), x_scale=0.1, loss="soft_l1").x
+    )
 
 
 def _moved(poses: HandEyePoses, change: Array) -> HandEyePoses:
     """X and Z after small rotations (rotation vectors) and translations [m] in their own frames."""
     small = transform(
-        Rotation.from_rotvec(change.reshape(2, 6)[:, :3]).as_matrix(), change.reshape(2, 6)[:, 3:]
+        scipy.spatial.transform.Rotation.from_rotvec(change.reshape(2, 6)[:, :3]).as_matrix(),
+        change.reshape(2, 6)[:, 3:],
     )
     return HandEyePoses(poses.X @ small[0], poses.Z @ small[1])
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
 from pointsdf_cli.geometry.arrays import Array
 
@@ -104,7 +103,10 @@ def _claim(
     both = np.concatenate([first, second])
     if np.ptp(both[:, :2], axis=0).max() > config.widest:
         return
-    near = cKDTree(first).query(second, distance_upper_bound=config.gap)[0].min() < config.gap
+    near = (
+        scipy.spatial.cKDTree(first).query(second, distance_upper_bound=config.gap)[0].min()
+        < config.gap
+    )
     if near and _within(flat[on_island], both, config):
         joined[joined == other] = one
         floor[floor == other] = one
@@ -157,21 +159,21 @@ def _islands(
     square = np.ones((3, 3))
     low_cells &= things < 0
     # A rim returns no depth here and there: a gap of four cells in it lets nothing out.
-    wide_open = ndimage.convolve(low_cells.astype(np.int8), np.ones((5, 5), np.int8)) >= 20
-    label, _ = ndimage.label(low_cells & wide_open, square)
+    wide_open = scipy.ndimage.convolve(low_cells.astype(np.int8), np.ones((5, 5), np.int8)) >= 20
+    label, _ = scipy.ndimage.label(low_cells & wide_open, square)
     for _ in range(2):
-        label = np.where(label > 0, label, ndimage.grey_dilation(label, (3, 3)) * low_cells)
+        label = np.where(label > 0, label, scipy.ndimage.grey_dilation(label, (3, 3)) * low_cells)
     found = []
-    for k, box in enumerate(ndimage.find_objects(label), 1):
+    for k, box in enumerate(scipy.ndimage.find_objects(label), 1):
         touches = any(s.start == 0 or s.stop == n for s, n in zip(box, shape, strict=True))
         if touches:
             continue
         wide = tuple(slice(max(0, s.start - config.edge), s.stop + config.edge) for s in box)
         island = label[wide] == k
-        ring = ndimage.binary_dilation(island, square, config.edge) & ~island
+        ring = scipy.ndimage.binary_dilation(island, square, config.edge) & ~island
         border = things[wide][ring]
         # Other flat cells beside it are open ground: what they touch is no island.
-        beside_it = ndimage.binary_dilation(island, square, 2) & ~island
+        beside_it = scipy.ndimage.binary_dilation(island, square, 2) & ~island
         open_ground = int((low_cells[wide][beside_it]).sum())
         border = np.concatenate([border[border >= 0], np.full(open_ground, -2)])
         if len(border):
@@ -182,8 +184,8 @@ def _islands(
 def _within(flat: Array, walls: Array, config: HollowConfig) -> bool:
     """Whether most flat points [M, 3] are within the walls [N, 3], seen from above."""
     try:
-        hull = ConvexHull(walls[:, :2])
-        inside = Delaunay(walls[hull.vertices, :2]).find_simplex(flat[:, :2]) >= 0
-    except QhullError:
+        hull = scipy.spatial.ConvexHull(walls[:, :2])
+        inside = scipy.spatial.Delaunay(walls[hull.vertices, :2]).find_simplex(flat[:, :2]) >= 0
+    except scipy.spatial.QhullError:
         return False
     return bool(inside.mean() >= config.within)

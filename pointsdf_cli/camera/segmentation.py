@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -189,6 +189,6 @@ def clusters(points: Array, gap: float) -> tuple[NDArray[np.int64], NDArray[np.i
     cells = np.floor((points - low) / gap).astype(np.int64)
     grid = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     grid[tuple(cells.T)] = True
-    labels, count = ndimage.label(grid, structure=np.ones((3, 3, 3)))
+    labels, count = scipy.ndimage.label(grid, structure=np.ones((3, 3, 3)))
     label = labels[tuple(cells.T)] - 1
     return label, np.bincount(label, minlength=count)

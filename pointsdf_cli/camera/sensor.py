@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from pointsdf_cli.camera import sensor_effects as effects
 from pointsdf_cli.camera.noise import REFERENCE_DEPTH, DepthNoise
@@ -256,7 +256,7 @@ class DepthSensor:
         missing = effects.rarer_than(1 - kept, distance, cosine, drawn)
         if self.missing_patches:
             drawn = effects.smooth_noise(cosine.shape, self.patch_window * scale, rng)
-            missing |= drawn < np.float32(ndtri(self.missing_patches))
+            missing |= drawn < np.float32(scipy.special.ndtri(self.missing_patches))
         return missing
 
     def _depths(

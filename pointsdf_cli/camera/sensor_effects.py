@@ -11,8 +11,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.geometry.arrays import Mask
@@ -216,7 +216,7 @@ def rarer_than(
         cosine: [h, w], 0 to 1.
         drawn: [h, w], normally distributed.
     """
-    limit = ndtri(np.clip(probability, 1e-12, 1 - 1e-12)).astype(np.float32)
+    limit = scipy.special.ndtri(np.clip(probability, 1e-12, 1 - 1e-12)).astype(np.float32)
     steps = len(INCIDENCES)
     index = np.minimum((cosine * steps).astype(np.int32), steps - 1)
     index += distance.astype(np.int32) * np.int32(steps)

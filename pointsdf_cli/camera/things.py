@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from pointsdf_cli.camera.concave_split import SplitConfig, standing_parts
 from pointsdf_cli.camera.hollow import HollowConfig, whole_bowls
@@ -215,7 +215,7 @@ def _bridged(
         return label
     joined = label.copy()
     base = standing[label]
-    tree, owner = cKDTree(points[base]), label[base]
+    tree, owner = scipy.spatial.cKDTree(points[base]), label[base]
     for one in np.flatnonzero(floats):
         distance, nearest = tree.query(points[label == one])
         if distance.min() <= config.bridge:

@@ -199,7 +199,6 @@ def plan(
     from pointsdf_cli.planning.plan_request import PlanChoices
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
-    from pointsdf_cli.service.plan_settings import PlanSettings
 
     idle = IdleProcessors()
     reporter = common.Reporter(quiet, as_json)
@@ -228,6 +227,9 @@ def plan(
     for weights in (checkpoint, grasp_checkpoint):
         if weights is not None:
             read_config(weights)
+    # What reads clouds is loaded for options that can be used.
+    from pointsdf_cli.service.plan_settings import PlanSettings
+
     files = _file_options(
         len(clouds),
         intrinsics,

@@ -7,8 +7,8 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from pointsdf_cli.geometry.signed_distance import sample_surface
 
@@ -45,7 +45,7 @@ def aligned_distance(one: Points, other: Points, iterations: int = 40) -> float:
     for round things; the best few starts are refined by rigid point-to-point ICP (no mirroring). In
     units of `spacing(other)`, so that two samples of one surface are about 1 apart.
     """
-    tree, coarse_tree = cKDTree(other), cKDTree(other[:COARSE_POINTS])
+    tree, coarse_tree = scipy.spatial.cKDTree(other), scipy.spatial.cKDTree(other[:COARSE_POINTS])
     frame_one, frame_other = _axes(one), _axes(other)
     starts = [frame_other @ turn @ frame_one.T for turn in _turns()]
     few = one[:COARSE_POINTS]
@@ -58,7 +58,7 @@ def aligned_distance(one: Points, other: Points, iterations: int = 40) -> float:
             target = other[tree.query(moved)[1]]
             rotation, shift = _fit(few, target)
         forth = tree.query(one @ rotation.T + shift)[0].mean()
-        back = cKDTree(one @ rotation.T + shift).query(other)[0].mean()
+        back = scipy.spatial.cKDTree(one @ rotation.T + shift).query(other)[0].mean()
         best = min(best, (forth + back) / 2)
     return float(best) / spacing(other)
 
@@ -70,7 +70,7 @@ def spacing(points: Points) -> float:
     square root of the density.
     """
     half = len(points) // 2
-    nearest: Points = cKDTree(points[:half]).query(points[half:])[0]
+    nearest: Points = scipy.spatial.cKDTree(points[:half]).query(points[half:])[0]
     return float(nearest.mean() / np.sqrt(2))
 
 

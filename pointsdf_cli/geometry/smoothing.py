@@ -8,8 +8,8 @@ surface much, but they turn its normals.
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import sparse
 
 SHRINK, GROW = 0.5, -0.53
 """Weights of the two passes: 1/λ + 1/μ ≈ 0.11 passes features a few edges wide and wider."""
@@ -30,11 +30,11 @@ def taubin_smooth(
     one, other = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
     count = len(vertices)
     # Every edge of a closed surface comes once in each direction, so this is symmetric.
-    adjacency = sparse.csr_matrix((np.ones(len(one)), (one, other)), shape=(count, count))
+    adjacency = scipy.sparse.csr_matrix((np.ones(len(one)), (one, other)), shape=(count, count))
     adjacency.data[:] = 1.0
     neighbours = np.maximum(np.asarray(adjacency.sum(axis=1)).ravel(), 1.0)
-    mean = sparse.diags(1.0 / neighbours) @ adjacency
-    stays = sparse.identity(count, format="csr")
+    mean = scipy.sparse.diags(1.0 / neighbours) @ adjacency
+    stays = scipy.sparse.identity(count, format="csr")
     passes = [(1 - weight) * stays + weight * mean for weight in (SHRINK, GROW)]
     smoothed = np.asarray(vertices, dtype=np.float64)
     for _ in range(iterations):

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
@@ -80,7 +80,7 @@ def stable_poses(
             transforms, probabilities = trimesh.poses.compute_stable_poses(
                 hull, center_mass=centre_of_mass, sigma=0.0, n_samples=1, threshold=0.0
             )
-    except (QhullError, ValueError, IndexError) as error:
+    except (scipy.spatial.QhullError, ValueError, IndexError) as error:
         raise InputError(f"has no stable pose ({type(error).__name__})") from error
     if not len(transforms):
         raise InputError("has no stable pose")
@@ -119,8 +119,8 @@ def tilt_margin(placed: NDArray[np.float64], mass: NDArray[np.float64]) -> float
     if len(foot) < 3:
         return 0.0
     try:
-        edges = ConvexHull(foot).equations
-    except QhullError:
+        edges = scipy.spatial.ConvexHull(foot).equations
+    except scipy.spatial.QhullError:
         return 0.0
     reach = float(-(edges[:, :2] @ mass[:2] + edges[:, 2]).max())
     return float(np.arctan2(max(reach, 0.0), mass[2]))

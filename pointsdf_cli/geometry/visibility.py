@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from pointsdf_cli.geometry.arrays import Array
 
@@ -108,7 +108,7 @@ def visibility_image(
     x, y = np.meshgrid(window[0] + centres, window[1] + centres)
     every = np.concatenate([tangents, others])
     some = _nearest_of_each_bin(every, cell / BINS)
-    tree = cKDTree(every[some], compact_nodes=False, balanced_tree=False)
+    tree = scipy.spatial.cKDTree(every[some], compact_nodes=False, balanced_tree=False)
     away, nearest = tree.query(np.stack([x.ravel(), y.ravel()], axis=1))
     index = some[nearest]
     index[away > REACH * max(cell, pitch)] = -1
@@ -142,5 +142,5 @@ def _pitch(tangents: Array) -> float:
     if len(tangents) < 2:
         return 0.0
     some = tangents[:: max(1, len(tangents) // 500)]
-    away, _ = cKDTree(tangents).query(some, k=2)
+    away, _ = scipy.spatial.cKDTree(tangents).query(some, k=2)
     return float(np.median(away[:, 1]))

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 import torch
 from numpy.typing import NDArray
-from scipy.cluster.vq import kmeans2
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -333,4 +333,4 @@ def _middles(points: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     start = points.mean(axis=0) + order[:, None] * axis
     if count == 1 or len(points) <= count:
         return start
-    return kmeans2(points, start, minit="matrix")[0]
+    return scipy.cluster.vq.kmeans2(points, start, minit="matrix")[0]

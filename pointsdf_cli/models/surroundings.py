@@ -19,9 +19,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 import torch
 from numpy.typing import NDArray
-from scipy import ndimage
 from torch import Tensor
 
 from pointsdf_cli.geometry.visibility import SIZE, ViewEvidence
@@ -213,7 +213,7 @@ def _signed_distance(inside: NDArray[np.bool_], cell: float) -> NDArray[np.float
     """Distances [SIZE, SIZE] to a region of cells, below zero inside, clipped to ±`WIDEST`."""
     if inside.all() or not inside.any():
         return np.full(inside.shape, -WIDEST if inside.all() else WIDEST)
-    outer = ndimage.distance_transform_edt(~inside)
-    inner = ndimage.distance_transform_edt(inside)
+    outer = scipy.ndimage.distance_transform_edt(~inside)
+    inner = scipy.ndimage.distance_transform_edt(inside)
     distance: NDArray[np.float64] = (outer - inner - np.sign(outer - inner) * 0.5) * cell
     return np.clip(distance, -WIDEST, WIDEST)

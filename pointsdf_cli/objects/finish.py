@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from manifold3d import Error, Manifold
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.refine import refine
@@ -141,5 +140,7 @@ def mesh_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 def _component_count(vertex_count: int, edges: np.ndarray) -> int:
     ones = np.ones(len(edges), dtype=np.int8)
-    graph = coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(vertex_count, vertex_count))
-    return int(connected_components(graph, directed=False)[0])
+    graph = scipy.sparse.coo_array(
+        (ones, (edges[:, 0], edges[:, 1])), shape=(vertex_count, vertex_count)
+    )
+    return int(scipy.sparse.csgraph.connected_components(graph, directed=False)[0])

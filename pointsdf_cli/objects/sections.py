@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from manifold3d import CrossSection, JoinType, OpType
-from scipy.interpolate import CubicSpline, PchipInterpolator
 
 Vector = Sequence[float] | np.ndarray
 
@@ -47,12 +47,12 @@ def smooth_curve(points: Sequence[Vector] | np.ndarray, count: int) -> np.ndarra
     """A cubic spline through [K, D] points, sampled at `count` even steps of chord length."""
     knots = np.asarray(points, dtype=float)
     chord = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
-    return CubicSpline(chord, knots)(np.linspace(0, chord[-1], count))
+    return scipy.interpolate.CubicSpline(chord, knots)(np.linspace(0, chord[-1], count))
 
 
 def smooth_steps(at: Vector, values: Vector, where: np.ndarray) -> np.ndarray:
     """Monotone cubic interpolation: passes through the values and never overshoots them."""
-    return PchipInterpolator(at, values)(where)
+    return scipy.interpolate.PchipInterpolator(at, values)(where)
 
 
 def arc(

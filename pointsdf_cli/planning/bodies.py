@@ -20,8 +20,6 @@ from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.robot_geometry import (
     Body,
     RobotGeometry,
-    coal_points,
-    coal_triangles,
     link_body,
 )
 from pointsdf_cli.robot.shapes import Shape
@@ -127,6 +125,61 @@ class BodyDistances:
         assert contacts.distance.shape == (count, pairs)
         return contacts
 
+    def of(self, poses: Poses, rows: Indices, columns: Indices) -> Array:
+        """Distances [K], m, of the pairs `columns` [K] at the configurations `rows` [K]: as in a
+        call, but of these alone and without witness points."""
+        first, second = self._pairs[columns].T
+        centre, other = (self._placed(poses, rows, body, self._centres) for body in (first, second))
+        gap = np.sqrt(((centre - other) ** 2).sum(-1)) - self._radii[first] - self._radii[second]
+        gap = np.where(self._table[second], centre[:, 2] - self._radii[first], gap)
+        near = np.flatnonzero(gap < self.reach)
+        if not len(near):
+            return np.asarray(gap)
+        places: dict[tuple[int, int], coal.Transform3s] = {}
+        result = coal.DistanceResult()
+        for k in near:
+            row, pair = int(rows[k]), (int(first[k]), int(second[k]))
+            for body in pair:
+                if (row, body) not in places:
+                    places[row, body] = self._placement(poses, row, body)
+            gap[k] = self._gap(pair, places[row, pair[0]], places[row, pair[1]], result)
+        return np.asarray(gap)
+
+    def _placed(self, poses: Poses, rows: Indices, bodies: Indices, points: Array) -> Array:
+        """One point [K, 3] of each of the bodies in the world, given in the frames of their links
+        [bodies, 3]."""
+        links, points = self._links[bodies], points[bodies]
+        turned = (poses.rotation[rows, links] @ points[:, :, None])[..., 0]
+        return np.where((links == WORLD)[:, None], points, turned + poses.position[rows, links])
+
+    def _placement(self, poses: Poses, row: int, body: int) -> coal.Transform3s:
+        """Pose of a body's shape in the world."""
+        local, link = self._local[body], self._links[body]
+        if link == WORLD:
+            return coal.Transform3s(local[:3, :3], local[:3, 3])
+        turn = poses.rotation[row, link]
+        return coal.Transform3s(
+            turn @ local[:3, :3], turn @ local[:3, 3] + poses.position[row, link]
+        )
+
+    def _gap(
+        self,
+        pair: tuple[int, int],
+        one: coal.Transform3s,
+        two: coal.Transform3s,
+        result: coal.DistanceResult,
+    ) -> float:
+        """Exact distance [m] of two bodies at their places."""
+        result.clear()
+        shapes = [self._bodies[body].geometry for body in pair]
+        distance = float(coal.distance(shapes[0], one, shapes[1], two, self._request, result))
+        inside = self._inside.get(pair[1])
+        if inside is None or distance <= 0:
+            return distance
+        # A shape that is wholly inside of a closed mesh does not touch its triangles.
+        point = (result.getNearestPoint1() - two.getTranslation()) @ two.getRotation()
+        return -distance - self._radii[pair[0]] if inside(point) else distance
+
     def _measure(self, out: Contacts, b: int, columns: Indices, turn: Array, at: Array) -> None:
         """Fill in exact distances of one configuration."""
         places: dict[int, coal.Transform3s] = {}
@@ -182,7 +235,8 @@ def _obstacle_body(obstacle: Obstacle) -> Body:
         return link_body(WORLD, obstacle.name, shape)
     mesh = coal.BVHModelOBBRSS()
     mesh.beginModel(len(obstacle.faces), len(obstacle.vertices))
-    mesh.addSubModel(coal_points(obstacle.vertices), coal_triangles(obstacle.faces))
+    mesh.addVertices(np.asarray(obstacle.vertices, dtype=np.float64))
+    mesh.addTriangles(np.asarray(obstacle.faces, dtype=np.int64))
     mesh.endModel()
     middle = (obstacle.vertices.min(axis=0) + obstacle.vertices.max(axis=0)) / 2
     radius = float(np.linalg.norm(obstacle.vertices - middle, axis=1).max())

@@ -7,8 +7,8 @@ from copy import copy
 from typing import Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
@@ -62,7 +62,7 @@ class SeenField:
 
     def __init__(self, points: Array) -> None:
         self._points = np.asarray(points, dtype=np.float64)
-        self._tree = KDTree(self._points)
+        self._tree = scipy.spatial.KDTree(self._points)
 
     def __call__(self, points: Array) -> Array:
         return np.asarray(self._tree.query(points)[0])

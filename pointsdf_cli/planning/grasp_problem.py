@@ -105,14 +105,18 @@ class GraspProblem:
         self.is_object = np.arange(len(self.names)) < count
         self._is_self = np.concatenate([np.zeros(count, bool), self.bodies.other_link != WORLD])
         self.is_table = np.concatenate([np.zeros(count, bool), self.bodies.is_table])
-        self._margin = np.select(
-            [self.is_object, self._is_self],
-            [self.clearances.object, self.clearances.self],
-            self.clearances.environment,
-        )
+        self._margin = self._margins()
         self._relevant = self._movable()
         self._critical = min(critical, int(self._relevant.sum()))
         self._groups = self._make_groups()
+
+    def asking(self, field: Field, clearances: Clearances, reach: float) -> GraspProblem:
+        """The same with another field of the object, other margins, and another `reach` [m]."""
+        other = copy(self)
+        other.clearances = clearances
+        other.object = self.object.asking(field, reach)
+        other._margin = other._margins()
+        return other
 
     def keeping(self, clearance: float) -> GraspProblem:
         """The same with another clearance to the object [m]."""
@@ -181,6 +185,14 @@ class GraspProblem:
             2 * slope[:, :, None] * slope[:, None, :],
             np.take_along_axis(slack, chosen, axis=1),
             self.variables.of(self._jacobian(poses, contacts, chosen)),
+        )
+
+    def _margins(self) -> Array:
+        """Clearance of each distance, m."""
+        return np.select(
+            [self.is_object, self._is_self],
+            [self.clearances.object, self.clearances.self],
+            self.clearances.environment,
         )
 
     def _movable(self) -> NDArray[np.bool_]:

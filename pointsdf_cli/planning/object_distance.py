@@ -12,7 +12,7 @@ from copy import copy
 
 import numpy as np
 
-from pointsdf_cli.geometry.arrays import Indices
+from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.contacts import WORLD, Contacts, Poses
 from pointsdf_cli.planning.robot_geometry import PATCH, RobotGeometry
@@ -51,6 +51,12 @@ class ObjectDistances:
         other._reach = reach
         return other
 
+    def asking(self, field: Field, reach: float) -> ObjectDistances:
+        """The same of another field, exact up to `reach` [m]."""
+        other = self.reaching(reach)
+        other.field = field
+        return other
+
     def __call__(self, poses: Poses, gradients: bool = True) -> Contacts:
         """Distances [B, M] of all patches, with the samples where they are lowest."""
         rotation, position = poses.rotation[:, self.link], poses.position[:, self.link]
@@ -72,3 +78,18 @@ class ObjectDistances:
                 _, normal[rows, columns] = self.field.with_gradient(world[each, lowest])
         none = np.full(patches, WORLD)
         return Contacts(distance, self.link, point, normal, none, point)
+
+    def of(self, poses: Poses, rows: Indices, columns: Indices) -> Array:
+        """Distances [K], m, of the patches `columns` [K] at the configurations `rows` [K]: as in a
+        call, but of these alone."""
+        links = self.link[columns]
+        rotation, position = poses.rotation[rows, links], poses.position[rows, links]
+        centre = (rotation @ self._centre[columns, :, None])[..., 0] + position
+        distance = self.field(centre) - self._slope * self._radius[columns]
+        near = np.flatnonzero(distance < self._reach)
+        if len(near):
+            world = self._points[columns[near]] @ rotation[near].transpose(0, 2, 1)
+            world += position[near, None]
+            values = self.field(world.reshape(-1, 3)).reshape(len(near), PATCH)
+            distance[near] = values.min(axis=1)
+        return np.asarray(distance)

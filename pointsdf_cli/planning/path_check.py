@@ -11,19 +11,26 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.bodies import BodyDistances
-from pointsdf_cli.planning.contacts import WORLD, ContactJacobian, link_poses
+from pointsdf_cli.planning.contacts import WORLD, ContactJacobian, Poses
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
+
+REACH = 0.02
+"""Distances between bodies are exact up to here [m], and bounds beyond."""
+
+KEPT = 512
+"""Configurations whose distances are kept: those of the trees of one search; 14 kB each."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +60,10 @@ class PathChecker:
         environment: Obstacles and table.
         clearances: Least distances.
         config: Resolution.
+        bodies: Distances to this environment, where they are made already.
 
     Attributes:
-        looked_at: Configurations evaluated so far.
+        looked_at: Configurations asked about so far.
     """
 
     def __init__(
@@ -65,12 +73,14 @@ class PathChecker:
         environment: Environment | None = None,
         clearances: Clearances | None = None,
         config: PathCheckConfig | None = None,
+        bodies: BodyDistances | None = None,
     ) -> None:
         self.config = config or PathCheckConfig()
         kinematics = self.kinematics = geometry.kinematics
         clearances = clearances or Clearances()
         self._object = ObjectDistances(geometry, field)
-        self._bodies = BodyDistances(geometry, environment or Environment(), reach=0.02)
+        bodies = bodies or BodyDistances(geometry, environment or Environment())
+        self._bodies = bodies.reaching(REACH)
         self._body_margin = np.where(
             self._bodies.other_link != WORLD, clearances.self, clearances.environment
         )
@@ -86,6 +96,7 @@ class PathChecker:
         farthest = np.maximum(farthest, np.where(moved[second], reach[second], 0.0))
         self._reach: Array = np.where(moved[first] != moved[second], farthest, 0.0)
         self.looked_at = 0
+        self._kept: dict[tuple[bytes, bytes], Array] = {}
 
     def keeping(self, clearance: float) -> PathChecker:
         """The same with another clearance to the object [m]."""
@@ -113,29 +124,52 @@ class PathChecker:
         bound: Array = np.abs(b - a) @ self._reach.T
         return bound
 
-    def _columns(self, moving: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-        """Mask of the pairs that count and are moved against each other by some of these joints:
-        bool [C]."""
+    def _columns(self, moving: NDArray[np.bool_] | None) -> Indices:
+        """The pairs [K] that count and are moved against each other by some of these joints."""
         counts = np.ones(len(self._reach), dtype=bool)
         counts[: self._object_columns] = self._with_object
         if moving is not None:
             counts &= (self._reach[:, moving] > 0).any(axis=1)
-        return counts
+        return np.flatnonzero(counts)
 
-    def _slacks(self, q: Array, columns: NDArray[np.bool_]) -> Array:
-        """Distances less clearances [B, C]; infinity in the columns that are not wanted."""
-        slacks = np.full((len(q), len(columns)), np.inf)
-        patches, pairs = columns[: self._object_columns], columns[self._object_columns :]
-        for begin in range(0, len(q), self.config.batch):
-            rows = slice(begin, begin + self.config.batch)
-            poses = link_poses(self.kinematics, q[rows])
-            if patches.any():
-                near = self._object(poses, gradients=False).distance - self._object_margin
-                slacks[rows, : len(patches)] = np.where(patches, near, np.inf)
-            bodies = self._bodies(poses, pairs).distance - self._body_margin
-            slacks[rows, len(patches) :] = np.where(pairs, bodies, np.inf)
+    def _slacks(self, q: Array, columns: Indices) -> Array:
+        """Distances less clearances [B, K] of the columns [K] at q [B, J].
+
+        Trees of configurations come back to the same ones again and again: those are kept.
+        """
+        asked = columns.tobytes()
+        keys = [(row.tobytes(), asked) for row in np.ascontiguousarray(q)]
+        new = {key: b for b, key in enumerate(keys) if key not in self._kept}
+        fresh = list(new.values())
+        for begin in range(0, len(fresh), self.config.batch):
+            some = fresh[begin : begin + self.config.batch]
+            rows = np.repeat(np.arange(len(some)), len(columns))
+            poses = Poses(*self.kinematics.poses(q[some]))
+            found = self._distances(poses, rows, np.tile(columns, len(some)))
+            for b, distances in zip(some, found.reshape(len(some), -1), strict=True):
+                self._kept[keys[b]] = distances
         self.looked_at += len(q)
-        return slacks
+        distances = np.stack([self._kept[key] for key in keys])
+        for _ in range(len(self._kept) - KEPT):
+            del self._kept[next(iter(self._kept))]
+        return np.asarray(distances - self._margins()[columns])
+
+    def _distances(self, poses: Poses, rows: Indices, columns: Indices) -> Array:
+        """Distances [K] of the pairs `columns` [K] at the configurations `rows` [K]."""
+        distances = np.empty(len(rows))
+        of_object = columns < self._object_columns
+        for which, source, first in (
+            (of_object, self._object, 0),
+            (~of_object, self._bodies, self._object_columns),
+        ):
+            if which.any():
+                distances[which] = source.of(poses, rows[which], columns[which] - first)
+        return distances
+
+    def _margins(self) -> Array:
+        """Clearance of each pair [C], m."""
+        near = np.full(self._object_columns, self._object_margin)
+        return np.concatenate([near, self._body_margin])
 
     def is_free(self, path: Array) -> bool:
         """Whether the polyline path [T, J] in joint space is free all along."""
@@ -145,7 +179,8 @@ class PathChecker:
         """The smallest slack met on the path [m]; the search stops at the first negative one.
 
         Between the configurations that were looked at there may be less, but never so little that
-        anything touches unseen.
+        anything touches unseen. In the middle of a way only the pairs are looked at that its ends
+        leave in doubt.
         """
         path = np.asarray(path, dtype=np.float64)
         if len(path) == 1:
@@ -153,17 +188,65 @@ class PathChecker:
         columns = self._columns(np.ptp(path, axis=0) > 0)
         slacks = self._slacks(path, columns)
         least = float(slacks.min(initial=np.inf))
-        a, b, slack_a, slack_b = path[:-1], path[1:], slacks[:-1], slacks[1:]
-        while least >= 0:
-            motion = self.motion(a, b)
-            in_doubt = (slack_a + slack_b < motion) & (motion > self.config.resolution)
-            open_ = in_doubt.any(axis=1)
-            if not open_.any():
-                break
-            a, b, slack_a, slack_b = a[open_], b[open_], slack_a[open_], slack_b[open_]
+        motion = self.motion(path[:-1], path[1:])[:, columns]
+        way, place = np.nonzero(self._in_doubt(slacks[:-1], slacks[1:], motion))
+        doubt = _Doubt(
+            way, columns[place], slacks[way, place], slacks[way + 1, place], motion[way, place]
+        )
+        a, b, margins = path[:-1], path[1:], self._margins()
+        while least >= 0 and len(doubt.way):
+            ways, rows = np.unique(doubt.way, return_inverse=True)
+            a, b = a[ways], b[ways]
             middle = (a + b) / 2
-            slack = self._slacks(middle, columns)
+            poses = Poses(*self.kinematics.poses(middle))
+            self.looked_at += len(middle)
+            slack = self._distances(poses, rows, doubt.pair) - margins[doubt.pair]
             least = min(least, float(slack.min()))
             a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
-            slack_a, slack_b = np.concatenate([slack_a, slack]), np.concatenate([slack, slack_b])
+            doubt = self._halved(doubt._replace(way=rows), len(ways), slack)
         return least
+
+    def _in_doubt(self, a: Array, b: Array, motion: Array) -> NDArray[np.bool_]:
+        """Which pairs of these slacks at both ends, and of this motion between, are not proven."""
+        return np.asarray((a + b < motion) & (motion > self.config.resolution))
+
+    def _halved(self, doubt: _Doubt, ways: int, slack: Array) -> _Doubt:
+        """What is still in doubt on the first and, `ways` rows later, on the second halves.
+
+        Args:
+            doubt: Before; its ways count from 0 to `ways`.
+            ways: Number of ways.
+            slack: [K], in the middles.
+        """
+        halves = _Doubt(
+            np.concatenate([doubt.way, doubt.way + ways]),
+            np.tile(doubt.pair, 2),
+            np.concatenate([doubt.a, slack]),
+            np.concatenate([slack, doubt.b]),
+            np.tile(doubt.motion / 2, 2),
+        )
+        still = self._in_doubt(halves.a, halves.b, halves.motion)
+        return _Doubt(
+            halves.way[still],
+            halves.pair[still],
+            halves.a[still],
+            halves.b[still],
+            halves.motion[still],
+        )
+
+
+class _Doubt(NamedTuple):
+    """K pairs on ways that are not proven free.
+
+    Attributes:
+        way: [K], row of the way.
+        pair: [K], column of the pair.
+        a, b: [K], slack at the way's ends [m].
+        motion: [K], how far the pair moves on the way, at most [m].
+    """
+
+    way: Indices
+    pair: Indices
+    a: Array
+    b: Array
+    motion: Array

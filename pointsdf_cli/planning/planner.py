@@ -10,8 +10,8 @@ import numpy as np
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.io.plans import Plan
+from pointsdf_cli.models.processor import one_thread
 from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import RefinedField
@@ -127,25 +127,15 @@ class Planner:
             beyond = inside.object + config.beyond
             quick, polish = grid, RefinedField(grid, target.field, beyond)
 
-        def problem(which: Field, clearances: Clearances, reach: float) -> GraspProblem:
-            return GraspProblem(
-                self.geometry,
-                target.score,
-                which,
-                environment,
-                clearances,
-                config.objective,
-                reach=reach,
-            )
-
         # Only what is too near decides; a network need not be asked about the rest.
-        exact = problem(
-            target.field, asked, max(asked.object + 0.005, config.margin, PREFERRED_SLACK)
+        reach = max(asked.object + 0.005, config.margin, PREFERRED_SLACK)
+        searched = GraspProblem(
+            self.geometry, target.score, quick, environment, inside, config.objective
         )
-        searched = problem(quick, inside, 0.05)
+        exact = searched.asking(target.field, asked, reach)
         if polish is quick:
             return Problems(searched, exact, searched)
-        return Problems(searched, exact, problem(polish, inside, 0.02))
+        return Problems(searched, exact, searched.asking(polish, inside, 0.02))
 
     def plan(
         self,
@@ -198,8 +188,10 @@ class Planner:
             field.cautious() if isinstance(field, RefinedField) else field,
             environment,
             self.config.clearances,
+            bodies=problems.polish.bodies,
         )
-        best, motion, found = self._with_motion(checker, found, start, seed)
+        with one_thread():  # a few configurations at a time: nothing to share out
+            best, motion, found = self._with_motion(checker, found, start, seed)
         timings["motion"] = time.perf_counter() - began
         return plan_of(problems.exact, self.inverse.chain, found, best, motion, timings)
 

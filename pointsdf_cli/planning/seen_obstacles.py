@@ -11,9 +11,9 @@ from collections.abc import Collection, Iterator
 from itertools import count
 
 import numpy as np
+import scipy
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import QhullError
 
 from pointsdf_cli.camera.segmentation import clusters
 from pointsdf_cli.camera.things import LOOSE
@@ -134,7 +134,7 @@ def hulls(points: Array, fewest: int = WORKSPACE.fewest, to_table: bool = True) 
         foot = cluster[: len(cluster) * to_table] * [1.0, 1.0, 0.0]
         try:
             hull = trimesh.convex.convex_hull(np.concatenate([cluster, foot]))
-        except QhullError:  # a sheet on edge, seen as a line
+        except scipy.spatial.QhullError:  # a sheet on edge, seen as a line
             continue
         found.append((np.asarray(hull.vertices, dtype=float), np.asarray(hull.faces, np.int32)))
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -51,7 +51,7 @@ class Slsqp:
 
     def _one(self, problem: Problem, start: Array, iterations: int) -> tuple[Array, bool, int]:
         memory = _Memory(problem)
-        result = minimize(
+        result = scipy.optimize.minimize(
             lambda x: float(memory(x).objective[0]),
             start,
             jac=lambda x: memory(x).gradient[0],

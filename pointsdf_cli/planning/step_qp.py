@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import clarabel
 import numpy as np
-from scipy import sparse
+import scipy
 
 from pointsdf_cli.geometry.arrays import Array
 
@@ -45,11 +45,11 @@ class StepQp:
         counts = np.concatenate([np.ones(n), np.full(n, n + k + 2), np.full(k, 2)])
         starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         data = np.full(len(indices), -1.0)
-        self._matrix = sparse.csc_matrix((data, indices, starts), shape=(3 * n + 2 * k, size))
+        self._matrix = scipy.sparse.csc_matrix((data, indices, starts), shape=(3 * n + 2 * k, size))
         self._columns = self._matrix.data[n : n + n * (n + k + 2)].reshape(n, n + k + 2)
         self._columns[:, -1] = 1.0
         ones = np.concatenate([np.ones(n, dtype=np.int64), np.zeros(n + k, dtype=np.int64)])
-        self._quadratic = sparse.csc_matrix(
+        self._quadratic = scipy.sparse.csc_matrix(
             (np.ones(n), each, np.concatenate([[0], np.cumsum(ones)])), shape=(size, size)
         )
         self._cones = [clarabel.ZeroConeT(n), clarabel.NonnegativeConeT(2 * n + 2 * k)]
@@ -95,7 +95,7 @@ class StepQp:
         low: Array,
         high: Array,
         penalty: float,
-    ) -> tuple[sparse.csc_matrix, Array, Array]:
+    ) -> tuple[scipy.sparse.csc_matrix, Array, Array]:
         """A, q and b of the module's docstring; A is overwritten by the next call."""
         n, k = self.n, self.k
         self._columns[:, :n] = factor.T

@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, KDTree, QhullError
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
@@ -54,8 +54,8 @@ def _above(feet: Array, centre: Array) -> bool:
     if len(feet) < 3:
         return False
     try:
-        return bool(Delaunay(feet).find_simplex(centre) >= 0)
-    except QhullError:  # all on one line
+        return bool(scipy.spatial.Delaunay(feet).find_simplex(centre) >= 0)
+    except scipy.spatial.QhullError:  # all on one line
         return False
 
 
@@ -88,7 +88,7 @@ def _is_hidden(places: Array, eye: Array, seen: Array) -> NDArray[np.bool_]:
     eye."""
     way, seen_way = places - eye, seen - eye
     distance, seen_distance = (np.linalg.norm(w, axis=1) for w in (way, seen_way))
-    directions = KDTree(seen_way / seen_distance[:, None])
+    directions = scipy.spatial.KDTree(seen_way / seen_distance[:, None])
     # Points a spacing apart hide what is between them.
     off, nearest = directions.query(way / distance[:, None])
     same = off < SPACING / distance

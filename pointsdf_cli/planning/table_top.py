@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.segmentation import SegmentationConfig
@@ -208,7 +208,8 @@ def _require_same(points: Array, first: tuple[Array, Array], name: str) -> None:
         NoObjectError: It is another thing.
     """
     to_object, to_others = (
-        float(cKDTree(seen).query(points)[0].min()) if len(seen) else np.inf for seen in first
+        float(scipy.spatial.cKDTree(seen).query(points)[0].min()) if len(seen) else np.inf
+        for seen in first
     )
     if to_object > min(SAME_THING, to_others):
         raise NoObjectError(

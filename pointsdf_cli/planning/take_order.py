@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.object_choice import Thing
@@ -69,7 +69,9 @@ def free_share(points: Array, others: Array) -> float:
     """
     if not len(others):
         return 1.0
-    away, _ = cKDTree(points[:, :2]).query(others[:, :2], distance_upper_bound=HAND_ROOM)
+    away, _ = scipy.spatial.cKDTree(points[:, :2]).query(
+        others[:, :2], distance_upper_bound=HAND_ROOM
+    )
     near = others[np.isfinite(away), :2]
     middle = (points[:, :2].min(axis=0) + points[:, :2].max(axis=0)) / 2
     angle = np.arctan2(*(near - middle).T[::-1]) / (2 * np.pi)

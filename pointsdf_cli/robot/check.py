@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 import torch
 import trimesh
-from scipy.spatial import cKDTree
 
 from pointsdf_cli.robot.closing import NEARER, Closing, closing_of, open_hand
 from pointsdf_cli.robot.collision import SelfCollision, table_clearance
@@ -240,7 +240,7 @@ def _coverage(robot: RobotDescription, rng: np.random.Generator) -> tuple[int, f
             continue
         points = link_surface(shapes)
         count += len(points)
-        tree = cKDTree(points)
+        tree = scipy.spatial.cKDTree(points)
         for i, shape in enumerate(shapes):
             seed = int(rng.integers(2**31))
             drawn, _ = trimesh.sample.sample_surface(shape.as_mesh(), 500, seed=seed)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -90,7 +90,7 @@ class InverseKinematics:
         rotation, position, _ = self.chain.palm_and_jacobian(self._pool)
         # One radian of turn weighs like this many metres of way.
         self._turn_weight = 0.3
-        self._tree = cKDTree(self._features(rotation, position))
+        self._tree = scipy.spatial.cKDTree(self._features(rotation, position))
 
     def solve(self, T_world_palm: Array) -> IkSolutions:
         """Solve B palm poses [B, 4, 4] (or one [4, 4], as B = 1) from `starts` starts each."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -37,7 +39,9 @@ class Kinematics:
         def tensor(array: NDArray[np.float64]) -> Tensor:
             return torch.tensor(np.array(array), dtype=dtype, device=device)
 
-        joints = robot.tree.joints
+        # Level by level, so that a level's joints are a slice.
+        levels = self._tree_levels()
+        joints = [robot.tree.joints[i] for here, _ in levels for i in here]
         columns = {name: i for i, name in enumerate(robot.joint_names)}
         # Joints that are not part of q rest at 0, through a column that is always zero.
         spare = len(columns)
@@ -56,8 +60,13 @@ class Kinematics:
         self._versine = tensor(fixed @ cross @ cross * turning)
         self._offset = tensor(origins[:, :3, 3])
         self._slide = tensor(np.einsum("jab,jb->ja", fixed, axes) * sliding)
-        self._levels = self._tree_levels()
-        self._order = self._restoring_order()
+        ends = np.cumsum([0, *(len(here) for here, _ in levels)])
+        self._levels = [
+            (slice(int(begin), int(end)), None if above is None else torch.tensor(above).to(device))
+            for begin, end, (_, above) in zip(ends, ends[1:], levels, strict=False)
+        ]
+        by_level = [self.links[0], *(joint.child for joint in joints)]
+        self._order = torch.tensor([by_level.index(link) for link in self.links])
         base = tensor(robot.T_world_base)
         self._base_rotation, self._base_position = base[:3, :3], base[:3, 3]
         self._palm = self._index[robot.palm_link]
@@ -97,6 +106,43 @@ class Kinematics:
             all_positions.reshape(*batch, -1, 3),
         )
 
+    def poses(self, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The same without gradients, in numpy: of a few configurations in a quarter of the time.
+
+        Args:
+            q: [B, J].
+
+        Returns:
+            Rotations [B, L, 3, 3] and positions [B, L, 3] in the order of `links`, equal to a
+            call's but for rounding.
+        """
+        fixed = self._fixed
+        count, links = len(q), len(fixed.offset)
+        angle = np.concatenate([q, np.zeros((count, 1))], axis=1)[:, fixed.columns]
+        sine, versine = np.sin(angle)[..., None, None], 1 - np.cos(angle)[..., None, None]
+        local = np.empty((count, links, 3, 4))
+        local[..., :3] = fixed.rotation + sine * fixed.sine + versine * fixed.versine
+        local[..., 3] = fixed.offset + angle[..., None] * fixed.slide
+        world = np.empty((count, links + 1, 3, 4))
+        world[:, 0] = fixed.base
+        above = slice(0, 1)
+        for joints, parents in self._levels:
+            here = slice(joints.start + 1, joints.stop + 1)
+            before = world[:, above] if parents is None else world[:, above][:, parents.numpy()]
+            np.matmul(before[..., :3], local[:, joints], out=world[:, here])
+            world[:, here, :, 3] += before[..., 3]
+            above = here
+        world = world[:, fixed.order]
+        return world[..., :3], world[..., 3]
+
+    @cached_property
+    def _fixed(self) -> _Fixed:
+        """What does not depend on q, in numpy."""
+        parts = (self._rotation, self._sine, self._versine, self._offset, self._slide)
+        base = torch.cat([self._base_rotation, self._base_position[:, None]], dim=1)
+        whole = (*parts, base, self._columns, self._order)
+        return _Fixed(*(part.cpu().numpy() for part in whole))
+
     def palm(self, q: Tensor) -> Tensor:
         """T_world_palm [..., 4, 4] of configurations [..., J]."""
         rotation, position = self(q)
@@ -120,13 +166,13 @@ class Kinematics:
             for link, points in surface
         ]
 
-    def _tree_levels(self) -> list[tuple[Tensor, Tensor | None]]:
+    def _tree_levels(self) -> list[tuple[list[int], list[int] | None]]:
         """For each depth the joints that lead there, and their parents' places one level up.
 
         The places are None where they are 0, 1, 2, ... : nothing needs to be gathered.
         """
-        joints, device = self.robot.tree.joints, self._columns.device
-        levels: list[tuple[Tensor, Tensor | None]] = []
+        joints = self.robot.tree.joints
+        levels: list[tuple[list[int], list[int] | None]] = []
         above = [self.links[0]]
         while True:
             here = [i for i, joint in enumerate(joints) if joint.parent in above]
@@ -134,16 +180,29 @@ class Kinematics:
                 return levels
             parents = [above.index(joints[i].parent) for i in here]
             same = parents == list(range(len(above)))
-            places = None if same else torch.tensor(parents, device=device)
-            levels.append((torch.tensor(here, device=device), places))
+            levels.append((here, None if same else parents))
             above = [joints[i].child for i in here]
 
-    def _restoring_order(self) -> Tensor:
-        """From root-then-levels back to the order of `links`."""
-        by_level = [self.links[0]]
-        for joints, _ in self._levels:
-            by_level += [self.robot.tree.joints[int(i)].child for i in joints]
-        return torch.tensor([by_level.index(link) for link in self.links])
+
+class _Fixed(NamedTuple):
+    """What forward kinematics does not recompute, level by level: of L - 1 joints, by their links.
+
+    Attributes:
+        rotation, sine, versine: [L - 1, 3, 3], the parts of a joint's rotation.
+        offset, slide: [L - 1, 3], its place and where it slides.
+        base: [3, 4], the robot's root in the world.
+        columns: [L - 1], columns of q.
+        order: [L], places of `links`.
+    """
+
+    rotation: NDArray[np.float64]
+    sine: NDArray[np.float64]
+    versine: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    slide: NDArray[np.float64]
+    base: NDArray[np.float64]
+    columns: NDArray[np.int64]
+    order: NDArray[np.int64]
 
 
 def homogeneous(rotation: Tensor, position: Tensor) -> Tensor:

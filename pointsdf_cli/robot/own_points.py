@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import strictly_inside
@@ -38,5 +38,8 @@ def off_robot(points: Array, own: Array) -> NDArray[np.bool_]:
     off = np.ones(len(points), dtype=bool)
     low, high = own.min(axis=0) - ROBOT_MARGIN, own.max(axis=0) + ROBOT_MARGIN
     near = np.flatnonzero(strictly_inside(points, low, high))
-    off[near] = KDTree(own).query(points[near], distance_upper_bound=ROBOT_MARGIN)[0] == np.inf
+    off[near] = (
+        scipy.spatial.KDTree(own).query(points[near], distance_upper_bound=ROBOT_MARGIN)[0]
+        == np.inf
+    )
     return off

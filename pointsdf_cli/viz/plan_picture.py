@@ -104,8 +104,8 @@ def close_ups(
     robot: RobotMeshes, q: Array, scene: PlanScene, size: tuple[int, int] = (480, 440)
 ) -> list[NDArray[np.uint8]]:
     """The object with the hand, from where the camera stood and from the opposite side."""
-    stages = _with_and_without_hand(robot, q, scene)
-    return [_close_up(stages, scene, behind, size) for behind in (False, True)]
+    stage = _translucent_hand(robot, q, scene)
+    return [_close_up(stage, scene, behind, size) for behind in (False, True)]
 
 
 def close_up(
@@ -119,23 +119,22 @@ def close_up(
 
     The arm is left out: it reaches over from behind, and would stand before everything.
     """
-    return _close_up(_with_and_without_hand(robot, q, scene), scene, behind, size)
+    return _close_up(_translucent_hand(robot, q, scene), scene, behind, size)
 
 
-def _with_and_without_hand(robot: RobotMeshes, q: Array, scene: PlanScene) -> tuple[Stage, Stage]:
-    without = scene.painted()
-    return Stage([*robot.at(q, hand_only=True), *without]), Stage(without)
+def _translucent_hand(robot: RobotMeshes, q: Array, scene: PlanScene) -> Stage:
+    hand = robot.at(q, hand_only=True)
+    return Stage([*hand, *scene.painted()], translucent=len(hand), opacity=TRANSLUCENT)
 
 
 def _close_up(
-    stages: tuple[Stage, Stage], scene: PlanScene, behind: bool, size: tuple[int, int]
+    stage: Stage, scene: PlanScene, behind: bool, size: tuple[int, int]
 ) -> NDArray[np.uint8]:
     toward = scene.camera - scene.centre
     heading = float(np.arctan2(toward[1], toward[0])) + (np.pi if behind else 0.0)
     way = np.array([np.cos(heading), np.sin(heading), 0.45])
     camera = look_at(scene.centre + 0.62 * way, scene.centre)
-    front, back = (stage.image(camera, size, 0.62).astype(np.float32) for stage in stages)
-    return (TRANSLUCENT * front + (1 - TRANSLUCENT) * back).astype(np.uint8)
+    return stage.image(camera, size, 0.62)
 
 
 def dots(points: Array, colour: tuple[float, float, float] = SEEN_COLOUR) -> Painted:

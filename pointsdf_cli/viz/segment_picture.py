@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
-from scipy import ndimage
 
 from pointsdf_cli.io.atomic import atomic_path
 
@@ -59,11 +59,11 @@ def segment_picture(
     on = np.zeros((height, width), dtype=np.int64)
     on[v, u] = number
     if size is None:
-        on = ndimage.grey_dilation(on, size=(7, 7))
+        on = scipy.ndimage.grey_dilation(on, size=(7, 7))
     for k, _ in labels:
         colour = np.array(COLOURS[(k - 1) % len(COLOURS)])
         mine = on == k
-        edge = mine & ~ndimage.binary_erosion(mine, iterations=2)
+        edge = mine & ~scipy.ndimage.binary_erosion(mine, iterations=2)
         image[mine] = (0.65 * image[mine] + 0.35 * colour).astype(np.uint8)
         image[edge] = colour
     drawing = Image.fromarray(image)

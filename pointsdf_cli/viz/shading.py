@@ -51,10 +51,14 @@ class Stage:
 
     Args:
         meshes: Visible meshes.
+        translucent: The first so many let the others show through.
+        opacity: Share of these in what is seen, in [0, 1].
     """
 
-    def __init__(self, meshes: Sequence[Painted]) -> None:
-        self._scene = o3d.t.geometry.RaycastingScene(1)
+    def __init__(
+        self, meshes: Sequence[Painted], translucent: int = 0, opacity: float = 1.0
+    ) -> None:
+        self._scene = o3d.t.geometry.RaycastingScene()
         for mesh in meshes:
             self._scene.add_triangles(
                 o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.vertices, dtype=np.float32)),
@@ -62,6 +66,8 @@ class Stage:
             )
         self._colours = np.array([mesh.colour for mesh in meshes], dtype=np.float32)
         self._unlit = np.array([mesh.unlit for mesh in meshes])
+        self._translucent, self._opacity = translucent, opacity
+        self._without = Stage(meshes[translucent:]) if translucent else None
 
     def image(
         self,
@@ -83,29 +89,50 @@ class Stage:
         width, height = size
         u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
 
-        def seen(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float32]:
+        def seen(u: NDArray[np.float64], v: NDArray[np.float64]) -> list[NDArray[np.float32]]:
             focal = height / 2 / np.tan(field_of_view / 2)
             x, y = (u - width / 2) / focal, (v - height / 2) / focal
             ways = np.stack([x, y, np.ones_like(x)], axis=-1) @ T_world_camera[:3, :3].T
             ways /= np.sqrt((ways**2).sum(axis=-1, keepdims=True))
-            return self._seen(T_world_camera[:3, 3], ways.astype(np.float32))
+            return self._layers(T_world_camera[:3, 3], ways.astype(np.float32))
 
-        image = seen(u.ravel(), v.ravel()).reshape(height, width, 3)
+        layers = [layer.reshape(height, width, 3) for layer in seen(u.ravel(), v.ravel())]
         if oversampling > 1:
-            rows, columns = np.nonzero(_edges(image))
+            edges = [_edges(layer) for layer in layers]
+            rows, columns = np.nonzero(np.logical_or.reduce(edges))
             offsets = (np.arange(oversampling) + 0.5) / oversampling
             across, down = (o.ravel() for o in np.meshgrid(offsets, offsets))
-            finer = seen(
-                (columns[:, None] + across).ravel(), (rows[:, None] + down).ravel()
-            ).reshape(len(rows), oversampling**2, 3)
-            image[rows, columns] = finer.mean(axis=1)
-        picture: NDArray[np.uint8] = (np.clip(image, 0, 1) * 255).astype(np.uint8)
-        return picture
+            finer = seen((columns[:, None] + across).ravel(), (rows[:, None] + down).ravel())
+            for layer, edge, fine in zip(layers, edges, finer, strict=True):
+                own = edge[rows, columns]
+                mean = fine.reshape(len(rows), oversampling**2, 3)[own].mean(axis=1)
+                layer[rows[own], columns[own]] = mean
+        pictures = [(np.clip(layer, 0, 1) * 255).astype(np.uint8) for layer in layers]
+        if len(pictures) == 1:
+            return pictures[0]
+        front, back = (picture.astype(np.float32) for picture in pictures)
+        mixed: NDArray[np.uint8] = (self._opacity * front + (1 - self._opacity) * back).astype(
+            np.uint8
+        )
+        return mixed
+
+    def _layers(
+        self, origin: NDArray[np.float64], directions: NDArray[np.float32]
+    ) -> list[NDArray[np.float32]]:
+        """Colours [N, 3] along directions [N, 3], and those without what is translucent."""
+        colours, hidden = self._seen(origin, directions)
+        if self._without is None:
+            return [colours]
+        behind = colours.copy()
+        # Where nothing translucent is hit or throws a shadow, both are the same.
+        behind[hidden], _ = self._without._seen(origin, directions[hidden])
+        return [colours, behind]
 
     def _seen(
         self, origin: NDArray[np.float64], directions: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """Colours [N, 3] along directions [N, 3] of unit length."""
+    ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+        """Colours [N, 3] along directions [N, 3] of unit length; and which of them may come of what
+        is translucent."""
         colours = np.empty((len(directions), 3), dtype=np.float32)
         colours[:] = SKY
         hits = _cast(self._scene, origin, directions)
@@ -122,12 +149,14 @@ class Stage:
         bright = np.flatnonzero(diffuse > 0)
         places = origin.astype(np.float32) + depth[hit[bright], None] * toward[bright]
         toward_light = np.broadcast_to(light, places.shape)
-        shadow = _cast(self._scene, places + 1e-4 * normals[bright], toward_light)["t_hit"].numpy()
-        diffuse[bright[np.isfinite(shadow)]] *= 0.35
+        shadow = bright[_occluded(self._scene, places + 1e-4 * normals[bright], toward_light)]
+        diffuse[shadow] *= 0.35
         strength = 0.42 + 0.12 * normals[:, 2] + 0.5 * diffuse + 0.18 * np.abs(facing)
         strength[self._unlit[which]] = 1.0
         colours[hit] = self._colours[which] * strength[:, None]
-        return colours
+        hidden = which < self._translucent
+        hidden[shadow] = True
+        return colours, hit[hidden]
 
 
 def shaded_image(
@@ -172,7 +201,19 @@ def table_mesh(
 def _cast(
     scene: Any, origins: NDArray[np.floating], directions: NDArray[np.float32]
 ) -> dict[str, Any]:
+    found: dict[str, Any] = scene.cast_rays(_rays(origins, directions))
+    return found
+
+
+def _occluded(
+    scene: Any, origins: NDArray[np.floating], directions: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Which rays hit anything [N]: quicker than what they hit first."""
+    hit: NDArray[np.bool_] = scene.test_occlusions(_rays(origins, directions)).numpy()
+    return hit
+
+
+def _rays(origins: NDArray[np.floating], directions: NDArray[np.float32]) -> Any:
     rays = np.empty((len(directions), 6), dtype=np.float32)
     rays[:, :3], rays[:, 3:] = origins, directions
-    found: dict[str, Any] = scene.cast_rays(o3d.core.Tensor.from_numpy(rays), 1)
-    return found
+    return o3d.core.Tensor.from_numpy(rays)
