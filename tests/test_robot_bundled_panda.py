@@ -13,7 +13,10 @@ from planning_worlds import AroundObject, CylinderField, NearPalm
 
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.models.bundled_success import bundled_success
+from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
+from pointsdf_cli.planning.reasons import few_grasps
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import Target
@@ -166,3 +169,24 @@ def test_a_can_is_planned_for(panda: RobotDescription) -> None:
     assert 0.0 < local[0] < 0.06
     assert abs(local[2]) < 0.02
     assert np.array_equal(plan.trajectory[0], panda.home)
+
+
+def test_each_bundled_robot_has_success_weights_that_learned_from_enough_grasps() -> None:
+    for name, folder in (("lbr4_allegro", "grasp_geometry"), ("panda", "panda_geometry")):
+        robot = load_robot(name)
+        found = bundled_success(robot)
+        assert found is not None
+        assert found.name == folder
+        model = load_grasp_model(robot=robot)
+        assert model.robot.name == name
+        assert model.learned_from is not None
+        assert not few_grasps(model.learned_from)
+        assert (found / "model.safetensors").stat().st_size < 400_000
+        assert not (found / "train_state.pt").exists()
+
+
+def test_few_grasps_are_not_passed_over_in_silence() -> None:
+    (said,) = few_grasps(20)
+    assert "20 grasps" in said
+    assert few_grasps(1000) == []
+    assert few_grasps(None) == []  # older weights do not say

@@ -18,7 +18,7 @@ def bundled_success(robot: RobotDescription, inputs: str = "geometry") -> Path |
 
     Args:
         robot: The robot.
-        inputs: What its network reads, a key of `NETWORKS`.
+        inputs: Inputs of its network, a key of `NETWORKS`.
     """
     for folder in sorted((assets_folder() / "weights").iterdir()):
         config = read_config(folder)

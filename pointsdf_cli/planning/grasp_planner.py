@@ -45,7 +45,7 @@ from pointsdf_cli.planning.option_checks import (
 )
 from pointsdf_cli.planning.plan_artifact import no_plan
 from pointsdf_cli.planning.planner import MARGIN, SUCCESSIVE_HALVING, Planner, PlannerConfig, Rank
-from pointsdf_cli.planning.reasons import too_large
+from pointsdf_cli.planning.reasons import few_grasps, too_large
 from pointsdf_cli.planning.resampled_views import redrawn
 from pointsdf_cli.planning.screen import narrowest
 from pointsdf_cli.planning.seeds import EITHER, GraspSampler
@@ -63,8 +63,6 @@ from pointsdf_cli.planning.target import (
 from pointsdf_cli.planning.timing import TimingConfig
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 
-FEW_GRASPS = 1000
-"""A network that learned from fewer executed grasps is not planned with in silence."""
 """PointSDF-Scratch, the success network of partial-view grasping, where it is bundled."""
 
 LOW_OBJECT = 0.03
@@ -159,13 +157,7 @@ class GraspPlanner:
 
     def doubts(self) -> list[str]:
         """Sentences about what makes all plans doubtful."""
-        known = getattr(self._grasps, "learned_from", None)
-        if known is None or known >= FEW_GRASPS:
-            return []
-        return [
-            f"the success network learned from {known} grasps only, fewer than {FEW_GRASPS}: its "
-            "probabilities say little"
-        ]
+        return few_grasps(getattr(self._grasps, "learned_from", None))
 
     @property
     def shape(self) -> ShapeModel | None:

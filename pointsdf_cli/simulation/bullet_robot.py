@@ -17,8 +17,7 @@ from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.simulation.bullet import silence
 
 GEAR_FORCE, GEAR_RECOVERY = 1000.0, 1.0
-"""What holds coupled joints together: largest force [N or N m] and share of an error that a step
-takes back."""
+"""Coupling of joints: largest force [N or N m], share of an error that a step takes back."""
 
 
 class BulletRobot:
