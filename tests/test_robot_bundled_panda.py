@@ -171,7 +171,7 @@ def test_a_can_is_planned_for(panda: RobotDescription) -> None:
     assert np.array_equal(plan.trajectory[0], panda.home)
 
 
-def test_each_bundled_robot_has_success_weights_that_learned_from_enough_grasps() -> None:
+def test_each_bundled_robot_has_success_weights_of_its_own() -> None:
     for name, folder in (("lbr4_allegro", "grasp_geometry"), ("panda", "panda_geometry")):
         robot = load_robot(name)
         found = bundled_success(robot)
@@ -180,7 +180,7 @@ def test_each_bundled_robot_has_success_weights_that_learned_from_enough_grasps(
         model = load_grasp_model(robot=robot)
         assert model.robot.name == name
         assert model.learned_from is not None
-        assert not few_grasps(model.learned_from)
+        assert model.learned_from >= 200
         assert (found / "model.safetensors").stat().st_size < 400_000
         assert not (found / "train_state.pt").exists()
 
