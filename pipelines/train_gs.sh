@@ -7,14 +7,17 @@
 #           "geometry pointsdf-fixed pointsdf-scratch voxelcnn-fixed voxelcnn-scratch"
 # SDF       reconstruction to build on (the bundled one), VOXELCNN  a trained VoxelCNN, without
 #           which voxelcnn-fixed is left out; THREADS and JOBS (0: those that idle) may be set.
+# ROBOT     the robot of the grasps, by name or YAML: "panda"
 # OPTIONS   more options of train-gs, for all: "--epochs 1"
-# WORK/geometry and WORK/pointsdf-scratch are what assets/weights/grasp_geometry and grasp_scratch hold.
+# WORK/geometry and WORK/pointsdf-scratch are what assets/weights/grasp_geometry and grasp_scratch hold;
+# with ROBOT=panda VARIANTS=geometry, WORK/geometry is assets/weights/panda_geometry.
 set -euo pipefail
 trap "exit 130" INT TERM # what was stopped is not finished
 grasps=${1:?usage: pipelines/train_gs.sh GRASPS WORK}
 work=${2:?usage: pipelines/train_gs.sh GRASPS WORK}
 variants=${VARIANTS:-geometry pointsdf-fixed pointsdf-scratch voxelcnn-fixed voxelcnn-scratch}
 common=(--grasps "$grasps" --threads "${THREADS:-0}" --jobs "${JOBS:-0}")
+[ -z "${ROBOT:-}" ] || common+=(--robot "$ROBOT")
 
 mkdir -p "$work"
 rows=()

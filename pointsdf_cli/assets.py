@@ -6,6 +6,8 @@ from pathlib import Path
 
 from pointsdf_cli.errors import InputError
 
+DEFAULT_ROBOT = "robots/lbr4_allegro.yaml"
+
 _PACKAGE = Path(__file__).resolve().parent
 
 
@@ -19,6 +21,25 @@ def assets_folder() -> Path:
         where=_PACKAGE,
         hint="install rgrasp again (pip install --force-reinstall rgrasp)",
     )
+
+
+def bundled_robots() -> list[str]:
+    """Names of the bundled robots."""
+    return sorted(path.stem for path in (assets_folder() / "robots").glob("*.yaml"))
+
+
+def robot_file(robot: Path | str | None = None) -> Path:
+    """The YAML file of a robot that is given by its path or, if it is bundled, by its name.
+
+    None is the LBR4 with Allegro hand. A file of that name goes before the bundled robot.
+    """
+    if robot is None:
+        return asset_path(DEFAULT_ROBOT)
+    path = Path(robot)
+    bare = path.name == str(robot) and not path.suffix
+    if bare and not path.exists() and path.name in bundled_robots():
+        return asset_path(f"robots/{path.name}.yaml")
+    return path
 
 
 def asset_path(name: str) -> Path:

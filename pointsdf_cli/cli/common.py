@@ -28,7 +28,23 @@ EachSkipBad = Annotated[
 Threads = Annotated[
     int, typer.Option(min=0, help="Number of processor threads; 0 uses the idle ones.")
 ]
-Robot = Annotated[Path | None, typer.Option(help="Robot YAML.  [default: LBR4 with Allegro hand]")]
+
+
+def bundled_robot(robot: Path | None) -> Path | None:
+    """The file of a robot that was given by its bundled name; other paths as they are."""
+    if robot is None:
+        return None
+    from pointsdf_cli.assets import robot_file
+
+    return robot_file(robot)
+
+
+Robot = Annotated[
+    Path | None,
+    typer.Option(
+        help="Robot YAML, or panda.  [default: LBR4 with Allegro hand]", callback=bundled_robot
+    ),
+]
 Device = Annotated[str, typer.Option(help="Compute device: cpu, cuda or cuda:N.")]
 Sensor = Annotated[
     str,

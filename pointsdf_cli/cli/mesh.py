@@ -83,6 +83,7 @@ def mesh(
             help="With --segment auto: YAML of the robot at home, to remove its points "
             "[default: LBR4 + Allegro].",
             show_default=False,
+            callback=common.bundled_robot,
         ),
     ] = None,
     all_parts: Annotated[

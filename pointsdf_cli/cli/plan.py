@@ -145,9 +145,7 @@ def plan(
             metavar="Q", help="Start configuration [rad], or a file [default: the robot's home]."
         ),
     ] = None,
-    robot: Annotated[
-        Path | None, typer.Option(help="Robot YAML [default: LBR4 + Allegro].", show_default=False)
-    ] = None,
+    robot: common.Robot = None,
     checkpoint: Annotated[
         Path | None,
         typer.Option(help="Reconstruction weights [default: bundled].", show_default=False),

@@ -40,7 +40,11 @@ def report(
     unit: Annotated[str, typer.Option(help="Unit of a cloud or mesh: m, cm, mm or inch.")] = "m",
     robot: Annotated[
         Path | None,
-        typer.Option(help="Robot YAML for a plan [default: LBR4 + Allegro].", show_default=False),
+        typer.Option(
+            help="Robot YAML for a plan, or panda [default: LBR4 + Allegro].",
+            show_default=False,
+            callback=common.bundled_robot,
+        ),
     ] = None,
     force: common.Force = False,
     quiet: common.Quiet = False,

@@ -14,7 +14,10 @@ app = typer.Typer(help="Check a robot's description, or start one.", no_args_is_
 
 @app.command()
 def check(
-    robot: Annotated[Path, typer.Argument(help="Robot YAML beside its URDF.")],
+    robot: Annotated[
+        Path,
+        typer.Argument(help="Robot YAML beside its URDF, or panda.", callback=common.bundled_robot),
+    ],
     picture: Annotated[
         Path | None,
         typer.Option(help="Draw frames, fingertip paths and surface samples (PNG)."),

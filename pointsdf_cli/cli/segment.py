@@ -42,6 +42,7 @@ def segment(
             help="YAML of the robot at home, to remove its points and to rank by its reach "
             "[default: LBR4 + Allegro].",
             show_default=False,
+            callback=common.bundled_robot,
         ),
     ] = None,
     no_clean: common.NoClean = False,

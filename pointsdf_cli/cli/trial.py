@@ -69,9 +69,7 @@ def trial(
     grasp_checkpoint: Annotated[
         Path | None, typer.Option(help="Success weights.", show_default="bundled")
     ] = None,
-    robot: Annotated[
-        Path | None, typer.Option(help="Robot YAML.", show_default="LBR4 + Allegro")
-    ] = None,
+    robot: common.Robot = None,
     sensor: common.Sensor = "structured-light",
     clutter: Annotated[
         int,

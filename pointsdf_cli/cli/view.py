@@ -23,10 +23,7 @@ def view(
         Path | None,
         typer.Option(metavar="PAGE.html", help="Write one HTML file instead of serving."),
     ] = None,
-    robot: Annotated[
-        Path | None,
-        typer.Option(help="Robot YAML [default: the bundled LBR4 + Allegro].", show_default=False),
-    ] = None,
+    robot: common.Robot = None,
     meshes: Annotated[
         Path | None,
         typer.Option(help="Folder of the meshes that artifacts name.  [default: beside them]"),

@@ -19,6 +19,7 @@ from pointsdf_cli.assets import asset_path, assets_folder
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import WEIGHTS, Checkpoint, read_checkpoint, write_checkpoint
 from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.models.bundled_success import ARCHITECTURE, bundled_success
 from pointsdf_cli.models.grasp_prior import GraspPrior
 from pointsdf_cli.models.grasp_success import NETWORKS, EmbeddingNet, GeometryNet
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
@@ -26,7 +27,6 @@ from pointsdf_cli.models.registry import build_model, load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 
-ARCHITECTURE = "grasp-success"
 BUNDLED = "weights/grasp_geometry"
 BUNDLED_PREFIX = "bundled:"
 
@@ -115,7 +115,7 @@ def read_grasp_checkpoint(
     """Read and rebuild everything, in float32 and evaluation mode.
 
     Args:
-        path: The checkpoint; the bundled default where None.
+        path: The checkpoint; where None, the bundled one of the robot.
         sdf_checkpoint: Path of the frozen encoder, if it has moved.
         robot: The robot; the bundled one where None.
 
@@ -123,7 +123,8 @@ def read_grasp_checkpoint(
         InputError: No such checkpoint, of another kind or robot, or its encoder is missing or
             another one.
     """
-    checkpoint = read_checkpoint(path if path is not None else asset_path(BUNDLED))
+    robot = robot or load_robot()
+    checkpoint = read_checkpoint(path or bundled_success(robot) or asset_path(BUNDLED))
     config, where = checkpoint.config, checkpoint.path
     if config.get("architecture") != ARCHITECTURE:
         raise InputError(
@@ -132,7 +133,6 @@ def read_grasp_checkpoint(
             hint="rgrasp train-gs --grasps DIR --out CKPT",
         )
     _check_config(config, where)
-    robot = robot or load_robot()
     check_robot(robot, config["robot"]["name"], config["robot"]["preshape_joints"], where)
     try:
         network = NETWORKS[config["inputs"]](**config["network"])

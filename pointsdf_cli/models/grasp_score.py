@@ -23,6 +23,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import apply_transform, is_rigid
+from pointsdf_cli.models.bundled_success import grasps_learned_from
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_features import FAR, GraspFeatures, ObjectBody, object_body
 from pointsdf_cli.models.grasp_prior import GraspPrior, ObjectPlace
@@ -50,6 +51,7 @@ class GraspModel:
         encoder: The shape network whose embedding or distances are read.
         robot: The robot that it was trained with.
         sweep: Its closing hand.
+        learned_from: Number of executed grasps that it was trained on, where it says so.
     """
 
     network: EmbeddingNet | GeometryNet
@@ -57,6 +59,7 @@ class GraspModel:
     encoder: ShapeModel
     robot: RobotDescription
     sweep: HandSweep
+    learned_from: int | None = None
 
     def on(
         self,
@@ -175,7 +178,7 @@ def load_grasp_model(
     """The model of a checkpoint that `train-gs` wrote.
 
     Args:
-        path: The checkpoint; the bundled default where None.
+        path: The checkpoint; where None, the bundled one of the robot.
         sdf_checkpoint: The frozen shape network, if it is not where it was when it was trained.
         device: Device of the shape network; the success network is too small to gain by it.
         robot: The robot; the bundled one where None.
@@ -185,5 +188,10 @@ def load_grasp_model(
     """
     parts = read_grasp_checkpoint(path, sdf_checkpoint, robot)
     return GraspModel(
-        parts.network, parts.prior, parts.encoder.to(device), parts.robot, parts.sweep
+        parts.network,
+        parts.prior,
+        parts.encoder.to(device),
+        parts.robot,
+        parts.sweep,
+        grasps_learned_from(parts.config),
     )

@@ -20,10 +20,10 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from pointsdf_cli.assets import assets_folder
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
+from pointsdf_cli.models.bundled_success import bundled_success
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
@@ -45,7 +45,7 @@ from pointsdf_cli.planning.option_checks import (
 )
 from pointsdf_cli.planning.plan_artifact import no_plan
 from pointsdf_cli.planning.planner import MARGIN, SUCCESSIVE_HALVING, Planner, PlannerConfig, Rank
-from pointsdf_cli.planning.reasons import too_large
+from pointsdf_cli.planning.reasons import few_grasps, too_large
 from pointsdf_cli.planning.resampled_views import redrawn
 from pointsdf_cli.planning.screen import narrowest
 from pointsdf_cli.planning.seeds import EITHER, GraspSampler
@@ -63,7 +63,6 @@ from pointsdf_cli.planning.target import (
 from pointsdf_cli.planning.timing import TimingConfig
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 
-SCRATCH = "weights/grasp_scratch"
 """PointSDF-Scratch, the success network of partial-view grasping, where it is bundled."""
 
 LOW_OBJECT = 0.03
@@ -155,6 +154,10 @@ class GraspPlanner:
         self._reconstructs = options.method == RECONSTRUCTION
         self._shape = load_model(options.checkpoint, options.device) if self._reconstructs else None
         self._grasps = grasps or _success_network(options, self.robot)
+
+    def doubts(self) -> list[str]:
+        """Sentences about what makes all plans doubtful."""
+        return few_grasps(getattr(self._grasps, "learned_from", None))
 
     @property
     def shape(self) -> ShapeModel | None:
@@ -303,11 +306,11 @@ class GraspPlanner:
 def _success_network(options: PlanOptions, robot: RobotDescription) -> SuccessModel:
     """The checkpoint that was asked for, or the method's bundled one.
 
-    Where no network from scratch is bundled, both methods share the one on geometry, which then
-    reads each method's own field: partial-view grasping knows no more than what was seen.
+    Where no network from scratch is bundled for the robot, both methods share the one on geometry,
+    which then reads each method's own field: partial-view grasping knows no more than what was
+    seen.
     """
     path = options.grasp_checkpoint
     if path is None and options.method == PARTIAL_VIEW:
-        scratch = assets_folder() / SCRATCH
-        path = scratch if scratch.is_dir() else None
+        path = bundled_success(robot, "embedding")
     return load_grasp_model(path, None, options.device, robot)

@@ -31,6 +31,8 @@ raise the hand from there) are rejected grasps' only."""
 
 FREE_SHARE = 0.05
 """Share of free grasps among the reached ones below which their collisions are the reason."""
+FEW_GRASPS = 1000
+"""A success network that learned from fewer executed grasps is not planned with in silence."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,17 @@ def too_large(width: float, span: float) -> tuple[str, str]:
         f"The object is {width * 100:.0f} cm wide where it is narrowest, larger than the open hand "
         f"({span * 100:.0f} cm): it cannot be grasped as a whole."
     )
+
+
+def few_grasps(learned_from: int | None) -> list[str]:
+    """Warning for plans by a success network that learned from so many executed grasps, if they are
+    few; None where it does not say how many."""
+    if learned_from is None or learned_from >= FEW_GRASPS:
+        return []
+    return [
+        f"the success network learned from {learned_from} grasps only, fewer than {FEW_GRASPS}: "
+        "its probabilities say little"
+    ]
 
 
 def warning(chosen: Candidate, seeds_tried: int) -> str:

@@ -13,6 +13,7 @@ import torch
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import invert_transform
+from pointsdf_cli.robot.jaws import jaws_of
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
 
@@ -27,8 +28,8 @@ class HandOutline:
         kinematics: Kinematics of the robot.
 
     Attributes:
-        span: The largest side of the opened hand's box [m]: it reaches around nothing that is wider
-            than this in every direction.
+        span: The largest side of the opened hand's box, or the opening of its jaws [m]: it reaches
+            around nothing that is wider than this in every direction.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -39,7 +40,8 @@ class HandOutline:
         self._links = [(link, torch.tensor(surface[link])) for link in links]
         ranges = robot.preshape_ranges
         opened = self(np.stack([ranges[:, 0], ranges.mean(axis=1), ranges[:, 1]]))
-        self.span = float(np.ptp(opened, axis=1).max())
+        jaws = jaws_of(robot)
+        self.span = float(np.ptp(opened, axis=1).max()) if jaws is None else jaws.opening
 
     def __call__(self, preshape: Array) -> Array:
         """Points [N, P, 3] in the palm's frame, m, of preshapes [N, K]."""

@@ -176,7 +176,7 @@ def _plan_for(
     except NoObjectError as error:
         return _without_object(planner, clouds, error, q, environment)
     report = list(seen.report)
-    warnings = _warnings(seen, clouds, segment, environment.table)
+    warnings = planner.doubts() + _warnings(seen, clouds, segment, environment.table)
     if warn is not None:
         for sentence in warnings:
             warn(sentence)

@@ -13,15 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.assets import asset_path
+from pointsdf_cli.assets import bundled_robots, robot_file
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.io.untrusted import read_yaml
 from pointsdf_cli.robot.robot_keys import RobotKeys, read_only
 from pointsdf_cli.robot.urdf import MOVING, Joint, Tree, read_urdf
-
-BUNDLED = "robots/lbr4_allegro.yaml"
 
 
 @dataclass(frozen=True)
@@ -127,14 +125,18 @@ class RobotDescription:
 
 
 def load_robot(path: Path | str | None = None) -> RobotDescription:
-    """The robot of a YAML file; without a path, the bundled LBR4 with Allegro hand.
+    """The robot of a YAML file, or the bundled one of a name; LBR4 with Allegro hand if None.
 
     Raises:
         InputError: The file or its URDF cannot be used; the message names the key.
     """
-    path = asset_path(BUNDLED) if path is None else Path(path)
+    path = robot_file(path)
     if not path.is_file():
-        raise InputError("no such robot file", where=path, allowed="a YAML file beside its URDF")
+        raise InputError(
+            "no such robot file",
+            where=path,
+            allowed="a YAML file beside its URDF, or " + ", ".join(bundled_robots()),
+        )
     return robot_of(read_yaml(path), path)
 
 
@@ -144,7 +146,7 @@ def robot_digest(path: Path | str | None = None) -> str:
     Raises:
         InputError: As `load_robot`.
     """
-    path = asset_path(BUNDLED) if path is None else Path(path)
+    path = robot_file(path)
     robot = load_robot(path)
     digest = hashlib.sha256(read_input(path, "text") + read_input(robot.urdf, "text"))
     for link in robot.tree.links:

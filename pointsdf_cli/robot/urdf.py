@@ -33,6 +33,8 @@ class Joint:
         lower, upper: Limits [rad or m]; ±π where the URDF gives none.
         velocity: Largest speed [rad/s or m/s].
         effort: Largest torque or force [N m or N].
+        mimic: Name of the joint that moves this one along, and by how much of its motion;
+            None for a joint of its own.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Joint:
     upper: float
     velocity: float
     effort: float
+    mimic: tuple[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -186,8 +189,17 @@ def _joint(node: ET.Element, path: Path) -> Joint:
         child=ends["child"],
         T_parent_joint=_origin(node, path),
         axis=axis / max(length, 1e-9),
+        mimic=_mimic(node, path),
         **values,
     )
+
+
+def _mimic(node: ET.Element, path: Path) -> tuple[str, float] | None:
+    leader = node.find("mimic")
+    if leader is None:
+        return None
+    share = float(_numbers(leader.get("multiplier", "1"), 1, path)[0])
+    return _attribute(leader, "joint", path), share
 
 
 def _shapes(link: ET.Element, path: Path) -> list[Shape]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.camera.sensor_presets import without_ideal
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import apply_transform, transform
+from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, KINDS, LOST, Grasps
@@ -25,6 +25,7 @@ from pointsdf_cli.simulation.heuristic import HeuristicConfig, draw_preshape, ha
 from pointsdf_cli.simulation.mass import MassConfig
 from pointsdf_cli.simulation.observe import CameraPlacement, Observer, resample
 from pointsdf_cli.simulation.physics import PhysicsConfig
+from pointsdf_cli.simulation.places import placed, shows
 from pointsdf_cli.simulation.reach import Reach, ReachConfig, Reacher
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject
@@ -176,11 +177,13 @@ class Attempter:
         from trimesh.bounds import oriented_bounds
 
         _, sides = oriented_bounds(item.mesh.vertices)
-        if min(sides) > self.config.widest:
+        jaws = self._hand.jaws
+        widest = self.config.widest if jaws is None else min(self.config.widest, jaws.room)
+        if min(sides) > widest:
             raise InputError(
                 f"is too large for the hand: {min(sides):.3f} m at its narrowest",
                 where=item.mesh.name,
-                allowed=f"one side below {self.config.widest:g} m",
+                allowed=f"one side below {widest:g} m",
             )
 
     def attempt(
@@ -281,6 +284,11 @@ class Attempter:
                     f"is not seen by the camera: {error.what}", where=item.mesh.name
                 )
                 continue
+            if not shows(item, pose, apply_transform(T_world_camera, view.points)):
+                problem = InputError(
+                    "is not what the segmentation finds on the table", where=item.mesh.name
+                )
+                continue
             return Scene(pose, T_world_camera, view.points, view.evidence or ViewEvidence())
         raise problem
 
@@ -307,16 +315,6 @@ class Attempter:
     def _rng(self, item: SimObject, stream: int, index: int) -> np.random.Generator:
         name = zlib.crc32(item.mesh.name.encode())
         return np.random.default_rng([self.seed, name, stream, index])
-
-
-def placed(resting: Array, item: SimObject, yaw: float, place: Array) -> Array:
-    """A settled pose turned about the vertical, the middle of its outline at `place` [2]."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    turned = transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [0, 0, 0]) @ resting
-    outline = apply_transform(turned, item.mesh.vertices)[:, :2]
-    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
-    turned[:2, 3] += place - middle
-    return turned
 
 
 def as_grasps(attempts: list[Attempt], scene_attempts: int) -> Grasps:

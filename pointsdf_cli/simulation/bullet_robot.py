@@ -16,6 +16,9 @@ from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.simulation.bullet import silence
 
+GEAR_FORCE, GEAR_RECOVERY = 1000.0, 1.0
+"""Coupling of joints: largest force [N or N m], share of an error that a step takes back."""
+
 
 class BulletRobot:
     """The whole robot as one body, in one scene of a physics client.
@@ -58,6 +61,33 @@ class BulletRobot:
         self._joints = [by_name.get(name) for name in robot.joint_names]
         self._all = range(len(self._joints))
         self._found: dict[tuple[int, ...], list[tuple[int, list[int], list[int]]]] = {}
+        self._couple(by_name)
+
+    def _couple(self, by_name: dict[str, tuple[int, int]]) -> None:
+        """Gears between joints of which one moves the other along, such as a gripper's jaws."""
+        b = self._bullet
+        for joint in self.robot.tree.joints:
+            if joint.mimic is None or not {joint.name, joint.mimic[0]} <= by_name.keys():
+                continue
+            (body, number), (leader, first) = by_name[joint.name], by_name[joint.mimic[0]]
+            gear = b.createConstraint(
+                leader,
+                first,
+                body,
+                number,
+                b.JOINT_GEAR,
+                jointAxis=[1, 0, 0],
+                parentFramePosition=[0, 0, 0],
+                childFramePosition=[0, 0, 0],
+                physicsClientId=self._client,
+            )
+            b.changeConstraint(
+                gear,
+                gearRatio=-1 / joint.mimic[1],
+                erp=GEAR_RECOVERY,
+                maxForce=GEAR_FORCE,
+                physicsClientId=self._client,
+            )
 
     def _load(self, file: Path, T_world_root: Array) -> int:
         b = self._bullet

@@ -68,7 +68,7 @@ def hand_urdfs(
 
     Returns:
         First what is fixed to the palm, a flange before it, too; then one file for every joint
-        that leads away from there.
+        that leads away from there, or for those that move each other along.
     """
     root = _readable(robot, folder, skin, visible)
     links = {str(link.get("name")): link for link in root.findall("link")}
@@ -79,19 +79,19 @@ def hand_urdfs(
     for name, pose in fixed.items():
         palm.append(_fixed(carrier, name, pose))
     files = [_written(palm, folder / "palm.urdf")]
-    for number, (first, pose) in enumerate(_leading_away(robot, fixed)):
-        inside = [first]
+    for number, fingers in enumerate(_coupled(robot, _leading_away(robot, fixed))):
+        inside = list(fingers)
         for joint in robot.tree.joints:
             if joint.parent in inside:
                 inside.append(joint.child)
-        finger = _body(
-            [links[name] for name in inside], [joints[name] for name in inside[1:]], carrier
-        )
+        inner = [joints[name] for name in inside if name not in fingers]
+        finger = _body([links[name] for name in inside], inner, carrier)
         # PyBullet takes what is fixed to the first link of a fixed base for a part of the base,
         # which meets no resistance: a fingertip there would pass through the table.
         finger.append(_link_without_shape(base))
         finger.append(_fixed(carrier, base, np.eye(4)))
-        finger.append(_led_from(base, joints[first], pose))
+        for first, pose in fingers.items():
+            finger.append(_led_from(base, joints[first], pose))
         files.append(_written(finger, folder / f"finger{number}.urdf"))
     return files
 
@@ -110,13 +110,32 @@ def _fixed_to_palm(robot: RobotDescription) -> dict[str, Array]:
     return fixed
 
 
-def _leading_away(robot: RobotDescription, fixed: dict[str, Array]) -> list[tuple[str, Array]]:
+def _leading_away(robot: RobotDescription, fixed: dict[str, Array]) -> dict[str, Array]:
     """Each link whose joint moves it in the palm, and where that joint is in the palm link."""
-    return [
-        (joint.child, fixed[joint.parent] @ joint.T_parent_joint)
+    return {
+        joint.child: fixed[joint.parent] @ joint.T_parent_joint
         for joint in robot.tree.joints
         if joint.parent in fixed and joint.child not in fixed
-    ]
+    }
+
+
+def _coupled(robot: RobotDescription, fingers: dict[str, Array]) -> list[dict[str, Array]]:
+    """The fingers, those together of which a joint moves one of the other along: gears hold
+    joints of one body."""
+    of_joint = {}
+    for first in fingers:
+        inside = {first}
+        for joint in robot.tree.joints:
+            if joint.child in inside or joint.parent in inside:
+                inside.add(joint.child)
+                of_joint[joint.name] = first
+    group = {first: {first} for first in fingers}
+    for joint in robot.tree.joints:
+        if joint.mimic and {joint.name, joint.mimic[0]} <= of_joint.keys():
+            both = group[of_joint[joint.name]] | group[of_joint[joint.mimic[0]]]
+            group |= dict.fromkeys(both, both)
+    bodies = list(dict.fromkeys(frozenset(one) for one in group.values()))
+    return [{first: pose for first, pose in fingers.items() if first in body} for body in bodies]
 
 
 def _free_name(name: str, taken: Container[str]) -> str:

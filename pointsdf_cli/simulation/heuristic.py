@@ -16,10 +16,11 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.jaws import Jaws, jaws_of
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
-
-SIDE, TOP = "side", "top"
+from pointsdf_cli.simulation.faces import SIDE, TOP, Box, Face, graspable_faces, upright_box
+from pointsdf_cli.simulation.jaw_palms import jaw_palm, small_rotation, snug_box
 
 
 @dataclass(frozen=True)
@@ -57,36 +58,6 @@ class HeuristicConfig:
 
 
 @dataclass(frozen=True)
-class Face:
-    """One face of the bounding box.
-
-    Attributes:
-        kind: "side" or "top".
-        centre: [3], world.
-        normal: [3], outwards, unit.
-    """
-
-    kind: str
-    centre: Array
-    normal: Array
-
-
-@dataclass(frozen=True)
-class Box:
-    """An upright bounding box.
-
-    Attributes:
-        centre: [3], world.
-        axes: [3, 3], rows are its two level axes and the vertical.
-        half: [3], half its extent along each.
-    """
-
-    centre: Array
-    axes: Array
-    half: Array
-
-
-@dataclass(frozen=True)
 class Preshape:
     """Wanted palm pose and hand opening.
 
@@ -109,11 +80,13 @@ class Hand:
         ranges: [K, 2], of the preshape joints.
         outline: Points [P, 3] of the hand opened with preshape joints [K], palm frame, m.
         reach: Replaces `HeuristicConfig.finger_reach`, if the robot's description has its own.
+        jaws: The space between its jaws, of a hand that pinches.
     """
 
     ranges: Array
     outline: Callable[[Array], Array]
     reach: float | None = None
+    jaws: Jaws | None = None
 
 
 def hand_of(robot: RobotDescription) -> Hand:
@@ -131,49 +104,7 @@ def hand_of(robot: RobotDescription) -> Hand:
             T_palm_world = invert_transform(chain.palm(q))
         return apply_transform(T_palm_world, points)
 
-    return Hand(robot.preshape_ranges, outline, robot.palm_reach)
-
-
-def upright_box(points: Array) -> Box:
-    """The box along the principal axes of the cloud [N, 3] seen from above, upright.
-
-    A full three-dimensional analysis would lean with the camera's view of the half that it sees;
-    the object stands on a table, so one axis is the vertical.
-    """
-    level = points[:, :2]
-    centred = level - level.mean(axis=0)
-    _, vectors = np.linalg.eigh(centred.T @ centred)
-    first = np.array([*vectors[:, 1], 0.0])
-    up = np.array([0.0, 0.0, 1.0])
-    axes = np.stack([first, np.cross(up, first), up])
-    along = points @ axes.T
-    low, high = along.min(axis=0), along.max(axis=0)
-    low[2] = min(low[2], 0.0) if low[2] < 0.02 else low[2]  # it stands on the table
-    return Box(((low + high) / 2) @ axes, axes, (high - low) / 2)
-
-
-def graspable_faces(box: Box, camera: Array, base: Array, config: HeuristicConfig) -> list[Face]:
-    """The top, and the side faces that look away from neither the camera nor the robot.
-
-    Args:
-        box: Box of the partial cloud.
-        camera, base: [3], places of the camera and of the robot's base in the world.
-        config: `low_object` decides whether there are sides at all.
-    """
-    up = box.axes[2]
-    faces = [Face(TOP, box.centre + box.half[2] * up, up)]
-    if 2 * box.half[2] < config.low_object:
-        return faces
-    sides = [
-        Face(SIDE, box.centre + sign * box.half[k] * box.axes[k], sign * box.axes[k])
-        for k in range(2)
-        for sign in (1.0, -1.0)
-    ]
-    hidden = set()
-    for place in (camera, base):
-        toward = place - box.centre
-        hidden.add(int(np.argmin([face.normal @ toward for face in sides])))
-    return faces + [face for i, face in enumerate(sides) if i not in hidden]
+    return Hand(robot.preshape_ranges, outline, robot.palm_reach, jaws_of(robot))
 
 
 def draw_preshape(
@@ -197,17 +128,20 @@ def draw_preshape(
     """
     if hand.reach is not None:
         config = replace(config, finger_reach=hand.reach)
-    box = upright_box(points)
-    faces = graspable_faces(box, camera, base, config)
+    box = upright_box(points) if hand.jaws is None else snug_box(points)
+    faces = graspable_faces(box, camera, base, config.low_object)
     wanted = [face for face in faces if kind in (None, face.kind)] or faces
-    face = wanted[int(rng.integers(len(wanted)))]
-    if face.kind == TOP:
-        palm = _top_palm(box, face, base, config, rng)
+    if hand.jaws is not None:
+        face, palm = jaw_palm(box, wanted, hand.jaws, hand.reach or 0.0, _away(box, camera), rng)
     else:
-        palm = _side_palm(face, config, rng)
+        face = wanted[int(rng.integers(len(wanted)))]
+        if face.kind == TOP:
+            palm = _top_palm(box, face, base, config, rng)
+        else:
+            palm = _side_palm(face, config, rng)
     joints = rng.uniform(hand.ranges[:, 0], hand.ranges[:, 1])
     outline = apply_transform(palm, hand.outline(joints))
-    if face.kind == SIDE:
+    if face.kind == SIDE or hand.jaws is not None:
         palm[2, 3] += max(0.0, config.table_gap - float(outline[:, 2].min()))
     elif 2 * box.half[2] < config.low_object:
         palm[2, 3] += _to_clear(outline, box, config.table_gap)
@@ -221,6 +155,12 @@ def _to_clear(outline: Array, box: Box, gap: float) -> float:
     over = (aside <= box.half[:2]).all(axis=1)
     ground = np.where(over, box.centre[2] + box.half[2], 0.0)
     return max(0.0, float((ground + gap - outline[:, 2]).max()))
+
+
+def _away(box: Box, camera: Array) -> Array:
+    """The level direction [3] from the camera to the box, unit."""
+    level = (box.centre - camera) * [1.0, 1.0, 0.0]
+    return level / max(float(np.linalg.norm(level)), 1e-9)
 
 
 def _top_palm(
@@ -257,15 +197,4 @@ def _noisy(
     turn = config.turn_noise * rng.standard_normal(3)
     local = np.array([-distance, 0.0, -config.finger_reach]) + place
     position = face.centre + rotation @ local
-    return transform(rotation @ _small_rotation(turn), position)
-
-
-def _small_rotation(vector: Array) -> Array:
-    """The rotation [3, 3] about `vector` [3] by its length."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    turned: Array = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    return turned
+    return transform(rotation @ small_rotation(turn), position)

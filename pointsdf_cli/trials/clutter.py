@@ -24,9 +24,9 @@ from pointsdf_cli.planning.scene import WORKSPACE, sort_scene
 from pointsdf_cli.planning.table_top import TableTop, look_at_table
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
-from pointsdf_cli.simulation.attempt import placed
 from pointsdf_cli.simulation.feet import on_its_foot
 from pointsdf_cli.simulation.observe import Observer
+from pointsdf_cli.simulation.places import placed
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World

@@ -18,9 +18,9 @@ from pointsdf_cli.geometry.frames import apply_transform, transform
 from pointsdf_cli.geometry.stable_poses import StablePose, StandingConfig, draw_pose
 from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
 from pointsdf_cli.objects.stand_ins import make_stand_in
-from pointsdf_cli.simulation.attempt import placed
 from pointsdf_cli.simulation.feet import on_its_foot
 from pointsdf_cli.simulation.mass import MassConfig
+from pointsdf_cli.simulation.places import placed
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig
 from pointsdf_cli.simulation.settle import SettleConfig, settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object

@@ -1,0 +1,166 @@
+"""Writes panda.urdf: Franka Emika Panda with its parallel gripper, from primitives only.
+
+Run it after a change of any number here: `python assets/robots/make_panda.py`. Joint frames, limits
+and speeds are those of the maker's data sheet and DH table (Franka Control Interface
+documentation, "Robot and interface specifications"); names are those of its URDF. Shapes are
+primitives along an axis, measured to enclose its links within about a centimetre.
+"""
+
+from __future__ import annotations
+
+import math
+
+from primitives import Joint, Link, Model, Shape, write_urdf
+
+WHITE, GREY, DARK = "panda_white", "panda_grey", "pad_dark"
+COLOURS = {WHITE: "0.92 0.93 0.94 1", GREY: "0.60 0.62 0.65 1", DARK: "0.18 0.18 0.20 1"}
+
+QUARTER = math.pi / 2
+
+
+Part = tuple[Shape, str]
+
+
+def tube(radius: float, start: float, end: float) -> Part:
+    """A cylinder about z."""
+    return Shape("cylinder", (radius, end - start), (0, 0, (start + end) / 2)), WHITE
+
+
+def box(size: tuple[float, ...], centre: tuple[float, float, float], colour: str = WHITE) -> Part:
+    return Shape("box", size, centre), colour
+
+
+def balls(radius: float, *centres: tuple[float, float, float]) -> list[Part]:
+    return [(Shape("sphere", (radius,), centre), WHITE) for centre in centres]
+
+
+def add_arm(model: Model) -> None:
+    """Seven links on a base; the fifth is thick below and a thin forearm above."""
+    nose = box((0.05, 0.05, 0.04), (0.05, 0.05, 0.085), GREY)
+    model.links += [
+        Link("panda_link0", 2.9, [tube(0.072, 0, 0.14), box((0.14, 0.16, 0.1), (-0.084, 0, 0.05))]),
+        Link("panda_link1", 2.7, [tube(0.055, -0.19, 0), *balls(0.056, (0, 0, 0), (0, -0.072, 0))]),
+        Link(
+            "panda_link2",
+            2.7,
+            [
+                tube(0.055, 0.002, 0.128),
+                *balls(0.056, (0, -0.05, 0.02), (0, -0.10, 0), (0, -0.138, 0)),
+            ],
+        ),
+        Link(
+            "panda_link3",
+            2.4,
+            [
+                tube(0.055, -0.12, 0),
+                *balls(0.056, (0, 0, 0), (0.04, 0.03, 0), (0.0825, 0.03, 0), (0.0825, 0.055, 0)),
+            ],
+        ),
+        Link(
+            "panda_link4",
+            2.4,
+            [
+                tube(0.055, 0.002, 0.11),
+                *balls(0.056, (-0.04, 0.03, 0.03), (-0.0825, 0.04, 0), (-0.0825, 0.068, 0)),
+            ],
+        ),
+        Link(
+            "panda_link5",
+            3.2,
+            [
+                tube(0.055, -0.26, -0.17),
+                box((0.09, 0.05, 0.09), (0, 0.068, -0.21)),
+                box((0.066, 0.066, 0.12), (0, 0.08, -0.105)),
+                *balls(0.052, (0, 0.068, 0), (0, 0.08, 0)),
+            ],
+        ),
+        Link(
+            "panda_link6",
+            1.5,
+            [
+                tube(0.048, -0.015, 0.055),
+                box((0.05, 0.09, 0.06), (0.05, 0.01, 0.02)),
+                *balls(0.045, (0.088, -0.005, 0), (0.088, 0.036, 0)),
+            ],
+        ),
+        Link("panda_link7", 0.7, [tube(0.044, 0.052, 0.107), nose]),
+    ]
+    fast, slow, strong, weak = 2.61, 2.175, 87.0, 12.0
+    rows = [  # origin, turn about x, limit, effort, velocity
+        ((0, 0, 0.333), 0, (-2.8973, 2.8973), strong, slow),
+        ((0, 0, 0), -QUARTER, (-1.7628, 1.7628), strong, slow),
+        ((0, -0.316, 0), QUARTER, (-2.8973, 2.8973), strong, slow),
+        ((0.0825, 0, 0), QUARTER, (-3.0718, -0.0698), strong, slow),
+        ((-0.0825, 0.384, 0), -QUARTER, (-2.8973, 2.8973), weak, fast),
+        ((0, 0, 0), QUARTER, (-0.0175, 3.7525), weak, fast),
+        ((0.088, 0, 0), QUARTER, (-2.8973, 2.8973), weak, fast),
+    ]
+    for i, (xyz, turn, limit, effort, velocity) in enumerate(rows, start=1):
+        parent, child = f"panda_link{i - 1}", f"panda_link{i}"
+        model.joints.append(
+            Joint(
+                f"panda_joint{i}",
+                parent,
+                child,
+                xyz,
+                (turn, 0, 0),
+                limit=limit,
+                effort=effort,
+                velocity=velocity,
+                damping=0.5,
+            )
+        )
+
+
+def add_gripper(model: Model) -> None:
+    """The hand, 0.107 m beyond joint 7 and turned by 45 degrees, and two jaws of 4 cm of travel."""
+    body = [
+        (Shape("box", (0.063, 0.204, 0.066), (0, 0, 0.033)), GREY),
+        (Shape("cylinder", (0.035, 0.026), (0, 0, -0.013)), GREY),
+    ]
+    model.links.append(Link("panda_hand", 0.73, body))
+    model.joints.append(
+        Joint(
+            "panda_hand_joint",
+            "panda_link7",
+            "panda_hand",
+            (0, 0, 0.107),
+            (0, 0, -math.pi / 4),
+            kind="fixed",
+        )
+    )
+    for name, side in (("leftfinger", 1), ("rightfinger", -1)):
+        jaw = [
+            (Shape("box", (0.022, 0.022, 0.020), (0, side * 0.0150, 0.011)), GREY),
+            (Shape("box", (0.0175, 0.012, 0.022), (0, side * 0.0140, 0.0305)), GREY),
+            (Shape("box", (0.0175, 0.0152, 0.0185), (0, side * 0.0076, 0.04525)), DARK),
+        ]
+        model.links.append(Link(f"panda_{name}", 0.015, jaw))
+        # 40 N of the 70 N that the gripper can hold for long.
+        model.joints.append(
+            Joint(
+                f"panda_finger_joint{1 if side > 0 else 2}",
+                "panda_hand",
+                f"panda_{name}",
+                (0, 0, 0.0584),
+                axis=(0, side, 0),
+                limit=(0.0, 0.04),
+                effort=40.0,
+                velocity=0.05,
+                damping=10.0,
+                kind="prismatic",
+                mimic="" if side > 0 else "panda_finger_joint1",
+            )
+        )
+
+
+def build() -> Model:
+    """The whole robot, arm first."""
+    model = Model()
+    add_arm(model)
+    add_gripper(model)
+    return model
+
+
+if __name__ == "__main__":
+    write_urdf(__file__, build(), COLOURS)
