@@ -198,3 +198,49 @@ def test_numbers_begin_with_one() -> None:
         scene.world, np.zeros((len(scene.world), 2)), scene.things, np.array([True, True])
     )
     assert [thing.number for thing in listed] == [1, 2]
+
+
+def test_what_could_not_be_told_apart_is_said_of_the_part_that_holds_it() -> None:
+    # A can and a block touch; a box lies on the block, so that it does not stand by itself.
+    on_top = scenes.box((0.08, 0.06, 0.05), (0.58, 0.0))
+    on_top.apply_translation((0, 0, 0.06))
+    scene = sorted_scene(
+        scenes.box((0.12, 0.12, 0.06), (0.6, 0.0)), on_top, scenes.can(0.035, 0.1, (0.6, -0.095))
+    )
+    assert len(scene.listed) == 2
+    block = next(thing for thing in scene.listed if thing.centre[1] > -0.05)
+    can = next(thing for thing in scene.listed if thing.centre[1] < -0.05)
+    assert block.unsplit
+    assert not can.unsplit
+
+
+def test_the_middle_one_of_a_row_is_meant_although_another_is_a_little_larger() -> None:
+    middle = scenes.box((0.05, 0.07, 0.12), (0.6, 0.0))
+    scene = sorted_scene(
+        middle, scenes.box((0.06, 0.08, 0.13), (0.6, 0.14)), scenes.can(0.045, 0.13, (0.6, -0.14))
+    )
+    assert scene.listed[0].centre[1] == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_wall_far_behind_the_table_does_not_stand_on_it() -> None:
+    wall = scenes.trimesh.creation.box((0.02, 3.0, 0.8))
+    wall.apply_translation((-0.6, 0, 0.1))
+    small = scenes.trimesh.creation.box((0.5, 0.7, 0.02))
+    small.apply_translation((0.6, 0, -0.01))
+    view = scenes.cloud(scenes.seen(small, wall, scenes.can(0.035, 0.12, (0.6, 0.0))))
+    anywhere = SegmentationConfig(low=(-5.0, -5.0, -0.05), high=(5.0, 5.0, 0.6))
+    scene = sort_scene(view, "a", anywhere)
+    assert len(scene.listed) == 2
+    assert [thing.stands for thing in scene.listed] == [True, False]
+
+
+def test_the_table_is_found_by_a_camera_upside_down() -> None:
+    turn = scenes.trimesh.transformations.rotation_matrix(np.pi, (0, 0, 1))
+    wall = scenes.trimesh.creation.box((0.02, 6, 4))
+    wall.apply_translation((-0.3, 0, 0))
+    for things in ([], [wall]):
+        depth = scenes.seen(
+            scenes.table(), scenes.can(0.035, 0.12, (0.6, 0.0)), *things, pose=scenes.POSE @ turn
+        )
+        plane = find_support_plane(scenes.cloud(depth, None).points)
+        assert pose_over_plane(plane)[2, 3] == pytest.approx(scenes.POSE[2, 3], abs=0.003)

@@ -20,6 +20,8 @@ class SplitConfig:
         depth: Mean height [m] of the neighbours above the tangent plane, averaged over them, in a
             valley: about 1 mm where two boxes touch. That much is noise's too; the parts' size and
             stand decide.
+        border: Points nearer to a valley than this [m] part surfaces with it: noise leaves gaps in
+            a valley.
         gap: Points of one part are nearer to each other than this [m].
         share: A part holds at least this share of the points.
         foot: A part stands by itself if it begins lower than this [m] above the table ...
@@ -30,6 +32,7 @@ class SplitConfig:
 
     radius: float = 0.012
     depth: float = 0.0002
+    border: float = 0.004
     gap: float = 0.0045
     share: float = 0.12
     foot: float = 0.025
@@ -40,7 +43,7 @@ class SplitConfig:
 
 def standing_parts(
     points: Array, height: Array, camera: Array, config: SplitConfig | None = None
-) -> tuple[NDArray[np.int64], bool]:
+) -> tuple[NDArray[np.int64], frozenset[int]]:
     """Split a group of points at concave edges into parts that stand by themselves.
 
     Two surfaces that meet in a valley belong to two things as a rule (Stein et al. 2014, "Object
@@ -54,18 +57,20 @@ def standing_parts(
         config: Thresholds.
 
     Returns:
-        The part [N] of each point, from 0, and whether there are several large parts that were left
-        together because not each of them stands by itself.
+        The part [N] of each point, from 0, and the parts that hold a further large one, which was
+        left with them because it does not stand by itself.
     """
     config = config or SplitConfig()
     whole = np.zeros(len(points), dtype=np.int64)
     if not 200 <= len(points) <= config.most:
-        return whole, False
+        return whole, frozenset()
     tree = scipy.spatial.cKDTree(points)
     concave = _valley(points, camera, tree, config)
-    smooth = np.flatnonzero(~concave)
+    if not concave.any():
+        return whole, frozenset()
+    smooth = np.flatnonzero(scipy.spatial.cKDTree(points[concave]).query(points)[0] > config.border)
     if len(smooth) < 100:
-        return whole, False
+        return whole, frozenset()
     pairs = scipy.spatial.cKDTree(points[smooth]).query_pairs(config.gap, output_type="ndarray")
     shape = (len(smooth), len(smooth))
     graph = scipy.sparse.coo_array((np.ones(len(pairs), dtype=np.int8), tuple(pairs.T)), shape)
@@ -73,18 +78,23 @@ def standing_parts(
     sizes = np.bincount(label)
     large = np.flatnonzero(sizes >= max(60.0, config.share * len(points)))
     if len(large) < 2:
-        return whole, False
+        return whole, frozenset()
     standing = [
         one
         for one in large
         if _stands(points[smooth[label == one]], height[smooth[label == one]], config)
     ]
     if len(standing) < 2:
-        return whole, True
+        return whole, frozenset({0})
     chosen = np.isin(label, standing)
     _, nearest = scipy.spatial.cKDTree(points[smooth[chosen]]).query(points)
-    part = np.searchsorted(np.sort(standing), label[chosen][nearest])
-    return part.astype(np.int64), len(standing) < len(large)
+    part = np.searchsorted(standing, label[chosen][nearest]).astype(np.int64)
+    # What does not stand by itself goes as a whole with the part that most of it is nearest to.
+    votes = np.zeros((len(sizes), len(standing)), dtype=np.int64)
+    np.add.at(votes, (label, part[smooth]), 1)
+    owner = votes.argmax(axis=1)
+    part[smooth] = owner[label]
+    return part, frozenset(int(owner[one]) for one in large if one not in standing)
 
 
 def _valley(

@@ -24,7 +24,10 @@ class SupportPlaneConfig:
             with the square of the distance, as the noise of depth does.
         least_share: A candidate holds at least this share of the points.
         camera_height: The camera is at least this high [m] above the table.
-        roll: The table's normal and the image's upward direction enclose no more than this [rad].
+        roll: The table's normal and the image's upward direction usually enclose no more than this
+            [rad]; beyond, the camera is mounted upside down.
+        overhead: Weight of a plane that only a camera upside down would stand above: a ceiling is
+            seen so too.
         tallest: Things that stand on the table are lower than this [m].
         flatness: Least share of the points within three bands that must lie within one.
         cell: The table is one connected region of cells of this size [m].
@@ -37,6 +40,7 @@ class SupportPlaneConfig:
     least_share: float = 0.02
     camera_height: float = 0.1
     roll: float = 1.75
+    overhead: float = 0.25
     tallest: float = 0.45
     flatness: float = 0.5
     cell: float = 0.03
@@ -71,15 +75,16 @@ def find_support_plane(points: Array, config: SupportPlaneConfig | None = None) 
         found, on_plane = _largest_plane(rest, config)
         if on_plane.sum() < config.least_share * len(sample):
             break
-        if _seen_from_above(found, config):
+        if -found[3] > config.camera_height:
             found, score = _stood_on(found, sample, config)
+            score *= _upright(found, config)
             if score > best:
                 best, plane = score, found
         rest = rest[~on_plane]
     if plane is None:
         raise InputError(
             "no table: no plane that the camera looks down on",
-            allowed="a table-top view, with the top of the image up",
+            allowed="a table-top view",
             hint="give the camera's pose: --camera-pose X,Y,Z,QW,QX,QY,QZ",
         )
     return plane
@@ -121,9 +126,10 @@ def _largest_plane(points: Array, config: SupportPlaneConfig) -> tuple[Array, ND
     return plane, np.abs(points @ plane[:3] - plane[3]) < band_at(points, config)
 
 
-def _seen_from_above(plane: Array, config: SupportPlaneConfig) -> bool:
+def _upright(plane: Array, config: SupportPlaneConfig) -> float:
+    """Weight of a plane by whether the top of the image shows what is up there."""
     upward = float(plane[:3] @ [0.0, -1.0, 0.0])
-    return -plane[3] > config.camera_height and upward > np.cos(config.roll)
+    return 1.0 if upward > np.cos(config.roll) else config.overhead
 
 
 def _stood_on(plane: Array, sample: Array, config: SupportPlaneConfig) -> tuple[Array, float]:

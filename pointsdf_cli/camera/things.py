@@ -78,7 +78,10 @@ class Things:
         on_table = height[self.label == TABLE] > -0.02
         if not on_table.any():
             return stands
-        low, high = np.percentile(table[on_table, :2], [1, 99], axis=0)
+        level = table[on_table] * [1.0, 1.0, 0.0]
+        # A wall or another table at the same height is not the table.
+        piece, sizes = clusters(level, 0.05)
+        low, high = np.percentile(level[piece == sizes.argmax(), :2], [1, 99], axis=0)
         for one in range(self.count):
             mine = self.label == one
             if not mine.any():  # a mask took all of it
@@ -140,14 +143,13 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
     count = 0
     for one in big:
         mine = np.flatnonzero(own == one)
-        parts, doubtful = np.zeros(len(mine), dtype=np.int64), False
+        parts, doubtful = np.zeros(len(mine), dtype=np.int64), frozenset[int]()
         if one not in bowls:  # the valley between a bowl's walls parts nothing
             parts, doubtful = standing_parts(
                 points[index[mine]], height[mine], camera, config.split
             )
         label[index[mine]] = count + parts
-        if doubtful:
-            unsplit.add(count)
+        unsplit |= {count + part for part in doubtful}
         count += int(parts.max()) + 1
     return Things(label, plane, frozenset(unsplit))
 

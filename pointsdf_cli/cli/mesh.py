@@ -128,7 +128,9 @@ def mesh(
     """Complete one partial cloud of an object to a closed mesh, in the cloud's frame and unit.
 
     Example: rgrasp mesh cloud.ply --out mesh.ply
+
     Example: rgrasp mesh depth.png --intrinsics K.json --camera-pose table
+
     Example: rgrasp mesh clouds/*.ply --each --out meshes/
     """
     from pointsdf_cli.camera.scene_file import SceneFileOptions

@@ -186,6 +186,7 @@ def plan(
     written, and is not likely to hold (see --min-success and --accept-unlikely).
 
     Example: rgrasp plan depth.png --intrinsics K.json --camera-pose T.json
+
     Example: rgrasp plan scenes/*.ply --each --out plans/
     """
     from pointsdf_cli.io.checkpoints import read_config

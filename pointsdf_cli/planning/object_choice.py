@@ -18,8 +18,10 @@ TARGET_REACH = 0.1
 PIXEL_REACH = 15.0
 """--target names the thing that was seen no farther than this [px] from a pixel."""
 
-EQUAL = 1.4
-"""Factor below which the merits of two objects count as equal."""
+SIZE_POWER = 0.25
+"""Exponent of an object's seen surface in its rank: of two objects about as near to the middle of
+the image the larger comes first, but one that is clearly nearer comes before a somewhat larger one.
+"""
 
 SMALLEST_THING, LARGEST_THING = 0.015, 0.35
 """Smallest and largest size [m] of an object worth grasping."""
@@ -135,16 +137,8 @@ def numbered(
             unsplit=one in things.unsplit,
             image=np.median(image[mine], axis=0),
         )
-        found.append((_merit(thing, reach), thing))
-    best = max((merit for merit, thing in found if thing.stands), default=1.0)
-    # Of those about as good as the best, the larger.
-    found.sort(
-        key=lambda pair: (
-            not pair[1].stands,
-            int(np.log(max(best / max(pair[0], 1e-9), 1.0)) / np.log(EQUAL)),
-            -pair[1].points,
-        )
-    )
+        found.append((_merit(thing, reach) * thing.points**SIZE_POWER, thing))
+    found.sort(key=lambda pair: (not pair[1].stands, -pair[0]))
     return [replace(thing, number=k) for k, (_, thing) in enumerate(found, 1)]
 
 

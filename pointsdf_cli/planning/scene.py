@@ -58,6 +58,8 @@ class Scene:
         T_world_camera: [4, 4].
         image: The depth image; None where there was none.
         mask: bool [N], points that the user says are the object's; None where he did not.
+        over_table: The pose was made from the table: no robot was seen, some points lie where the
+            robot will stand.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Scene:
     T_world_camera: Array
     image: DepthImage | None
     mask: Mask | None
+    over_table: bool = False
 
     @property
     def label(self) -> NDArray[np.int64]:
@@ -167,6 +170,7 @@ def sort_scene(
         T_world_camera=cloud.T_world_camera,
         image=cloud.image,
         mask=cloud.mask,
+        over_table=cloud.over_table,
     )
 
 
@@ -244,7 +248,7 @@ def describe(scene: Scene, thing: Thing, seen: Sighting) -> str:
         "outside the workspace": OUTSIDE,
         "on the table": TABLE,
         "in groups too small to be a thing": LOOSE,
-        "on the robot": ROBOT,
+        "in the robot's place" if scene.over_table else "on the robot": ROBOT,
     }
     dropped = [f"{n} {words}" for words, k in count.items() if (n := int((label == k).sum()))]
     kept = len(seen.object_points)
