@@ -74,27 +74,24 @@ def standing_parts(
     pairs = scipy.spatial.cKDTree(points[smooth]).query_pairs(config.gap, output_type="ndarray")
     shape = (len(smooth), len(smooth))
     graph = scipy.sparse.coo_array((np.ones(len(pairs), dtype=np.int8), tuple(pairs.T)), shape)
-    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    _, smooth_label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    _, nearest = scipy.spatial.cKDTree(points[smooth]).query(points)
+    label = smooth_label[nearest]
     sizes = np.bincount(label)
     large = np.flatnonzero(sizes >= max(60.0, config.share * len(points)))
     if len(large) < 2:
         return whole, frozenset()
-    standing = [
-        one
-        for one in large
-        if _stands(points[smooth[label == one]], height[smooth[label == one]], config)
-    ]
+    standing = [one for one in large if _stands(points[label == one], height[label == one], config)]
     if len(standing) < 2:
         return whole, frozenset({0})
     chosen = np.isin(label, standing)
-    _, nearest = scipy.spatial.cKDTree(points[smooth[chosen]]).query(points)
-    part = np.searchsorted(standing, label[chosen][nearest]).astype(np.int64)
+    _, nearest = scipy.spatial.cKDTree(points[chosen]).query(points)
+    part = np.searchsorted(standing, label[chosen][nearest])
     # What does not stand by itself goes as a whole with the part that most of it is nearest to.
     votes = np.zeros((len(sizes), len(standing)), dtype=np.int64)
-    np.add.at(votes, (label, part[smooth]), 1)
+    np.add.at(votes, (label, part), 1)
     owner = votes.argmax(axis=1)
-    part[smooth] = owner[label]
-    return part, frozenset(int(owner[one]) for one in large if one not in standing)
+    return owner[label], frozenset(int(owner[one]) for one in large if one not in standing)
 
 
 def _valley(
