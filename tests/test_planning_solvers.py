@@ -13,7 +13,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.nonlinear import Evaluation, Solver
 from pointsdf_cli.planning.slsqp import Slsqp
-from pointsdf_cli.planning.sqp import Sqp, SqpConfig
+from pointsdf_cli.planning.sqp import Sqp, SqpConfig, hessian_factors
 from pointsdf_cli.planning.step_qp import StepQp
 
 
@@ -167,6 +167,17 @@ def test_halving_ends_the_worse_starts_and_leaves_the_best_alone() -> None:
     best = halved.objective.argmin()
     np.testing.assert_allclose(halved.x[best], problem.optimum, atol=2e-3)
     assert halved.converged.sum() < 8
+
+
+def test_a_hessian_that_rounding_leaves_indefinite_is_mended() -> None:
+    good, steep = np.diag([1.0, 2.0, 3.0]), 1e7
+    bad = np.diag([steep, 1.0, -1e-10 * steep])
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(bad)
+    factors = hessian_factors(np.stack([good, bad]))
+    again = factors.transpose(0, 2, 1) @ factors
+    assert np.allclose(again[0], good)
+    assert np.abs(again[1] - bad).max() < 1e-9 * steep
 
 
 def test_the_steps_program_is_the_one_that_cvxpy_solves() -> None:

@@ -36,6 +36,9 @@ from pointsdf_cli.models.rotations import log_volume, rotation_of, rotation_vect
 KINDS = ("side", "top")
 LENGTH = 0.1
 """ℓ [m]."""
+NARROW = 0.01
+"""Width as which narrower preshape ranges count [rad or m]: what hardly moves would otherwise curve
+the density a million times as much as all else."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ class GraspPrior:
             tensor.double() for tensor in (weights, rotations, means, choleskys, ranges)
         )
         self._middle = self.ranges.mean(1)
-        self._width = (self.ranges[:, 1] - self.ranges[:, 0]).clamp(min=1e-3)
+        self._width = (self.ranges[:, 1] - self.ranges[:, 0]).clamp(min=NARROW)
 
     def coordinates(
         self, kind: int, preshape: Tensor, T_world_palm: Tensor, place: ObjectPlace

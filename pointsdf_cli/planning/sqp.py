@@ -168,7 +168,7 @@ class Sqp:
         program = self._program(n, k)
         steps, promised = np.empty((len(live), n)), np.empty(len(live))
         hessian = now.curvature[live] + rest[live]
-        factor = np.linalg.cholesky(hessian).transpose(0, 2, 1)
+        factor = hessian_factors(hessian)
         for i, b in enumerate(live):
             low = np.maximum(-radius[b], problem.lower - x[b])
             high = np.minimum(radius[b], problem.upper - x[b])
@@ -269,6 +269,22 @@ class Sqp:
 
 def _copy(evaluation: Evaluation) -> Evaluation:
     return Evaluation(*(np.array(part) for part in evaluation))
+
+
+def hessian_factors(hessian: Array) -> Array:
+    """Upper factors R [A, n, n] with RᵀR = the Hessians [A, n, n].
+
+    A joint of a narrow range curves the prior so much more than the rest that rounding can leave a
+    Hessian that is just not positive definite; its diagonal then grows by as much as rounding.
+    """
+    try:
+        factors = np.linalg.cholesky(hessian)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(hessian)
+        least = 1e-12 * np.abs(values).max(axis=1, keepdims=True)
+        mended = (vectors * np.maximum(values, least)[:, None]) @ vectors.transpose(0, 2, 1)
+        factors = np.linalg.cholesky(mended)
+    return np.asarray(factors.transpose(0, 2, 1))
 
 
 def _penalised(at: Evaluation, penalty: Array, rows: np.ndarray | slice = slice(None)) -> Array:
