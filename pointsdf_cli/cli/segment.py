@@ -54,7 +54,7 @@ def segment(
 ) -> None:
     """List the objects on a table: number, centre, size, points; and draw them with their numbers.
 
-    `rgrasp mesh` and `rgrasp plan` take a number as --target; 1 is what they take without.
+    `rgrasp mesh` and `rgrasp plan` take a number as --target; without it they take 1.
 
     Example: rgrasp segment depth.png --intrinsics K.json --camera-pose T.json
     """

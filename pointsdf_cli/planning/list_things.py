@@ -26,10 +26,10 @@ class Listing:
     """List of the objects on a table.
 
     Attributes:
-        scene: Every point sorted.
-        things: The best to grasp first.
-        points: By number, how many points of the file each has.
-        notes: Sentences that the user should see.
+        scene: View with a label for each point.
+        things: The objects, best to grasp first.
+        points: Number of the file's points on each object, by its number.
+        notes: Sentences for the user.
     """
 
     scene: Scene
@@ -51,9 +51,9 @@ def list_things(
     Args:
         path, files: The view and how it is read.
         pose: Pose as typed; see `scene_input.read_scene`.
-        workspace: Corners [m] of what is looked at; the usual ones if None.
-        robot: Its YAML; the bundled one if None.
-        cleaned: Whether flying pixels and outliers are dropped.
+        workspace: Corners [m] of the workspace; the default ones if None.
+        robot: YAML file of the robot; the bundled one if None.
+        cleaned: Drop flying pixels and outliers.
 
     Raises:
         InputError: The view cannot be read, or has no pose.
@@ -87,7 +87,7 @@ def list_things(
 
 
 def draw_things(picture: Path, listing: Listing, colour: Path | None = None) -> None:
-    """Draw the things with their numbers, on a colour image if there is one."""
+    """Draw the objects with their numbers, on a colour image if there is one."""
     scene = listing.scene
     number = np.zeros(scene.things.count, dtype=np.int64)
     for thing in listing.things:
