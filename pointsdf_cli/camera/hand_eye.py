@@ -219,7 +219,8 @@ def _start(seen: _Observations, alone: Array, rng: np.random.Generator) -> HandE
 
 
 def _agreeing(rms: Array, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mask of the images with an error close to that of the images in use; never fewer than half."""
+    """Mask of the images with an error close to that of the images in use; never fewer than
+    half."""
     limit = max(OUTLIER * float(np.median(rms[used])), OUTLIER_PIXELS, float(np.median(rms)))
     return np.asarray(rms <= limit)
 

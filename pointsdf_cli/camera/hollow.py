@@ -58,8 +58,8 @@ def whole_bowls(
         config: Thresholds.
 
     Returns:
-        The group [N] of each point, with the walls of a bowl in one group, and the group [M] of each
-        flat point: that of its bowl, or -1.
+        The group [N] of each point, with the walls of a bowl in one group, and the group [M] of
+        each flat point: that of its bowl, or -1.
     """
     config = config or HollowConfig()
     joined = group.copy()

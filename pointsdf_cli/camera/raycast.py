@@ -13,7 +13,8 @@ from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.geometry.open3d_core import o3d
 
 _BEHIND = 1e-3
-"""Least distance [m] of vertices from the camera's plane; if any is nearer, the whole image is cast."""
+"""Least distance [m] of vertices from the camera's plane; if any is nearer, the whole image is
+cast."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,8 @@ from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES, read_colour, read_depth
 
 @dataclass(frozen=True)
 class SceneFileOptions:
-    """Options for reading a depth image or a cloud; those of the other kind must keep their default.
+    """Options for reading a depth image or a cloud; those of the other kind must keep their
+    default.
 
     Attributes:
         intrinsics: A file or a camera's name: intrinsics of the depth image, or for a cloud of the

@@ -29,7 +29,8 @@ CLOUD_SIZE = 1000
 FEWEST_PIXELS = 50
 """Least number of pixels in a view; emptier ones are drawn again."""
 LARGEST_COVER = 0.95
-"""Largest share of the image covered by a view; fuller ones have no silhouette and are drawn again."""
+"""Largest share of the image covered by a view; fuller ones have no silhouette and are drawn
+again."""
 DRAWS = 50
 EDGE_MARGIN = 6
 """Sensor pixels around the mesh into which its silhouette may be displaced."""

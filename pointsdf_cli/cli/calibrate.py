@@ -49,8 +49,8 @@ def calibrate(
         str | None,
         typer.Option(
             metavar="POSE",
-            help="With --eye-in-hand: a pose of the gripper in the robot's root frame; the output is "
-            "the camera's pose with the gripper there.",
+            help="With --eye-in-hand: a pose of the gripper in the robot's root frame; the output "
+            "is the camera's pose with the gripper there.",
         ),
     ] = None,
     squares: Annotated[str, typer.Option(help="Size of the board: columns x rows.")] = "5x7",

@@ -227,9 +227,7 @@ def train_sdf(
             }
         )
         if not result.finished:
-            reporter.say(
-                f"stopped; the same command with --resume continues at step {result.step}"
-            )
+            reporter.say(f"stopped; the same command with --resume continues at step {result.step}")
             raise typer.Exit(should_stop.exit_code or ELSEWHERE)
 
 

@@ -32,7 +32,7 @@ LAYOUT = {
     "rejected_reason": "S [R]",
     "rejected_success_probability": "f8 [R]",
     "rejected_objective": "f8 [R]",
-    "rejected_room": "f8 [R, 4]",
+    "rejected_slack": "f8 [R, 4]",
     "accepted_q": "f8 [A, *]",
     "accepted_kind": "S [A]",
     "accepted_success_probability": "f8 [A]",
@@ -189,7 +189,7 @@ def write_plan(
             "rejected_reason": Dataset(_bytes(rejected.reasons)),
             "rejected_success_probability": Dataset(rejected.success_probability),
             "rejected_objective": Dataset(rejected.objective),
-            "rejected_room": Dataset(rejected.slack, "m"),
+            "rejected_slack": Dataset(rejected.slack, "m"),
         },
         attributes={
             "status": plan.status,
@@ -200,7 +200,7 @@ def write_plan(
             "objective": plan.objective,
             "seeds_tried": plan.seeds_tried,
             "timings_json": json.dumps(dict(plan.timings), sort_keys=True),
-            "rejected_room_columns": ",".join(SLACKS),
+            "rejected_slack_columns": ",".join(SLACKS),
         },
         seed=seed,
         config=config,
@@ -238,7 +238,7 @@ def read_plan(path: Path | str) -> Plan:
                 reasons=_strings(data["rejected_reason"]),
                 success_probability=data["rejected_success_probability"],
                 objective=data["rejected_objective"],
-                slack=data["rejected_room"],
+                slack=data["rejected_slack"],
             ),
             kind=str(facts["kind"]),
             accepted=AcceptedGrasps(
@@ -289,7 +289,7 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
                 "reason": reason,
                 "success_probability": _number(rejected.success_probability[k]),
                 "objective": _number(rejected.objective[k]),
-                "room": {
+                "slack": {
                     name: _number(value)
                     for name, value in zip(SLACKS, rejected.slack[k], strict=True)
                 },

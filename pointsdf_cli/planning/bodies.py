@@ -1,8 +1,8 @@
 """Exact distances of the robot's shapes to each other, to the table and to obstacles (coal).
 
-The paper's a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. Pairs whose
-bounding balls are farther apart than `reach` get the gap between the balls, a lower bound: their
-constraints are inactive.
+The paper's a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. Pairs
+whose bounding balls are farther apart than `reach` get the gap between the balls, a lower bound:
+their constraints are inactive.
 """
 
 from __future__ import annotations

@@ -274,7 +274,8 @@ class GraspPlanner:
         return Answer(replace(plan, timings=timings), perceived.target, perceived.reconstruction)
 
     def too_large(self, points: Array) -> bool:
-        """Whether an object seen at points [N, 3] is wider than the opened hand in all directions."""
+        """Whether an object seen at points [N, 3] is wider than the opened hand in all
+        directions."""
         return narrowest(points) > self.planner.geometry.hand.span
 
     def search(self, points: Array) -> SynthesisConfig:

@@ -35,7 +35,8 @@ class GridConfig:
     Attributes:
         step: Side of the finest cells [m].
         levels: Number of levels; each halves the cells of the one before.
-        band: The field is sampled on the finest level wherever its absolute value is below this [m].
+        band: The field is sampled on the finest level wherever its absolute value is below this
+            [m].
         slope: L, the largest slope of the field: 1 for a distance; measured for a network.
     """
 

@@ -13,8 +13,8 @@ HULL = "hull"
 OBSTACLES = (RECONSTRUCTION, HULL)
 
 LARGEST_CLEARANCE = 0.015
-"""Largest clearance [m]: distances are exact up to 2 cm only, and a hand farther away than this holds
-nothing."""
+"""Largest clearance [m]: distances are exact up to 2 cm only, and a hand farther away than this
+holds nothing."""
 
 
 def check_method(method: str) -> None:

@@ -57,8 +57,8 @@ PREFERRED_SLACK = 0.006
 prefers grasps with this much."""
 
 QUICK_LOOKS = 1000
-"""Configurations checked at most by a brief motion search, with the margin and without: most motions
-are found within a few hundred."""
+"""Configurations checked at most by a brief motion search, with the margin and without: most
+motions are found within a few hundred."""
 
 BRIEFLY = 3
 """Number of candidates that get a brief motion search before any gets a thorough one."""

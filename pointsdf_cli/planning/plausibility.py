@@ -51,8 +51,8 @@ def require_table_at_zero(
         height = table_elsewhere(world)
         if height is not None:
             raise InputError(
-                f"a table is seen at z = {1000 * height:.0f} mm, but must be at z = 0: the camera's "
-                "pose is off by as much",
+                f"a table is seen at z = {1000 * height:.0f} mm, but must be at z = 0: the "
+                "camera's pose is off by as much",
                 where=name,
                 hint="correct --camera-pose; --camera-pose table puts z = 0 on the table that is "
                 f"seen. If there is no table: {without_table}",

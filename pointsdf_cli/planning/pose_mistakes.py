@@ -1,7 +1,7 @@
 """Common mistakes in a camera pose, found by the table that the camera sees.
 
-A pose that does not put the table level at z = 0 may be right in another convention. Each convention
-is tried; if one puts the table level at z = 0, the error names it.
+A pose that does not put the table level at z = 0 may be right in another convention. Each
+convention is tried; if one puts the table level at z = 0, the error names it.
 """
 
 from __future__ import annotations

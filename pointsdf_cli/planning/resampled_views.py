@@ -1,9 +1,10 @@
 """Resampled-view check: a grasp tested against reconstructions from other samples of the cloud.
 
-A network reads 1000 of the observed points and guesses the unseen parts; another sample gives another
-guess. An optimiser tends to place the hand where its one guess is wrong; reconstructions that it has
-not read are independent evidence. (In 142 trials four other samples contradict 3 of the 6 grasps
-that touched the object early, and none of the 136 others: docs/notebook.md, "Other draws".)
+A network reads 1000 of the observed points and guesses the unseen parts; another sample gives
+another guess. An optimiser tends to place the hand where its one guess is wrong; reconstructions
+that it has not read are independent evidence. (In 142 trials four other samples contradict 3 of the
+6 grasps that touched the object early, and none of the 136 others: docs/notebook.md, "Other
+draws".)
 """
 
 from __future__ import annotations

@@ -205,7 +205,7 @@ def image_place(points: Array, pixels: Array | None, image: DepthImage | None) -
         half = np.array(image.depth.shape[::-1]) / 2
         return np.asarray((pixels - half) / half)
     direction = points[:, :2] / points[:, 2:]
-    # A cloud does not say how wide the image was: as wide as what was seen.
+    # The width of a cloud's image is not known: take that of the observed part.
     half = np.maximum(np.percentile(np.abs(direction), 99, axis=0), 1e-6)
     return np.asarray(direction / half)
 

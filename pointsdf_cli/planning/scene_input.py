@@ -1,4 +1,5 @@
-"""Files and options of a command to clouds with poses; a missing pose can be made from the table."""
+"""Files and options of a command to clouds with poses; a missing pose can be made from the
+table."""
 
 from __future__ import annotations
 

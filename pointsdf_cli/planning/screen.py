@@ -1,8 +1,8 @@
 """Screening of sampled grasps by the hand alone, before any inverse kinematics.
 
-Sampling from the prior is cheap; inverse kinematics and solving are not. So many grasps are sampled,
-those with the open hand in the table are raised above it, and those with the best score and the
-least penetration of the object are passed on.
+Sampling from the prior is cheap; inverse kinematics and solving are not. So many grasps are
+sampled, those with the open hand in the table are raised above it, and those with the best score
+and the least penetration of the object are passed on.
 """
 
 from __future__ import annotations

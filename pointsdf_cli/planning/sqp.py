@@ -163,7 +163,8 @@ class Sqp:
         penalty: Array,
         live: np.ndarray,
     ) -> tuple[Array, Array]:
-        """Steps [A, n] of the active starts and the improvement of φ that the model predicts [A]."""
+        """Steps [A, n] of the active starts and the improvement of φ that the model predicts
+        [A]."""
         n, k = x.shape[1], now.constraints.shape[1]
         program = self._program(n, k)
         steps, promised = np.empty((len(live), n)), np.empty(len(live))
@@ -201,9 +202,9 @@ class Sqp:
     ) -> Array:
         """Move trial points that left a curved constraint back onto it; returns their φ [C].
 
-        This second-order correction avoids the Maratos effect: without it a good step along a curved
-        boundary is rejected because it leaves the boundary. The correction is the smallest step that
-        meets the constraints as linearised at the trial point.
+        This second-order correction avoids the Maratos effect: without it a good step along a
+        curved boundary is rejected because it leaves the boundary. The correction is the smallest
+        step that meets the constraints as linearised at the trial point.
         """
         n, k = trial.shape[1], new.constraints.shape[1]
         program = self._program(n, k)

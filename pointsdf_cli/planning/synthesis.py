@@ -49,8 +49,8 @@ class SynthesisConfig:
 
     Attributes:
         rounds: Rounds of seeds (the paper: up to five).
-        enough: Number of rounds after which any accepted grasp ends the search, as does a round that
-            gains little while all free grasps are poor. Before, only a good grasp does.
+        enough: Number of rounds after which any accepted grasp ends the search, as does a round
+            that gains little while all free grasps are poor. Before, only a good grasp does.
         polished: Largest number of solutions of a round that are solved again with the exact field.
         polish_iterations: Iterations of that second solution, which starts near its end.
         seeds: Sampling of seeds.

@@ -1,13 +1,13 @@
-"""A robot for PyBullet as everything else here takes it: the same hulls, and a mass for each link.
+"""URDF of a robot for PyBullet, with the same hulls as in planning and a mass for each link.
 
-PyBullet reads a URDF by itself. Of meshes in some formats (text STL) it makes links without a body,
-at others (PLY, OFF, GLB) it gives up, and a link without `<inertial>` weighs 1 kg. So a URDF that
-has either is written anew, with the hulls of `robot/shapes.py` and masses of the links' volumes;
-so is one with hulls or cylinders, which PyBullet makes larger than they are (`skin.py`).
+PyBullet's own reader makes links without a body of some mesh formats (text STL), fails at others
+(PLY, OFF, GLB), and gives a link without `<inertial>` 1 kg. So such a URDF is rewritten, with the
+hulls of `robot/shapes.py` and masses by the links' volumes; so is one with hulls or cylinders,
+which PyBullet enlarges (`skin.py`).
 
-The hand alone comes as several files, one for what cannot move in the palm and one for each finger:
-a step of PyBullet costs the square of a body's joints, so five small bodies are several times as
-fast as one of 23 joints.
+The hand alone is several files, one for the parts fixed to the palm and one for each finger: the
+time of a PyBullet step grows with the square of a body's joints, so five small bodies are several
+times as fast as one of 23 joints.
 """
 
 from __future__ import annotations
@@ -33,18 +33,17 @@ from pointsdf_cli.simulation.skin import drawn_in, drawn_in_cylinder
 LINK_DENSITY = 1000.0
 """Density of a link whose mass the URDF omits [kg/m³]."""
 FRAME_MASS, FRAME_INERTIA = 1e-3, 1e-6
-"""Mass [kg] and inertia [kg m²] of a link without shape or mass, which only marks a place: PyBullet
-needs some."""
+"""Mass [kg] and inertia [kg m²] of a link without shape or mass: PyBullet needs some."""
 
 
 def bullet_urdf(robot: RobotDescription, folder: Path, skin: float, visible: bool = False) -> Path:
-    """The file to load: the robot's own where PyBullet reads it rightly, else one in `folder`.
+    """URDF file to load: the robot's own if PyBullet reads it correctly, else one in `folder`.
 
     Args:
         robot: The robot.
         folder: Folder for the URDF and the hulls.
         skin: `PhysicsConfig.skin`.
-        visible: Keep what is only to be looked at.
+        visible: Keep the visual shapes.
     """
     root = read_xml(robot.urdf)
     links = root.findall("link")
@@ -58,17 +57,17 @@ def bullet_urdf(robot: RobotDescription, folder: Path, skin: float, visible: boo
 def hand_urdfs(
     robot: RobotDescription, folder: Path, skin: float, visible: bool = False
 ) -> list[Path]:
-    """The hand in bodies that can be loaded at the palm link's pose, each with a root of its own.
+    """Write the hand as several bodies, each with its root at the palm link's pose.
 
     Args:
         robot: The robot.
         folder: Folder for the URDFs and the hulls.
         skin: `PhysicsConfig.skin`.
-        visible: Keep what is only to be looked at.
+        visible: Keep the visual shapes.
 
     Returns:
-        First what is fixed to the palm, a flange before it, too; then one file for every joint
-        that leads away from there.
+        The file of all links fixed to the palm, a flange before it included; then one file for
+        each joint that leads away from there.
     """
     root = _readable(robot, folder, skin, visible)
     links = {str(link.get("name")): link for link in root.findall("link")}
@@ -87,8 +86,8 @@ def hand_urdfs(
         finger = _body(
             [links[name] for name in inside], [joints[name] for name in inside[1:]], carrier
         )
-        # PyBullet takes what is fixed to the first link of a fixed base for a part of the base,
-        # which meets no resistance: a fingertip there would pass through the table.
+        # PyBullet merges links fixed to the first link of a fixed base into the base, which has no
+        # contacts with static bodies: a fingertip there would pass through the table.
         finger.append(_link_without_shape(base))
         finger.append(_fixed(carrier, base, np.eye(4)))
         finger.append(_led_from(base, joints[first], pose))
@@ -111,7 +110,8 @@ def _fixed_to_palm(robot: RobotDescription) -> dict[str, Array]:
 
 
 def _leading_away(robot: RobotDescription, fixed: dict[str, Array]) -> list[tuple[str, Array]]:
-    """Each link whose joint moves it in the palm, and where that joint is in the palm link."""
+    """Links with a joint that moves them in the palm, and poses of these joints in the palm
+    link."""
     return [
         (joint.child, fixed[joint.parent] @ joint.T_parent_joint)
         for joint in robot.tree.joints
@@ -159,7 +159,7 @@ def _led_from(parent: str, joint: ET.Element, pose: Array) -> ET.Element:
 
 
 def _origin(pose: Array) -> ET.Element:
-    """Place and roll, pitch, yaw, R = Rz(yaw) Ry(pitch) Rx(roll), of [4, 4]."""
+    """Origin element of a pose [4, 4]: xyz, and rpy with R = Rz(yaw) Ry(pitch) Rx(roll)."""
     m = pose[:3, :3]
     level = np.hypot(m[0, 0], m[1, 0])
     roll, yaw = np.arctan2(m[2, 1], m[2, 2]), np.arctan2(m[1, 0], m[0, 0])
@@ -180,7 +180,7 @@ def _written(root: ET.Element, path: Path) -> Path:
 
 
 def _readable(robot: RobotDescription, folder: Path, skin: float, visible: bool) -> ET.Element:
-    """The URDF with hulls, masses, and nothing to look at unless it can be found."""
+    """The URDF with hulls and masses, and with those visual meshes that exist."""
     root = read_xml(robot.urdf)
     for number, link in enumerate(root.findall("link")):
         shapes = robot.tree.shapes[str(link.get("name"))]
@@ -202,7 +202,7 @@ def _readable(robot: RobotDescription, folder: Path, skin: float, visible: bool)
 
 
 def _name_mesh(node: ET.Element, file: Path) -> None:
-    """Let a collision's mesh be this file, which is in metres."""
+    """Set a collision's mesh to this file, in metres."""
     mesh = node.find("geometry/mesh")
     assert mesh is not None
     mesh.attrib.clear()
@@ -220,7 +220,7 @@ def _draw_in_cylinder(node: ET.Element, skin: float) -> None:
 
 
 def _at_its_place(visual: ET.Element, urdf: Path) -> bool:
-    """Name a visual's mesh by its whole path; False if it is not there."""
+    """Set a visual's mesh to its absolute path; False if it does not exist."""
     for mesh in visual.findall("geometry/mesh"):
         try:
             mesh.set("filename", str(mesh_file(str(mesh.get("filename", "")), urdf).resolve()))

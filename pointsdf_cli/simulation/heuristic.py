@@ -1,6 +1,6 @@
 """Preshapes around the faces of a partial cloud's bounding box (Lu et al. 2020).
 
-Only the partial cloud, the camera's place and the robot's are used, as on the real robot.
+Only the partial cloud and the positions of camera and robot are used, as on the real robot.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ class HeuristicConfig:
     """Numbers of the heuristic planner.
 
     Attributes:
-        top_standoff, side_standoff: From the face to the palm [m].
-        standoff_noise: Standard deviation [m].
-        position_noise: ... along the face [m].
-        turn_noise: ... of the orientation, about each axis [rad].
-        low_object: An object lower than this [m] is grasped from the top only, by a hand that is
-            raised until it clears the table and what of the object is below it: a thumb that
-            points down 0.145 m would be in the table in every attempt.
-        finger_reach: Distance along the fingers from the palm's origin to the object's middle [m]:
-            between the fingers and the thumb rather than at the fingers' roots. A hand's own `palm:
-            {reach: …}` takes precedence.
-        table_gap: Height [m] of the whole opened hand above what is below it, wherever the palm is
-            raised (from the side, and above low objects).
+        top_standoff, side_standoff: Distance from the face to the palm [m].
+        standoff_noise: Standard deviation of that distance [m].
+        position_noise: Standard deviation of the position along the face [m].
+        turn_noise: Standard deviation of the orientation, about each axis [rad].
+        low_object: Height [m] below which an object is grasped from the top only, by a hand raised
+            until it clears the table and the object: otherwise a thumb of 0.145 m that points down
+            would be in the table in every attempt.
+        finger_reach: Distance along the fingers from the palm's origin to the object's centre [m]:
+            between fingers and thumb, not at the fingers' roots. A hand's own `palm: {reach: …}`
+            takes precedence.
+        table_gap: Clearance [m] below the opened hand whenever the palm is raised (side grasps, and
+            low objects).
     """
 
     top_standoff: float = 0.035
@@ -62,8 +62,8 @@ class Face:
 
     Attributes:
         kind: "side" or "top".
-        centre: [3], world.
-        normal: [3], outwards, unit.
+        centre: [3], centre of the face, world, m.
+        normal: [3], outward unit normal.
     """
 
     kind: str
@@ -76,9 +76,9 @@ class Box:
     """An upright bounding box.
 
     Attributes:
-        centre: [3], world.
-        axes: [3, 3], rows are its two level axes and the vertical.
-        half: [3], half its extent along each.
+        centre: [3], world, m.
+        axes: [3, 3], rows: two level axes and the vertical.
+        half: [3], half the extent along each, m.
     """
 
     centre: Array
@@ -88,7 +88,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Preshape:
-    """Wanted palm pose and hand opening.
+    """Desired palm pose and hand opening.
 
     Attributes:
         kind: "side" or "top".
@@ -106,9 +106,10 @@ class Hand:
     """Properties of a hand for the heuristic.
 
     Attributes:
-        ranges: [K, 2], of the preshape joints.
-        outline: Points [P, 3] of the hand opened with preshape joints [K], palm frame, m.
-        reach: Replaces `HeuristicConfig.finger_reach`, if the robot's description has its own.
+        ranges: [K, 2], ranges of the preshape joints.
+        outline: Function from preshape joints [K] to points [P, 3] of the opened hand, palm frame,
+            m.
+        reach: The description's own value of `HeuristicConfig.finger_reach`; None without one.
     """
 
     ranges: Array
@@ -135,10 +136,10 @@ def hand_of(robot: RobotDescription) -> Hand:
 
 
 def upright_box(points: Array) -> Box:
-    """The box along the principal axes of the cloud [N, 3] seen from above, upright.
+    """Upright box along the horizontal principal axes of a cloud [N, 3].
 
-    A full three-dimensional analysis would lean with the camera's view of the half that it sees;
-    the object stands on a table, so one axis is the vertical.
+    Three-dimensional principal axes would lean with the camera's view of the visible half; the
+    object stands on a table, so one axis is the vertical.
     """
     level = points[:, :2]
     centred = level - level.mean(axis=0)
@@ -153,12 +154,12 @@ def upright_box(points: Array) -> Box:
 
 
 def graspable_faces(box: Box, camera: Array, base: Array, config: HeuristicConfig) -> list[Face]:
-    """The top, and the side faces that look away from neither the camera nor the robot.
+    """The top, and the side faces that point away from neither the camera nor the robot.
 
     Args:
         box: Box of the partial cloud.
-        camera, base: [3], places of the camera and of the robot's base in the world.
-        config: `low_object` decides whether there are sides at all.
+        camera, base: [3], positions of the camera and of the robot's base in the world.
+        config: Settings; `low_object` excludes side faces.
     """
     up = box.axes[2]
     faces = [Face(TOP, box.centre + box.half[2] * up, up)]
@@ -185,15 +186,15 @@ def draw_preshape(
     rng: np.random.Generator,
     kind: str | None = None,
 ) -> Preshape:
-    """One random preshape for a cloud.
+    """Draw a random preshape for a cloud.
 
     Args:
         points: [N, 3], the object's partial cloud, world.
-        camera, base: [3], world.
-        hand: Its preshapes and how much room they take.
+        camera, base: [3], positions of the camera and of the robot's base, world.
+        hand: Ranges and outline of the hand.
         config: Stand-offs and noise.
-        rng: Source of the noise.
-        kind: "side" or "top" to insist on one; the face is drawn among all otherwise.
+        rng: Random generator.
+        kind: "side" or "top"; any face if None.
     """
     if hand.reach is not None:
         config = replace(config, finger_reach=hand.reach)
@@ -215,8 +216,7 @@ def draw_preshape(
 
 
 def _to_clear(outline: Array, box: Box, gap: float) -> float:
-    """Height by which a hand with points [P, 3] must rise to be `gap` above the table and the
-    box."""
+    """Height by which a hand with points [P, 3] must rise to clear table and box by `gap`."""
     aside = np.abs((outline - box.centre) @ box.axes[:2].T)
     over = (aside <= box.half[:2]).all(axis=1)
     ground = np.where(over, box.centre[2] + box.half[2], 0.0)
@@ -226,7 +226,7 @@ def _to_clear(outline: Array, box: Box, gap: float) -> float:
 def _top_palm(
     box: Box, face: Face, base: Array, config: HeuristicConfig, rng: np.random.Generator
 ) -> Array:
-    """Palm down, fingers along a diagonal of the box that leads away from the robot."""
+    """Palm pose from above, fingers along a diagonal of the box away from the robot."""
     diagonals = [a * box.axes[0] + b * box.axes[1] for a in (1, -1) for b in (1, -1)]
     away = face.centre - base
     outward = sorted(diagonals, key=lambda d: -float(d[:2] @ away[:2]))[:2]
@@ -237,7 +237,7 @@ def _top_palm(
 
 
 def _side_palm(face: Face, config: HeuristicConfig, rng: np.random.Generator) -> Array:
-    """Palm towards the face, thumb up."""
+    """Palm pose towards the face, thumb up."""
     inward, up = -face.normal, np.array([0.0, 0.0, 1.0])
     rotation = np.stack([inward, up, np.cross(inward, up)], axis=1)
     return _noisy(face, rotation, config.side_standoff, config, rng)
@@ -250,7 +250,7 @@ def _noisy(
     config: HeuristicConfig,
     rng: np.random.Generator,
 ) -> Array:
-    """The palm at its stand-off from a face, with noise on distance, place and orientation."""
+    """Palm pose at its stand-off from a face, with noise on distance, position and orientation."""
     distance = max(0.0, standoff + config.standoff_noise * rng.standard_normal())
     place = config.position_noise * rng.standard_normal(3)
     place[0] = 0.0  # the stand-off has its own
@@ -261,7 +261,7 @@ def _noisy(
 
 
 def _small_rotation(vector: Array) -> Array:
-    """The rotation [3, 3] about `vector` [3] by its length."""
+    """Rotation [3, 3] of a rotation vector [3]."""
     angle = float(np.linalg.norm(vector))
     if angle < 1e-12:
         return np.eye(3)

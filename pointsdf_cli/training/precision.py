@@ -12,7 +12,7 @@ from pointsdf_cli.errors import InputError
 
 @cache
 def processor_has_bfloat16() -> bool:
-    """Whether matrix products in bfloat16 run on instructions of their own (AVX512-BF16, AMX)."""
+    """Whether the processor has instructions for matrix products in bfloat16 (AVX512-BF16, AMX)."""
     try:
         flags = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace")
     except OSError:
