@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MeshSettings:
-    """Everything but a cloud's own files.
+    """Settings of meshes, apart from a cloud's own files.
 
     Attributes:
         choices: Meshing options.
@@ -73,7 +73,7 @@ class MeshTask:
         return self.out.with_suffix(".json")
 
     def config(self) -> dict[str, Any]:
-        """Everything that decides the mesh, in plain types."""
+        """All settings that determine the mesh, in plain types."""
         settings, weights = self.settings, self.settings.checkpoint
         own = {
             "cloud": self.cloud,

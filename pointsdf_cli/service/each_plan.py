@@ -48,7 +48,7 @@ class PlanTask:
     force: bool = False
 
     def config(self) -> dict[str, Any]:
-        """Everything that decides the plan, in plain types."""
+        """All settings that determine the plan, in plain types."""
         asked = self.settings
         around = json.dumps(plain(asdict(asked.environment)))
         own = {

@@ -23,13 +23,12 @@ from pointsdf_cli.robot.description import load_robot
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """Everything but a scene's own files.
+    """Settings of plans, apart from a scene's own files.
 
     Attributes:
-        choices, environment, start, seed, segment, others, workspace, cleaned,
-        obstacles: As in
-            `PlanRequest`.
-        target: The object that is meant, as typed.
+        choices, environment, start, seed: As in `PlanRequest`.
+        segment, others, workspace, cleaned, obstacles: As in `PlanRequest`.
+        target: --target as typed.
         robot, checkpoint, grasp_checkpoint: Files; the bundled ones if None.
         device: Device of the networks.
     """
