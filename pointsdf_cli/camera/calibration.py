@@ -93,7 +93,7 @@ def calibrate_from_files(
         )
     except InputError as error:
         where = error.where or robot_poses
-        raise InputError(error.what, where=where, allowed=error.allowed, hint=error.hint) from error
+        raise InputError.of(error, where) from error
     return Calibration(
         solved,
         [paths[i].name for i in views],

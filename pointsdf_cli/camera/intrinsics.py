@@ -100,7 +100,7 @@ def _read(
     try:
         camera = Camera(width, height, fx, fy, cx, cy)
     except InputError as error:
-        raise InputError(error.what, where=path, allowed=error.allowed) from error
+        raise InputError.of(error, path) from error
     if not (0 <= cx < width and 0 <= cy < height):
         raise InputError(
             f"has its principal point ({cx:g}, {cy:g}) outside the image of {width} × {height}",

@@ -120,4 +120,4 @@ def load_camera(name: str) -> Camera:
     try:
         return Camera(width, height, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
     except InputError as error:
-        raise InputError(error.what, where=path, allowed=error.allowed) from error
+        raise InputError.of(error, path) from error

@@ -137,7 +137,7 @@ def _read_depth_view(path: Path, options: SceneFileOptions, T_world_camera: Arra
         cloud = cloud_of_depth(depth, camera, T_world_camera, colours, options.near, options.far)
     except InputError as error:
         where = error.where or path
-        raise InputError(error.what, where=where, allowed=error.allowed, hint=error.hint) from error
+        raise InputError.of(error, where) from error
     if options.mask is None:
         return cloud
     mask = read_mask(options.mask, (height, width))

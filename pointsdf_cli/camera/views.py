@@ -131,9 +131,7 @@ def render_file(task: ViewTask) -> ViewSummary | None:
     try:
         views, redrawn = render_views(mesh, task.config, task_seed(task.seed, task.name))
     except InputError as error:
-        raise InputError(
-            error.what, where=task.mesh, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error, task.mesh) from error
     write_views(task.out, replace(views, mesh_file=task.mesh.name), seed=task.seed, config=config)
     return ViewSummary(len(views.cloud), redrawn, mesh.repair)
 

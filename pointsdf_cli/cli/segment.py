@@ -77,15 +77,14 @@ def segment(
         drop_invalid=drop_invalid,
     )
 
-    from pointsdf_cli.planning.list_things import draw_things, list_things
+    from pointsdf_cli.planning.list_things import list_things
     from pointsdf_cli.planning.object_choice import NoObjectError
+    from pointsdf_cli.service.pictures import draw_things
 
     try:
         listing = list_things(scene, files, camera_pose, corners, robot, not no_clean)
     except NoObjectError as error:
-        raise InputError(
-            error.what, where=error.where, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error) from error
     for note in listing.notes:
         reporter.say(note)
     draw_things(picture, listing, color)

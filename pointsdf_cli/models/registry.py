@@ -82,7 +82,7 @@ def model_from_checkpoint(checkpoint: Checkpoint) -> ShapeModel:
         }
         model.load_state_dict(weights)
     except InputError as error:
-        raise InputError(error.what, where=checkpoint.path, allowed=error.allowed) from error
+        raise InputError.of(error, checkpoint.path) from error
     except RuntimeError as error:
         first = str(error).strip().splitlines()[1:2] or [str(error)]
         raise InputError(

@@ -104,9 +104,7 @@ def label_file(task: LabelTask) -> LabelSummary | None:
             mesh.vertices, mesh.faces, task.config, task_seed(task.seed, task.name)
         )
     except InputError as error:
-        raise InputError(
-            error.what, where=task.mesh, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error, task.mesh) from error
     write_labels(
         task.out,
         Labels(samples.points, samples.sdf, task.mesh.name, mesh.sha256),

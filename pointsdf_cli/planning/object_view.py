@@ -146,9 +146,7 @@ def segmented_view(
             [path], [] if pose is None else [pose], [files], target, around, cleaned, described
         )
     except NoObjectError as error:
-        raise InputError(
-            error.what, where=error.where, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error) from error
     cut = segmented_cloud(
         given.clouds[0], str(path), described, segment, given.target, around, cleaned
     )
@@ -181,9 +179,7 @@ def segmented_cloud(
             [cloud], [name], robot, robot.home, segment, target, workspace, cleaned
         )
     except NoObjectError as error:
-        raise InputError(
-            error.what, where=error.where, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error) from error
     view = found.views[0]
     return ObjectView(
         view.points,

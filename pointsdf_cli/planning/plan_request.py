@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
@@ -19,7 +17,6 @@ from pointsdf_cli.planning.object_choice import Target
 
 if TYPE_CHECKING:
     from pointsdf_cli.planning.acceptance import AcceptanceConfig
-    from pointsdf_cli.viz.plan_picture import PlanScene
 
 Corners = tuple[tuple[float, ...], tuple[float, ...]]
 
@@ -142,19 +139,6 @@ class PlanResult:
     obstacles: tuple[Obstacle, ...]
     options: dict[str, Any]
     least: float
-
-    def scene(self) -> PlanScene:
-        """The scene to draw."""
-        from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
-        from pointsdf_cli.viz.plan_picture import PlanScene
-
-        believed = (self.plan.object_vertices.astype(np.float64), self.plan.object_faces)
-        return PlanScene(
-            self.points,
-            self.camera,
-            believed if len(self.plan.object_faces) else None,
-            [obstacle_mesh(obstacle) for obstacle in self.obstacles],
-        )
 
 
 def headline(plan: Plan) -> str:

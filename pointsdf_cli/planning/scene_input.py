@@ -186,7 +186,7 @@ def stand_on_table(
     try:
         plane = find_support_plane(points)
     except InputError as error:
-        raise InputError(error.what, where=name, allowed=error.allowed, hint=error.hint) from error
+        raise InputError.of(error, name) from error
     above = pose_over_plane(plane)
     cloud = replace(cloud, T_world_camera=above, over_table=True)
     try:

@@ -29,7 +29,6 @@ from pointsdf_cli.planning.take_order import Turn, take_order
 from pointsdf_cli.planning.target import surface_of
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 from pointsdf_cli.robot.start import start_configuration
-from pointsdf_cli.viz.plan_picture import PlanScene
 
 TABLE_OFF = 0.005
 """Distance [m] of the observed table from z = 0 above which a warning is given."""
@@ -74,10 +73,6 @@ class TableSession:
             plain,
             options.synthesis.acceptance.least,
         )
-
-    def scene(self) -> PlanScene:
-        """The scene to draw."""
-        return self.result(PlanOptions()).scene()
 
 
 def answer_request(

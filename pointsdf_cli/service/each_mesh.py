@@ -130,9 +130,7 @@ def mesh_cloud(task: MeshTask) -> MeshSummary | None:
     try:
         completed = resident.mesh(seen, settings.choices, str(task.cloud))
     except EmptySurfaceError as error:  # one cloud's fault, not the stage's end
-        raise InputError(
-            error.what, where=error.where, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error) from error
     made = completed.mesh
     vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[task.files.unit]
     summary = MeshSummary(len(vertices), len(made.faces), completed.seconds)

@@ -99,9 +99,7 @@ def plan_scene(task: PlanTask) -> PlanSummary | None:
         poses = [] if task.pose is None else [task.pose]
         request, _ = settings.read([task.cloud], poses, [task.files])
     except NoObjectError as error:  # one scene's mistake, not the stage's end
-        raise InputError(
-            error.what, where=error.where, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error) from error
     # Seconds of imports: only for clouds and options that can be used.
     from pointsdf_cli.models.registry import use_threads
 

@@ -72,7 +72,7 @@ def prepare_object(
     try:
         poses = stable_poses(mesh.vertices, centre)
     except InputError as error:
-        raise InputError(error.what, where=mesh.name, allowed=error.allowed) from error
+        raise InputError.of(error, mesh.name) from error
     if cut is None:
         pieces = convex_pieces(mesh, cache=cache)
     else:

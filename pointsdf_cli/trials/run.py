@@ -93,7 +93,7 @@ class TrialConfig:
     def as_dict(self) -> dict[str, Any]:
         """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
         plain: dict[str, Any] = without_ideal(asdict(self))
-        options = plain["contenders"] = plain.pop("variants")  # key of the trials artifact
+        options = plain["variants"]
         if plain["clutter"] is None:
             del plain["clutter"]
         for name in ("robot", "checkpoint", "grasp_checkpoint"):
@@ -317,7 +317,7 @@ def _options_of(task: TrialTask) -> dict[str, Any]:
         config["others"] = {
             one.name: "" if one.mesh is None else file_sha256(one.mesh) for one in trial.others
         }
-    config["contenders"] |= {"robot": robot_digest(task.config.variants.robot)}
+    config["variants"] |= {"robot": robot_digest(task.config.variants.robot)}
     return config
 
 
