@@ -26,9 +26,8 @@ class ThingsConfig:
 
     Attributes:
         segmentation: Workspace, table and gaps.
-        noise_growth: Let the table's band grow with the square of the distance from the camera, as
-            noise does; at 1 m it is `segmentation.plane_band`.
-        thickest_band: Largest thickness of the band [m].
+        thickest_band: Largest thickness of the table's band [m]; from `segmentation.plane_band` at
+            1 m it grows with the square of the distance from the camera, as noise does.
         floating: Height [m] of its lowest point above which a part floats.
         bridge: Largest distance [m] from a floating part to the object that it is joined to: the
             camera did not see their connection.
@@ -38,7 +37,6 @@ class ThingsConfig:
     """
 
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
-    noise_growth: bool = True
     thickest_band: float = 0.015
     floating: float = 0.03
     bridge: float = 0.05
@@ -176,13 +174,12 @@ def masked_thing(mask: NDArray[np.bool_], found: Things) -> Things:
     return Things(label, found.plane)
 
 
-def _band(points: Array, camera: Array, config: ThingsConfig) -> Array | float:
+def _band(points: Array, camera: Array, config: ThingsConfig) -> Array:
     """Height above the plane [N] below which points belong to the table [m]."""
     band = config.segmentation.plane_band
-    if not config.noise_growth:
-        return band
     distance = np.linalg.norm(points - camera, axis=1)
-    return np.clip(band * distance**2, band, max(band, config.thickest_band))
+    grown: Array = np.clip(band * distance**2, band, max(band, config.thickest_band))
+    return grown
 
 
 def _flat(
