@@ -27,11 +27,12 @@ from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import completion_checkpoint, load_model
-from pointsdf_cli.planning.grasp_planner import GraspPlanner
-from pointsdf_cli.planning.list_things import draw_things, list_things
+from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
+from pointsdf_cli.planning.list_things import list_things
 from pointsdf_cli.planning.object_view import ObjectView, bare_view, segmented_view
 from pointsdf_cli.planning.scene_input import read_scene
 from pointsdf_cli.planning.table_session import TableSession, plan_on_table
+from pointsdf_cli.service.pictures import draw_things, scene_of_plan
 from pointsdf_cli.viz.plan_picture import plan_picture
 from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 from pointsdf_cli.viz.robot_picture import RobotMeshes
@@ -176,7 +177,9 @@ class Page:
         path = stem.with_suffix(".plan.png")
         plan = session.answer.plan
         q = session.start if plan.reason else plan.q
-        plan_picture(path, RobotMeshes(robot), q, session.scene(), "", "")
+        plan_picture(
+            path, RobotMeshes(robot), q, scene_of_plan(session.result(PlanOptions())), "", ""
+        )
         return path
 
     def save(self, out: Path) -> None:

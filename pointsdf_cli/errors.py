@@ -54,6 +54,12 @@ class InputError(RgraspError):
 
     exit_code = 2
 
+    @classmethod
+    def of(cls, error: RgraspError, where: object | None = None) -> InputError:
+        """An input error with the message of another error, about `where` unless that is None."""
+        place = error.where if where is None else where
+        return cls(error.what, where=place, allowed=error.allowed, hint=error.hint)
+
 
 class NoPlanError(RgraspError):
     """No configuration meets the constraints (exit code 3)."""

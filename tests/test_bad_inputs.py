@@ -211,9 +211,9 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     "missing camera file": (render_with("--camera", "none.json"), "no camera"),
     # --- camera files -----------------------------------------------------------------------
     "a camera file that is no JSON": (camera_with("{"), "is no readable JSON"),
-    "a camera file without K": (camera_with({"width": 1, "height": 1}), "is no camera file"),
+    "a camera file without K": (camera_with({"width": 1, "height": 1}), "is not a camera file"),
     "K of eight numbers": (
-        camera_with({"K": [1] * 8, "width": 640, "height": 480}), "is no camera file"),
+        camera_with({"K": [1] * 8, "width": 640, "height": 480}), "is not a camera file"),
     "K with NaN": (
         camera_with('{"K": [[NaN,0,1],[0,1,1],[0,0,1]], "width": 640, "height": 480}'), "K holds"),
     "K with a focal length of 0": (
@@ -226,7 +226,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     "an image of negative height": (
         camera_with({"K": K, "width": 640, "height": -1}), "height is -1"),
     "an image width in words": (
-        camera_with({"K": K, "width": "wide", "height": 480}), "is no camera file"),
+        camera_with({"K": K, "width": "wide", "height": 480}), "is not a camera file"),
     # --- places to write --------------------------------------------------------------------
     "out is a file": (
         setup_then(read_only, "render", "--meshes", "@m", "--out", "@file"), "is a file"),

@@ -217,5 +217,5 @@ def test_a_table_takes_no_name_of_what_goes_beside_it(
     checkpoint = asset_path(f"weights/{weights}")
     result = run_cli(*command, "--checkpoint", checkpoint, "--out", out)
     assert result.code == 2
-    assert "goes beside the table" in result.err
+    assert "written beside the table" in result.err
     assert not out.exists()

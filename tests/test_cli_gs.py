@@ -141,7 +141,7 @@ def test_every_bad_input_gets_one_message(cli, grasps: Path, tmp_path: Path) -> 
     for options, told in (
         (("--grasps", tmp_path / "none"), "no such folder"),
         (("--grasps", tmp_path / "empty"), "holds no grasps"),
-        (("--grasps", tmp_path / "held"), "nothing to tell apart"),
+        (("--grasps", tmp_path / "held"), "nothing to learn"),
         (("--grasps", tmp_path / "one"), "at least 2 objects"),
         (("--grasps", other_robot), "another_hand"),
         (("--grasps", other_schema), "schema"),

@@ -76,6 +76,16 @@ def test_imports_run_downwards_only() -> None:
     assert not wrong, "\n".join(wrong)
 
 
+def test_planning_draws_nothing() -> None:
+    wrong = [
+        f"{module} imports {name}"
+        for module, path in modules().items()
+        for name in imports(path)
+        if room(module) == "planning" and room(name) == "viz" and name in modules()
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
 def test_no_module_imports_itself_through_others() -> None:
     known = modules()
     graph = {

@@ -149,7 +149,7 @@ def test_json_is_strict_and_says_null_for_what_is_not_there(plan: Plan) -> None:
     data = json.loads(text)
     assert data["q"] == [0.1, -0.2]
     assert data["link_clearance"]["arm"] == {"object": None, "table": 0.3}
-    assert data["rejected"][0]["room"]["obstacles"] is None
+    assert data["rejected"][0]["slack"]["obstacles"] is None
     none = json.loads(json.dumps(plan_as_json(no_plan(plan)), allow_nan=False))
     assert none["q"] is None
     assert none["reason"] == "motion"

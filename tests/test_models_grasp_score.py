@@ -266,7 +266,7 @@ def test_missing_and_exchanged_encoders_are_told(tmp_path: Path) -> None:
     load_grasp_model(path)
     elsewhere = tmp_path / "moved"
     encoder.rename(elsewhere)
-    with pytest.raises(InputError, match="is not there") as missing:
+    with pytest.raises(InputError, match="encoder of its training is missing") as missing:
         load_grasp_model(path)
     assert "--sdf" in missing.value.message
     load_grasp_model(path, elsewhere)

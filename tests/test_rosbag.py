@@ -275,5 +275,5 @@ def test_intrinsics_by_hand_replace_camera_info(tmp_path: Path, cli: Callable) -
 
 def test_options_of_bags_are_refused_for_images(tmp_path: Path, cli: Callable) -> None:
     shutil.copy(Path(__file__), tmp_path / "depth.png")
-    assert "is no bag" in cli("cloud", tmp_path / "depth.png", "--topic", "/depth").err
+    assert "is not a bag" in cli("cloud", tmp_path / "depth.png", "--topic", "/depth").err
     assert "--intrinsics" in cli("cloud", tmp_path / "depth.png").err

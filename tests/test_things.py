@@ -177,7 +177,7 @@ def test_a_target_that_is_not_there_is_told() -> None:
     assert "2 at" in str(caught.value)
     with pytest.raises(NoObjectError, match="pixel"):
         _chosen(scene, Target(pixel=(5.0, 400.0)))
-    with pytest.raises(InputError, match="knows no image"):
+    with pytest.raises(InputError, match="has no image"):
         choose(scene.listed, Target(pixel=(1, 1)), scene.world, scene.things.label, None, "a")
 
 

@@ -80,7 +80,7 @@ def test_two_processes_train_what_one_trains(spheres: Path, tmp_path: Path) -> N
         torch.testing.assert_close(weights[1][name], tensor, rtol=1e-3, atol=2e-4)
     refused = train(spheres, tmp_path / "three", 2, "--batch-size", "3")
     assert refused.returncode != 0
-    assert "cannot be shared out" in refused.stderr
+    assert "cannot be divided" in refused.stderr
 
 
 @pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
@@ -122,5 +122,5 @@ def test_shares_make_up_the_batch() -> None:
     shares = [Workers(rank, 3).share(batch) for rank in range(3)]
     assert torch.equal(torch.cat([share.cloud for share in shares]), batch.cloud)
     assert torch.equal(torch.cat([share.around.plane for share in shares]), batch.around.plane)
-    with pytest.raises(InputError, match="shared out"):
+    with pytest.raises(InputError, match="divided"):
         Workers(0, 4).share(batch)

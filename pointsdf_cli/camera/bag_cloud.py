@@ -17,7 +17,7 @@ from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.rosbag import MOST_FRAMES, Bag, DepthFrames, chain, open_bag
 
 STILL = 0.001
-"""The camera moved [m, rad] between the first and the last of several images."""
+"""Largest motion of the camera [m, rad] between the first and the last of several images."""
 
 
 @dataclass(frozen=True)
@@ -27,10 +27,10 @@ class BagOptions:
     Attributes:
         topic: Topic of the depth images; None for the only one with "depth" in its name.
         info_topic: Topic of their camera_info; None for the one beside it.
-        world_frame: The frame in which the camera's pose is wanted; None for no pose.
+        world_frame: World frame of the camera's pose; None for no pose.
         index: Number of the first image, from 0; negative ones count from the end.
-        time: If given, take the first image this many seconds after the bag's beginning.
-        frames: So many images, of which the median is taken.
+        time: Time of the first image, in seconds after the bag's beginning; None uses `index`.
+        frames: Number of images to take the median of.
 
     Raises:
         InputError: A number is out of its range.
@@ -69,13 +69,14 @@ def cloud_of_bag(
         path: The bag.
         options: Selection of images.
         intrinsics: Intrinsics as for `read_intrinsics`; None takes camera_info.
-        nearest, farthest: Depths [m] beyond which a reading is not believed.
+        nearest, farthest: Range of valid depths [m].
 
     Returns:
-        The cloud, the images that it is made of, and what there is to say about it.
+        The cloud, its images, and notes for the user.
 
     Raises:
-        InputError: No such bag or topic, no camera_info, or no way to the world's frame.
+        InputError: The bag or topic does not exist, or camera_info or the transforms to the world
+            frame are missing.
     """
     said = []
     with open_bag(path) as bag:
@@ -135,8 +136,7 @@ def _camera(bag: Bag, frames: DepthFrames, wanted: str | None) -> Camera:
             where=bag.path,
             allowed="the camera_info of the depth images themselves (--info-topic)",
         )
-    # A rectified image is what a camera with the matrix P sees, and the distortion is that of the
-    # image before.
+    # The matrix P belongs to the rectified image, the distortion to the image before rectification.
     rectified = "rect" in frames.topic and info.P[0, 0] > 0
     if not rectified and np.abs(info.distortion).max(initial=0.0) > SMALLEST_DISTORTION:
         raise InputError(

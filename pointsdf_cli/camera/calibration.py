@@ -25,7 +25,7 @@ from pointsdf_cli.io.board_images import list_images, match_poses, read_grey
 from pointsdf_cli.io.robot_poses import read_robot_poses
 
 MOST_EXPLAINED = 3
-"""Images in which another board is looked for, where this one is nowhere."""
+"""Number of images in which other boards are searched if this one is nowhere."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Calibration:
 
     Attributes:
         hand_eye: The poses and residuals of the images with a board.
-        images: Their names.
-        corners: Corners found in each.
+        images: Names of these images.
+        corners: Number of corners found in each.
         without_board: Names of the images in which no board was found.
         matched_by_name: Whether the poses carry the images' names.
     """
@@ -93,7 +93,7 @@ def calibrate_from_files(
         )
     except InputError as error:
         where = error.where or robot_poses
-        raise InputError(error.what, where=where, allowed=error.allowed, hint=error.hint) from error
+        raise InputError.of(error, where) from error
     return Calibration(
         solved,
         [paths[i].name for i in views],

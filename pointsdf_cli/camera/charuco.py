@@ -27,7 +27,7 @@ class CharucoBoard:
         square: Side of a square [m].
         marker: Side of a marker [m].
         dictionary: One of `DICTIONARIES`.
-        legacy: The pattern of OpenCV before 4.6, which differs where the rows are even.
+        legacy: The pattern of OpenCV before 4.6, which differs for even numbers of rows.
 
     Raises:
         InputError: A value is out of its range, or the dictionary has too few markers.
@@ -119,12 +119,12 @@ def find_board(image: NDArray[np.uint8], board: CharucoBoard) -> BoardView | Non
 
 
 def without_distortion(view: BoardView, camera: Camera, coefficients: Sequence[float]) -> BoardView:
-    """The corners where a camera without distortion would see them.
+    """Undistort the corners.
 
     Args:
         view: Corners as found.
         camera: Intrinsics.
-        coefficients: OpenCV's; none leaves the corners as they are.
+        coefficients: OpenCV's distortion coefficients; none leaves the corners unchanged.
     """
     if not len(coefficients):
         return view
@@ -145,8 +145,7 @@ def draw_board(board: CharucoBoard, per_square: int, margin: int) -> NDArray[np.
 
 
 def why_not_found(images: Sequence[NDArray[np.uint8]], board: CharucoBoard) -> str | None:
-    """Change of the board's description with which it is found in one of the images; None if none
-    helps.
+    """Advice on how to describe the board so that it is found in one of the images, or None.
 
     Args:
         images: Grey images [height, width] in which `find_board` found nothing.

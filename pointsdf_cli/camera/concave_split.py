@@ -1,4 +1,4 @@
-"""Separation of touching things where their surfaces meet in a valley."""
+"""Separation of touching objects at concave edges."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from pointsdf_cli.geometry.arrays import Array
 
 @dataclass(frozen=True)
 class SplitConfig:
-    """Thresholds of a valley that separates two things.
+    """Thresholds of the separation.
 
     Attributes:
-        radius: Neighbourhood [m] in which a surface is called concave.
-        depth: Mean height [m] of the neighbours above the tangent plane, averaged over them, in a
-            valley: about 1 mm where two boxes touch. That much is noise's too; the parts' size and
-            stand decide.
-        border: Points nearer to a valley than this [m] part surfaces with it: noise leaves gaps in
-            a valley.
-        gap: Points of one part are nearer to each other than this [m].
-        share: A part holds at least this share of the points.
-        foot: A part stands by itself if it begins lower than this [m] above the table ...
-        rise: ... rises higher than this [m] ...
-        base: ... and is at least this wide [m] in both level directions.
-        most: Larger clouds are not looked at.
+        radius: Radius of the neighbourhood in which concavity is measured [m].
+        depth: Mean height [m] of the neighbours above the tangent plane, averaged over them, at a
+            concave edge: about 1 mm where two boxes touch. Noise reaches this too; the size and the
+            foot of the parts decide.
+        border: Width of the strip along a concave edge that belongs to neither part at first [m]:
+            noise leaves gaps in the edge.
+        gap: Largest gap between points of one part [m].
+        share: Least share of the points in a part.
+        foot: Largest height of the lowest point of a part that stands by itself [m].
+        rise: Least height of its highest point [m].
+        base: Its least width in both level directions [m].
+        most: Largest number of points; larger clouds are not split.
     """
 
     radius: float = 0.012
@@ -46,14 +46,14 @@ def standing_parts(
 ) -> tuple[NDArray[np.int64], frozenset[int]]:
     """Split a group of points at concave edges into parts that stand by themselves.
 
-    Two surfaces that meet in a valley belong to two things as a rule (Stein et al. 2014, "Object
-    partitioning using local convexity"); a handle also meets a mug so, but does not
-    stand by itself.
+    Surfaces that meet at a concave edge usually belong to two objects (Stein et al. 2014, "Object
+    partitioning using local convexity"). A handle also meets its mug so, but does not stand by
+    itself.
 
     Args:
         points: [N, 3], world, m, one a voxel.
-        height: [N], above the table, m.
-        camera: [3], where it stood, m.
+        height: [N], heights above the table, m.
+        camera: [3], position of the camera, m.
         config: Thresholds.
 
     Returns:
@@ -111,7 +111,7 @@ def _valley(
     normal = normal * np.where(((camera - points) * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     # The centre of the neighbours is above a valley's bottom and below a ridge's top.
     rise = ((centre - points) * normal).sum(axis=1)
-    # Smoothed over the neighbours, so that noise does not part surfaces.
+    # Smoothed over the neighbours, so that noise does not separate surfaces.
     mean = (rise[neighbour] * weight).sum(axis=1) / total[:, 0]
     return (mean > config.depth) & (total[:, 0] >= 8)
 

@@ -1,4 +1,4 @@
-"""A depth image as a point cloud."""
+"""Back-projection of depth images to point clouds."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import Cloud, DepthImage
 
 OFF_CENTRE = 0.22
-"""A principal point farther from the middle than this share of the image is worth a warning: half
-or twice the resolution makes 0.25 or more."""
+"""Distance of the principal point from the image's middle, as a share of its size, above which a
+warning is given: intrinsics of half or twice the resolution make 0.25 or more."""
 
 
 def cloud_of_depth(
@@ -22,14 +22,14 @@ def cloud_of_depth(
     nearest: float = 0.05,
     farthest: float = 5.0,
 ) -> Cloud:
-    """Every pixel that has a depth, back-projected; camera frame.
+    """Back-project every pixel with a valid depth; camera frame.
 
     Args:
-        depth: [height, width], m along z; 0 where there is none.
-        camera: Its intrinsics.
-        T_world_camera: [4, 4], kept with the cloud; None if it is not known.
+        depth: [height, width], m along z; 0 without a measurement.
+        camera: Intrinsics of the depth image.
+        T_world_camera: [4, 4], stored with the cloud; None if it is not known.
         colours: [height, width, 3], registered to the depth image; None for none.
-        nearest, farthest: Depths [m] beyond which a reading is not believed.
+        nearest, farthest: Range of valid depths [m].
 
     Raises:
         InputError: The sizes differ, or no pixel has a depth within the limits.
@@ -99,14 +99,14 @@ def _scale_hint(seen: NDArray[np.float64], nearest: float, farthest: float) -> s
         low, high = factor * seen.min(), factor * seen.max()
         if nearest <= low and high <= farthest:
             return (
-                f"multiply --depth-scale (0.001 by default for whole numbers) by {factor:g}: the "
-                f"depths are then {low:.2g} to {high:.2g} m"
+                f"multiply --depth-scale by {factor:g}: the default 0.001 of whole numbers becomes "
+                f"--depth-scale {0.001 * factor:g}, and the depths {low:.2g} to {high:.2g} m"
             )
     return "check --depth-scale: 0.001 if the numbers are millimetres, 1 for metres"
 
 
 def _off_centre(camera: Camera) -> tuple[str, ...]:
-    """A warning where the principal point shows intrinsics of another resolution; or none."""
+    """Warning that the intrinsics seem to be of another resolution; empty if they do not."""
     off = abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5)
     if max(off) <= OFF_CENTRE:
         return ()

@@ -38,20 +38,20 @@ LARGEST_ERROR = 10.0
 OUTLIER, OUTLIER_PIXELS = 4.0, 1.0
 """Factor over the median error, and error in pixels, above which an image is left out."""
 SUBSETS = 60
-"""Random triples of images that the fit may start from, so that one wrong pose spoils none."""
+"""Number of random triples of images tried as starts of the fit, against wrong poses."""
 
 
 @dataclass(frozen=True)
 class HandEye:
-    """A calibration and how well the images agree with it.
+    """A calibration and its residuals.
 
     Attributes:
         X: T_base_camera [4, 4] (eye-to-hand) or T_gripper_camera (eye-in-hand).
         Z: T_gripper_board or T_base_board.
         pixels: [N] root-mean-square reprojection error of each image [px].
-        millimetres: [N] distance between the board's middle as the robot's pose places it and as
-            the image alone does.
-        degrees: [N] angle between the two.
+        millimetres: [N] distance between the board's centre by the robot's pose and by the image
+            alone.
+        degrees: [N] angle between these two poses of the board.
         used: [N] whether the image took part in the fit.
         sigma_millimetres, sigma_degrees: Standard deviation of X's position and rotation, from the
             scatter between images.
@@ -100,7 +100,7 @@ def calibrate_hand_eye(
     eye_in_hand: bool,
     seed: int = 0,
 ) -> HandEye:
-    """The camera's pose from views of a board and the robot's poses.
+    """Compute the camera's pose from views of a board and the robot's poses.
 
     Args:
         T_base_gripper: [N, 4, 4] in m, one an image.
@@ -159,7 +159,7 @@ def check_poses(T_base_gripper: Array) -> None:
         first, second = np.degrees(spread[:2])
         raise InputError(
             f"the robot's poses differ by {first:.1f}° about one axis and by {second:.1f}° about "
-            "all others, which does not determine the camera's place",
+            "all others: too little to determine the camera's position",
             allowed=f"rotations about two axes or more, at least {np.degrees(SMALLEST_SPREAD):g}° "
             "and better 30°",
             hint="tilt the gripper to all sides between the images",
@@ -220,7 +220,8 @@ def _start(seen: _Observations, alone: Array, rng: np.random.Generator) -> HandE
 
 
 def _agreeing(rms: Array, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Images with an error close to that of the images in use; never fewer than half."""
+    """Mask of the images with an error close to that of the images in use; never fewer than
+    half."""
     limit = max(OUTLIER * float(np.median(rms[used])), OUTLIER_PIXELS, float(np.median(rms)))
     return np.asarray(rms <= limit)
 
@@ -246,8 +247,8 @@ def _moved(poses: HandEyePoses, change: Array) -> HandEyePoses:
 def _standard_deviations(
     seen: _Observations, poses: HandEyePoses, images: Sequence[int]
 ) -> tuple[float, float]:
-    """Standard deviations of X's position [m] and rotation [rad]. Errors of one image, which share
-    a robot pose, are taken together (cluster-robust covariance)."""
+    """Standard deviations of X's position [m] and rotation [rad], by a cluster-robust covariance:
+    the errors of one image share a robot pose."""
 
     def residuals(change: Array, i: int) -> Array:
         return seen.errors(_moved(poses, change), [i])[0].ravel()

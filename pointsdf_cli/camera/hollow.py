@@ -1,4 +1,4 @@
-"""Bowls in one piece: near wall, far wall, and a floor as low as the table."""
+"""Completion of bowls in a segmentation: near wall, far wall, and a floor as low as the table."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ class HollowConfig:
     """Thresholds of the inside of a bowl.
 
     Attributes:
-        cell: The image is looked at in cells that are this wide [m] at the group.
-        edge: So many cells beside an island belong to its border: an edge returns no depth.
-        own: A floor's border is the bowl's to this share.
-        both: The walls of one bowl have this share of the border together ...
-        each: ... and this one each, and are no farther apart than `gap` [m].
-        within: This share of the floor is within the walls, seen from above.
-        fewest: Cells of a floor that joins two walls.
-        widest: Wider groups [m] are not looked at.
+        cell: Width of the image's cells at the distance of the group [m].
+        edge: Width of an island's border in cells: edges return no depth.
+        own: Least share of a floor's border on one bowl.
+        both: Least share of the border on both walls of one bowl.
+        each: Least share of the border on each of the two walls.
+        gap: Largest distance between the two walls [m].
+        within: Least share of the floor within the walls, seen from above.
+        fewest: Least number of cells of a floor that joins two walls.
+        widest: Largest width of a group [m]; wider ones are skipped.
     """
 
     cell: float = 0.0035
@@ -42,22 +43,22 @@ class HollowConfig:
 def whole_bowls(
     points: Array, group: Labels, flat: Array, camera: Array, config: HollowConfig | None = None
 ) -> tuple[Labels, Labels]:
-    """Join the walls of a bowl, and give it its floor.
+    """Join the walls of a bowl and its floor.
 
-    In the image, the floor of a bowl is an island of what looks like the table, with the far wall
-    behind it and the near rim before it; seen from above it is within the walls. What is seen
-    through the handle of a mug is an island too, and lies outside.
+    In the image, the floor of a bowl is an island of points at table height, between the far wall
+    and the near rim; seen from above it is within the walls. The table seen through the handle of a
+    mug is an island too, but lies outside the walls.
 
     Args:
-        points: [N, 3], above the table, world, m.
-        group: [N], which of them hang together, from 0.
-        flat: [M, 3], on the table as it seems, world, m.
-        camera: [3], where it stood, m.
+        points: [N, 3], points above the table, world, m.
+        group: [N], cluster of each, from 0.
+        flat: [M, 3], points at table height, world, m.
+        camera: [3], position of the camera, m.
         config: Thresholds.
 
     Returns:
-        The group [N] of each point, those of one bowl being equal, and the group [M] of each flat
-        point: that of the bowl whose floor it is, or -1.
+        The group [N] of each point, with the walls of a bowl in one group, and the group [M] of
+        each flat point: that of its bowl, or -1.
     """
     config = config or HollowConfig()
     joined = group.copy()
@@ -86,7 +87,7 @@ def _claim(
     border: Labels,
     config: HollowConfig,
 ) -> None:
-    """Give an island (indices of flat points) to group `one`, with another wall if it has two."""
+    """Assign an island (indices of flat points) to group `one`, and join its other wall if any."""
     groups, counts = np.unique(border, return_counts=True)
     share = dict(zip(groups.tolist(), (counts / len(border)).tolist(), strict=True))
     mine = share.pop(one, 0.0)
@@ -114,8 +115,7 @@ def _claim(
 
 
 def _tangents(points: Array, flat: Array, camera: Array) -> tuple[Array, Array]:
-    """Positions of points [N, 3] and flat ones [M, 3] in an image that looks at the points'
-    middle."""
+    """Positions of points [N, 3] and flat ones [M, 3] in an image centred on the points."""
     forward = np.median(points, axis=0) - camera
     forward /= np.linalg.norm(forward)
     side = np.cross(forward, [0.0, 0.0, 1.0])
@@ -158,7 +158,7 @@ def _islands(
     low_cells[flat_at] = True
     square = np.ones((3, 3))
     low_cells &= things < 0
-    # A rim returns no depth here and there: a gap of four cells in it lets nothing out.
+    # A rim has gaps without depth: gaps of up to four cells count as closed.
     wide_open = scipy.ndimage.convolve(low_cells.astype(np.int8), np.ones((5, 5), np.int8)) >= 20
     label, _ = scipy.ndimage.label(low_cells & wide_open, square)
     for _ in range(2):

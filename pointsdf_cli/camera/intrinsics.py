@@ -1,4 +1,4 @@
-"""Intrinsics in the forms in which cameras and their drivers write them."""
+"""Readers of camera intrinsics in common formats."""
 
 from __future__ import annotations
 
@@ -39,17 +39,16 @@ LENSES = (
 def read_intrinsics(
     name: str, width: int | None = None, height: int | None = None, image: str = "the depth image"
 ) -> Camera:
-    """The camera of an image of `width` × `height` pixels.
+    """Read the camera of an image of `width` × `height` pixels.
 
     Args:
         name: A file in one of `FORMS` (JSON or YAML), or a camera's name.
-        width, height: Size of the image; a file that gives another one is refused. None if the
-            image is not at hand: the camera's own size is then the file's, or twice the principal
-            point.
-        image: Subject of the size, for messages.
+        width, height: Size of the image; a file that gives another one is refused. If None, the
+            camera's size is the file's, or twice the principal point.
+        image: Name of the image, for messages.
 
     Raises:
-        InputError: No such file or form, another image size, or a camera that bends the picture.
+        InputError: The file or its form is unknown, its image size differs, or it has distortion.
     """
     camera, data = _read(name, width, height, image)
     _check_distortion(data, Path(name))
@@ -57,7 +56,7 @@ def read_intrinsics(
 
 
 def read_lens(name: str, width: int, height: int) -> tuple[Camera, tuple[float, ...]]:
-    """The camera of an image of `width` × `height` pixels and its distortion.
+    """Read the camera of an image of `width` × `height` pixels and its distortion.
 
     Args:
         name: A file in one of `FORMS` (JSON or YAML), or a camera's name.
@@ -68,7 +67,8 @@ def read_lens(name: str, width: int, height: int) -> tuple[Camera, tuple[float, 
         camera.
 
     Raises:
-        InputError: No such file or form, another image size, or another model of distortion.
+        InputError: The file or its form is unknown, its image size differs, or its distortion model
+            is not supported.
     """
     camera, data = _read(name, width, height, "the image")
     return camera, _coefficients(data, Path(name))
@@ -85,7 +85,7 @@ def _read(
         return camera, {}
     data, path = _load(name), Path(name)
     if isinstance(data, Mapping):
-        # One number, or ROS calibration's names, say as well that it is of another image.
+        # A single dimension, or the names of ROS calibration, also tell another image size.
         mine, mine_high = (
             next((_whole(data[name], path) for name in names if data.get(name) is not None), own)
             for names, own in ((_WIDTH, width), (_HEIGHT, height))
@@ -100,7 +100,7 @@ def _read(
     try:
         camera = Camera(width, height, fx, fy, cx, cy)
     except InputError as error:
-        raise InputError(error.what, where=path, allowed=error.allowed) from error
+        raise InputError.of(error, path) from error
     if not (0 <= cx < width and 0 <= cy < height):
         raise InputError(
             f"has its principal point ({cx:g}, {cy:g}) outside the image of {width} × {height}",
@@ -147,14 +147,14 @@ def _numbers(data: Mapping[str, Any], path: Path) -> tuple[float, float, float, 
             # Open3D alone writes columns first.
             return _of_matrix(data[key], key == "intrinsic_matrix", path)
     raise InputError(
-        f"holds no intrinsics, but {', '.join(map(str, data)) or 'nothing'}",
+        f"has no intrinsics, only {', '.join(map(str, data)) or 'nothing'}",
         where=path,
         allowed=FORMS,
     )
 
 
 def _entries(value: Any) -> np.ndarray | None:
-    """The 9 numbers of a matrix however it is nested; None if it is no matrix."""
+    """The 9 numbers of a matrix in any nesting; None if it is not a matrix."""
     if isinstance(value, Mapping):
         value = value.get("data")
     try:
@@ -193,8 +193,8 @@ def _check_distortion(data: Mapping[str, Any], path: Path) -> None:
             continue  # a name of a model, not its numbers
         if not largest <= SMALLEST_DISTORTION:
             raise InputError(
-                f"`{key}` says that the camera bends the picture (up to {largest:g}), and a "
-                "pinhole camera is needed",
+                f"`{key}` gives the camera distortion (up to {largest:g}), but a pinhole camera is "
+                "needed",
                 where=path,
                 allowed="all distortion coefficients 0",
                 hint="rectify the depth image first (ROS: depth_image_proc or image_proc; OpenCV: "

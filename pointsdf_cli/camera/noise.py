@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 
 REFERENCE_DEPTH = 1.5
-"""The depth [m] at which the noise is stated."""
+"""Depth [m] of the stated standard deviation."""
 
 
 @dataclass(frozen=True)

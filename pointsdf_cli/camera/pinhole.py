@@ -91,10 +91,10 @@ CAMERAS = {
 
 
 def load_camera(name: str) -> Camera:
-    """A camera by name, or from a JSON file `{"width": …, "height": …, "K": [[…], […], […]]}`.
+    """Camera by name, or from a JSON file `{"width": …, "height": …, "K": [[…], […], […]]}`.
 
     Raises:
-        InputError: Neither a known name nor such a file.
+        InputError: It is neither a known name nor such a file.
     """
     if name in CAMERAS:
         return CAMERAS[name]
@@ -110,7 +110,7 @@ def load_camera(name: str) -> Camera:
             raise ValueError("K must have 9 entries, width and height must be whole numbers")
     except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(
-            f"is no camera file ({type(error).__name__}: {error})", where=path, allowed=form
+            f"is not a camera file ({type(error).__name__}: {error})", where=path, allowed=form
         ) from error
     matrix = matrix.reshape(3, 3)
     if matrix[0, 1] != 0 or np.abs(matrix[[1, 2, 2], [0, 0, 1]]).max() != 0 or matrix[2, 2] != 1:
@@ -120,4 +120,4 @@ def load_camera(name: str) -> Camera:
     try:
         return Camera(width, height, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
     except InputError as error:
-        raise InputError(error.what, where=path, allowed=error.allowed) from error
+        raise InputError.of(error, path) from error

@@ -1,4 +1,4 @@
-"""Depth images of meshes by ray casting, within the part of the image that a mesh covers."""
+"""Depth images of meshes by ray casting, limited to the mesh's box in the image."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.geometry.open3d_core import o3d
 
 _BEHIND = 1e-3
-"""Vertices nearer to the image plane than this [m] cannot be projected: cast the whole image."""
+"""Least distance [m] of vertices from the camera's plane; if any is nearer, the whole image is
+cast."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class DepthPatch:
     Attributes:
         u, v: i8 [H], pixel coordinates, row by row.
         depth: f4 [H], m along z.
-        covered: Fraction of the whole image that they make.
+        covered: Fraction of the whole image that they cover.
     """
 
     u: NDArray[np.int64]
@@ -49,7 +50,7 @@ class DepthWindow:
 
 
 class MeshCaster:
-    """Casts rays of a pinhole camera at one mesh.
+    """Ray caster of a pinhole camera for one mesh.
 
     Args:
         vertices: [V, 3], mesh frame, m.
@@ -73,7 +74,7 @@ class MeshCaster:
         self._box = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
 
     def cast(self, T_camera_object: NDArray[np.float64]) -> DepthPatch:
-        """Exact depths of the mesh seen from a camera in which it stands at `T_camera_object`."""
+        """Exact depths of the mesh at the pose `T_camera_object` [4, 4] in the camera's frame."""
         left, right, top, bottom = self._window(T_camera_object)
         hits, _ = self._cast(T_camera_object, (left, right, top, bottom))
         depth = hits["t_hit"].numpy()
@@ -91,7 +92,7 @@ class MeshCaster:
 
         Args:
             T_camera_object: [4, 4], the mesh frame in the camera's.
-            margin: Added on each side, as a share of the longer side of the mesh's box.
+            margin: Margin on each side, as a share of the longer side of the mesh's box.
             window: Columns [left, right) and rows [top, bottom) to cast instead.
         """
         if window is None:

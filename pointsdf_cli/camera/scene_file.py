@@ -19,18 +19,19 @@ from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES, read_colour, read_depth
 
 @dataclass(frozen=True)
 class SceneFileOptions:
-    """Options for reading a file. Those for the other kind of file must be None or their default.
+    """Options for reading a depth image or a cloud; those of the other kind must keep their
+    default.
 
     Attributes:
-        intrinsics: A file or a camera's name. With a depth image: its own. With a cloud: those of
-            the image that a mask or a pixel refers to.
-        depth_scale: Metres a unit of a depth image; None for 0.001 for whole numbers, 1 for floats.
-        near, far: Readings of a depth image beyond these depths [m] are dropped.
+        intrinsics: A file or a camera's name: intrinsics of the depth image, or for a cloud of the
+            image to which a mask or a pixel refers.
+        depth_scale: Metres per unit of a depth image; None: 0.001 for integers, 1 for floats.
+        near, far: Range of valid depths [m] of a depth image.
         colour: Colour image, registered to the depth image.
-        mask: Image of the depth image's size that is not 0 where the object is; `FILE:NUMBER` takes
-            the pixels of that number.
+        mask: Image of the depth image's size, nonzero on the object; `FILE:NUMBER` uses the pixels
+            of that value.
         unit: Unit of a cloud.
-        frame: "camera" or "world", whatever a cloud says; None for what it says.
+        frame: Frame of a cloud, "camera" or "world"; None for the file's own.
         drop_invalid: Leave out points of a cloud that are not finite.
     """
 
@@ -46,7 +47,7 @@ class SceneFileOptions:
 
 
 def is_depth_image(path: Path, intrinsics: str | None) -> bool:
-    """Whether a file is read as a depth image; an NPY file is if intrinsics are given with it."""
+    """Whether a file is read as a depth image: by its suffix; NPY files if intrinsics are given."""
     suffix = path.suffix.lower()
     if suffix in CLOUD_SUFFIXES:
         return suffix in DEPTH_SUFFIXES and intrinsics is not None
@@ -54,15 +55,15 @@ def is_depth_image(path: Path, intrinsics: str | None) -> bool:
 
 
 def read_view(path: Path, options: SceneFileOptions, T_world_camera: Array | None = None) -> Cloud:
-    """Read one view, with the image that it came from where that is known.
+    """Read one view, with its image if there is one.
 
     Args:
         path: A depth image or a cloud.
         options: Options for reading.
-        T_world_camera: [4, 4], whatever a cloud says; None for what it says.
+        T_world_camera: [4, 4], overrides a cloud's own pose; None for that.
 
     Raises:
-        InputError: It cannot be read, or an option does not fit it.
+        InputError: The file cannot be read, or an option does not fit it.
     """
     if is_depth_image(path, options.intrinsics):
         return _read_depth_view(path, options, T_world_camera)
@@ -72,7 +73,7 @@ def read_view(path: Path, options: SceneFileOptions, T_world_camera: Array | Non
     if options.intrinsics is None:
         if options.mask is not None:
             raise InputError(
-                "a mask for a cloud that knows no image",
+                "a mask, but the cloud has no image",
                 where="--mask",
                 hint="add --intrinsics K.json of the mask's camera",
             )
@@ -81,16 +82,16 @@ def read_view(path: Path, options: SceneFileOptions, T_world_camera: Array | Non
 
 
 def masked(cloud: Cloud) -> Cloud:
-    """The points of a cloud that its mask says are the object's; all where it has none."""
+    """The points of a cloud under its mask; all without a mask."""
     return cloud if cloud.mask is None else replace(_kept(cloud, cloud.mask), mask=None)
 
 
 def cleaned_view(cloud: Cloud, whole_scene: bool) -> tuple[Cloud, str]:
-    """Cloud in the camera's frame without points that no surface returned, and their count.
+    """Clean a cloud; returns it in the camera's frame, with a report.
 
     Args:
         cloud: Cloud of a depth image.
-        whole_scene: Only flying pixels go; of an object's cloud also outliers and specks.
+        whole_scene: Drop only flying pixels; otherwise also outliers and specks.
     """
     if not whole_scene:
         found = clean(cloud.points)
@@ -117,7 +118,7 @@ def _kept(cloud: Cloud, kept: NDArray[np.bool_]) -> Cloud:
 def _read_depth_view(path: Path, options: SceneFileOptions, T_world_camera: Array | None) -> Cloud:
     if options.intrinsics is None:
         raise InputError(
-            "is read as a depth image, and nothing says what its camera's intrinsics are",
+            "is read as a depth image, but its intrinsics are not given",
             where=path,
             allowed=f"a depth image with --intrinsics, or a cloud ({', '.join(CLOUD_SUFFIXES)})",
             hint="add --intrinsics K.json",
@@ -126,7 +127,7 @@ def _read_depth_view(path: Path, options: SceneFileOptions, T_world_camera: Arra
         raise InputError("--frame world with a depth image", where=path, allowed="--frame camera")
     if options.unit != "m":
         raise InputError(
-            "--unit with a depth image", where=path, hint="--depth-scale says what a unit is"
+            "--unit with a depth image", where=path, hint="use --depth-scale (metres per unit)"
         )
     depth = read_depth(path, options.depth_scale)
     height, width = depth.shape
@@ -136,7 +137,7 @@ def _read_depth_view(path: Path, options: SceneFileOptions, T_world_camera: Arra
         cloud = cloud_of_depth(depth, camera, T_world_camera, colours, options.near, options.far)
     except InputError as error:
         where = error.where or path
-        raise InputError(error.what, where=where, allowed=error.allowed, hint=error.hint) from error
+        raise InputError.of(error, where) from error
     if options.mask is None:
         return cloud
     mask = read_mask(options.mask, (height, width))
@@ -146,7 +147,7 @@ def _read_depth_view(path: Path, options: SceneFileOptions, T_world_camera: Arra
 
 
 def _projected(cloud: Cloud, options: SceneFileOptions) -> Cloud:
-    """A cloud with the pixels that its points are seen at, and the mask's word on each."""
+    """A cloud with the pixel of each point, and its value in the mask."""
     points, _ = cloud.in_camera_frame()
     assert options.intrinsics is not None
     if options.mask is None:

@@ -1,4 +1,4 @@
-"""Segmentation of the object in a cloud with table, robot and other things."""
+"""Segmentation of one object in a cloud with a table."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from pointsdf_cli.geometry.box import strictly_inside
 
 @dataclass(frozen=True)
 class SegmentationConfig:
-    """Thresholds of the object.
+    """Workspace and thresholds of the segmentation.
 
     Attributes:
         low, high: Corners of the workspace in the world [m]; the table top is near z = 0.
-        plane_search: The table's plane is looked for within this height [m] of z = 0.
-        plane_tilt: It leans by no more than this [rad]; a pose calibrated by hand is off by less.
-        plane_share: At least this share of the points near z = 0 must lie on it to be a table.
+        plane_search: Largest height [m] of the table's plane above or below z = 0.
+        plane_tilt: Largest tilt of the plane [rad]; poses calibrated by hand err by less.
+        plane_share: Least share of the points near z = 0 on a plane that is a table.
         plane_band: Points nearer to the plane than this [m] belong to the table.
-        gap: Points of one object are nearer to each other than about this [m].
-        fewest: Fewer points than this are no object.
+        gap: Largest gap between points of one object [m].
+        fewest: Least number of points of an object.
     """
 
     low: tuple[float, float, float] = (0.25, -0.6, -0.05)
@@ -54,14 +54,14 @@ class SegmentationConfig:
 
 @dataclass(frozen=True)
 class Segmentation:
-    """Result for a cloud of N points: those kept, and the fate of the others.
+    """Segmentation of N points: a mask of the object, and masks of the others by reason.
 
     Attributes:
         kept: bool [N], the object.
         outside: bool [N], beyond the workspace, or not finite.
         table: bool [N], on or below the table's plane.
-        other: bool [N], in the workspace and above the table, but not of the largest cluster.
-        plane: [4], (unit normal, offset) of the table: n·x = offset; None where none was seen.
+        other: bool [N], in the workspace and above the table, but not in the kept cluster.
+        plane: [4], (unit normal, offset) of the table: n·x = offset; None if none was seen.
         clusters: Sizes of all clusters, the largest first.
     """
 
@@ -89,7 +89,7 @@ def segment_object(
 ) -> Segmentation:
     """Crop to the workspace, remove the table, keep the largest cluster.
 
-    Nothing but the points is used, so that a simulated and a real cloud are treated alike.
+    Only the points are used, so simulated and real clouds are treated alike.
 
     Args:
         points: [N, 3], world, m; rows that are not finite are dropped.
@@ -140,7 +140,7 @@ def segment_object(
 
 
 def find_table(points: Array, config: SegmentationConfig) -> Array | None:
-    """The plane [4] that most points near z = 0 lie on; None if there is no such plane.
+    """The plane [4] through most points near z = 0; None if there is no such plane.
 
     Random sampling of triples, then two rounds of least squares. The seed is fixed: the same
     cloud gives the same plane.
@@ -184,7 +184,7 @@ def find_table(points: Array, config: SegmentationConfig) -> Array | None:
 
 
 def clusters(points: Array, gap: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """A label for each point and the size of each cluster: neighbouring cells of a grid."""
+    """Label of each point and size of each cluster, by connected cells of a grid."""
     low = points.min(axis=0)
     cells = np.floor((points - low) / gap).astype(np.int64)
     grid = np.zeros(cells.max(axis=0) + 1, dtype=bool)

@@ -59,10 +59,10 @@ class DepthSensor:
         name: Its name in `sensor_presets.py`.
         noise: Gaussian noise of the ideal camera.
         focal: Focal length of the sensor's own images [px].
-        baseline: Between imager and projector, or between both imagers [m].
+        baseline: Distance between imager and projector, or between both imagers [m].
         shadow_left, shadow_right: Baselines [m] of the shadows to the left and right of an object:
-            how far the projector or an imager stands to its left (shadow on the right) or to its
-            right (shadow on the left) of the camera that the depth image is registered to.
+            distance of the projector or an imager to the right (shadow on the left) or to the left
+            (shadow on the right) of the camera to which the depth image is registered.
         displacement: σ of the lateral displacement of edges [px].
         displacement_window: Length over which the displacement is correlated [px].
         registration: σ of the low-frequency displacement of whole objects [px].
@@ -71,7 +71,7 @@ class DepthSensor:
         edge_slope: tan of the incidence beyond which two neighbouring pixels are a depth edge.
         missing_at_edge: Probability of no return at a depth edge.
         missing_reach: Distance from the edge at which it has fallen to 1/e [px].
-        missing_patches: Share of surfaces that return nothing, as dark or shiny patches.
+        missing_patches: Share of surfaces without a return, in patches, like dark or shiny ones.
         patch_window: Length over which these are correlated [px].
         missing_grazing: Probability of no return at an incidence of 90°.
         missing_angle: Incidence from which returns are lost [rad].
@@ -174,10 +174,10 @@ class DepthSensor:
         """Measured depths of a scene.
 
         Args:
-            depth: f4 [h, w], exact depths along z [m] of all that is seen in a window of the
-                camera's image; 0 or inf where there is nothing.
+            depth: f4 [h, w], exact depths along z [m] in a window of the camera's image; 0 or inf
+                for empty pixels.
             camera: Intrinsics of the whole image.
-            rng: Source of the errors.
+            rng: Random generator of the errors.
             origin: Column and row of the window's first pixel in the image.
             cos_incidence: f4 [h, w], cosine of the angle between ray and surface normal; None
                 computes it from `depth`.

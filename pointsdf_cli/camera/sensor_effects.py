@@ -20,13 +20,13 @@ from pointsdf_cli.geometry.arrays import Mask
 Image = NDArray[np.float32]
 
 INCIDENCES = np.arccos((np.arange(64) + 0.5) / 64)
-"""Angles of incidence [rad] that stand for 64 equal steps of the cosine."""
+"""Angles of incidence [rad] at 64 equal steps of the cosine."""
 
 _ROUNDING = 0.01
-"""Columns [px] that are no farther apart than this are the same one."""
+"""Largest distance [px] of columns that count as the same one."""
 
 STEEPEST = 1.4
-"""Incidence [rad] beyond which the axial noise grows no more: there it would have no bound."""
+"""Incidence [rad] beyond which the axial noise is constant: its formula diverges."""
 
 
 def inverse_depth(depth: Image) -> Image:
@@ -40,7 +40,7 @@ def inverse_depth(depth: Image) -> Image:
 def gradient(inverse: Image) -> tuple[Image, Image]:
     """Slopes of w along columns and rows [1/(m·px)].
 
-    Of the differences to either side the smaller is taken: it does not cross an edge.
+    The smaller of the differences to both sides is used: it does not cross an edge.
     """
     return _smaller_difference(inverse), _smaller_difference(inverse.T).T
 
@@ -92,7 +92,7 @@ def smooth_noise(shape: tuple[int, ...], window: float, rng: np.random.Generator
 
 def _splines(pixels: int, window: float) -> Image:
     """Cubic B-splines [pixels, knots], a knot every `window` pixels, rows of unit norm."""
-    # Windows are of all sizes: the rows of one that is somewhat larger are the same.
+    # Cached by rounded-up size: the rows of a larger window are the same.
     larger = _spline_table(-(-pixels // 128) * 128, window)
     return larger[:pixels, : math.ceil((pixels - 1) / window) + 3]
 
@@ -111,13 +111,13 @@ def _spline_table(pixels: int, window: float) -> Image:
 def displaced(
     inverse: Image, slopes: tuple[Image, Image], edges: Image, whole: Image
 ) -> tuple[Image, NDArray[np.int32]]:
-    """Inverse depths that were displaced.
+    """Displace inverse depths.
 
     Args:
         inverse: Inverse depths.
         slopes: Their gradient.
-        edges: Displacement (u, v) [2, h, w] of edges alone [px]: the surface at the displaced pixel
-            is continued as a plane to the pixel itself.
+        edges: Displacement (u, v) [2, h, w] of edges alone [px]: the plane of the surface at the
+            displaced pixel is extrapolated to the pixel itself.
         whole: Displacement (u, v) [2, h, w] of surfaces and edges [px].
 
     Returns:
@@ -132,7 +132,7 @@ def displaced(
     at = v * np.int32(columns) + u
     taken = inverse.take(at)
     found = taken - slopes[0].take(at) * edges[0] - slopes[1].take(at) * edges[1]
-    # No plane is continued to where it is half as near or as far again.
+    # Limit the extrapolation to a factor in depth.
     return np.clip(found, taken / np.float32(1.5), taken * np.float32(1.5)), at
 
 
@@ -208,13 +208,13 @@ def rarer_than(
     cosine: Image,
     drawn: Image,
 ) -> Mask:
-    """Pixels whose normal number `drawn` falls into the share that `probability` gives.
+    """Draw pixels with given probabilities, from correlated normal numbers.
 
     Args:
-        probability: [D, 64], by distance [px] and by cosine in `INCIDENCES`' steps.
-        distance: [h, w], below D.
-        cosine: [h, w], 0 to 1.
-        drawn: [h, w], normally distributed.
+        probability: [D, 64], by distance [px] and by cosine in the steps of `INCIDENCES`.
+        distance: [h, w], distance of each pixel, below D.
+        cosine: [h, w], cosine of each pixel, 0 to 1.
+        drawn: [h, w], normally distributed numbers.
     """
     limit = scipy.special.ndtri(np.clip(probability, 1e-12, 1 - 1e-12)).astype(np.float32)
     steps = len(INCIDENCES)
@@ -224,7 +224,7 @@ def rarer_than(
 
 
 def flying_pixels(inverse: Image, edges: Mask, share: float, rng: np.random.Generator) -> Image:
-    """Inverse depths of which a `share` of those at edges lies between both sides."""
+    """Replace a `share` of the inverse depths at edges by values between both sides."""
     at = np.flatnonzero(edges)
     at = at[rng.random(len(at), dtype=np.float32) < share]
     if not len(at):
@@ -232,7 +232,7 @@ def flying_pixels(inverse: Image, edges: Mask, share: float, rng: np.random.Gene
     nearest, farthest = _dilated(inverse).ravel()[at], -_dilated(-inverse).ravel()[at]
     found = inverse.copy()
     between = rng.random(len(at), dtype=np.float32)
-    # Where one side is nothing there is no depth between.
+    # At an edge to empty space there is no depth between.
     mixed = np.where(farthest > 0, farthest + between * (nearest - farthest), found.ravel()[at])
     found.ravel()[at] = mixed
     return found
@@ -257,7 +257,7 @@ def nguyen_deviation(
 
 
 def quantised(depth: Image, factor: float, step: float) -> Image:
-    """Depths whose disparity factor/z [px] is rounded to whole steps.
+    """Round the disparities factor/z [px] of depths to whole steps.
 
     Args:
         depth: [h, w], m.

@@ -75,9 +75,9 @@ SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
 
 
 def without_ideal(config: dict[str, Any]) -> dict[str, Any]:
-    """Settings for `config_json` with the parameters of their `sensor` instead of its name.
+    """Settings for `config_json`, with the sensor's parameters instead of its name.
 
-    The ideal sensor is left out: files of earlier versions, which had no other, stay valid.
+    The ideal sensor is omitted, so that files of earlier versions stay valid.
     """
     known = dict(config)
     sensor = load_sensor(known.pop("sensor"))
@@ -85,10 +85,10 @@ def without_ideal(config: dict[str, Any]) -> dict[str, Any]:
 
 
 def load_sensor(name: str) -> DepthSensor:
-    """The preset `name`.
+    """Sensor of a preset.
 
     Raises:
-        InputError: No such preset.
+        InputError: There is no preset of this name.
     """
     if name not in SENSORS:
         raise InputError(f"no sensor {name!r}", where="--sensor", allowed=", ".join(SENSORS))

@@ -1,4 +1,4 @@
-"""The table's plane in a view whose camera pose is not known."""
+"""Detection of the table's plane in a view without a camera pose."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ class SupportPlaneConfig:
     """Thresholds that separate the table from floors and walls.
 
     Attributes:
-        sample: So many points are looked at.
-        planes: Candidates, the largest first.
+        sample: Number of points used.
+        planes: Number of candidates, the largest first.
         iterations: Random triples for each.
         band: Points nearer to a plane than this [m] at 1 m from the camera lie on it; it grows
-            with the square of the distance, as the noise of depth does.
-        least_share: A candidate holds at least this share of the points.
-        camera_height: The camera is at least this high [m] above the table.
-        roll: The table's normal and the image's upward direction usually enclose no more than this
-            [rad]; beyond, the camera is mounted upside down.
-        overhead: Weight of a plane that only a camera upside down would stand above: a ceiling is
-            seen so too.
-        tallest: Things that stand on the table are lower than this [m].
-        flatness: Least share of the points within three bands that must lie within one.
-        cell: The table is one connected region of cells of this size [m].
+            with the square of the distance, as depth noise does.
+        least_share: Least share of the points on a candidate.
+        camera_height: Least height of the camera above the table [m].
+        roll: Usual largest angle between the table's normal and the image's upward direction [rad];
+            beyond it the camera is mounted upside down.
+        overhead: Weight of a candidate that only a camera mounted upside down would stand above:
+            ceilings look so, too.
+        tallest: Largest height of objects on the table [m].
+        flatness: Least ratio of the points within one band to those within three.
+        cell: Size of the cells whose connected region is the table [m].
     """
 
     sample: int = 30_000
@@ -47,14 +47,14 @@ class SupportPlaneConfig:
 
 
 def find_support_plane(points: Array, config: SupportPlaneConfig | None = None) -> Array:
-    """The plane [4] on which things stand, (unit normal, offset): n·x = offset, camera frame.
+    """The plane [4] on which objects stand, (unit normal, offset): n·x = offset, camera frame.
 
     Candidates are found one after another by RANSAC (Fischler and Bolles 1981; Open3D's
-    `segment_plane`). The camera looks down on a table, and things near the middle of the image
-    stand on it: that, and not its size, tells it from floors and walls.
+    `segment_plane`). Unlike floors and walls, a table is seen from above and has objects near the
+    middle of the image on it; its size does not matter.
 
     Args:
-        points: [N, 3], camera frame, m, one for each pixel that saw something.
+        points: [N, 3], camera frame, m, one for each measured pixel.
         config: Thresholds.
 
     Returns:
@@ -83,7 +83,7 @@ def find_support_plane(points: Array, config: SupportPlaneConfig | None = None) 
         rest = rest[~on_plane]
     if plane is None:
         raise InputError(
-            "no table: no plane that the camera looks down on",
+            "no table: the camera looks down on no plane",
             allowed="a table-top view",
             hint="give the camera's pose: --camera-pose X,Y,Z,QW,QX,QY,QZ",
         )
@@ -93,10 +93,10 @@ def find_support_plane(points: Array, config: SupportPlaneConfig | None = None) 
 def pose_over_plane(plane: Array) -> Array:
     """T_world_camera [4, 4] with z = 0 on a plane [4] and the camera over x = y = 0.
 
-    The camera looks along −x, as one that stands opposite a robot at the origin.
+    The camera looks along −x, like one opposite a robot at the origin.
     """
     up = plane[:3]
-    # Where the camera looks, along the table; where it looks straight down, what is up there.
+    # The viewing direction along the table; for a view straight down, the image's upward direction.
     forward = np.array([0.0, 0.0, 1.0]) - up[2] * up
     if np.linalg.norm(forward) < 0.1:
         forward = np.array([0.0, -1.0, 0.0]) + up[1] * up
@@ -114,7 +114,7 @@ def band_at(points: Array, config: SupportPlaneConfig) -> Array:
 
 
 def _largest_plane(points: Array, config: SupportPlaneConfig) -> tuple[Array, NDArray[np.bool_]]:
-    """The plane [4] that most points lie on, its normal towards the camera, and which these are."""
+    """The plane [4] through most points, its normal towards the camera, and a mask of these."""
     import open3d as o3d
 
     o3d.utility.random.seed(0)
@@ -133,11 +133,11 @@ def _upright(plane: Array, config: SupportPlaneConfig) -> float:
 
 
 def _stood_on(plane: Array, sample: Array, config: SupportPlaneConfig) -> tuple[Array, float]:
-    """The plane [4], fitted to its nearest region, and how much stands there.
+    """The plane [4], fitted to its nearest region, and its score as a table.
 
-    The score is the product of what is seen of the table and of the things that touch it, both
-    weighted towards the middle of the image. A box's side is no table although a table "stands" on
-    it: things count no more than the table itself. A bare table has a small score of its own.
+    The score is the product of the points on the table and those of objects that touch it, both
+    weighted towards the middle of the image. Objects count no more than the table itself: otherwise
+    a box's side with the table "standing" on it would win. A bare table has a small score.
     """
     for _ in range(3):
         height = sample @ plane[:3] - plane[3]
@@ -176,7 +176,7 @@ def _fitted(points: Array) -> Array:
 
 
 def _main_region(level: Array, flat: NDArray[np.bool_], cell: float):  # type: ignore[no-untyped-def]
-    """Whether places [N, 2] are on the largest connected region of flat points, or beside it."""
+    """Mask of the places [N, 2] on or next to the largest connected region of flat points."""
     from scipy import ndimage
 
     low = level[flat].min(axis=0)
@@ -189,7 +189,7 @@ def _main_region(level: Array, flat: NDArray[np.bool_], cell: float):  # type: i
     label, _ = ndimage.label(ndimage.binary_dilation(grid > 0))
     weight = np.bincount(label.ravel(), weights=grid.ravel())
     weight[0] = 0
-    # What stands on the table hides parts of it.
+    # Fill the parts of the table that objects hide.
     main = ndimage.binary_fill_holes(
         ndimage.binary_closing(label == weight.argmax(), iterations=3) | (label == weight.argmax())
     )

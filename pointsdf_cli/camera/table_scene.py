@@ -1,7 +1,7 @@
 """Random table-top scenes around one object, as exact depth: table, neighbours, background.
 
 The object rests on a table in one of its stable poses. Simple bodies stand beside it or in front of
-it; behind the table's edge is a wall, or nothing that a camera could measure.
+it; beyond the table's edge is a wall, or empty space.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ class SceneConfig:
     Attributes:
         resting: Share of scenes in which the object rests on a table; in the others it is turned
             at random and stands in the void.
-        leaning: Share of the objects on a table that touch it in no stable pose, as if they leaned
-            on something.
-        lean: Angle between a stable pose and that of an object that leans [rad].
-        distance: From the camera to the object's centre [m].
+        leaning: Share of the objects on a table that are tilted out of their stable pose, as if
+            they leaned on something.
+        lean: Angle of this tilt [rad].
+        distance: Distance from the camera to the object's centre [m].
         elevation: Elevation of the camera above the table [rad].
-        neighbours: Most bodies around the object.
-        beside: Share of the neighbours that stand between the object and the camera.
+        neighbours: Largest number of bodies around the object.
+        beside: Share of the neighbours between the object and the camera.
         gap: Largest gap between a neighbour and the object [m].
-        table_radius: The table ends so far from the object [m].
-        wall: Share of scenes with a wall behind, and its distance behind the object [m]. Without
-            one nothing comes back from beyond the table.
-        margin: Around the object's box in the image, as a share of its longer side.
+        table_radius: Distance from the object to the table's edge [m].
+        wall: Share of scenes with a wall; without one, space beyond the table returns no depth.
+        wall_behind: Distance of the wall behind the object [m].
+        margin: Margin around the object's box in the image, as a share of its longer side.
     """
 
     resting: float = 0.85
@@ -73,12 +73,12 @@ class Scene:
     """One scene in a window of the image.
 
     Attributes:
-        window: Exact depth and incidence of everything; depth inf where there is nothing.
+        window: Exact depth and incidence of everything; depth inf for empty pixels.
         label: u1 [h, w]: NOTHING, OBJECT, TABLE or OTHER.
-        object_alone: bool [h, w], pixels that would show the object if nothing hid it.
+        object_alone: bool [h, w], pixels of the object including hidden ones.
         T_camera_object: [4, 4].
-        support_plane: f8 [4] in the camera frame (normal up, offset), None if the object does not
-            rest on anything.
+        support_plane: f8 [4] in the camera frame (normal up, offset); None if the object does not
+            rest on a table.
     """
 
     window: DepthWindow
@@ -96,15 +96,15 @@ def draw_scene(
     config: SceneConfig,
     rng: np.random.Generator,
 ) -> Scene:
-    """A random scene around the mesh.
+    """Draw a random scene around the mesh.
 
     Args:
         caster: Ray caster of the mesh.
         vertices: [V, 3], mesh frame, m.
-        poses: Resting poses of the mesh; where it has none it never rests.
+        poses: Resting poses of the mesh; without any it is turned at random.
         camera: Intrinsics.
-        config: Range of the random scenes.
-        rng: Its random numbers decide everything.
+        config: Distribution of the scenes.
+        rng: Random generator.
     """
     centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     distance = rng.uniform(*config.distance)

@@ -16,8 +16,8 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import strictly_inside
 
 OUTSIDE, TABLE, LOOSE = -1, -2, -3
-"""Labels of points that belong to no thing: beyond the workspace, on or below the table, and in
-groups too small to be a thing."""
+"""Labels of points that belong to no object: outside the workspace, on or below the table, and in
+groups too small for an object."""
 
 
 @dataclass(frozen=True)
@@ -26,20 +26,17 @@ class ThingsConfig:
 
     Attributes:
         segmentation: Workspace, table and gaps.
-        noise_growth: The table's band grows with the square of the distance from the camera, as
-            noise does; at 1 m it is `segmentation.plane_band`.
-        thickest_band: It grows to this [m] at most.
-        floating: A part that starts this high [m] above the table stands on nothing.
-        bridge: It belongs to a thing below or beside it that is nearer than this [m]: the camera
-            did not see what joins them.
+        thickest_band: Largest thickness of the table's band [m]; from `segmentation.plane_band` at
+            1 m it grows with the square of the distance from the camera, as noise does.
+        floating: Height [m] of its lowest point above which a part floats.
+        bridge: Largest distance [m] from a floating part to the object that it is joined to: the
+            camera did not see their connection.
         hollow: Settings for completing bowls.
-        flattest: Height [m] that anything must exceed somewhere to be more than unevenness of the
-            table.
+        flattest: Least height of an object [m]; lower groups are unevenness of the table.
         split: Settings for separating objects that touch.
     """
 
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
-    noise_growth: bool = True
     thickest_band: float = 0.015
     floating: float = 0.03
     bridge: float = 0.05
@@ -50,12 +47,12 @@ class ThingsConfig:
 
 @dataclass(frozen=True)
 class Things:
-    """The things on a table, in no order.
+    """Objects on a table, unordered.
 
     Attributes:
-        label: i8 [N], the thing that each point belongs to, or OUTSIDE, TABLE, LOOSE.
-        plane: [4], (unit normal, offset) of the table in the world; None where none was seen.
-        unsplit: Things that look like several in touch and could not be told apart.
+        label: i8 [N], the object of each point, or OUTSIDE, TABLE, LOOSE.
+        plane: [4], (unit normal, offset) of the table in the world; None if none was seen.
+        unsplit: Objects that look like several in contact but could not be separated.
     """
 
     label: NDArray[np.int64]
@@ -63,12 +60,12 @@ class Things:
     unsplit: frozenset[int] = frozenset()
 
     def standing(self, points: Array, hidden: float = 0.08) -> NDArray[np.bool_]:
-        """Mask of the objects [T] that begin near the table and over it; all if no table was seen.
+        """Mask of the objects [T] that stand on the table; all if no table was seen.
 
         Args:
             points: [N, 3], world, m.
-            hidden: A thing that starts higher than this [m] stands on nothing; what is nearer to
-                the camera may hide the foot of one that starts lower.
+            hidden: Largest height [m] of the lowest observed point of a standing object: nearer
+                objects may hide its foot.
         """
         stands = np.ones(self.count, dtype=bool)
         table = points[self.label == TABLE]
@@ -93,7 +90,7 @@ class Things:
 
     @property
     def count(self) -> int:
-        """The number of things."""
+        """Number of objects."""
         return int(self.label.max(initial=-1)) + 1
 
 
@@ -102,7 +99,7 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
 
     Args:
         points: [N, 3], world, m, one a voxel of a few millimetres; finite.
-        camera: [3], where it stood in the world, m.
+        camera: [3], position of the camera in the world, m.
         config: Thresholds.
     """
     config = config or ThingsConfig()
@@ -123,7 +120,7 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
     bowls: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
     if plane is not None:
         own, floor = whole_bowls(points[index], own, points[low], camera, config.hollow)
-        # A floor takes part in the grouping from here on as what it is.
+        # From here on, floors take part in the grouping.
         is_floor = floor >= 0
         bowls = np.unique(floor[is_floor])
         index = np.concatenate([index, low[is_floor]])
@@ -155,7 +152,7 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
 
 
 def masked_thing(mask: NDArray[np.bool_], found: Things) -> Things:
-    """Add to the things [N] a last one: the points of a mask above the table.
+    """Add one more object: the points of a mask above the table.
 
     Raises:
         InputError: The mask covers nothing above the table.
@@ -170,7 +167,7 @@ def masked_thing(mask: NDArray[np.bool_], found: Things) -> Things:
         )
     count = found.count
     label[chosen] = count
-    # What the mask took the most of is no thing of its own any more.
+    # Drop objects that lost most of their points to the mask.
     for one in range(count):
         before = found.label == one
         left = before & (label == one)
@@ -179,19 +176,18 @@ def masked_thing(mask: NDArray[np.bool_], found: Things) -> Things:
     return Things(label, found.plane)
 
 
-def _band(points: Array, camera: Array, config: ThingsConfig) -> Array | float:
-    """Points [N] lower than this [m] above the plane are the table's."""
+def _band(points: Array, camera: Array, config: ThingsConfig) -> Array:
+    """Height above the plane [N] below which points belong to the table [m]."""
     band = config.segmentation.plane_band
-    if not config.noise_growth:
-        return band
     distance = np.linalg.norm(points - camera, axis=1)
-    return np.clip(band * distance**2, band, max(band, config.thickest_band))
+    grown: Array = np.clip(band * distance**2, band, max(band, config.thickest_band))
+    return grown
 
 
 def _flat(
     height: Array, group: NDArray[np.int64], counts: NDArray[np.int64], config: ThingsConfig
 ) -> NDArray[np.bool_]:
-    """Points [N] of groups that rise above the table no more than its own unevenness."""
+    """Mask of the points [N] of groups no higher than the table's unevenness."""
     high = np.zeros(len(counts), dtype=np.int64)
     np.add.at(high, group, height > config.flattest)
     return high[group] < 0.02 * counts[group]

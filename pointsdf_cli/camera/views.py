@@ -27,9 +27,10 @@ from pointsdf_cli.io.views import SCHEMA, VERSION, Views, read_views_header, wri
 
 CLOUD_SIZE = 1000
 FEWEST_PIXELS = 50
-"""A view of fewer pixels sees almost nothing: it is drawn again."""
+"""Least number of pixels in a view; emptier ones are drawn again."""
 LARGEST_COVER = 0.95
-"""A view that covers more of the image has no silhouette left: it is drawn again."""
+"""Largest share of the image covered by a view; fuller ones have no silhouette and are drawn
+again."""
 DRAWS = 50
 EDGE_MARGIN = 6
 """Sensor pixels around the mesh into which its silhouette may be displaced."""
@@ -40,17 +41,16 @@ class ViewConfig:
     """Settings of a mesh's views.
 
     Attributes:
-        views: Views a mesh.
-        distance: From the camera to the centre of the mesh's bounding box [m].
+        views: Number of views per mesh.
+        distance: Distance from the camera to the centre of the mesh's bounding box [m].
         camera: Intrinsics.
         noise: Noise of the depth.
-        keep_depth: Whether the depth images are stored too.
-        unit: Unit of the mesh file's numbers.
-        above: Only from above the horizon, z up as the mesh stands: what an open vessel holds is
-            then seen, as it is on a table.
-        sensor: Name in `SENSORS` of what measures the depth; only the ideal one uses `noise`.
-        scene: Views of random table-top scenes, measured by a sensor and segmented with errors; the
-            distance, the noise, `above` and `keep_depth` are not used then.
+        keep_depth: Store the depth images too.
+        unit: Unit of the mesh file.
+        above: Only views from above the horizon (z up), which see into open vessels as on a table.
+        sensor: Name of the depth sensor in `SENSORS`; only the ideal one uses `noise`.
+        scene: Settings for views of random table-top scenes, segmented with errors; `distance`,
+            `noise`, `above` and `keep_depth` are then unused.
 
     Raises:
         InputError: A value is out of its range.
@@ -115,10 +115,10 @@ class ViewSummary:
 
 
 def render_file(task: ViewTask) -> ViewSummary | None:
-    """Render one mesh file to its views file; None where that is there already.
+    """Render one mesh file to its views file; None if that exists already.
 
     Raises:
-        InputError: The mesh cannot be used or is never seen, or the file not written.
+        InputError: The mesh cannot be used or is never seen, or the file cannot be written.
     """
     config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
     if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):
@@ -131,9 +131,7 @@ def render_file(task: ViewTask) -> ViewSummary | None:
     try:
         views, redrawn = render_views(mesh, task.config, task_seed(task.seed, task.name))
     except InputError as error:
-        raise InputError(
-            error.what, where=task.mesh, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error, task.mesh) from error
     write_views(task.out, replace(views, mesh_file=task.mesh.name), seed=task.seed, config=config)
     return ViewSummary(len(views.cloud), redrawn, mesh.repair)
 
@@ -141,7 +139,7 @@ def render_file(task: ViewTask) -> ViewSummary | None:
 def render_views(
     mesh: LoadedMesh, config: ViewConfig, rng: np.random.Generator
 ) -> tuple[Views, int]:
-    """Views of a mesh at random orientations, and how many had to be drawn again.
+    """Render views of a mesh at random orientations; also returns how many were drawn again.
 
     Raises:
         InputError: The mesh is too small or too large for the camera at this distance.
@@ -221,7 +219,7 @@ def measured_patch(
         return replace(patch, depth=sensor.noise.apply(patch.depth, rng))
     window, (left, top) = depth_window(patch, math.ceil(EDGE_MARGIN * camera.fx / sensor.focal))
     depth = sensor.observe(window, camera, rng, (left, top))
-    # An edge that is displaced beyond the image is not seen.
+    # Drop edges that are displaced beyond the image.
     depth = depth[max(0, -top) : camera.height - top, max(0, -left) : camera.width - left]
     v, u = np.nonzero(depth)
     return DepthPatch(

@@ -1,4 +1,4 @@
-"""`rgrasp calibrate`: where the camera stands, from images of a board."""
+"""`rgrasp calibrate`: pose of the camera, from images of a board."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def calibrate(
         str | None,
         typer.Option(
             metavar="POSE",
-            help="With --eye-in-hand: gripper in the robot's root frame; the camera's pose with "
-            "the gripper there is written.",
+            help="With --eye-in-hand: a pose of the gripper in the robot's root frame; the output "
+            "is the camera's pose with the gripper there.",
         ),
     ] = None,
     squares: Annotated[str, typer.Option(help="Size of the board: columns x rows.")] = "5x7",

@@ -114,7 +114,7 @@ def cloud(
         )
         return
     if bag != BagOptions():
-        raise InputError("is no bag, and an option of bags is given", where=depth)
+        raise InputError("is not a bag, but an option for bags is given", where=depth)
     if intrinsics is None:
         raise InputError(
             "a depth image needs its intrinsics", where=depth, hint="add --intrinsics K.json"

@@ -36,7 +36,7 @@ def collect_grasps(
         float,
         typer.Option(
             help="Push the held object's centre of mass with this force [N] for 1 s along each of "
-            "±x, ±y and ±z and label what withstands it; 0 for none."
+            "±x, ±y and ±z, and record whether it stays held; 0 for none."
         ),
     ] = 0.0,
     record: Annotated[
@@ -107,7 +107,7 @@ def collect_grasps(
         if name in mine
     }
     started = time.monotonic()
-    # Of objects that this count does not reach another run's grasps would be counted, too.
+    # Otherwise another run's grasps of objects that this count does not reach would count, too.
     require_same_options(task for task in tasks.values() if not task.quota)
     refused = _collect(tasks, quotas, splits, jobs, reporter, whole=shard is None)
     items = [
@@ -159,7 +159,7 @@ def _collect(
 ) -> dict[str, str]:
     """Run rounds until every quota is met or exhausted; returns the reasons of refused files.
 
-    A shard makes only its first quotas: only who sees all objects can make up for others.
+    A shard makes only its first quotas: making up for other objects takes a run over all of them.
     """
     from dataclasses import replace
 

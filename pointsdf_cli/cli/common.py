@@ -103,7 +103,7 @@ CameraPose = Annotated[
     str | None,
     typer.Option(
         metavar="POSE",
-        help="Camera pose in the world: X,Y,Z,QW,QX,QY,QZ, or a file. For trying out, "
+        help="Camera pose in the world: X,Y,Z,QW,QX,QY,QZ, or a file. To try things out, "
         "table[:X,Y]: z = 0 is the observed table, the object at 0.6,0 or X,Y.",
         show_default=False,
     ),
@@ -132,7 +132,7 @@ def job_count(jobs: int) -> int:
 
 
 def check_seed(seed: int) -> int:
-    """`seed`, if it can seed a generator.
+    """Check that `seed` can seed a random generator, and return it.
 
     Raises:
         InputError: Negative or beyond 63 bits.
@@ -150,14 +150,14 @@ def check_table_name(out: Path, beside: tuple[str, ...]) -> None:
     """
     if not out.name or out.suffix.lower() in beside:
         raise InputError(
-            f"{out} is no name of a file, or that of what goes beside the table",
+            f"{out} is not a file name, or ends like the files written beside the table",
             where="--out",
             allowed="such as table.json",
         )
 
 
 def check_suffix(path: Path, option: str, suffixes: tuple[str, ...]) -> None:
-    """Refuse a file a name by which it would be read as something else.
+    """Refuse an output name by which the file would be read as something else.
 
     Raises:
         InputError: It has none of the suffixes.
@@ -173,7 +173,7 @@ def check_suffix(path: Path, option: str, suffixes: tuple[str, ...]) -> None:
 def say_if_from_another(
     reporter: Reporter, checkpoint: Path | None, grasp_checkpoint: Path | None
 ) -> None:
-    """Say so where the success network learned from another reconstruction than it will read.
+    """Warn if the success network was trained on another reconstruction than it will read.
 
     Raises:
         InputError: No such checkpoint.
@@ -187,8 +187,8 @@ def say_if_from_another(
     other = learned_from_another(grasp_checkpoint, read)
     if other is not None:
         reporter.say(
-            f"the success network learned from the reconstruction {other} and reads {read}: its "
-            "probabilities need not hold there (train-gs --sdf trains one for it)"
+            f"the success network was trained on the reconstruction {other} but reads {read}: its "
+            "probabilities may be wrong (train-gs --sdf trains one for it)"
         )
 
 
@@ -215,7 +215,7 @@ def cache_beside(folder: Path) -> Path:
 
 
 def check_picture(path: Path | None, force: bool) -> Path | None:
-    """The path of a picture, if a PNG can be written there; known before the work, not after.
+    """Check, before any work, that a PNG can be written at `path`; returns `path`.
 
     Raises:
         InputError: It has another suffix, exists already, or its folder cannot be written.
@@ -225,7 +225,7 @@ def check_picture(path: Path | None, force: bool) -> Path | None:
     if path is None:
         return None
     if path.suffix.lower() != ".png" or path.is_dir():
-        raise InputError("is no picture's name", where=path, allowed="a file that ends in .png")
+        raise InputError("is not a PNG file name", where=path, allowed="a name that ends in .png")
     require_folder(require_new(path, force).parent)
     return path
 
@@ -243,7 +243,7 @@ def check_device(name: str) -> None:
 
 
 def torch_device(name: str) -> str:
-    """`name`, if torch can compute there.
+    """Check that torch can compute on the device `name`, and return it.
 
     Raises:
         InputError: No such kind of device, or not on this machine.

@@ -1,4 +1,4 @@
-"""`rgrasp doctor`: whether this installation works."""
+"""`rgrasp doctor`: self-test of the installation."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pointsdf_cli.cli import common
 
 
 def doctor(quiet: common.Quiet = False, as_json: common.Json = False) -> None:
-    """Check versions, processor and golden facts of every part.
+    """Check versions and processor, and test every part against known results.
 
     Example: rgrasp doctor
     """

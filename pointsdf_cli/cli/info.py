@@ -15,7 +15,7 @@ def info(
     artifacts: Annotated[
         list[Path],
         typer.Argument(
-            help="HDF5 artifacts, clouds, meshes, directories of checkpoints.",
+            help="HDF5 artifacts, clouds, meshes, checkpoint directories.",
             metavar="ARTIFACT...",
         ),
     ],

@@ -23,9 +23,9 @@ STOPPED = "rgrasp: stopped; what is finished is kept, the same command resumes"
 
 
 def program() -> NoReturn:
-    """`main` as a process of its own, which ends without taking its libraries apart.
+    """Run `main` and end the process at once, without freeing the libraries' objects.
 
-    Python frees a million objects of them one by one at its end: a tenth of a plan's time.
+    Python would free a million of them one by one: a tenth of a plan's time.
     """
     code: object = None
     try:
@@ -110,7 +110,7 @@ _NO_PLACE = (
 
 
 def _told(error: OSError) -> InputError:
-    """The message of an error of the system that names a file."""
+    """Input error for an operating system error that names a file."""
     from pointsdf_cli.io.atomic import unwritable
 
     if error.errno not in (errno.EACCES, errno.EPERM):
@@ -126,8 +126,8 @@ def _told(error: OSError) -> InputError:
 def _open_closed_streams() -> None:
     """Replace closed streams (`rgrasp … >&-`) by /dev/null.
 
-    Else the next file that is opened, which may be the output, would get the number of the stream,
-    and whatever a library prints would be written into it.
+    Otherwise the next file to be opened, perhaps the output, gets the stream's number, and whatever
+    a library prints is written into it.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -142,7 +142,7 @@ def _open_closed_streams() -> None:
 
 
 def _refuse_empty(arguments: list[str]) -> None:
-    """An unset variable of a shell would be taken for the folder where one is.
+    """Refuse empty arguments: an unset shell variable would mean the current folder.
 
     Raises:
         InputError: An argument is empty.
@@ -173,7 +173,7 @@ def _too_little_memory(error: BaseException) -> NoReturn:
 
 
 def _nobody_reads() -> NoReturn:
-    """`rgrasp … | head`: the reader has left, and so do we, without a complaint at exit."""
+    """End quietly because the reader of stdout has left, as in `rgrasp … | head`."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.exit(141)
 
@@ -197,11 +197,11 @@ def _came_of(error: BaseException, kind: type[BaseException]) -> bool:
 
 @contextmanager
 def _interruptible_imports() -> Iterator[None]:
-    """Ctrl-C ends the program while it loads libraries, too.
+    """Let Ctrl-C end the program at once while it loads libraries.
 
     Some of them guard their own imports with `except BaseException`: a KeyboardInterrupt there is
-    lost, or becomes an ImportError, and what was half loaded is taken for missing. Nothing has been
-    begun that could be left half done, so the process leaves at once.
+    lost, or becomes an ImportError, and a half-loaded library counts as missing. No work has begun
+    that could be left half done.
     """
 
     def interrupt(number: int, frame: FrameType | None) -> None:

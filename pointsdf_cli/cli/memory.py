@@ -21,16 +21,16 @@ _SAID = (
     "insufficient memory",
 )
 LEAST = 1 << 30
-"""Bytes of address space: with less the libraries hang or end the process while they are loaded."""
+"""Bytes of address space below which libraries hang or end the process while they load."""
 NEAR = 0.8
 """Share of a limit of address space from which a failure may be due to that limit."""
 
 
 def is_lack_of_memory(error: BaseException) -> bool:
-    """Whether an error, or one that it came of, means that memory ran out.
+    """Whether an error, or one of its causes, means that memory ran out.
 
-    Under a limit (`ulimit -v`) that was nearly reached any unexpected error does: libraries that
-    get no memory go on and fail somewhere else, the interpreter's own parser among them.
+    Near a limit (`ulimit -v`) any unexpected error counts: libraries that get no memory continue
+    and fail somewhere else, as does the interpreter's own parser.
     """
     found: BaseException | None = error
     while found is not None:

@@ -72,7 +72,7 @@ def mesh(
         str | None,
         typer.Option(
             metavar="N|U,V|X,Y,Z",
-            help="With --segment auto: the object's number as `rgrasp segment` lists them, a "
+            help="With --segment auto: the object's number in the list of `rgrasp segment`, a "
             "pixel, or a place in the world [m].",
         ),
     ] = None,
@@ -93,8 +93,8 @@ def mesh(
         bool,
         typer.Option(
             "--exact",
-            help="Evaluate the network at every corner of a wider search; else smooth regions "
-            "are interpolated.",
+            help="Evaluate the network everywhere near the surface; without it smooth regions are "
+            "interpolated.",
         ),
     ] = False,
     smooth: Annotated[
@@ -221,7 +221,7 @@ def _mesh_one(
     for line in seen.said:
         reporter.say(line)
     if seen.alone and np.ptp(points, axis=0).max() > SCENE:
-        reporter.say(f"{cloud}: wide for one object; of a whole table, add --segment auto")
+        reporter.say(f"{cloud}: wide for one object; if it shows a table, add --segment auto")
 
     # Seconds of imports: only for a cloud that can be used.
     from pointsdf_cli.models.registry import completion_checkpoint, load_model, use_threads
@@ -268,7 +268,7 @@ def _mesh_one(
 
 
 def mesh_path(out: Path | None, form: str | None) -> Path:
-    """Path and format of the mesh: both options must agree, and one of them may be missing.
+    """Path of the mesh from --out and --format, which must agree; either may be missing.
 
     Raises:
         InputError: An unknown format, or two different ones.

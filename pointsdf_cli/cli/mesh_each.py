@@ -32,7 +32,7 @@ def mesh_each(
     """Mesh every cloud into `out`, keeping what is there.
 
     Args:
-        reporter: Told everything.
+        reporter: Receives progress and results.
         clouds: One view of each object.
         pose: Camera pose as typed, the same for all; None for none.
         files: Reading options of each view.
@@ -40,8 +40,9 @@ def mesh_each(
         inputs: Everything that is read, which no output may replace.
         out: Folder of the meshes.
         form: Their format.
-        jobs, threads: Processes, and threads of each; 0 takes all cores, and one.
-        force, skip_bad: As the command's options.
+        jobs: Processes; 0 takes all cores.
+        threads: Threads of each process; 0 takes one.
+        force, skip_bad: The command's options of these names.
 
     Raises:
         InputError: Clouds that cannot be used; the others are done.

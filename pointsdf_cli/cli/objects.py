@@ -89,7 +89,7 @@ def fetch(
     quiet: common.Quiet = False,
     as_json: common.Json = False,
 ) -> None:
-    """Fetch scanned objects as watertight meshes; resumes, and checks sums once they are known.
+    """Fetch scanned objects as watertight meshes; resumes, and verifies known checksums.
 
     Example: rgrasp objects fetch ycb --out ycb/ --objects 003,006,025
     """

@@ -40,8 +40,8 @@ def plan(
         str | None,
         typer.Option(
             metavar="N|U,V|X,Y,Z|any",
-            help="The object: its number as `rgrasp segment` lists them, a pixel, a place in the "
-            "world [m], or any: whichever can be taken first [default: the most reachable one "
+            help="The object: its number in the list of `rgrasp segment`, a pixel, a place in the "
+            "world [m], or any: the first that can be grasped [default: the most reachable one "
             "near the middle of the image].",
         ),
     ] = None,
@@ -50,7 +50,7 @@ def plan(
         typer.Option(
             metavar="POSE",
             help="Camera pose in the world: X,Y,Z,QW,QX,QY,QZ, or a file, one for each view. "
-            "For trying out, table[:X,Y]: z = 0 is the observed table, the object at "
+            "To try things out, table[:X,Y]: z = 0 is the observed table, the object at "
             "0.6,0 or X,Y.",
             show_default=False,
         ),
@@ -182,8 +182,8 @@ def plan(
 ) -> None:
     """Plan a grasp of an object that nobody has modelled: configuration, motion, scores.
 
-    Exit code 3: no plan was found; the plan file holds the reason. Exit code 4: a plan was found,
-    written, and is not likely to hold (see --min-success and --accept-unlikely).
+    Exit code 3: no plan was found; the plan file holds the reason. Exit code 4: the plan that was
+    written is not likely to hold (see --min-success and --accept-unlikely).
 
     Example: rgrasp plan depth.png --intrinsics K.json --camera-pose T.json
 

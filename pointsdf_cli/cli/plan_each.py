@@ -22,8 +22,9 @@ class EachOptions:
     Attributes:
         out: Folder of the plans.
         pictures: Draw a picture beside each.
-        jobs, threads: Processes, and threads of each; 0 takes all cores, and one.
-        force, skip_bad, accept_unlikely: As the command's options.
+        jobs: Processes; 0 takes all cores.
+        threads: Threads of each process; 0 takes one.
+        force, skip_bad, accept_unlikely: The command's options of these names.
     """
 
     out: Path
@@ -47,7 +48,7 @@ def plan_each(
     """Plan every scene into `out`, keeping what is there.
 
     Args:
-        reporter: Told everything.
+        reporter: Receives progress and results.
         clouds: One view of each scene.
         poses: Camera poses as typed: none, one for all, or one each.
         files: Reading options of each view.
@@ -58,7 +59,7 @@ def plan_each(
     Raises:
         InputError: Inputs that cannot be used; the others are done.
         NoPlanError: A scene has no plan.
-        UnlikelyPlanError: All have one, and one is not likely to hold.
+        UnlikelyPlanError: All have one, but at least one is not likely to hold.
     """
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder
@@ -105,7 +106,7 @@ def _told(summary: PlanSummary) -> str:
 def _require_plans(
     found: dict[str, PlanSummary], settings: PlanSettings, out: Path, options: EachOptions
 ) -> None:
-    """Raise the worst outcome, which the exit code tells."""
+    """Raise the error of the worst outcome, which sets the exit code."""
     from pointsdf_cli.errors import NoPlanError, UnlikelyPlanError
 
     without = [name for name, summary in found.items() if summary.reason]

@@ -22,7 +22,7 @@ class PlanOutputs:
 
     Attributes:
         out: The plan.
-        picture, trajectory: The other two; None for none.
+        picture, trajectory: The picture and the motion; None for none.
     """
 
     out: Path
@@ -64,19 +64,19 @@ def plan_one(
     """Plan, write, report.
 
     Args:
-        reporter: Told everything.
-        request: Checked.
+        reporter: Receives progress and results.
+        request: Checked request.
         settings: Settings that the request was made with.
-        outputs: Free places.
+        outputs: Output files that do not exist yet.
         asked: Options as typed, for the plan's provenance.
-        idle: Counts the threads to take where `threads` is 0.
-        server: Address of a planner to ask instead.
-        threads: Threads to take.
-        accept_unlikely: A grasp that is not likely to hold is no error.
+        idle: Chooses the number of threads if `threads` is 0.
+        server: Address of a running `rgrasp serve` to plan on instead.
+        threads: Number of threads.
+        accept_unlikely: Do not fail on a grasp that is not likely to hold.
 
     Raises:
-        NoPlanError: There is none; its file says why.
-        UnlikelyPlanError: It is written, and not likely to hold.
+        NoPlanError: No plan was found; the file says why.
+        UnlikelyPlanError: The plan was written but is not likely to hold.
     """
     from pointsdf_cli.errors import NoPlanError, UnlikelyPlanError
     from pointsdf_cli.io.plans import OK, write_plan, write_trajectory
@@ -126,7 +126,7 @@ def plan_one(
 
 
 def _require_places(files: dict[str, Path], force: bool) -> None:
-    """Each file has a place of its own that can be written: known before the planning.
+    """Check before planning that each file has a path of its own that can be written.
 
     Raises:
         InputError: Two have one path, one exists already, or a folder cannot be written.
@@ -148,7 +148,7 @@ def _plan_here(
     threads: int,
     idle: IdleProcessors,
 ) -> PlanResult:
-    """The answer of this process, which loads what it needs first."""
+    """Load networks and robot in this process, and plan."""
     # Seconds of imports: only for clouds and options that can be used.
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.planning.option_checks import RECONSTRUCTION

@@ -13,17 +13,17 @@ _CONTROLS_OF_JSON = re.compile("[\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udff
 
 
 def printable(text: str) -> str:
-    """`text` with control characters as backslash escapes; tabs and line ends stay."""
+    """Write control characters as backslash escapes; tabs and line ends stay."""
     return _CONTROLS.sub(_escaped, text)
 
 
 def on_one_line(text: str) -> str:
-    """Escape line ends too, unlike `printable`: for a value that stands in a line of its own."""
+    """Escape control characters, tabs and line ends: for a value within one line."""
     return printable(text).replace("\n", "\\n")
 
 
 def printable_json(text: str) -> str:
-    """A JSON document with the control characters that JSON allows as escapes of JSON's own."""
+    """Write the control characters that a JSON document may hold as JSON escapes."""
     return _CONTROLS_OF_JSON.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 

@@ -74,9 +74,9 @@ def report(
         from pointsdf_cli.errors import InputError
 
         raise InputError(
-            "only pages on views and labels have pictures as files",
+            "only pages about views and labels have pictures as files",
             where="--pictures",
-            hint="leave it out: the page holds its pictures",
+            hint="leave it out: the page contains its pictures",
         )
     for path in (page, *drawn):  # known before anything is written
         require_folder(require_new(path, force).parent)
@@ -99,11 +99,11 @@ def report(
 def _content(
     path: Path, robot: Path | None, meshes: Path | None, unit: str, title: str
 ) -> str | DataFolder:
-    """Page on a file, or on a folder of grasps or trials or a checkpoint; or the views and labels
-    for a page.
+    """HTML page about a file, a folder of grasps or trials, or a checkpoint; or the views and
+    labels to make one of.
 
     Raises:
-        InputError: Nothing that there is a page on.
+        InputError: No page can be made of this.
     """
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.checkpoints import CONFIG
@@ -155,7 +155,7 @@ def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) ->
 
         return html_report(read_trials(path), [], title, {})
     raise InputError(
-        f"holds {kind}, which there is no page on",
+        f"holds {kind}, of which no page can be made",
         where=path,
         allowed="views, labels, grasps, plan, trials",
     )

@@ -23,20 +23,20 @@ class Reporter:
     """Progress and messages on stderr, the result on stdout.
 
     Attributes:
-        quiet: Nothing on stderr but errors.
-        as_json: The result as one JSON object instead of lines.
+        quiet: Print only errors on stderr.
+        as_json: Print the result as one JSON object instead of lines.
     """
 
     quiet: bool = False
     as_json: bool = False
 
     def say(self, text: str) -> None:
-        """One line of progress on stderr."""
+        """Print one line of progress on stderr."""
         if not self.quiet:
             print(printable(text), file=sys.stderr, flush=True)
 
     def result(self, values: Mapping[str, Any], lines: list[str] | None = None) -> None:
-        """The command's result: `values` as JSON, or `lines` (by default "name: value")."""
+        """Print the command's result: `values` as JSON, or `lines` (by default "name: value")."""
         if self.as_json:
             text = printable_json(to_json(values))
             try:
@@ -100,7 +100,7 @@ class Progress:
             )
 
     def close(self) -> None:
-        """Take the bar off the terminal."""
+        """Remove the bar from the terminal."""
         if self._bar:
             self._bar.stop()
 

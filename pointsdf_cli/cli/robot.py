@@ -121,7 +121,7 @@ def init(
     quiet: common.Quiet = False,
     as_json: common.Json = False,
 ) -> None:
-    """Begin a robot's description from its URDF: all that can be guessed, for you to look at.
+    """Write a first description of a robot from its URDF, with guesses marked for you to check.
 
     Example: rgrasp robot init my_robot.urdf
     """
@@ -143,7 +143,7 @@ def init(
         ],
     )
     reporter.say(
-        "what is GUESSED there is for you to look at:\n"
+        "check what is marked GUESSED there:\n"
         f"  rgrasp robot check {out} --picture {out.with_suffix('.png')}"
     )
 

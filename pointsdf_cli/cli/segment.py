@@ -55,7 +55,7 @@ def segment(
 ) -> None:
     """List the objects on a table: number, centre, size, points; and draw them with their numbers.
 
-    `rgrasp mesh` and `rgrasp plan` take a number as --target; 1 is what they take without.
+    `rgrasp mesh` and `rgrasp plan` take a number as --target; without it they take 1.
 
     Example: rgrasp segment depth.png --intrinsics K.json --camera-pose T.json
     """
@@ -78,15 +78,14 @@ def segment(
         drop_invalid=drop_invalid,
     )
 
-    from pointsdf_cli.planning.list_things import draw_things, list_things
+    from pointsdf_cli.planning.list_things import list_things
     from pointsdf_cli.planning.object_choice import NoObjectError
+    from pointsdf_cli.service.pictures import draw_things
 
     try:
         listing = list_things(scene, files, camera_pose, corners, robot, not no_clean)
     except NoObjectError as error:
-        raise InputError(
-            error.what, where=error.where, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error) from error
     for note in listing.notes:
         reporter.say(note)
     draw_things(picture, listing, color)

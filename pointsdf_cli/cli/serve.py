@@ -15,11 +15,11 @@ from pointsdf_cli.cli import common
 def serve(
     host: Annotated[
         str,
-        typer.Option(help="Address to listen at; any but 127.0.0.1 needs a token in RGRASP_TOKEN."),
+        typer.Option(help="Address to listen at; all but 127.0.0.1 need a token in RGRASP_TOKEN."),
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="0 takes a free one.")] = 8765,
+    port: Annotated[int, typer.Option(help="Port to listen at; 0 takes a free one.")] = 8765,
     queue: Annotated[
-        int, typer.Option(help="Requests that may wait; the next are refused with 429.")
+        int, typer.Option(help="Number of requests that may wait; more get status 429.")
     ] = 8,
     largest_body: Annotated[int, typer.Option(help="Largest body of a request [MiB].")] = 64,
     robot: common.Robot = None,
@@ -35,9 +35,10 @@ def serve(
     quiet: common.Quiet = False,
     as_json: common.Json = False,
 ) -> None:
-    """Keep networks and robot loaded and answer plans, meshes and success scores over HTTP.
+    """Keep networks and robot loaded, and serve plans, meshes and success scores over HTTP.
 
-    /plan, /mesh, /score and /health; /docs describes them. SIGTERM and Ctrl-C finish what runs.
+    Paths: /plan, /mesh, /score and /health; /docs describes them. SIGTERM and Ctrl-C let the
+    running request finish.
 
     Example: rgrasp serve & rgrasp plan cloud.ply --server http://127.0.0.1:8765
     """
@@ -56,7 +57,7 @@ def serve(
             raise InputError(f"{value}", where=option, allowed=f"{low} to {high}")
     if host not in LOOPBACK and token is None:
         raise InputError(
-            "other machines could ask, and there is no token",
+            "other machines could connect, and no token is set",
             where=f"--host {host}",
             allowed="127.0.0.1, or any address with a token",
             hint=f"export {TOKEN}=$(openssl rand -hex 16), for the server and its clients",
@@ -93,4 +94,4 @@ def serve(
             reporter.result({"url": server.url}, [f"{server.url}: ready; {server.url}/docs"])
             sys.stdout.flush()  # scripts wait for this line
             server.wait(stopped)
-            reporter.say("stopping: what runs is finished")
+            reporter.say("stopping after the running request")

@@ -13,7 +13,7 @@ class StopRequest:
 
     Attributes:
         exit_code: Exit code of a stopped command: 130 after Ctrl-C, 143 after SIGTERM, as if the
-            signal had ended it. A script must not take its work for done.
+            signal had ended it, so that a script does not take the work for done.
     """
 
     def __init__(self) -> None:
@@ -25,7 +25,7 @@ class StopRequest:
 
 @contextmanager
 def stop_requests() -> Iterator[StopRequest]:
-    """Within, the first signal is only a request; a second Ctrl-C stops at once."""
+    """Turn the first signal into a request while the block runs; a second Ctrl-C stops at once."""
     request = StopRequest()
 
     def ask(number: int, frame: FrameType | None) -> None:

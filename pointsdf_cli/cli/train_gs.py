@@ -60,9 +60,9 @@ def train_gs(
     quiet: common.Quiet = False,
     as_json: common.Json = False,
 ) -> None:
-    """Train the network that says how likely a grasp holds, and the prior over grasps.
+    """Train the network that predicts grasp success, and the prior over grasps.
 
-    Ctrl-C stops it cleanly, --resume carries on.
+    Ctrl-C stops cleanly, --resume continues.
 
     Example: rgrasp train-gs --grasps grasps/ --out gs/
     """
@@ -150,7 +150,7 @@ def train_gs(
     reporter.result({"out": out, "variant": variant.title, **result})
     if not fitted.finished:
         if fitted.history:
-            reporter.say("stopped; the same command with --resume carries on")
+            reporter.say("stopped; the same command with --resume continues")
         else:
             reporter.say("stopped before the first epoch ended: nothing was saved")
         raise typer.Exit(should_stop.exit_code)

@@ -77,7 +77,7 @@ def train_sdf(
     quiet: common.Quiet = False,
     as_json: common.Json = False,
 ) -> None:
-    """Train a network that completes partial clouds; Ctrl-C stops it cleanly, --resume carries on.
+    """Train a network that completes partial clouds; Ctrl-C stops cleanly, --resume continues.
 
     Example: rgrasp train-sdf --views views/ --labels labels/ --out ckpt/ --minutes 60
     """
@@ -169,13 +169,13 @@ def train_sdf(
                 ) from error
             if not known:
                 reporter.say(
-                    f"{start_from} does not say that any object of {views} was held out from it: "
-                    "it may have learned from those that are held out here"
+                    f"{start_from} names no held-out object of {views}: it may have been trained "
+                    "on those that are held out here"
                 )
             elif len(known) < round(held_out * len(data.names)):
                 reporter.say(
-                    f"{len(known)} objects are held out, those that were held out from "
-                    f"{start_from}; --held-out is not used"
+                    f"{len(known)} objects are held out, the same as for {start_from}; --held-out "
+                    "is not used"
                 )
         reporter.say(
             f"{model} with {sum(p.numel() for p in network.parameters()) / 1e6:.1f} M weights; "
@@ -227,9 +227,7 @@ def train_sdf(
             }
         )
         if not result.finished:
-            reporter.say(
-                f"stopped; the same command with --resume carries on at step {result.step}"
-            )
+            reporter.say(f"stopped; the same command with --resume continues at step {result.step}")
             raise typer.Exit(should_stop.exit_code or ELSEWHERE)
 
 
@@ -238,7 +236,7 @@ ELSEWHERE = 143
 
 
 def _started_from(start_from: Path | None, resumed: Path | None) -> dict[str, Any] | None:
-    """config.json of the checkpoint that a run begins with, or began with if it is resumed.
+    """config.json of the checkpoint with the run's initial weights.
 
     Raises:
         InputError: The resumed run began with another one.

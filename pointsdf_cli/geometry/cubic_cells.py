@@ -40,12 +40,11 @@ def cubic_cells(around: NDArray[np.float32], factor: int) -> NDArray[np.float32]
 
 
 def bends(around: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Deviation of fields from parabolas: the largest third difference along any line [C], of those
-    lines whose four values are no NaN; zero without any.
+    """Deviation of fields from parabolas: the largest third difference [C] along any line of four
+    values without NaN; zero without such a line.
 
-    Of a field whose slope jumps by one it is one cell where the jump is at a corner, less between
-    corners and nothing midway; an SDF with a radius of curvature of ten cells has a hundredth of
-    a cell.
+    A slope that jumps by one gives one cell at a corner, less between corners and nothing midway;
+    an SDF with a radius of curvature of ten cells gives a hundredth of a cell.
     """
     block = around.reshape(-1, 4, 4, 4)
     largest = np.zeros(len(block), dtype=np.float32)

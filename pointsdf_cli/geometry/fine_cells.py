@@ -1,8 +1,8 @@
-"""Cells finer than the grid that a field was asked on, by interpolation between its corners.
+"""Cells finer than the grid on which a field was evaluated, by interpolation between its corners.
 
-A network that read a thousand points says nothing finer than a fraction of their spacing, and
-asking it costs a hundred times as much as a product of small matrices. So beyond some resolution
-the field is taken to be the piecewise cubic through its values on the coarser grid.
+A network that read a thousand points has no detail finer than a fraction of their spacing, and
+evaluating it costs a hundred times as much as interpolation. So beyond some resolution the field is
+the piecewise cubic through its values on the coarser grid.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from pointsdf_cli.geometry.marching_cubes import CORNERS
 from pointsdf_cli.geometry.sampled_grid import Cells, SampledGrid, one_entry_each, sparse_zeros
 
 _CHUNK = 1 << 14
-"""Cells interpolated at once."""
+"""Number of cells interpolated at once."""
 
 
 class FineGrid(NamedTuple):
-    """Values on those corners of a finer grid that the surface passes between.
+    """Values on the corners of a finer grid near the surface.
 
     Attributes:
         values: [R] f4.

@@ -38,16 +38,16 @@ class IsosurfaceConfig:
 
     Attributes:
         resolution: Cells along each side of the box: `coarse` times a power of two, at most 512.
-        coarse: Cells of the grid on which every corner's sign is settled, asked or by a bound.
+        coarse: Cells of the grid on which every corner's sign is determined, by value or bound.
         half_width: The box is [-half_width, half_width]³, in the field's units.
-        rules: When MISE asks and where it looks.
-        asked: The finest grid on which the field itself is asked; beyond it corners are
+        rules: Rules of MISE's search.
+        asked: The finest grid on which the field itself is evaluated; finer corners are
             interpolated (`fine_cells.py`).
         newton: Refine each vertex by one Newton step along its edge (one more query), unless
             interpolated.
         smallest_part: Parts that enclose less than this share of the largest part's volume are
-            dropped; 1 keeps the largest alone, 0 everything.
-        batch: Points asked at once.
+            dropped; 1 keeps only the largest, 0 all.
+        batch: Number of points evaluated at once.
     """
 
     resolution: int = 128
@@ -75,7 +75,7 @@ class IsosurfaceConfig:
             )
         if not (self.half_width > 0 and 0 <= self.smallest_part <= 1):
             raise InputError(
-                "the isosurface options make no sense",
+                "the isosurface options are out of range",
                 where=self,
                 allowed="half_width > 0, 0 ≤ smallest_part ≤ 1",
             )
@@ -99,7 +99,7 @@ class Isosurface:
 
 
 def extract_isosurface(sdf: NetworkField, config: IsosurfaceConfig | None = None) -> Isosurface:
-    """The zero level of `sdf` in the box, closed where it meets the box's edge.
+    """Extract the zero level of `sdf` in the box, closed at the box's sides.
 
     Args:
         sdf: Negative inside, float32 points in.

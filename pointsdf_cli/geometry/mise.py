@@ -1,16 +1,17 @@
 """Multiresolution search for the grid cells that the zero level of a field crosses.
 
-MISE (Mescheder et al. 2019): a coarse grid is asked everywhere, and only the
-cells that the surface crosses are subdivided. Three rules go beyond the paper's:
+MISE (Mescheder et al. 2019): the field is evaluated on a coarse grid, and only cells that the
+surface crosses are subdivided. Three rules go beyond the paper's:
 
-- A corner, also of the coarse grid, is asked only where its sign is in doubt, or where it ends an
-  edge that the surface crosses. An SDF cannot change faster than its slope allows, so a
-  neighbour's distance often settles the sign; such a corner holds a lower bound with that sign
-  until it is needed.
-- Where an answer refutes a bound (a network's slope is not bounded by a theorem), every corner of
-  the cells around it is asked.
-- Where the surface leaves the refined cells through a face, the cell beyond is searched too, with
-  no new bounds: a sheet is followed to its end once any of it is seen.
+- A corner, also of the coarse grid, is evaluated only if its sign is in doubt, or if it ends an
+edge
+  that the surface crosses. The slope of an SDF is bounded, so a neighbour's distance often
+  determines the sign; such a corner holds a lower bound with that sign until its value is needed.
+- If a value contradicts a bound (a network's slope has no guaranteed bound), every corner of the
+  cells around it is evaluated.
+- If the surface leaves the refined cells through a face, the cell beyond is searched too, without
+new
+  bounds: a sheet is followed to its end once any of it is found.
 """
 
 from __future__ import annotations
@@ -41,13 +42,13 @@ class SearchRules:
     """Thresholds of trust in the field's values.
 
     Attributes:
-        slope: The steepest change of the field that bounds are made with; 1 for an exact SDF,
-            infinity for the paper's rule (every corner of a subdivided cell is asked).
-        reach: Cells of the coarse grid with a corner nearer to the surface than this many cells
-            are subdivided although their corners agree; 0 is the paper's rule.
-        smooth: Cells around which the field bends by less than so many of their sides (`bends`)
-            are not asked again when they are halved: it is interpolated. 0 never does that.
-        smooth_from: Cells along the box from which on that holds.
+        slope: Largest slope of the field for bounds; 1 for an exact SDF, infinity for the paper's
+            rule (every corner of a subdivided cell is evaluated).
+        reach: Distance to the surface, in cells, below which coarse cells are subdivided although
+            the signs at their corners agree; 0 is the paper's rule.
+        smooth: Bend of the field (`bends`), in sides of a cell, below which halved cells are
+            interpolated instead of evaluated; 0 for none.
+        smooth_from: Cells along the box from which on `smooth` applies.
     """
 
     slope: float = 1.25
@@ -119,13 +120,12 @@ def _subdivide(
         children = grid.halve(parents, stride, slope)
         cells = np.concatenate([cells, children])
         rows = np.concatenate([rows, grid.corner_rows(children, stride)])
-        # All cells, not the new ones alone: what was asked around these may refute others' bounds.
+        # All cells, not only new ones: values around these may contradict bounds elsewhere.
         _settle_crossed_edges(grid, rows)
         beyond = _led_to(cells, grid.cases(rows), stride) // (2 * stride)
         beyond = np.unique(beyond[~halved[tuple(beyond.T)]], axis=0)
         parents = beyond * np.int32(2 * stride)
-        # These are few, and the surface hid from their corners: what is new there is asked, and in
-        # one question instead of several small ones.
+        # These are few, and their corners missed the surface: evaluate all new corners at once.
         slope = np.inf
     crossed = _straddling(grid.cases(rows))
     return cells[crossed], rows[crossed]

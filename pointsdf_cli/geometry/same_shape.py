@@ -1,6 +1,4 @@
-"""Whether two meshes are the same shape, whatever their pose and unit: for finding test objects
-that slipped into training data under another name.
-"""
+"""Comparison of shapes independent of pose and scale, to find test objects in training data."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Values of a field on the corners of a cubic grid, asked only where they are needed.
+"""Values of a field on the corners of a cubic grid, evaluated only where needed.
 
-Corners that were not asked hold a lower bound of the distance with a certain sign, or nothing.
+Other corners hold a lower bound of the distance with a certain sign, or nothing.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ _THIRDS = np.array(list(product((0, 1, 2), repeat=3)))
 
 
 class SampledGrid:
-    """A field's values on those corners of a cubic grid that were looked at.
+    """A field's values on some corners of a cubic grid.
 
-    Coarse and fine levels are strides on the same grid, so one answer serves all of them.
+    Coarse and fine levels are strides on the same grid, so they share values.
 
     Args:
         field: Negative inside.
         resolution: Cells along each side.
         half_width: The grid spans [-half_width, half_width]³.
-        batch: Points asked at once.
+        batch: Number of points evaluated at once.
     """
 
     def __init__(self, field: NetworkField, resolution: int, half_width: float, batch: int) -> None:
@@ -53,10 +53,10 @@ class SampledGrid:
         self.queries = 0
 
     def ask(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """The field at points [N, 3], cut to the box.
+        """Evaluate the field at points [N, 3], cut to the box.
 
-        The box's own SDF, shrunk by half a step, takes part by max(): what sticks out is cut off
-        flat, and the outermost corners are always outside.
+        The maximum with the SDF of the box, shrunk by half a step, cuts the object off flat and
+        makes the outermost corners outside.
 
         Raises:
             RgraspError: The field is not finite.
@@ -75,12 +75,12 @@ class SampledGrid:
         return self.places(rows).astype(np.float64) * self.step - self.half_width
 
     def places(self, rows: NDArray[np.integer]) -> NDArray[np.int32]:
-        """The same in steps from the box's lowest corner: [N, 3]."""
+        """Places [N, 3] of the corners of `rows` [N], in steps from the box's lowest corner."""
         index = np.unravel_index(self._flat[rows], (self.side,) * 3)
         return np.stack(index, axis=1).astype(np.int32)
 
     def rows_at(self, places: NDArray[np.integer]) -> NDArray[np.int32]:
-        """The rows [N] of the corners at `places` [N, 3]; those that hold no value are asked."""
+        """Rows [N] of the corners at `places` [N, 3]; those without a value are evaluated."""
         flat = self._flat_of(places)
         unknown = self._once(flat[self._slot[flat] == 0])
         self._add([unknown], [np.zeros(len(unknown), np.float32)])
@@ -90,12 +90,12 @@ class SampledGrid:
 
     def values_around(self, cells: Cells, stride: int) -> NDArray[np.float32]:
         """The field [C, 64] at the corners around cells of size `stride` (`cubic_cells.STENCIL`),
-        the outermost ones repeated beyond the box; those that hold bounds are asked."""
+        the outermost ones repeated beyond the box; corners with bounds are evaluated."""
         rows = self.rows_at(self._places_around(cells, stride))
         return self.values[rows].reshape(len(cells), len(STENCIL))
 
     def known_around(self, cells: Cells, stride: int) -> NDArray[np.float32]:
-        """The same, NaN where a corner holds no value of the field; nothing is asked."""
+        """The values of `values_around`, NaN for corners without one; nothing is evaluated."""
         rows = self._slot[self._flat_of(self._places_around(cells, stride))] - 1
         values = np.full(rows.shape, np.nan, dtype=np.float32)
         known = np.flatnonzero(rows >= 0)
@@ -104,8 +104,8 @@ class SampledGrid:
         return values.reshape(len(cells), len(STENCIL))
 
     def fill(self, cells: Cells, stride: int, blocks: NDArray[np.float32]) -> None:
-        """Take `blocks` [C, 3, 3, 3] for the field on the halves of cells of size 2 · `stride`,
-        wherever nothing is known yet."""
+        """Set unknown values on the halves of cells of size 2 · `stride` to `blocks` [C, 3, 3,
+        3]."""
         flat = (self._flat_of(cells)[:, None] + self._flat_of(stride * _THIRDS)).reshape(-1)
         new = np.flatnonzero(self._slot[flat] == 0)
         new = new[one_entry_each(self._slot, flat[new])]
@@ -114,7 +114,7 @@ class SampledGrid:
         self.exact[rows] = True
 
     def corner_rows(self, cells: Cells, stride: int) -> NDArray[np.int32]:
-        """The rows [C, 8] of the corners of cells of size `stride`; new ones are asked."""
+        """Rows [C, 8] of the corners of cells of size `stride`; new ones are evaluated."""
         base = self._flat_of(cells)
         rows = np.empty((len(cells), 8), dtype=np.int32)
         fresh = []
@@ -140,9 +140,9 @@ class SampledGrid:
         return cell_cases((self.values < 0)[rows])
 
     def halve(self, cells: Cells, stride: int, slope: float) -> Cells:
-        """The children, of size `stride`, of cells of twice that size whose corners are known.
+        """Split cells with known corners into children of size `stride`, half their size.
 
-        Children's corners get bounds where the sign is certain, and are asked elsewhere.
+        The children's corners get bounds if their sign is certain; otherwise they are evaluated.
         """
         # Corners first: rows of eight numbers are slow to take the largest of.
         values = np.ascontiguousarray(self.values_at(cells, 2 * stride).T)
@@ -209,7 +209,7 @@ class SampledGrid:
 def sparse_zeros(count: int) -> NDArray[np.int32]:
     """int32 zeros [count] that take memory only where they are written, page by small page.
 
-    A surface writes to few pages. NumPy's own zeros ask for huge pages, and would take them all.
+    A surface writes to few pages; NumPy's own zeros use huge pages, which would all be allocated.
     """
     memory = mmap.mmap(-1, 4 * count)
     if hasattr(mmap, "MADV_NOHUGEPAGE"):
@@ -220,8 +220,8 @@ def sparse_zeros(count: int) -> NDArray[np.int32]:
 def one_entry_each(slot: NDArray[np.int32], flat: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Mask of the entries of `flat` [N], one for each distinct place.
 
-    A sort takes ten times as long as writing each entry's number at its place in `slot`, and
-    reading them back; there they stay.
+    Writes each entry's number to its place in `slot`, where it stays, and reads them back: ten
+    times as fast as a sort.
     """
     entries = np.arange(1, len(flat) + 1, dtype=np.int32)
     slot[flat] = entries

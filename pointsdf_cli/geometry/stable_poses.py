@@ -1,7 +1,7 @@
 """Resting poses of an object on a table, sampled so that objects made to stand do stand.
 
-The most probable resting pose of a thing that falls is lying; people put cans and bottles upright,
-and a hand can then reach around them. So the tallest pose that is firm is preferred.
+Falling objects mostly come to rest lying; people put cans and bottles upright, and a hand can then
+reach around them. So the tallest firm pose is preferred.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class StandingConfig:
     """Distribution of a pose.
 
     Attributes:
-        firm: A pose is firm if the object must be tilted by more than this [rad] to fall over.
-        standing: Probability to take the tallest firm pose; else by the pose's own probability.
-        equal_height: Firm poses within this fraction of the tallest count as tallest too.
+        firm: Least tilt [rad] at which an object in a firm pose falls over.
+        standing: Probability of the tallest firm pose; otherwise poses have their own probability.
+        equal_height: Relative height difference within which firm poses count as the tallest.
     """
 
     firm: float = 0.17
@@ -47,7 +47,7 @@ class StablePose:
         T_table_object: [4, 4], the mesh on a table whose top is z = 0.
         probability: Probability that a falling object comes to rest so.
         height: Height of the object's top above the table [m].
-        margin: By how much it must be tilted to fall over [rad].
+        margin: Tilt at which it falls over [rad].
     """
 
     T_table_object: NDArray[np.float64]

@@ -1,14 +1,14 @@
 """Free, seen, unknown: the evidence of one depth image about the space around an object.
 
-A depth image says more than points. Of each pixel it knows one of three things: a point of the
-*object* was seen there; something else was seen, so the ray is *free* up to it; or nothing came
-back, and the pixel is *unknown*. An occluder in front of the object leaves the space behind it
-unknown too: the ray is free only up to the occluder.
+A depth image contains more than points. Each pixel has one of three states: a point of the *object*
+was seen; something else was seen, so the ray is *free* up to it; or nothing returned, and the pixel
+is *unknown*. The space behind an occluder in front of the object is unknown too: the ray is free
+only up to the occluder.
 
-`VisibilityImage` keeps this as a coarse image of tangents around the object: for each cell whether
-the object was seen, and the depth up to which the ray holds nothing of the object. `ViewEvidence`
-adds the plane that the object stands on. Both are made alike for simulated views, depth images and
-clouds, so that a network is trained on what it later reads.
+`VisibilityImage` stores this as a coarse image of tangents around the object: for each cell whether
+the object was seen, and the free depth of the ray. `ViewEvidence` adds the plane on which the
+object stands. Both are computed alike for simulated views, depth images and clouds, so that
+training and use agree.
 """
 
 from __future__ import annotations

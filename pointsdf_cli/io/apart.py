@@ -1,7 +1,6 @@
-"""Refusal of outputs that are also inputs, even with --force: decided by the file itself, not by
-its name.
+"""Refusal of outputs that are also inputs, even with --force.
 
-A link, another spelling of a path or a second name of the same file do not hide what would be lost.
+Files are compared by identity, so links and other spellings of a path are recognised.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there: written beside their place, flushed, then moved."""
+"""Atomic writes: files are written beside their place, flushed, then moved."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class UnwritableError(InputError):
 
 @contextmanager
 def atomic_path(path: Path | str) -> Iterator[Path]:
-    """A temporary path in `path`'s folder that takes its place when the block ends well.
+    """Temporary path in `path`'s folder that replaces `path` when the block ends without an error.
 
-    On any exception the temporary file is removed and `path` is as it was. The suffix is kept,
+    On any exception the temporary file is removed and `path` is unchanged. The suffix is kept,
     because writers choose their format by it.
 
     Raises:
@@ -151,7 +151,7 @@ def _status(process: int) -> list[str]:
 
 
 def require_new(path: Path | str, force: bool, inputs: Iterable[Path] = ()) -> Path:
-    """`path`, unless something is there that `--force` was not given for.
+    """Check that `path` may be written, and return it: existing files need `force`.
 
     Raises:
         InputError: The file exists, is one of the inputs (whatever `force` says), or a folder
@@ -163,12 +163,12 @@ def require_new(path: Path | str, force: bool, inputs: Iterable[Path] = ()) -> P
             "is an input, which the output would replace", where=path, hint="choose another name"
         )
     if path.is_dir():
-        raise InputError("is a folder, and a file is to be written there", where=path)
+        raise InputError("is a folder, but a file must be written there", where=path)
     if path.exists() and not path.is_file():
         raise InputError("is no ordinary file, and would be replaced by one", where=path)
     if path.exists() and not force:
         raise InputError(
-            "exists already, and nothing is overwritten unasked",
+            "exists already, and is not overwritten without --force",
             where=path,
             hint="add --force, or choose another --out",
         )
@@ -176,7 +176,7 @@ def require_new(path: Path | str, force: bool, inputs: Iterable[Path] = ()) -> P
 
 
 def require_folder(path: Path | str) -> Path:
-    """`path` as a folder that exists and can be written, made if need be.
+    """Check that `path` is a writable folder, created if missing, and return it.
 
     Raises:
         InputError: A file stands there, or the folder cannot be made or written.
@@ -195,13 +195,13 @@ def require_folder(path: Path | str) -> Path:
 
 
 def unwritable(path: Path | str, error: OSError) -> UnwritableError:
-    """The user's view of an operating-system error met while writing `path`."""
+    """Input error for an operating-system error while writing `path`."""
     if error.errno == errno.ENOSPC or "No space left" in str(error):
         return UnwritableError(
             "the disk is full; nothing half-written was kept",
             where=path,
             hint="free some space or choose another --out, then run the same command again; add "
-            "--resume to a training, and --force where a file is said to be there already",
+            "--resume to a training, and --force if it says that a file exists already",
         )
     reason = error.strerror or str(error)
     return UnwritableError(f"cannot be written ({reason})", where=path, hint="choose another --out")

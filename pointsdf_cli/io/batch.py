@@ -34,8 +34,8 @@ class StageReport(Generic[Result]):
 
     Attributes:
         made: Results of the tasks that ran, by task name.
-        kept: Names whose artifact was there already.
-        refused: Name and error of every input that could not be used.
+        kept: Names of artifacts that existed already.
+        refused: Name and error of every unusable input.
         seconds: Wall time.
     """
 
@@ -71,22 +71,21 @@ def run_stage(
     folders: Iterable[Path] = (),
     on_done: Callable[[str, Result | None], None] | None = None,
 ) -> StageReport[Result]:
-    """Run `work` on every named task; `None` from it means that the artifact was there already.
+    """Run `work` on every named task.
 
-    `work` must be a function at module level, because it travels to other processes. The order in
-    which tasks finish does not matter to what they make: each draws from `task_seed`.
+    `work` must be a function at module level, because it is sent to other processes. Results do not
+    depend on the order in which tasks finish: each draws from `task_seed`.
 
     Args:
-        tasks: Names and what `work` is given.
-        work: Makes one artifact.
-        jobs: Processes.
-        folders: Folders of the artifacts. Leftovers of killed runs there are removed: before, to
-            make room, and afterwards, because the processes of a run killed a moment ago may still
-            have been ending then.
-        on_done: Called with each name and what came of it.
+        tasks: Names and tasks.
+        work: Function that makes one artifact from a task; returns None if it exists already.
+        jobs: Number of processes.
+        folders: Folders of the artifacts. Leftovers of killed runs there are removed before, to
+            free space, and afterwards, for processes that were still ending before.
+        on_done: Called with each name and result.
 
     Raises:
-        RgraspError: Anything but bad input: it stops the stage; what is finished stays.
+        RgraspError: Any error but bad input stops the stage; finished artifacts stay.
     """
     report: StageReport[Result] = StageReport()
     started = time.monotonic()
@@ -131,7 +130,7 @@ def shard_of(tasks: Sequence[Task], shard: str | None) -> list[Task]:
     index, slash, count = shard.partition("/")
     if not (slash and index.isdecimal() and count.isdecimal() and int(index) < int(count)):
         raise InputError(
-            f"{shard!r} is no shard",
+            f"{shard!r} is not a shard",
             where="--shard",
             allowed="i/n with 0 ≤ i < n, such as 0/4, 1/4, 2/4 and 3/4 for four machines",
         )
@@ -139,7 +138,7 @@ def shard_of(tasks: Sequence[Task], shard: str | None) -> list[Task]:
 
 
 def task_seed(seed: int, name: str) -> np.random.Generator:
-    """A random generator for one task, the same whoever runs it and in whatever order."""
+    """Random generator of one task; depends only on seed and name."""
     return np.random.default_rng([seed, zlib.crc32(name.encode("utf-8", "surrogateescape"))])
 
 
@@ -203,7 +202,7 @@ def _run_parallel(
 
 
 def _start_worker(parent: int) -> None:
-    """In a worker: an end when the parent ends."""
+    """Let a worker end when its parent ends."""
     # Ctrl-C reaches the whole process group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":

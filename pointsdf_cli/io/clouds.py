@@ -75,10 +75,10 @@ class Cloud:
         T_world_camera: f8 [4, 4], the camera in the world; None where it is not known.
         pixels: f8 [N, 2], (u, v) of each point in the image; None where no image is known.
         image: The depth image that the points are of; None where there was none.
-        mask: bool [N], the points that a mask of the user's says are the object's; None for none.
-        notes: Sentences about how the file was read that its user should see.
-        over_table: The pose was made from the table that is seen: of where a robot stands it says
-            nothing.
+        mask: bool [N], points of the object by the user's mask; None without one.
+        notes: Sentences for the user about the reading of the file.
+        over_table: Whether the pose was made from the observed table; it is then unrelated to a
+            robot.
     """
 
     points: NDArray[np.float64]
@@ -149,8 +149,8 @@ def read_cloud(
         unit: The unit of its coordinates, a key of `UNITS`; the result is in metres. So is a PCD's
             viewpoint; a header's `T_world_camera` is in metres always.
         drop_invalid: Leave out points that are NaN or infinite, instead of refusing them.
-        frame: "camera" or "world", whatever the file says; None for what it says.
-        T_world_camera: [4, 4], whatever the file says; None for what it says.
+        frame: "camera" or "world", overrides the file's; None for the file's.
+        T_world_camera: [4, 4], overrides the file's; None for the file's.
 
     Raises:
         InputError: No such file, another format, damaged or cut short, no points, or coordinates
@@ -223,7 +223,7 @@ def write_cloud(path: Path | str, cloud: Cloud) -> None:
 
 
 def check_object_cloud(cloud: Cloud, where: Any) -> Cloud:
-    """`cloud`, if it can be a partial view of one object that a hand may grasp.
+    """Check that a cloud can be a partial view of one graspable object, and return it.
 
     Raises:
         InputError: Too few points, all of them equal or on a line, another unit, or a scene.
@@ -247,7 +247,7 @@ def check_object_cloud(cloud: Cloud, where: Any) -> Cloud:
 
 
 def check_scene_cloud(cloud: Cloud, where: Any) -> Cloud:
-    """`cloud`, if it can be a camera's view of a table, or of a part of it.
+    """Check that a cloud can be a camera's view of a table, or of a part of it, and return it.
 
     Raises:
         InputError: Too few points, or another unit.
@@ -270,7 +270,7 @@ def _size_error(points: NDArray[np.float64], size: float, where: Any) -> InputEr
     allowed = f"one object, {SMALLEST * 1000:g} mm to {LARGEST:g} m across, in metres"
     if size < SMALLEST:
         return InputError(
-            f"the cloud is {size * 1000:.2g} mm across, too small for a thing to grasp",
+            f"the cloud is {size * 1000:.2g} mm across, too small for a graspable object",
             where=where,
             allowed=allowed,
             hint="check the unit (--unit m, cm, mm, inch)",

@@ -70,7 +70,8 @@ def read_colour(path: Path | str) -> NDArray[np.uint8]:
 
 
 LABELS = 64
-"""An image of at most so many numbers is one of labels; one of more is a mask with soft edges."""
+"""Largest number of different values in an image of labels; one of more is a mask with soft
+edges."""
 
 
 def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.bool_]:

@@ -177,7 +177,7 @@ def _closed(path: Path, vertices: NDArray[np.float64], faces: NDArray[np.int64])
     try:
         closed = close_mesh(vertices, faces)
     except InputError as error:
-        raise InputError(error.what, where=path, allowed=error.allowed, hint=error.hint) from error
+        raise InputError.of(error, path) from error
     return LoadedMesh(path.stem, closed.vertices, closed.faces, file_sha256(path), closed.repair)
 
 

@@ -1,4 +1,4 @@
-"""Numerical libraries with one thread, where processes or threads share the work out already."""
+"""Limit of numerical libraries to one thread, for work that is already divided."""
 
 from __future__ import annotations
 

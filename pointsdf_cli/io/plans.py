@@ -32,14 +32,14 @@ LAYOUT = {
     "rejected_reason": "S [R]",
     "rejected_success_probability": "f8 [R]",
     "rejected_objective": "f8 [R]",
-    "rejected_room": "f8 [R, 4]",
+    "rejected_slack": "f8 [R, 4]",
     "accepted_q": "f8 [A, *]",
     "accepted_kind": "S [A]",
     "accepted_success_probability": "f8 [A]",
     "accepted_objective": "f8 [A]",
 }
 OPTIONAL = {"object_vertices": "f4 [V, 3]", "object_faces": "i4 [F, 3]"}
-"""Not in files of before they were added."""
+"""Datasets that older files lack."""
 OK, NO_PLAN = "ok", "no_plan"
 SLACKS = ("object", "table", "obstacles", "self")
 
@@ -53,7 +53,7 @@ class RejectedSeeds:
         reasons: [R], reason codes.
         success_probability: f8 [R].
         objective: f8 [R].
-        slack: f8 [R, 4], distances less the clearances to `SLACKS` [m]: negative is too near.
+        slack: f8 [R, 4], distances minus clearances to `SLACKS` [m]; negative is too near.
     """
 
     q: Array
@@ -64,7 +64,7 @@ class RejectedSeeds:
 
     @classmethod
     def none(cls, joints: int) -> RejectedSeeds:
-        """No seed was rejected."""
+        """Empty result: no seed was rejected."""
         return cls(np.zeros((0, joints)), (), np.zeros(0), np.zeros(0), np.zeros((0, len(SLACKS))))
 
 
@@ -85,7 +85,7 @@ class AcceptedGrasps:
 
     @classmethod
     def none(cls, joints: int = 0) -> AcceptedGrasps:
-        """No grasp was accepted."""
+        """Empty result: no grasp was accepted."""
         return cls(np.zeros((0, joints)), (), np.zeros(0), np.zeros(0))
 
 
@@ -95,13 +95,13 @@ class Plan:
 
     Attributes:
         status: `ok` or `no_plan`.
-        reason: A reason code; empty where the status is `ok`.
-        sentence: The reason for a person; of a plan a warning, or empty.
-        joint_names: [J], the order of every configuration.
-        q: f8 [J], the grasp; NaN where there is none.
-        trajectory: f8 [T, J], the motion to it; T = 0 where there is none.
-        times: f8 [T] s, when each configuration is reached.
-        T_world_palm: f8 [4, 4] of the grasp; NaN where there is none.
+        reason: Reason code; empty if the status is `ok`.
+        sentence: The reason in words; for a plan a warning, or empty.
+        joint_names: [J], order of the joints in every configuration.
+        q: f8 [J], the grasp; NaN without one.
+        trajectory: f8 [T, J], the motion to it; T = 0 without one.
+        times: f8 [T], time of each configuration, s.
+        T_world_palm: f8 [4, 4] of the grasp; NaN without one.
         success_probability, objective: Values of the grasp, or NaN.
         seeds_tried: Starts given to the solver.
         timings: Seconds by stage.
@@ -109,12 +109,12 @@ class Plan:
         link_clearance_object, link_clearance_table: f8 [L] m, at the grasp; to the object by the
             samples of the link's surface, from 3 cm on to the box around it.
         rejected: Every rejected seed with its residuals.
-        kind: "side" or "top"; empty where there is no grasp.
+        kind: "side" or "top"; empty without a grasp.
         accepted: The grasp and its alternatives.
-        lift: f8 [K, J], from the grasp on, the hand as it is there, to where the palm is higher by
-            what was asked for; K = 0 where the robot has no room for it, or none was asked for.
-        object_vertices: f4 [V, 3] m, world: the object's surface as planning completed it; V = 0
-            where there is none, or the file is older.
+        lift: f8 [K, J], path from the grasp that raises the palm by the requested height with the
+            hand's joints unchanged; K = 0 if the robot cannot, or none was requested.
+        object_vertices: f4 [V, 3], world, m: the reconstructed surface; V = 0 without one, or in an
+            older file.
         object_faces: i4 [F, 3], its triangles, seen counter-clockwise from outside.
     """
 
@@ -189,7 +189,7 @@ def write_plan(
             "rejected_reason": Dataset(_bytes(rejected.reasons)),
             "rejected_success_probability": Dataset(rejected.success_probability),
             "rejected_objective": Dataset(rejected.objective),
-            "rejected_room": Dataset(rejected.slack, "m"),
+            "rejected_slack": Dataset(rejected.slack, "m"),
         },
         attributes={
             "status": plan.status,
@@ -200,7 +200,7 @@ def write_plan(
             "objective": plan.objective,
             "seeds_tried": plan.seeds_tried,
             "timings_json": json.dumps(dict(plan.timings), sort_keys=True),
-            "rejected_room_columns": ",".join(SLACKS),
+            "rejected_slack_columns": ",".join(SLACKS),
         },
         seed=seed,
         config=config,
@@ -238,7 +238,7 @@ def read_plan(path: Path | str) -> Plan:
                 reasons=_strings(data["rejected_reason"]),
                 success_probability=data["rejected_success_probability"],
                 objective=data["rejected_objective"],
-                slack=data["rejected_room"],
+                slack=data["rejected_slack"],
             ),
             kind=str(facts["kind"]),
             accepted=AcceptedGrasps(
@@ -289,7 +289,7 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
                 "reason": reason,
                 "success_probability": _number(rejected.success_probability[k]),
                 "objective": _number(rejected.objective[k]),
-                "room": {
+                "slack": {
                     name: _number(value)
                     for name, value in zip(SLACKS, rejected.slack[k], strict=True)
                 },
@@ -334,7 +334,7 @@ def write_trajectory(path: Path | str, plan: Plan) -> None:
 
 
 def _number(value: float) -> float | None:
-    """JSON knows neither NaN nor infinity."""
+    """A number for JSON, which has neither NaN nor infinity: None for these."""
     return float(value) if np.isfinite(value) else None
 
 

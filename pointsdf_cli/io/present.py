@@ -1,4 +1,4 @@
-"""Inputs that are not there: told before what reads them is imported."""
+"""Check for missing inputs, before slow imports."""
 
 from __future__ import annotations
 

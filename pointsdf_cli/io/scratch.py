@@ -1,6 +1,6 @@
 """Temporary folders for libraries that read from disk, removed when their process ends.
 
-What a killed process left is removed by the next one that needs such a folder, by the same rule as
+Folders of killed processes are removed by the next process that needs one, by the same rule as
 outputs under construction (`atomic.py`).
 """
 

@@ -1,6 +1,6 @@
 """JSON that any program can read: NaN and infinity become null.
 
-Python would write `NaN`, which is no JSON: `jq` and every browser refuse the whole document.
+Python writes `NaN`, which is not JSON: `jq` and browsers refuse the whole document.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def to_json(value: Any, indent: int | None = None) -> str:
         indent: Spaces a level; all on one line if None.
 
     Raises:
-        TypeError: There is something else in it.
+        TypeError: It contains a value of another type.
     """
     return json.dumps(_plain(value), indent=indent, ensure_ascii=False, allow_nan=False)
 

@@ -48,26 +48,26 @@ class TrialRow:
         method: "reconstruction" or "partial-view".
         ablation: Empty, or what was changed.
         status: "ok" or "no_plan".
-        reason: Reason code where there is no plan, else empty.
-        kind: "side" or "top"; empty where there is no plan.
+        reason: Reason code without a plan, else empty.
+        kind: "side" or "top"; empty without a plan.
         cause: "held", or how it ended: a cause of the executor, or "no_plan".
         planning_time: Wall time from the cloud to the trajectory [s].
-        planning_cpu: The same as processor time [s], which a busy machine does not change.
-        success_probability: Predicted; NaN where there is none.
-        rehearsed: Share of rehearsals in which the grasp held; NaN where there were none.
-        contact: The robot touched the object before the hand closed.
-        moved: Distance that the object had moved by then [m].
+        planning_cpu: Processor time from the cloud to the trajectory [s], independent of the load.
+        success_probability: Predicted probability; NaN without a plan.
+        rehearsed: Share of rehearsals in which the grasp held; NaN without rehearsals.
+        contact: Whether the robot touched the object before the hand closed.
+        moved: Displacement of the object by then [m].
         penetration: Depth of the planned grasp in the true mesh [m], 0 if none.
-        lifted: The object rose at least 0.105 m and was in the hand after the lift.
-        held: It was still in the hand after the hold; equal to `lifted` without a hold.
+        lifted: Whether the object rose at least 0.105 m and was in the hand after the lift.
+        held: Whether it was still in the hand after the hold; equal to `lifted` without a hold.
         unshaken: 1 if it was still in the hand after all pushes, 0 if not, -1 without pushes.
-        lost_in: Step in which it was lost: "lift", "hold", "push +x" and so on; empty if it never
-            was, or if nothing was lifted for want of a plan.
-        final_height: Height by which it had risen when `held` was judged [m].
+        lost_in: Step in which it was lost: "lift", "hold", "push +x" and so on; else empty, also
+            without a plan.
+        final_height: Rise of the object at the verdict `held` [m].
         seed: Random seed of the experiment.
         clutter: Number of other objects around.
-        disturbed: One of them fell over or moved more than 2 cm.
-        largest_move: Largest distance that one of them moved [m].
+        disturbed: Whether one of them fell over or moved more than 2 cm.
+        largest_move: Largest displacement of one of them [m].
     """
 
     object: str
@@ -100,7 +100,7 @@ class TrialRow:
 
     @property
     def succeeded(self) -> bool:
-        """The object was held, and nothing else disturbed."""
+        """Whether the object was held and no other object disturbed."""
         return self.held and not self.disturbed
 
 
@@ -111,16 +111,16 @@ class Evidence:
     Attributes:
         cloud: f4 [N, 3], world, m.
         T_world_camera: [4, 4].
-        vertices, faces: f4 [V, 3] world m, i4 [F, 3]: the surface that the planner believed in;
-            empty where there is none.
+        vertices, faces: f4 [V, 3] world m, i4 [F, 3], the planner's surface of the object; empty
+            without one.
         phases: [M], names of the moments shown.
         q: [M, J], the robot then.
-        T_world_object: [M, 4, 4], the object then; where nothing was executed, M = 1.
-        trajectory: [T, J], the planned motion; T = 0 where there is none.
-        times: [T] s.
+        T_world_object: [M, 4, 4], the object then; M = 1 without an execution.
+        trajectory: [T, J], the planned motion; T = 0 without one.
+        times: [T], s.
         T_world_others: [M, N, 4, 4], the other objects then; N = 0 without clutter.
-        obstacle_vertices, obstacle_faces: f4 [V, 3] world m, i4 [F, 3]: what the planner took the
-            other objects for.
+        obstacle_vertices, obstacle_faces: f4 [V, 3] world m, i4 [F, 3], the planner's surfaces of
+            the other objects.
     """
 
     cloud: NDArray[np.float32]

@@ -25,7 +25,7 @@ def evidence_layout(rows: str) -> dict[str, str]:
 
 
 def evidence_datasets(evidence: Sequence[ViewEvidence]) -> dict[str, Dataset]:
-    """One row a view: NaN for the window or the plane that is not known."""
+    """Datasets with one row a view; NaN for an unknown window or plane."""
     nothing = VisibilityImage(
         np.full(4, np.nan), np.zeros((SIZE, SIZE), bool), np.zeros((SIZE, SIZE), np.float32)
     )

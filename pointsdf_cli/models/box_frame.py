@@ -1,13 +1,13 @@
-"""The box that a partial cloud was cut from, and where a query lies between its faces.
+"""Oriented box of a partial cloud, and distances of queries to its faces.
 
-Of a carton seen from a corner three faces are hidden, and the view says exactly where: each lies at
-the end of the faces that meet it. That is a number about the whole cloud along one direction, which
-no local feature holds and an embedding holds coarsely. So it is computed: three orthogonal
-directions that the cloud's normals keep to, the cloud's ends along each, and for a query how far it
-lies from each of the six planes. Cans, jars and tools have such ends too.
+A carton seen from a corner has three hidden faces, each at the end of the visible faces that meet
+it. This is a property of the whole cloud along one direction: no local feature contains it, and an
+embedding only coarsely. So it is computed: three orthogonal directions that align with the cloud's
+normals, the cloud's ends along each, and a query's distance to each of the six planes. Cans, jars
+and tools have such ends too.
 
-**The directions** maximise Σ Σₖ (n·rₖ)⁴ over rotations (r₁ r₂ r₃), as independent component
-analysis does (Hyvärinen 1999): each normal wants to lie along one of them. A fixed point of
+**The directions** maximise Σ Σₖ (n·rₖ)⁴ over rotations (r₁ r₂ r₃), as in independent component
+analysis (Hyvärinen 1999), which aligns each normal with one of them. A fixed point of
 R ← polar(Σ (Rn)³ nᵀ) is found in a few rounds from the principal directions of the normals.
 """
 
@@ -22,13 +22,14 @@ from pointsdf_cli.models.revolution import Axis, cylindrical
 
 ROUNDS = 12
 INNER = 0.005
-"""Share of the points beyond the inner one of the two ends that are given for each hidden side:
-the outermost point of a noisy cloud lies outside of the object."""
+"""Share of the points beyond the inner end, a second, robust end of each hidden side: the outermost
+point of a noisy cloud lies outside the object."""
 SHARP, SOFT = 0.01, 0.05
 """Scales of the saturating copies of each distance, network units."""
 
 GAPS = 14
-"""Distances of a query: three along each direction, four about the axis, one from the whole box."""
+"""Number of distances of a query: three along each direction, four about the axis, one to the
+box."""
 BOX_SIZE = 3 * GAPS + 13
 
 
@@ -36,13 +37,13 @@ class BoxFrame(NamedTuple):
     """Three orthogonal directions of each cloud and its ends along them, in the network's frame.
 
     Attributes:
-        directions: [B, 3, 3], rows of unit length that point to the camera's side, the one most
-            along the viewing direction first.
-        ends: [B, 3, 3], along each direction the highest point, the lowest, and the one that a
-            share `INNER` of the points lies below.
-        turned: [B, 4], of the axis of revolution: the largest radius, the highest point, the lowest
-            and the inner one.
-        trust: [B, 13]: how well the normals keep to the directions, and the box's size.
+        directions: [B, 3, 3], unit rows that point to the camera's side, the one nearest to the
+            viewing direction first.
+        ends: [B, 3, 3], along each direction the highest point, the lowest, and the quantile
+            `INNER`.
+        turned: [B, 4], about the axis of revolution: the largest radius, the highest point, the
+            lowest and the inner one.
+        trust: [B, 13], alignment of the normals with the directions, and the box's size.
     """
 
     directions: Tensor
@@ -53,12 +54,12 @@ class BoxFrame(NamedTuple):
 
 @torch.no_grad()
 def box_frame(normals: Tensor, cloud: Tensor, camera: Tensor, axis: Axis) -> BoxFrame:
-    """The directions that a cloud's normals keep to, and its ends.
+    """Directions aligned with a cloud's normals, and the cloud's ends along them.
 
     Args:
         normals: [B, M, 3], of unit length, spread evenly over the cloud.
-        cloud: [B, P, 3].
-        camera: [B, 3].
+        cloud: [B, P, 3], network frame.
+        camera: [B, 3], network frame.
         axis: Axis of revolution.
     """
     frame = torch.linalg.eigh(normals.transpose(1, 2) @ normals).eigenvectors.transpose(1, 2)
@@ -124,7 +125,7 @@ def box_evidence(x: Tensor, box: BoxFrame, axis: Axis) -> Tensor:
 
 
 def _ends(along: Tensor) -> Tensor:
-    """[B, D, 3] from places [B, P, D]: the highest, the lowest and the inner one."""
+    """Highest, lowest and inner coordinate [B, D, 3] of points [B, P, D]."""
     beyond = max(1, round(INNER * along.shape[1]))
     inner = along.kthvalue(beyond, dim=1).values
     return torch.stack([along.amax(1), along.amin(1), inner], dim=-1)

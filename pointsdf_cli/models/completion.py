@@ -1,4 +1,4 @@
-"""The whole object from a partial cloud in one call."""
+"""Completion of a partial cloud in one call."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from pointsdf_cli.models.neighbours import gather
 
 HEADS = 4
-"""Weighted means that a local read-out takes over the same neighbours."""
+"""Number of weighted means of a local read-out over the same neighbours."""
 
 
 class LocalFeatures(nn.Module):
@@ -33,7 +33,7 @@ class LocalFeatures(nn.Module):
     def forward(self, x: Tensor, table: Tensor, index: Tensor) -> Tensor:
         """[B, Q, width] at x [B, Q, 3] from rows `index` [B, Q, K] of the table."""
         at_queries = self.from_offset(x * self.inverse_radius)
-        # In place: these are the largest tensors of the decoder, and memory is what they cost.
+        # In place: these are the largest tensors of the decoder, bound by memory bandwidth.
         hidden = gather(table, index).add_(at_queries.unsqueeze(2)).relu_()
         weights = self.score(hidden).softmax(dim=2).to(hidden.dtype)
         read = torch.matmul(weights.transpose(-1, -2), hidden)

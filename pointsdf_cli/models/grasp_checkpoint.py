@@ -1,7 +1,7 @@
 """Checkpoints of `train-gs`: network, prior, and the shape network that they read.
 
-A frozen encoder is not stored again: config.json names the checkpoint it came from, with a hash of
-its weights. An encoder that was trained along is stored, without the decoder that nobody trained.
+A frozen encoder is not stored: config.json names its checkpoint, with a hash of the weights. An
+encoder that was trained too is stored, without the untrained decoder.
 """
 
 from __future__ import annotations
@@ -70,13 +70,13 @@ def write_grasp_checkpoint(
     Args:
         path: The directory.
         network, encoder: The architectures.
-        weights: `network.…`, and `encoder.…` where that was trained along; None keeps those there.
-        prior: Kept in double precision.
-        frozen_from: The checkpoint that a frozen encoder came from.
+        weights: `network.…`, and `encoder.…` if that was trained too; None keeps the stored ones.
+        prior: The prior, stored in double precision.
+        frozen_from: Checkpoint of a frozen encoder.
         mode: One of `MODES`.
         robot, sweep: Robot and closing hand of the training data.
-        provenance: Goes into config.json.
-        train_state: To resume from.
+        provenance: Further entries of config.json.
+        train_state: State to resume from.
         half: Store weights of the networks in float16.
     """
 
@@ -117,11 +117,11 @@ def read_grasp_checkpoint(
     Args:
         path: The checkpoint; where None, the bundled one of the robot.
         sdf_checkpoint: Path of the frozen encoder, if it has moved.
-        robot: The robot; the bundled one where None.
+        robot: The robot; the bundled one if None.
 
     Raises:
-        InputError: No such checkpoint, of another kind or robot, or its encoder is missing or
-            another one.
+        InputError: The checkpoint does not exist or is of another kind or robot, or its encoder is
+            missing or has other weights.
     """
     robot = robot or load_robot()
     checkpoint = read_checkpoint(path or bundled_success(robot) or asset_path(BUNDLED))
@@ -159,7 +159,7 @@ def _check_config(config: Mapping[str, Any], where: object) -> None:
     """Require the keys of config.json that are read.
 
     Raises:
-        InputError: It is not, so the file is damaged or was written by hand.
+        InputError: A key is missing: the file is damaged or was written by hand.
     """
     parts = {"robot": ("name", "preshape_joints"), "mode": (), "encoder": (), "inputs": ()}
     for key, inner in parts.items():
@@ -174,7 +174,7 @@ def check_hand(sweep: HandSweep, config: Mapping[str, Any], where: object) -> No
     """Refuse a checkpoint trained with a hand whose fingers move differently.
 
     Raises:
-        InputError: They do.
+        InputError: The fingers move differently.
     """
     learned = config["robot"].get("course")  # older checkpoints do not say
     now = sweep.course()
@@ -182,10 +182,10 @@ def check_hand(sweep: HandSweep, config: Mapping[str, Any], where: object) -> No
         return
     if np.shape(learned) != now.shape or not np.allclose(learned, now, atol=COURSE_OFF):
         raise InputError(
-            f"learned with another hand, or another palm frame, of {config['robot']['name']!r}: "
-            "fingers close elsewhere, and h would be of other grasps",
+            f"was trained with another hand or palm frame of {config['robot']['name']!r}: the "
+            "fingers close elsewhere, so its predictions do not apply",
             where=where,
-            allowed="palm frame, links, limits, closing joints and speeds as when it learned",
+            allowed="palm frame, links, limits, closing joints and speeds as in training",
             hint="collect-grasps and train-gs again with this --robot",
         )
 
@@ -207,8 +207,8 @@ def check_robot(
             f"was made with the robot {name!r} ({len(preshape_joints)} preshape joints), "
             f"not {robot.name!r} ({len(robot.preshape_joints)})",
             where=where,
-            hint="--robot with that robot's YAML; another hand learns its own, by collect-grasps "
-            "and train-gs with its --robot, and plans with --grasp-checkpoint",
+            hint="give that robot's YAML with --robot; for another hand train a network with "
+            "collect-grasps and train-gs --robot, and plan with --grasp-checkpoint",
         )
 
 
@@ -248,7 +248,7 @@ def encoder_path(checkpoint: Checkpoint, override: Path | str | None = None) -> 
         path = asset_path(f"weights/{stored.removeprefix(BUNDLED_PREFIX)}")
     if not path.is_dir():
         raise InputError(
-            f"the encoder that it was trained with is not there ({path})",
+            f"the encoder of its training is missing ({path})",
             where=checkpoint.path,
             hint="give its checkpoint directory with --sdf",
         )
@@ -264,20 +264,20 @@ def encoder_path(checkpoint: Checkpoint, override: Path | str | None = None) -> 
 def learned_from_another(
     grasp_checkpoint: Path | str | None, sdf_checkpoint: Path | str
 ) -> Path | None:
-    """The reconstruction that a success network on geometry has learned from, if it is another.
+    """The reconstruction network with which a success network on geometry was trained, if another.
 
-    Such a network reads whatever field it is given; that its probabilities hold is known for the
-    field of its own reconstruction only.
+    Such a network reads any field, but its probabilities are calibrated for fields of the
+    reconstruction that it was trained with.
 
     Args:
-        grasp_checkpoint: The success network; the bundled one where None.
-        sdf_checkpoint: The reconstruction that it is to read.
+        grasp_checkpoint: The success network; the bundled one if None.
+        sdf_checkpoint: The reconstruction network that it will read.
 
     Returns:
-        None where it is the same one, or where the network brings its own encoder along.
+        None if they are the same, or if the success network has its own encoder.
 
     Raises:
-        InputError: No such checkpoint.
+        InputError: A checkpoint does not exist.
     """
     checkpoint = read_checkpoint(
         grasp_checkpoint if grasp_checkpoint is not None else asset_path(BUNDLED)

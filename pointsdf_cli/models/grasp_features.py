@@ -1,12 +1,12 @@
 """Features of the reconstruction at a grasp, for the success network.
 
-An embedding of the whole cloud blurs what the fingers touch. These features do not: signed
-distances where the pads of the closing links pass and in the region between them, in the palm's own
-frame, so that the same contact looks the same wherever it happens; and of each pad how surely and
-how soon it touches. Beside them stand what gravity and the table do: how high the links are, which
-way is down, how large and how heavy the object seems.
+An embedding of the whole cloud blurs the contacts. These features are local: signed distances along
+the paths of the pads of the closing links and in the region between them, in the palm's frame, so
+that equal contacts give equal features; and the certainty and time of each pad's contact. Further
+features tell of gravity and the table: heights of the links, the downward direction, size and
+weight of the object.
 
-The gradient of the field is in there as differences between neighbouring points. All of it is
+Differences between neighbouring points contain the field's gradient. All features are
 differentiable in the preshape and in the palm's pose; frame: world, z up, table top at z = 0.
 """
 
@@ -27,16 +27,16 @@ FAR = 0.04
 """Distance [m] at which the hyperbolic tangent of a distance saturates."""
 
 TOUCH, TOUCH_WIDTH = 0.004, 0.004
-"""A pad touches where its distance is below the first [m], softly within the second [m]."""
+"""Distance [m] below which a pad touches, and width [m] of the soft transition."""
 
 EVERY = 2
 """Stride over the moments of the closing motion whose distances are features."""
 
 LENGTH = 0.1
-"""Lengths are given in units of this [m]."""
+"""Unit of the lengths among the features [m]."""
 
 BODY_CELLS = 8
-"""Cells along each side of the box in which the object's body is measured."""
+"""Cells along each side of the box in which the object's volume is measured."""
 
 BODY_SIZE = 6
 
@@ -48,7 +48,7 @@ class ObjectBody:
     Attributes:
         centre: f4 [3] or [B, 3], centre of the seen points' upright bounding box, m.
         mass_centre: f4 [3] or [B, 3], centre of the reconstructed volume, m.
-        numbers: f4 [BODY_SIZE] or [B, BODY_SIZE], standing for its size: see `object_body`.
+        numbers: f4 [BODY_SIZE] or [B, BODY_SIZE], size features of `object_body`.
     """
 
     centre: Tensor
@@ -95,8 +95,8 @@ class GraspFeatures:
     """Features of grasps of one object.
 
     Args:
-        sweep: The hand.
-        preshape_ranges: [K, 2], to scale the preshape with.
+        sweep: Sweep of the closing hand.
+        preshape_ranges: [K, 2], ranges that scale the preshape.
     """
 
     def __init__(self, sweep: HandSweep, preshape_ranges: NDArray[np.floating]) -> None:
@@ -106,7 +106,7 @@ class GraspFeatures:
 
     @property
     def size(self) -> int:
-        """F, how many features there are."""
+        """Number of features, F."""
         stages, (still, moving) = self._sweep.config.stages, self._sweep.sizes
         seen = len(range(0, stages, EVERY))
         on_links = seen * moving + 2 * moving + still + seen
@@ -162,7 +162,7 @@ class GraspFeatures:
         up = rotation[:, 2]
         to_centre = _turned_back(rotation, body.centre - position)
         to_mass = _turned_back(rotation, body.mass_centre - position)
-        # What the weight does about the palm: a lever. The small number keeps the root smooth.
+        # Lever arm of the weight about the palm. The small constant keeps the root smooth.
         lever = torch.linalg.cross(up, to_mass).square().sum(1, keepdim=True)
         rows = [
             torch.tanh(seen / FAR),
@@ -181,11 +181,11 @@ class GraspFeatures:
 
 
 def _touching(pads: Tensor) -> tuple[Tensor, Tensor]:
-    """Certainty of each pad's contact while the hand closes, and its lateness, both [M, B] in 0 to
-    1.
+    """Probability of each pad's contact while the hand closes, and its expected time, both [M, B]
+    in 0 to 1.
 
-    A moment's distance gives the chance that it touches there; what did not touch at any moment so
-    far is still free. The mean of that over all moments is the expected time of first touch.
+    The distance at a stage gives the probability of contact there; the product of the complements
+    is the probability of no contact so far. Its mean over all stages is the expected time.
 
     Args:
         pads: [S, M, B], distances m.
@@ -195,5 +195,5 @@ def _touching(pads: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _turned_back(rotation: Tensor, vector: Tensor) -> Tensor:
-    """Rᵀ v for [B, 3, 3] and [B, 3]."""
+    """Product Rᵀ v of [B, 3, 3] and [B, 3]."""
     return (vector[:, None] @ rotation).squeeze(1)

@@ -1,22 +1,22 @@
 """The prior g(q_g; ψ) over grasp configurations (paper section IV): a mixture of two Gaussians.
 
-One component for side grasps and one for top grasps, as published. Both kinds are known in the
-training data, so the components are fitted to them directly and never have to be guessed by EM;
-each can then have a chart of its own, about its own mean rotation. Coordinates of a grasp:
+One component for side grasps and one for top grasps, as published. The training data names the
+kind, so the components are fitted directly, without EM, and each has a chart of its own about its
+mean rotation. Coordinates of a grasp:
 
     y = [ (Rᵀ (c − t) − (b, 0, 0)) / ℓ ,  log(R̄ₖᵀ A⁻¹ R) ,  (preshape − middle) / width ]
 
-t, R is the palm in the world, c the centre of the seen points' upright box, b how far that box
-reaches from c along the palm's x, ℓ = 0.1 m, A the turn about the vertical that looks from the
-robot at the object, R̄ₖ the component's mean rotation; middle and width are those of the
-ranges that preshapes are drawn from. Neither the camera's place nor the
-object's turn on the table enters but through the box: the same prior serves any view.
+(t, R) is the palm in the world, c the centre of the seen points' upright box, b the extent of that
+box from c along the palm's x, ℓ = 0.1 m, A the rotation about the vertical from the world to the
+direction robot → object, R̄ₖ the component's mean rotation; middle and width are those of the
+preshapes' ranges. The camera's place and the object's yaw enter only through the box: the same
+prior serves any view.
 
-The density is exact: with respect to dt / ℓ³ · dR · d(preshape / width), dR the invariant volume of
-rotations. (A shift by b and a turn by R have unit Jacobian; the rotation's chart has the one in
-`rotations.py`.) With these units a preshape that is as good as any other counts for nothing,
-whatever the hand. Offsets are lengths, not shares of the object's size: it is the hand that sets
-them, and held-out grasps are likelier so (docs/notebook.md).
+The density is exact with respect to dt / ℓ³ · dR · d(preshape / width), dR the invariant volume of
+rotations. (A shift by b and a rotation by R have unit Jacobian; the Jacobian of the rotation's
+chart is in `rotations.py`.) With these units a uniform preshape contributes nothing for any hand.
+Offsets are lengths, not shares of the object's size: the hand determines them, and held-out grasps
+are likelier so (docs/notebook.md).
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from pointsdf_cli.models.rotations import log_volume, rotation_of, rotation_vect
 
 KINDS = ("side", "top")
 LENGTH = 0.1
-"""ℓ [m]."""
+"""Unit of length ℓ [m]."""
 NARROW = 0.01
-"""Width as which narrower preshape ranges count [rad or m]: what hardly moves would otherwise curve
-the density a million times as much as all else."""
+"""Least width of a preshape range [rad or m]: narrower ranges would dominate the density's
+curvature."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class ObjectPlace:
     """Pose and size of one object, for the prior.
 
     Attributes:
-        centre: f8 [3], of the seen points' upright box in the world, m.
-        extent: f8 [3], its sides, m.
+        centre: f8 [3], centre of the seen points' upright box in the world, m.
+        extent: f8 [3], sides of that box, m.
         azimuth: Direction from the robot's base to the centre, about the vertical [rad].
     """
 
@@ -57,19 +57,19 @@ class ObjectPlace:
 
     @classmethod
     def of(cls, points: Array, base: Array) -> ObjectPlace:
-        """From seen points [N, 3] and the robot's base [3], both in the world."""
+        """Measure seen points [N, 3], given the robot's base [3], both in the world."""
         low, high = points.min(axis=0), points.max(axis=0)
         centre = (low + high) / 2
         azimuth = math.atan2(centre[1] - base[1], centre[0] - base[0])
         return cls(torch.tensor(centre), torch.tensor(high - low), azimuth)
 
     def heading(self) -> Tensor:
-        """A, f8 [3, 3]."""
+        """Rotation A, f8 [3, 3]."""
         c, s = math.cos(self.azimuth), math.sin(self.azimuth)
         return torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
 
     def reach(self, rotation: Tensor) -> Tensor:
-        """b [B]: half the box's extent along the palm's x, for palm rotations [B, 3, 3]."""
+        """Extent b [B]: half the box's along the palm's x, for palm rotations [B, 3, 3]."""
         return (rotation[:, :, 0].abs() @ self.extent) / 2
 
 
@@ -81,7 +81,7 @@ class GraspPrior:
         rotations: [2, 3, 3], R̄ₖ.
         means: [2, D] with D = 6 + K.
         choleskys: [2, D, D], lower triangular factors of the covariances.
-        ranges: [K, 2], of the preshape joints: samples are clipped to them.
+        ranges: [K, 2], ranges of the preshape joints, to which samples are clipped.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class GraspPrior:
     def coordinates(
         self, kind: int, preshape: Tensor, T_world_palm: Tensor, place: ObjectPlace
     ) -> Tensor:
-        """y [B, D] in the chart of component `kind`."""
+        """Coordinates y [B, D] in the chart of component `kind`."""
         rotation, position = T_world_palm[:, :3, :3].double(), T_world_palm[:, :3, 3].double()
         offset = ((place.centre - position)[:, None] @ rotation).squeeze(1)
         offset = offset - torch.nn.functional.pad(place.reach(rotation)[:, None], (0, 2))
@@ -142,7 +142,7 @@ class GraspPrior:
         noise = torch.from_numpy(rng.standard_normal((count, self.means.shape[1])))
         y = self.means[k] + noise @ self.choleskys[k].T
         turn = y[:, 3:6]
-        # Beyond π a rotation vector means the turn the other way round: the chart ends there.
+        # The chart ends at π: a longer rotation vector means a rotation the other way round.
         angle = turn.norm(dim=1, keepdim=True)
         turn = turn * (angle.clamp(max=math.pi - 1e-6) / angle.clamp(min=1e-12))
         rotation = place.heading() @ self.rotations[k] @ rotation_of(turn)
@@ -157,7 +157,7 @@ class GraspPrior:
         return preshape.numpy(), palm.numpy()
 
     def state(self) -> dict[str, Tensor]:
-        """Tensors by name, as `from_state` takes them."""
+        """Tensors by name, for `from_state`."""
         return {
             "prior.weights": self.weights,
             "prior.rotations": self.rotations,
@@ -168,10 +168,10 @@ class GraspPrior:
 
     @classmethod
     def from_state(cls, state: Mapping[str, Tensor]) -> GraspPrior:
-        """From the tensors of a checkpoint.
+        """Rebuild the prior from the tensors of a checkpoint.
 
         Raises:
-            InputError: One is missing.
+            InputError: A tensor is missing.
         """
         names = ("weights", "rotations", "means", "choleskys", "ranges")
         missing = [name for name in names if f"prior.{name}" not in state]

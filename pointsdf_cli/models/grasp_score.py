@@ -1,4 +1,4 @@
-"""A trained success network and its prior, for one object in the world, as planning uses them.
+"""Scores of grasps of one object by a trained success network and its prior.
 
     grasps = load_grasp_model().on(points, T_world_camera)
     grasps.log_success(preshape, T_world_palm)      [B], differentiable
@@ -38,7 +38,7 @@ GRID_STEP = 0.008
 """Step of the grid on which the geometry's field is kept [m]."""
 
 OWN_NODES = 8_000
-"""Nodes of that grid when the network itself has to be asked."""
+"""Largest number of nodes of that grid if the network itself is evaluated."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ class GraspModel:
     Attributes:
         network: Network of either kind, calibrated, in evaluation mode.
         prior: The mixture.
-        encoder: The shape network whose embedding or distances are read.
-        robot: The robot that it was trained with.
-        sweep: Its closing hand.
-        learned_from: Number of executed grasps that it was trained on, where it says so.
+        encoder: The shape network with the embedding or the distances.
+        robot: The robot of the training data.
+        sweep: Sweep of its closing hand.
+        learned_from: Number of executed training grasps; None if the checkpoint does not say.
     """
 
     network: EmbeddingNet | GeometryNet
@@ -73,12 +73,12 @@ class GraspModel:
         Args:
             points: [N, 3], the segmented object as seen, camera frame, m.
             T_world_camera: [4, 4]; z is up in the world and the table top at 0.
-            field: The object's signed distances in the world, for the features of geometry; the
-                reconstruction by `encoder` where None. A network on embeddings does not read it.
+            field: The object's signed distances in the world, for the features of geometry; if None
+                the reconstruction by `encoder`. Unused by networks on embeddings.
             seed: Random seed of the cloud's resampling.
 
         Raises:
-            InputError: The points are no cloud, or the pose is not rigid.
+            InputError: The points are not a cloud, or the pose is not rigid.
         """
         pose = np.asarray(T_world_camera, dtype=np.float64)
         if not is_rigid(pose):
@@ -113,11 +113,11 @@ class ObjectGrasps(ABC):
         return torch.nn.functional.logsigmoid(self.logit(preshape, T_world_palm))
 
     def log_prior(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
-        """log g [B] of the same, in the units of `grasp_prior.py`."""
+        """log g [B] of preshapes [B, K] and palms [B, 4, 4], in the units of `grasp_prior.py`."""
         return self._model.prior.log_density(preshape, T_world_palm, self._place)
 
     def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Preshapes [N, K] and palms [N, 4, 4] of the prior's "side" or "top" component."""
+        """Sample preshapes [N, K] and palms [N, 4, 4] of the prior's "side" or "top" component."""
         return self._model.prior.sample(kind, count, self._place, rng)
 
 
@@ -133,7 +133,7 @@ class EmbeddingGrasps(ObjectGrasps):
 
     def logit(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
         palm = T_world_palm.double()
-        # Places in the world are large numbers beside what decides: subtract before rounding.
+        # World coordinates are large beside the differences that matter: subtract before rounding.
         position = ((palm[:, :3, 3] - self._centre) * self._scale).float()
         top = torch.cat([palm[:, :3, :3].float(), position[:, :, None]], dim=2)
         numbers = grasp_numbers(preshape.float(), self._axes @ top)
@@ -155,7 +155,7 @@ class GeometryGrasps(ObjectGrasps):
         super().__init__(model, place)
         self.body: ObjectBody = object_body(points, field)  # type: ignore[arg-type]
         low, high = points.min(axis=0), points.max(axis=0)
-        # The unseen side may reach as far back as the seen one is wide.
+        # The unseen part may be as deep as the seen one is wide.
         spare = 0.5 * float((high - low).max()) + FAR
         low, high = low - spare, high + spare
         low[2] = max(low[2], -FAR)
@@ -175,13 +175,13 @@ def load_grasp_model(
     device: str = "cpu",
     robot: RobotDescription | None = None,
 ) -> GraspModel:
-    """The model of a checkpoint that `train-gs` wrote.
+    """Load a checkpoint of `train-gs`.
 
     Args:
         path: The checkpoint; where None, the bundled one of the robot.
         sdf_checkpoint: The frozen shape network, if it is not where it was when it was trained.
         device: Device of the shape network; the success network is too small to gain by it.
-        robot: The robot; the bundled one where None.
+        robot: The robot; the bundled one if None.
 
     Raises:
         InputError: As `read_grasp_checkpoint`.

@@ -1,16 +1,16 @@
-"""The success network h(q_g, o; φ) (paper section IV): will this grasp hold?
+"""The success network h(q_g, o; φ) (paper section IV): probability that a grasp holds.
 
-Two networks with one interface, `logit(...)` to `log h`:
+Two networks:
 
 - `EmbeddingNet` is the published one. It reads the cloud's embedding (256), its size (3) and the
   grasp: preshape joints, and the palm's pose in the object frame. The rotation enters as the first
   two columns of its matrix (6 numbers: no jumps, unlike angles or quaternions; the third column is
   their cross product and says nothing more).
-- `GeometryNet` reads the features of `grasp_features.py`. Several small networks, trained together
-  from different starts, are averaged: their disagreement is what little data leaves open.
+- `GeometryNet` reads the features of `grasp_features.py`. It averages several small networks,
+  trained together from different starts: an ensemble against little data.
 
-Training balances the classes, so raw logits answer "which of the two, if both were as frequent";
-`Calibration` turns them into the probability that the planner's threshold means.
+Training balances the classes, so raw logits assume equally frequent successes and failures;
+`Calibration` turns them into probabilities for the planner's thresholds.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ import torch
 from torch import Tensor, nn
 
 POSE_SIZE = 9
-"""Numbers of a palm pose: place (3) and two columns of the rotation (6)."""
+"""Number of inputs for a palm pose: position (3) and two columns of the rotation (6)."""
 
 
 class Calibration(nn.Module):
-    """log h = log σ(a z + b): a is one over the temperature, b mends the base rate."""
+    """Calibration log h = log σ(a z + b): a is one over the temperature, b corrects the base
+    rate."""
 
     scale: Tensor
     shift: Tensor
@@ -43,7 +44,7 @@ class Calibration(nn.Module):
 
 
 class Standardise(nn.Module):
-    """(x − mean) / deviation, with numbers of the training data."""
+    """Standardisation (x − mean) / deviation by statistics of the training data."""
 
     mean: Tensor
     inverse: Tensor
@@ -69,9 +70,10 @@ class EmbeddingNet(nn.Module):
     Configuration → 14 → 8; embedding and size → 128 → 64; both → 64 → 32 → 1; LayerNorm + ReLU.
 
     Args:
-        joints: K, preshape joints.
+        joints: Number of preshape joints, K.
         embedding: Size of the embedding.
-        dropout: On the hidden layers of the cloud's branch and of the joined ones; 0 as published.
+        dropout: Dropout on the hidden layers of the cloud's branch and of the joined branch; 0 as
+            published.
     """
 
     inputs = "embedding"
@@ -106,7 +108,7 @@ class EmbeddingNet(nn.Module):
 
 
 def grasp_numbers(preshape: Tensor, T_object_palm: Tensor) -> Tensor:
-    """[B, K + 9]: preshape [B, K], and the palm [B, 4, 4] in the network's frame of the object."""
+    """Network input [B, K + 9] of preshapes [B, K] and palms [B, 4, 4] in the object's frame."""
     columns = T_object_palm[:, :3, :2].transpose(1, 2).flatten(1)
     return torch.cat([preshape, T_object_palm[:, :3, 3], columns], dim=1)
 
@@ -115,11 +117,11 @@ class GeometryNet(nn.Module):
     """Small networks on the features of the grasp's geometry, averaged before the sigmoid.
 
     Args:
-        features: F.
-        members: Number of networks.
+        features: Number of features, F.
+        members: Number of networks, M.
         widths: Widths of the hidden layers.
-        dropout: On hidden layers.
-        input_dropout: On the features.
+        dropout: Dropout on hidden layers.
+        input_dropout: Dropout on the features.
     """
 
     inputs = "geometry"
@@ -156,14 +158,14 @@ class GeometryNet(nn.Module):
 
     @property
     def member_count(self) -> int:
-        """M."""
+        """Number of networks, M."""
         return len(self.leave.weight)
 
     def members(self, features: Tensor) -> Tensor:
         """Raw logits [M, B] of each member for features [B, F]."""
         x = self.scale(features)
         if self.training:
-            # Every member loses other features, or they would learn the same.
+            # Each member drops other features; otherwise all would learn the same.
             x = x.expand(self.member_count, -1, -1)
         else:
             x = x[None]

@@ -22,10 +22,10 @@ class HandChain:
 
     Args:
         robot: The robot; joints before the palm's link do not matter.
-        wanted: Links of interest; of the others only those on the way to them are followed.
+        wanted: Names of the links to compute, with those between them and the palm.
 
     Attributes:
-        links: The links that are followed, the palm's first: the order of the results.
+        links: The links in the order of the results, the palm's first.
         moved_link: int [J], the link that each of the hand's joints moves first.
         axes: f4 [J, 3], the joints' axes in the frames of these links.
         slides: bool [J], prismatic joints.
@@ -48,7 +48,7 @@ class HandChain:
 
         root = invert_transform(robot.T_link_palm)
         self._root = constant([root[:3, :3]]), constant([root[:3, 3]])
-        # Joints at one depth together: four fingers cost no more steps than one.
+        # Joints of one depth together: four fingers take as many steps as one.
         self._levels = []
         above, order = [self.links[0]], [self.links[0]]
         spare = len(columns)  # of a row of zeros, for joints that are fixed or rest
@@ -126,19 +126,19 @@ class HandChain:
 
 
 def _cross(axis: np.ndarray) -> np.ndarray:
-    """[3, 3], K with K v = axis × v."""
+    """Matrix K [3, 3] with K v = axis × v."""
     x, y, z = axis
     return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 def _times_matrix(a: Tensor, b: Tensor) -> Tensor:
-    """[J, 3, 3, n] · [J, 3, 3, n], for each of the n."""
+    """Matrix products of [J, 3, 3, n] and [J, 3, 3, n]."""
     product = a[:, :, 0, None] * b[:, None, 0]
     product = product.addcmul(a[:, :, 1, None], b[:, None, 1])
     return product.addcmul(a[:, :, 2, None], b[:, None, 2])
 
 
 def _times_vector(a: Tensor, b: Tensor) -> Tensor:
-    """[J, 3, 3, n] · [J, 3, n]."""
+    """Products of matrices [J, 3, 3, n] and vectors [J, 3, n]."""
     product = a[:, :, 0] * b[:, None, 0]
     return product.addcmul(a[:, :, 1], b[:, None, 1]).addcmul(a[:, :, 2], b[:, None, 2])

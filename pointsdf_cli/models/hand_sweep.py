@@ -1,12 +1,12 @@
-"""Sweep of the closing hand: points of the palm frame that its links pass, from a preshape.
+"""Sweep of the closing hand: paths of points on its links in the palm frame, from a preshape.
 
-The robot's description says which joints close and how fast. All of them are advanced together, as
-the hand does until something stops them. Of every link that moves then, the middle of the side that
-goes ahead is followed: its pad, what touches first. Nothing here knows a particular hand.
+The robot's description gives the closing joints and their speeds. All advance together, as in free
+space. Each moving link is represented by its pad, the middle of its leading side, which touches
+first. This works for any hand.
 
-Derivatives are those of rigid bodies, in closed form: what all points under a joint ask for is one
-force and one moment, and the joint follows their part along its axis. That is several times faster
-than automatic differentiation through the chain of matrices.
+Derivatives are those of rigid bodies, in closed form: the gradients at all points beyond a joint
+sum to one force and one moment, and the joint's derivative is their component along its axis. That
+is several times faster than automatic differentiation through the chain of matrices.
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.surface import robot_surface
 
 PAD = 0.15
-"""Share of a link's surface samples that lead the closing motion most; its pad is in their
-middle."""
+"""Share of a link's surface samples on its leading side; the pad is their middle."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +36,8 @@ class SweepConfig:
     """Resolution of the closing motion.
 
     Attributes:
-        stages: Moments of the closing motion, the preshape among them.
-        share: Share of the longest time that a joint needs to its limit: the last moment.
+        stages: Number of stages of the closing motion, including the preshape.
+        share: Time of the last stage, as a share of the longest closing time of a joint.
         points_per_link: Points along each link that closing does not move.
         grid: Points of the closing region along the palm's x, y and z.
     """
@@ -58,8 +57,8 @@ class JointAxes(NamedTuple):
     """Axes of the K preshape joints in the palm frame, at S stages of B grasps.
 
     Attributes:
-        axis, origin: f4 [K, 3, S, B].
-        free: f4 [K, S, B], 0 where closing has driven the joint to its limit.
+        axis, origin: f4 [K, 3, S, B], direction and a point of each axis.
+        free: f4 [K, S, B], 0 once closing has driven the joint to its limit.
     """
 
     axis: Tensor
@@ -68,7 +67,7 @@ class JointAxes(NamedTuple):
 
 
 class HandSweep:
-    """The points of one hand; differentiable in the preshape.
+    """Swept points of one hand; differentiable in the preshape.
 
     Args:
         robot: The robot.
@@ -92,8 +91,7 @@ class HandSweep:
         self._rest = torch.zeros(count).clamp(lower, upper)
         self._lower, self._upper = lower[self._closing], upper[self._closing]
         speed = torch.tensor(robot.closing_speeds.copy(), dtype=torch.float32)
-        # From the middle of what a preshape may be; joints that start elsewhere just arrive
-        # earlier or later.
+        # Times from the middle preshape; joints that start elsewhere arrive earlier or later.
         start = self._rest.clone()
         middle = torch.tensor(robot.preshape_ranges.mean(axis=1), dtype=torch.float32)
         self._middle = middle
@@ -109,9 +107,9 @@ class HandSweep:
         self.region = _box_grid(swept, self.config.grid)
 
     def course(self) -> NDArray[np.float64]:
-        """[S, 3], where the pads are on average at each stage, in the palm frame [m].
+        """Mean position of the pads [S, 3] at each stage, from the middle preshape, palm frame [m].
 
-        From the middle preshape: one hand is told from another by it.
+        It identifies a hand.
         """
         with torch.no_grad():
             pads = self(self._middle[None])[1][0]
@@ -119,7 +117,7 @@ class HandSweep:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Number of fixed points, and of moving ones at each stage."""
+        """Numbers of fixed points, and of moving points at each stage."""
         return len(self._still), len(self._moving)
 
     def __call__(self, preshape: Tensor) -> tuple[Tensor, Tensor]:
@@ -151,7 +149,7 @@ class HandSweep:
         return planes.permute(2, 1, 0)
 
     def in_palm(self, preshape: Tensor, with_axes: bool) -> tuple[Tensor, JointAxes | None]:
-        """Points [3, S M + P + G, B] in the palm frame, and where the preshape's joints turn."""
+        """Points [3, S M + P + G, B] in the palm frame, and the axes of the preshape's joints."""
         count, stages = len(preshape), self.config.stages
         still, moving = self.sizes
         q = self._rest[:, None].expand(-1, count).index_copy(0, self._preshape, preshape.T)
@@ -312,7 +310,7 @@ def _placed(rotation: Tensor, position: Tensor, link: Tensor, points: Tensor) ->
 
 
 def _pad(points: NDArray[np.float64], motion: Motion) -> NDArray[np.float64]:
-    """The middle [1, 3] of the side of a link's surface [P, 3] that goes ahead."""
+    """Middle [1, 3] of the leading side of a link's surface [P, 3]."""
     ahead = points @ motion(points.mean(axis=0))
     least = np.quantile(ahead, 1 - PAD) - 1e-3 * np.ptp(ahead)  # ties belong to it
     return points[ahead >= least].mean(axis=0, keepdims=True)
@@ -326,7 +324,7 @@ def _box_grid(points: Tensor, counts: tuple[int, int, int]) -> Tensor:
 
 
 def _middles(points: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """`count` points that stand for a cloud [P, 3]: the means of its parts along its length."""
+    """Means of `count` parts of a cloud [P, 3] along its length."""
     along = points - points.mean(axis=0)
     axis = np.linalg.svd(along, full_matrices=False)[2][0]
     order = np.quantile(along @ axis, (np.arange(count) + 0.5) / count)

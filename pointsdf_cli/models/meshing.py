@@ -1,4 +1,4 @@
-"""A reconstruction's surface as a mesh in metres: the field, extracted in the network's own frame.
+"""Mesh of a reconstruction in metres, extracted in the network's frame.
 
 In that frame every object has the same size, so one grid and one set of tolerances serve all.
 """
@@ -19,27 +19,28 @@ from pointsdf_cli.geometry.smoothing import taubin_smooth
 from pointsdf_cli.models.reconstruction import Reconstruction
 
 SMOOTHING = 25
-"""Chosen on held-out training objects: it raises normal consistency by 0.07 and moves the other
-two metrics of Table I by less than their noise, for the better (docs/notebook.md)."""
+"""Default number of smoothing passes, chosen on held-out training objects: it raises normal
+consistency by 0.07 and improves the other two metrics of Table I by less than their noise
+(docs/notebook.md)."""
 
 ASKED = 128
-"""Cells along the box of the finest grid on which a network is asked; finer ones are interpolated.
-Asked on 512³ it takes five times as long and scores no better (docs/notebook.md)."""
-SMOOTH = 0.8
-"""Cells of 64³ are halved by interpolation where the field bends by less than so many of their
-sides: none of 17 test views lost more than 0.0005 of IoU by it, with two thirds of the queries
+"""Cells along the box of the finest grid on which a network is evaluated; finer ones are
+interpolated. Evaluation at 512³ takes five times as long and scores no better
 (docs/notebook.md)."""
+SMOOTH = 0.8
+"""Bend of the field, in sides of a cell, below which cells of 64³ are halved by interpolation: it
+saves a third of the queries and costs at most 0.0005 of IoU on 17 test views (docs/notebook.md)."""
 
 
 @dataclass(frozen=True)
 class ReconstructedMesh:
-    """A closed surface in the frame of the cloud that it was made from.
+    """A closed surface in the frame of its cloud.
 
     Attributes:
         vertices: [V, 3] f8, m.
         faces: [F, 3] i4, counter-clockwise seen from outside.
-        queries: Points that the network was asked for.
-        parts_dropped: Parts too small to keep.
+        queries: Number of points at which the network was evaluated.
+        parts_dropped: Number of parts dropped as too small.
     """
 
     vertices: NDArray[np.float64]
@@ -57,27 +58,27 @@ def mesh_reconstruction(
     field: FieldFunction | None = None,
     exact: bool = False,
 ) -> ReconstructedMesh:
-    """The zero level of a reconstruction.
+    """Mesh the zero level of a reconstruction.
 
-    Without smoothing the vertices are pulled to zero by a Newton step, unless values beyond 128³
-    are interpolated. With it they are not: a network's field has small jumps, where a vertex at
-    zero lies on the ripple, and one that is interpolated between its neighbours lies between
-    ripples (docs/notebook.md, "Smoothing").
+    Without smoothing, a Newton step moves the vertices to the zero level, unless values beyond 128³
+    are interpolated. With smoothing it is omitted: a network's field has small jumps, so an exact
+    zero follows their ripples, and an interpolated one averages them (docs/notebook.md,
+    "Smoothing").
 
     Args:
         reconstruction: Reconstruction of one cloud.
         resolution: Cells along the box: 32 times a power of two, up to 512.
         smallest_part: Parts smaller than this share of the largest one's volume are dropped.
-        smoothing: Passes that take the field's ripples off the surface (see `SMOOTHING`).
+        smoothing: Number of smoothing passes (see `SMOOTHING`).
         low_precision: Type of the network's products, such as bfloat16; None for float32.
-        field: Distances [N] m at points [N, 3] m of the cloud's frame that are meshed within the
-            reconstruction's box instead of its own: what several views say together.
-        exact: Ask at every corner that decides the surface; otherwise values are interpolated where
-            that serves as well (see `ASKED` and `SMOOTH`).
+        field: Distances [N] m at points [N, 3] m of the cloud's frame to mesh instead of the
+            reconstruction's own, within its box: the field of several views.
+        exact: Evaluate every corner that decides the surface; otherwise some are interpolated (see
+            `ASKED` and `SMOOTH`).
 
     Raises:
-        EmptySurfaceError: The network sees no inside.
-        InputError: A resolution that there is no grid of.
+        EmptySurfaceError: The field has no inside.
+        InputError: The resolution is not supported.
     """
     model = reconstruction.model
     rules = SearchRules() if model.gives_distances else SearchRules(slope=np.inf)
@@ -86,7 +87,7 @@ def mesh_reconstruction(
         resolution,
         half_width=model.box,
         asked=ASKED if interpolated else MAX_RESOLUTION,
-        # An SDF's own slope; what a network's steeper places hide by it is a thousandth of the
+        # An exact SDF's slope. A network is steeper in places, which hides a thousandth of the
         # crossed cells (docs/notebook.md).
         rules=replace(rules, slope=1.0, smooth=SMOOTH) if interpolated else rules,
         newton=smoothing == 0,
@@ -111,8 +112,8 @@ def mesh_reconstruction(
 def network_field(
     reconstruction: Reconstruction, field: FieldFunction | None = None
 ) -> NetworkField:
-    """The signed distance, or another field of the cloud's frame, as a function of points [N, 3] of
-    the network's frame, in its units."""
+    """The signed distance, or another field in the cloud's frame, as a function of points [N, 3] in
+    the network's frame and units."""
     asked: FieldFunction = reconstruction.sdf if field is None else field
 
     def sdf(x: NDArray[np.float32]) -> NDArray[np.floating]:

@@ -65,16 +65,16 @@ def nearest_neighbours(queries: Tensor, points: Tensor, count: int) -> Tensor:
 
 @torch.no_grad()
 def nearest_in_subsets(queries: Tensor, points: Tensor, subsets: int) -> Tensor:
-    """The nearest point of each of several interleaved subsets, in no particular order.
+    """The nearest point in each of several interleaved subsets, unordered.
 
     The points with index ≡ s (mod `subsets`) form subset s. The nearest of all points is always
-    among the answers, and the others surround it at about the spacing of a subset. That serves a
-    network as well as the exact K nearest, and costs a fraction: no selection, only minima.
+    among the results, and the others surround it at about the spacing of a subset. A network learns
+    as well from these as from the exact K nearest, at a fraction of the cost: minima, no selection.
 
     Args:
         queries: [B, Q, D].
         points: [B, N, D], N a multiple of `subsets`.
-        subsets: Neighbours wanted.
+        subsets: Number of subsets, and of neighbours.
 
     Returns:
         int64 indices [B, Q, subsets] into the points.
@@ -82,8 +82,8 @@ def nearest_in_subsets(queries: Tensor, points: Tensor, subsets: int) -> Tensor:
     batch, count, total = len(queries), queries.shape[1], points.shape[1]
     if total % subsets:
         raise ValueError(f"{total} points do not part into {subsets} equal subsets")
-    # Floats that are not negative order as their bits do, so a distance whose lowest bits hold its
-    # index is minimised together with it; 2^-13 of a distance is the price of 1000 indices.
+    # Non-negative floats are ordered like their bits, so a distance with its index in the lowest
+    # bits is minimised together with it, at a precision of 2^-13 for 1000 indices.
     mask = (1 << (total - 1).bit_length()) - 1
     index = torch.arange(total, dtype=torch.int32, device=points.device)
     keys = squared_distances(queries, points).view(torch.int32)
@@ -99,7 +99,7 @@ SEARCHES: dict[str, Callable[[Tensor, Tensor, int], Tensor]] = {
     "exact": nearest_neighbours,
     "subsets": nearest_in_subsets,
 }
-"""Ways to choose neighbours, by the name that an architecture's config gives."""
+"""Neighbour searches by their name in an architecture's config."""
 
 
 @torch.no_grad()
@@ -111,7 +111,7 @@ def farthest_point_order(points: Tensor, count: int, start: int = 0) -> Tensor:
 
     Args:
         points: [B, N, 3].
-        count: Points wanted, at most N.
+        count: Number of points, at most N.
         start: Index of the first point.
 
     Returns:
@@ -184,7 +184,8 @@ def inverse_density(points: Tensor, bandwidth: float) -> Tensor:
         [B, N], in (0, 1]; 1 where the cloud is sparsest.
     """
     exponent = squared_distances(points, points).mul_(-0.5 / bandwidth**2)
-    # What is further weighs nothing, but its exponential would be a denormal number: slow to make.
+    # Farther points weigh nothing, but their exponentials would be denormal numbers, which are
+    # slow.
     kernel = exponent.clamp_(min=-40.0).exp_()
     inverse = 1.0 / kernel.mean(-1)
     return (inverse / inverse.amax(-1, keepdim=True)).to(points.dtype)

@@ -28,12 +28,12 @@ class NetworkFrame(NamedTuple):
     scale: float
 
     def to_network(self, points: np.ndarray) -> np.ndarray:
-        """Points [..., 3] in metres into the network's frame."""
+        """Transform points [..., 3] in metres to the network's frame."""
         return (points - self.centre) * self.scale
 
 
 def network_frame(cloud: np.ndarray) -> NetworkFrame:
-    """The network's frame of one partial cloud.
+    """Compute the network's frame of one partial cloud.
 
     Args:
         cloud: [N, 3], m, along the camera's axes.

@@ -120,7 +120,7 @@ class PointConv(nn.Module):
             at_points = at_points + self.from_features(features)
         else:
             at_points = at_points + self.bias.to(at_points.dtype)  # type: ignore[union-attr]
-        # Negated while it is small: adding broadcasts several times faster than subtracting.
+        # Negated while small: a broadcast addition is several times faster than a subtraction.
         minus_centres = self.from_offset(-centres_scaled)
         hidden = gather(at_points, index) + minus_centres.unsqueeze(2)
         hidden = self.mlp(torch.relu(self.first_norm(hidden)))

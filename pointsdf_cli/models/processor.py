@@ -1,4 +1,4 @@
-"""Settings of the whole process that make networks fast on a CPU."""
+"""Settings of the process that make networks fast on a CPU."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from torch import Tensor
 
 
 def use_threads(count: int) -> None:
-    """Set PyTorch's number of threads; more than are free makes it several times slower."""
+    """Set PyTorch's number of threads; more than free cores make it several times slower."""
     keep_large_allocations()
     torch.set_num_threads(max(1, count))
 
 
 def keep_large_allocations() -> None:
-    """Ask the C library to keep freed memory: a network frees and takes the same large blocks.
+    """Let the C library keep freed memory: networks free and allocate the same large blocks.
 
-    Otherwise every block is given back and its pages are faulted in again, thousands a step.
-    Does nothing where the C library has no `mallopt`.
+    Otherwise every block is returned to the system and its pages are faulted in again, thousands a
+    step. Does nothing without `mallopt` in the C library.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is None:
@@ -36,7 +36,7 @@ def return_freed_memory() -> None:
     """Return the freed memory that `keep_large_allocations` kept to the system.
 
     For long-lived processes, between requests: kept blocks fragment, so that every plan would add
-    some megabytes. Does nothing where the C library has no `malloc_trim`.
+    some megabytes. Does nothing without `malloc_trim` in the C library.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
@@ -45,11 +45,11 @@ def return_freed_memory() -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """PyTorch's operations here by one thread, and by one in threads that begin meanwhile.
+    """Context in which PyTorch's operations use one thread.
 
-    Two that share out an operation of some microseconds wait for each other at its end: as long as
-    a time slice of the system, where another program has one of the processors. The number is the
-    whole process's: not for several threads of Python at once.
+    Threads that share a short operation wait for each other at its end: for a time slice of the
+    system if another program holds one of the processors. The setting is the process's: use it in
+    one Python thread at a time.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -60,15 +60,15 @@ def one_thread() -> Iterator[None]:
 
 
 FEWEST = 256
-"""Rows that are worth a thread of their own."""
+"""Least number of rows for a thread of their own."""
 ALIGNED = 64
-"""Multiple of rows in a part: kernels compute remaining rows at a part's end by other instructions,
-and a value must not depend on the number of threads."""
+"""Divisor of the number of rows in a part: kernels compute remainders by other instructions, and
+values must not depend on the number of threads."""
 
 
 def even_parts(rows: Tensor, most: int) -> list[Tensor]:
-    """Rows [N, ...] in parts of at most `most`: equally many for each of PyTorch's threads and all
-    about as long, so that no thread waits for another's last part. On a device other than the CPU,
+    """Split rows [N, ...] into parts of at most `most`: equally many for each of PyTorch's threads
+    and about equally long, so that no thread waits for another. On other devices than the CPU, into
     parts of `most`."""
     if rows.device.type != "cpu":
         return list(rows.split(most))
@@ -79,23 +79,22 @@ def even_parts(rows: Tensor, most: int) -> list[Tensor]:
 
 
 def side_by_side(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) -> list[Tensor]:
-    """`[function(part) for part in parts]`, the parts shared out over PyTorch's threads.
+    """Compute `[function(part) for part in parts]`, each part in one of PyTorch's threads.
 
-    PyTorch shares out each operation instead, and its threads wait for each other at the end of
-    every one of hundreds: two took as long as one for a reconstruction's queries, and many times as
-    long where another program held one of the processors. So a part is always one thread's, also
-    the only one. After an error no further part is begun. Not for several threads of Python at
-    once (`one_thread`).
+    PyTorch itself splits each operation, and its threads wait for each other at the end of every
+    one of hundreds: two threads took as long as one for a reconstruction's queries, and many times
+    as long with another program on one of the processors. After an error no further part is begun.
+    Use it in one Python thread at a time (`one_thread`).
 
     Args:
-        function: Applied as it would be here: with this thread's autocast and gradient mode.
-        parts: Tensors on one device; on another than the CPU nothing is gained, and nothing done.
+        function: Function of a part, called with this thread's autocast and gradient mode.
+        parts: Tensors on one device; on others than the CPU they are computed in turn.
     """
     if not parts or parts[0].device.type != "cpu":
         return [function(part) for part in parts]
     lowers, dtype = torch.is_autocast_enabled("cpu"), torch.get_autocast_dtype("cpu")
     gradients, inference = torch.is_grad_enabled(), torch.is_inference_mode_enabled()
-    waiting = iter(enumerate(parts))  # whoever is free takes the next
+    waiting = iter(enumerate(parts))  # a free thread takes the next
     answers: dict[int, Tensor] = {}
 
     def work() -> None:
@@ -103,11 +102,11 @@ def side_by_side(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) 
             for number, part in waiting:
                 answers[number] = function(part)
         except BaseException:
-            deque(waiting, maxlen=0)  # nobody else goes on
+            deque(waiting, maxlen=0)  # leave nothing for the other threads
             raise
 
     def help_out() -> None:
-        # All three are settings of a thread, and this is another one.
+        # These three settings belong to a thread; set them in this one too.
         with (
             torch.inference_mode(inference),
             torch.set_grad_enabled(gradients),

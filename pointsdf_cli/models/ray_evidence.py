@@ -1,11 +1,11 @@
 """Evidence of a single depth view about one query point, as numbers for a decoder.
 
-A depth camera gives more than points: along every ray, all that lies before the surface is free,
-and all that lies outside the silhouette is free too. For a query x and the observed points p_j,
+A depth camera gives more than points: the space before the surface is free along every ray, and so
+is the space outside the silhouette. For a query x and the observed points p_j,
 
     in space    offsets and distances to the nearest p_j;
-    in image    of the p_j whose pixels are nearest: how far x lies *behind* each (z_x − z_j), and
-                how far aside of them (the lateral distance, large outside the silhouette).
+    in image    for the p_j with the nearest pixels: the depth of x *behind* each (z_x − z_j), and
+                its lateral distance (large outside the silhouette).
 
 All of it is differentiable in x; the neighbours themselves are chosen without gradients.
 """
@@ -35,8 +35,8 @@ def image_coordinates(points: Tensor, camera: Tensor) -> Tensor:
 
     Returns:
         [B, N, 3]: lateral x and y, scaled to lengths at the cloud's centre plane, and depth along z
-        relative to the camera. Where a point is behind the camera, or hardly before it, a small
-        positive depth stands in for its own in the division.
+        relative to the camera. Points behind the camera, or hardly before it, are divided by a
+        small positive depth instead of their own.
     """
     relative = points - camera.unsqueeze(1)
     reference = camera[:, 2].neg().clamp(min=0.1).view(-1, 1, 1)
@@ -106,7 +106,7 @@ def ray_evidence(
 
 
 def _pick(vectors: Tensor, index: Tensor) -> Tensor:
-    """[B, Q, D] from vectors [B, Q, K, D] and index [B, Q, 1] into K."""
+    """Select [B, Q, D] from vectors [B, Q, K, D] by an index [B, Q, 1] into K."""
     wanted = index.unsqueeze(-1).expand(*index.shape, vectors.shape[-1])
     return vectors.gather(2, wanted).squeeze(2)
 

@@ -1,11 +1,11 @@
-"""Reconstructed object in metres: the interface of the shape networks for everything else.
+"""Reconstructed object in metres: the interface to the shape networks.
 
     shape = Reconstruction.from_cloud(load_model(), points, camera_position, R_frame_camera)
     s = shape.sdf(x)                        # [Q] metres, negative inside
     s, gradient = shape.sdf_and_gradient(x)
 
-The cloud is read once; after that every value is a pure function of x. Points go in and distances
-come out in the cloud's own frame and in metres; the network's frame stays inside.
+The cloud is encoded once; then every value is a pure function of x. Points and distances are in the
+cloud's own frame and in metres; the network's frame is internal.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 from pointsdf_cli.models.surroundings import surroundings_of
 
 CHUNK = 4096
-"""Queries decoded at once: few enough that intermediate layers stay in the cache."""
+"""Number of queries decoded at once: small enough for intermediate layers to stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Reconstruction:
     """See the module's docstring.
 
     Attributes:
-        model: In evaluation mode.
+        model: The network, in evaluation mode.
         encoding: Encoding of the cloud (batch of 1).
         centre: f8 [3], the network frame's origin in the cloud's frame, m.
         scale: Network units per metre.
@@ -73,7 +73,7 @@ class Reconstruction:
             evidence: Observed space around the object, camera frame; ignored if None.
 
         Raises:
-            InputError: The points are no cloud, or the rotation is none.
+            InputError: The points are not a cloud, or the rotation is not one.
         """
         points = np.asarray(points, dtype=np.float64)
         position = np.asarray(camera_position, dtype=np.float64)
@@ -137,7 +137,7 @@ class Reconstruction:
         parts = side_by_side(both, even_parts(self._to_network(x), chunk))
         shape = np.shape(x)
         in_camera = torch.cat([part[:, 1:] for part in parts]).cpu().numpy()
-        # Distance and place scale alike, so the gradient only turns.
+        # Distances and coordinates scale alike, so the gradient is only rotated.
         turned = in_camera @ self.R_frame_camera.T
         values = self._distances([part[:, 0] for part in parts], shape[:-1])
         return values, turned.astype(np.float32).reshape(shape)

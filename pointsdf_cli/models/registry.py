@@ -23,31 +23,28 @@ ARCHITECTURES: dict[str, type[ShapeModel]] = {
 
 
 def default_checkpoint() -> Path:
-    """The bundled reconstruction network, whose fields the bundled success network was trained
-    on."""
+    """The bundled reconstruction network for planning; the bundled success network was trained on
+    its fields."""
     return asset_path("weights/pointsdf_ray")
 
 
 def completion_checkpoint() -> Path:
-    """The bundled reconstruction network for meshes, which learned from sensors and masks that err.
-
-    Grasps are planned with `default_checkpoint`: the success network learned from its fields.
-    """
+    """The bundled reconstruction network for meshes, trained with errors of sensors and masks."""
     return asset_path("weights/pointsdf_real")
 
 
 def build_model(
     architecture: str, arguments: Mapping[str, Any] | None = None, seed: int = 0
 ) -> ShapeModel:
-    """A fresh model.
+    """Build a model with random weights.
 
     Args:
         architecture: A key of `ARCHITECTURES`.
-        arguments: Arguments as its `config()` gave them; the defaults if None.
+        arguments: Arguments from its `config()`; the defaults if None.
         seed: Random seed of the initial weights.
 
     Raises:
-        InputError: Unknown architecture or arguments that it does not take.
+        InputError: The architecture is unknown, or the arguments do not fit it.
     """
     if architecture not in ARCHITECTURES:
         raise InputError(
@@ -61,20 +58,21 @@ def build_model(
 
 
 def load_model(path: Path | str | None = None, device: str = "cpu") -> ShapeModel:
-    """The model of a checkpoint directory, in float32 and evaluation mode.
+    """Load the model of a checkpoint directory, in float32 and evaluation mode.
 
     Args:
-        path: The checkpoint; the shipped default where None.
-        device: Device to put it on.
+        path: The checkpoint; the bundled default if None.
+        device: Device of the model.
 
     Raises:
-        InputError: No such checkpoint, unknown architecture, or weights of another shape.
+        InputError: The checkpoint does not exist, its architecture is unknown, or its weights have
+            other shapes.
     """
     return model_from_checkpoint(read_checkpoint(path or default_checkpoint())).to(device)
 
 
 def model_from_checkpoint(checkpoint: Checkpoint) -> ShapeModel:
-    """Rebuild a model like `load_model`, from a checkpoint that was read already."""
+    """Rebuild the model of a checkpoint, in float32 and evaluation mode."""
     config = checkpoint.config
     try:
         model = build_model(str(config.get("architecture")), config.get("model"))
@@ -84,7 +82,7 @@ def model_from_checkpoint(checkpoint: Checkpoint) -> ShapeModel:
         }
         model.load_state_dict(weights)
     except InputError as error:
-        raise InputError(error.what, where=checkpoint.path, allowed=error.allowed) from error
+        raise InputError.of(error, checkpoint.path) from error
     except RuntimeError as error:
         first = str(error).strip().splitlines()[1:2] or [str(error)]
         raise InputError(

@@ -27,9 +27,9 @@ from pointsdf_cli.models.neighbours import SEARCHES, gather
 ROUNDS = 5
 """Rounds of reweighting."""
 TOLERANCE = 0.03
-"""Distance (network units) by which a normal may pass the axis before it counts half."""
+"""Distance between normal and axis (network units) at which the normal's weight is one half."""
 RIDGE = 1e-3
-"""Keeps the axis of a cylinder from sliding along itself and of a plane from being anywhere."""
+"""Regularisation: fixes the undetermined part of a line, as for cylinders and planes."""
 SIDEWAYS = 1e-3
 """Preference for an axis across the viewing direction over one along it, as a mean square of the
 distance between normals and axis, network units (`experiments/symmetric_point_distance.py
@@ -39,7 +39,7 @@ NEARNESS = 0.15
 at the same height and radius, the one nearest to the query wins."""
 
 TRUST_SIZE = 8
-"""Length of the vector that says how far a symmetric point can be trusted."""
+"""Number of features that tell the trust in a symmetric point."""
 
 
 class Axis(NamedTuple):
@@ -48,7 +48,7 @@ class Axis(NamedTuple):
     Attributes:
         direction: [B, 3], of unit length, pointing to the camera's side.
         point: [B, 3], on the line, nearest to the origin.
-        miss: [B], median distance by which the cloud's normals pass the line.
+        miss: [B], median distance between the cloud's normals and the line.
         spread: [B], relative gap to the second best direction: 0 (fits as well) to 1.
     """
 
@@ -81,7 +81,7 @@ def surface_normals(points: Tensor, neighbours: Tensor, cloud: Tensor, camera: T
 
 @torch.no_grad()
 def revolution_axis(points: Tensor, normals: Tensor, camera: Tensor, sideways: float = 0.0) -> Axis:
-    """The line that most normals meet.
+    """Fit the line that most normals meet.
 
     A ball has an axis through its centre in every direction, and many shapes have more than one.
     Turning about an axis that points to the camera maps hidden surface to hidden surface; turning
@@ -142,7 +142,7 @@ def places(x: Tensor, axis: Axis) -> Tensor:
 def symmetric_points(
     x: Tensor, axis: Axis, cloud: Tensor, cloud_places: Tensor, search: str = "exact"
 ) -> tuple[Tensor, Tensor]:
-    """Queries turned about the axis to an observed azimuth.
+    """Turn queries about the axis to an observed azimuth.
 
     Args:
         x: [B, Q, 3].

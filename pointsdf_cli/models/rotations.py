@@ -15,7 +15,7 @@ from torch import Tensor
 def quaternion(rotation: Tensor) -> Tensor:
     """Unit quaternions wxyz [..., 4] with w ≥ 0 of rotations [..., 3, 3]; differentiable.
 
-    Of Shepperd's four formulas the one with the largest divisor is taken for each rotation.
+    For each rotation, uses the one of Shepperd's four formulas with the largest divisor.
     """
     m = rotation
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
@@ -37,7 +37,7 @@ def quaternion(rotation: Tensor) -> Tensor:
 
 
 def rotation_vector(rotation: Tensor) -> Tensor:
-    """ω [..., 3] with |ω| ≤ π of rotations [..., 3, 3]."""
+    """Rotation vectors ω [..., 3] with |ω| ≤ π of rotations [..., 3, 3]."""
     wxyz = quaternion(rotation)
     w, xyz = wxyz[..., :1], wxyz[..., 1:]
     squared = (xyz * xyz).sum(-1, keepdim=True)
@@ -48,7 +48,7 @@ def rotation_vector(rotation: Tensor) -> Tensor:
 
 
 def rotation_of(vector: Tensor) -> Tensor:
-    """Rotations [..., 3, 3] about ω [..., 3] by its length."""
+    """Rotations [..., 3, 3] of rotation vectors ω [..., 3]."""
     x, y, z = vector.unbind(-1)
     zero = torch.zeros_like(x)
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1)
@@ -56,7 +56,8 @@ def rotation_of(vector: Tensor) -> Tensor:
 
 
 def log_volume(vector: Tensor) -> Tensor:
-    """log((2 − 2 cos θ) / θ²) [...] of ω [..., 3]: invariant volume per volume of the chart."""
+    """Log of invariant volume per volume of the chart at ω [..., 3]: log((2 − 2 cos θ) / θ²)
+    [...]."""
     squared = (vector * vector).sum(-1)
     small = squared < 1e-4
     safe = torch.where(small, torch.ones_like(squared), squared)

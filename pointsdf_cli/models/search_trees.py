@@ -1,4 +1,4 @@
-"""Search trees of point clouds, kept for as long as the clouds are: a cloud is asked many times."""
+"""Search trees of point clouds, cached for the lifetime of the clouds, which have many queries."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from torch.utils.weak import WeakIdKeyDictionary
 
 from pointsdf_cli.io.one_thread import one_thread_each
 
-# It shares out each search over threads of its own, as many as it is told when its OpenMP is loaded
-# (its own: the wheels bring one). Parts of queries are shared out already
-# (`processor.side_by_side`): more threads would only be in the way.
+# pykdtree splits each search over threads of its own OpenMP, as many as are set when it is loaded.
+# Queries are split already (`processor.side_by_side`): more threads would only compete.
 with one_thread_each():
     from pykdtree.kdtree import KDTree
 
@@ -21,18 +20,18 @@ _TREES = WeakIdKeyDictionary()
 
 
 def nearest_by_tree(queries: Tensor, points: Tensor, count: int) -> Tensor:
-    """The points nearest to each query, nearest first; a tree asks few points, not all.
+    """The points nearest to each query, nearest first, by a search tree.
 
     Args:
         queries: [B, Q, D], on the CPU.
         points: [B, N, D] with N ≥ count.
-        count: Neighbours wanted.
+        count: Number of neighbours.
 
     Returns:
         int64 indices [B, Q, count].
 
     Raises:
-        ValueError: A query or a point is not finite, or there are fewer points than are wanted.
+        ValueError: A query or a point is not finite, or there are fewer than `count` points.
     """
     if points.shape[1] < count:
         raise ValueError(f"{count} neighbours of {points.shape[1]} points")
@@ -46,19 +45,19 @@ def nearest_by_tree(queries: Tensor, points: Tensor, count: int) -> Tensor:
 
 def _finite(places: Tensor) -> NDArray[np.float32]:
     found: NDArray[np.float32] = np.ascontiguousarray(places.detach().float().numpy())
-    # To what is not finite nothing is nearest, and the tree would answer all the same.
+    # A tree gives meaningless neighbours for numbers that are not finite.
     if not np.isfinite(found).all():
         raise ValueError("places must be finite")
     return found
 
 
 def _trees_of(points: Tensor) -> list[KDTree]:
-    """The trees of clouds [B, N, D], kept for as long as this tensor lives and PyTorch counts no
-    change of it. (It counts none of tensors made in inference mode: theirs are not kept.)"""
+    """Trees of clouds [B, N, D], cached while this tensor lives and its version counter stays.
+    (Tensors made in inference mode have no counter: their trees are not cached.)"""
     version = None if points.is_inference() else points._version
     kept_version, trees = _TREES.get(points, (None, None))
     if trees is None or version is None or version != kept_version:
-        # Copies: a tree looks at its points again, and what is PyTorch's may change.
+        # Copies: a tree reads its points later, and PyTorch's memory may change.
         trees = [KDTree(cloud.copy()) for cloud in _finite(points)]
         if version is not None:
             _TREES[points] = version, trees

@@ -3,7 +3,7 @@
     encoding = model.encode(cloud, camera)      once a cloud
     s = model.decode(encoding, x)               for as many query points as needed
 
-All of it in the network's frame (`normalise.py`); `reconstruction.py` is the door in metres.
+All in the network's frame (`normalise.py`); `reconstruction.py` is the interface in metres.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ PACKED_CENTRES, PACKED_NEIGHBOURS = 256, 24
 
 
 def has_batch_norm(model: nn.Module) -> bool:
-    """Whether training compares the clouds of a batch, of which there must then be two."""
+    """Whether the model has batch normalisation: training batches then need two clouds or more."""
     kinds = (nn.BatchNorm1d, nn.BatchNorm2d, nn.BatchNorm3d)
     return any(isinstance(module, kinds) for module in model.modules())
 
 
 class Encoding(NamedTuple):
-    """One batch of clouds as the decoder needs them.
+    """Encoding of a batch of clouds for the decoder.
 
     Attributes:
-        embedding: [B, 256], the shape embedding (what the grasp network reads).
-        evidence: Further inputs of this architecture's decoder; tensors whose first axis is B.
+        embedding: [B, 256], the shape embedding, also input of the grasp network.
+        evidence: Further inputs of this architecture's decoder; tensors with first axis B.
     """
 
     embedding: Tensor
@@ -43,23 +43,23 @@ class ShapeModel(nn.Module, ABC):
 
     architecture: str = ""
     box: float = 0.8
-    """Half the side of the box about the origin that the surface is looked for in."""
+    """Half the side of the box about the origin that holds the surface."""
     gives_distances: bool = True
-    """Whether the values bound how far the surface is, or are right in their sign only."""
+    """Whether the values are distances; otherwise only their sign is right."""
     embedding_size: int = 256
     cloud_size: int = 1000
     packed_neighbours: tuple[int, int] | None = None
-    """(M, K) if `encode` takes a third argument: the first layer's neighbours, int64 [B, M, K]."""
+    """(M, K) if `encode` uses `neighbours`, those of the first layer: int64 [B, M, K]."""
 
     encoder_parts: tuple[str, ...] = ("layers", "to_embedding")
-    """The submodules that the embedding depends on."""
+    """Submodules that compute the embedding."""
 
     def embed(self, cloud: Tensor, camera: Tensor, neighbours: Tensor | None = None) -> Tensor:
         """Embedding [B, 256] alone, for the inputs of `encode`."""
         return self.encode(cloud, camera, neighbours).embedding
 
     def begin_with(self, other: ShapeModel) -> None:
-        """Take the weights of another model of this architecture, trained before.
+        """Copy the weights of a trained model of this architecture.
 
         Raises:
             RuntimeError: Its weights have other shapes.
@@ -78,19 +78,19 @@ class ShapeModel(nn.Module, ABC):
         neighbours: Tensor | None = None,
         surroundings: Surroundings | None = None,
     ) -> Encoding:
-        """Read a batch of clouds.
+        """Encode a batch of clouds.
 
         Args:
             cloud: [B, P, 3], network frame.
             camera: [B, 3], the camera's centre in the network's frame.
-            neighbours: See `packed_neighbours`; searched for where None.
+            neighbours: See `packed_neighbours`; searched if None.
             surroundings: Observed space around the objects, for architectures that read it; ignored
                 if None.
         """
 
     def in_precision(self, encoding: Encoding, dtype: torch.dtype) -> Encoding:
-        """The encoding with its product tables in `dtype`, as autocast would convert them anyway;
-        geometry stays as it is."""
+        """The encoding with its product tables in `dtype`, as autocast would convert them; geometry
+        is unchanged."""
         return encoding
 
     @abstractmethod
@@ -106,5 +106,5 @@ class ShapeModel(nn.Module, ABC):
         """
 
     def forward(self, cloud: Tensor, camera: Tensor, x: Tensor) -> Tensor:
-        """`decode(encode(cloud, camera), x)`."""
+        """Evaluate `decode(encode(cloud, camera), x)`."""
         return self.decode(self.encode(cloud, camera), x)

@@ -1,16 +1,16 @@
-"""The view's evidence about the space around the object, as a decoder reads it.
+"""The view's evidence about the space around the object, as input of a decoder.
 
-`geometry/visibility.py` says of each ray up to where it is free, and where the object was seen. For
-a query x at image place (u, v) and depth z the decoder is given
+`geometry/visibility.py` gives the free depth of each ray and the region where the object was seen.
+For a query x at image place (u, v) and depth z the decoder reads
 
-    z_free(u, v) − z    above zero: the camera saw through this place;
-    d_free(u, v)        signed distance to where whole rays are free (below zero inside);
-    d_seen(u, v)        signed distance to where the object was seen (below zero inside);
-    unknown(u, v)       share of the neighbouring cells that know nothing;
+    z_free(u, v) − z    above zero: the camera saw through this point;
+    d_free(u, v)        signed distance to the region of wholly free rays (below zero inside);
+    d_seen(u, v)        signed distance to the region where the object was seen (below zero inside);
+    unknown(u, v)       share of the neighbouring cells without evidence;
     h(x)                height above the support plane, with the plane's normal,
 
-and whether there is any such evidence. Lateral distances are those of `image_coordinates`. All of
-it is bilinear or smooth in x. Where nothing is known all of it is zero.
+and flags of the available evidence. Lateral distances are those of `image_coordinates`. All inputs
+are bilinear or smooth in x, and zero without evidence.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from pointsdf_cli.models.normalise import NetworkFrame
 
 CHANNELS = 4
 FARTHEST = 1.2
-"""Depths are clipped to within this of the network's origin [network units]."""
+"""Largest depth relative to the network's origin; others are clipped [network units]."""
 WIDEST = 0.5
-"""Lateral distances are clipped to this [network units]."""
+"""Largest lateral distance; others are clipped [network units]."""
 THROUGH = 0.6
-"""A ray that is free to this far behind the network's origin holds nothing of the object."""
+"""Depth behind the network's origin from which a ray counts as wholly free [network units]."""
 SHARP, SOFT = 0.025, 0.1
 """Scales of the saturating copies of each distance, network units, as in `ray_evidence.py`."""
 
@@ -46,11 +46,11 @@ class Surroundings(NamedTuple):
     """The evidence of B views in the network's frame.
 
     Attributes:
-        maps: [B, CHANNELS, SIZE, SIZE]: depth up to which rays are free, less that of the network's
-            origin; signed distances to free rays and to the seen object; 1 where nothing is known.
-        to_map: [B, 2, 3], affine: `image_coordinates` (x, y) → map coordinates in [−1, 1].
+        maps: [B, CHANNELS, SIZE, SIZE]: free depth of the rays minus the depth of the network's
+            origin; signed distances to free rays and to the seen object; 1 for unknown cells.
+        to_map: [B, 2, 3], affine map from `image_coordinates` (x, y) to coordinates in [−1, 1].
         plane: [B, 4], the support plane n·x = d.
-        known: [B, 2], 1 where there is a visibility image, and where there is a plane; else 0.
+        known: [B, 2], 1 with a visibility image, and 1 with a plane; else 0.
     """
 
     maps: Tensor
@@ -65,7 +65,7 @@ def surroundings_arrays(
     """One view's `Surroundings` without the batch axis.
 
     Args:
-        evidence: Camera frame, m.
+        evidence: The view's evidence, camera frame, m.
         frame: The network's frame of the same view, camera axes.
     """
     maps = np.zeros((CHANNELS, SIZE, SIZE), np.float32)
@@ -102,7 +102,7 @@ def surroundings_of(
 
 
 def no_surroundings(count: int, device: torch.device) -> Surroundings:
-    """The evidence of `count` views of which only the object's points are known."""
+    """Surroundings of `count` views without evidence."""
     shapes = ((count, CHANNELS, SIZE, SIZE), (count, 2, 3), (count, 4), (count, 2))
     return Surroundings(*(torch.zeros(shape, device=device) for shape in shapes))
 
@@ -110,7 +110,7 @@ def no_surroundings(count: int, device: torch.device) -> Surroundings:
 def forgotten(
     surroundings: Surroundings, has_visibility: Tensor, has_plane: Tensor
 ) -> Surroundings:
-    """The same views with evidence left out where bool [B] `has_visibility`, `has_plane` are
+    """Drop the visibility and the plane of views where bool [B] `has_visibility`, `has_plane` are
     False."""
     image = has_visibility.to(surroundings.maps.dtype)
     plane = has_plane.to(surroundings.plane.dtype)
@@ -123,7 +123,7 @@ def forgotten(
 
 
 def lower_plane(surroundings: Surroundings, by: Tensor) -> Surroundings:
-    """The same views with their support planes lower by `by` [B], network units."""
+    """Lower the views' support planes by `by` [B], network units."""
     by = by.to(surroundings.plane.dtype) * surroundings.known[:, 1]
     plane = torch.cat([surroundings.plane[:, :3], (surroundings.plane[:, 3] - by)[:, None]], dim=-1)
     return surroundings._replace(plane=plane)
@@ -135,9 +135,9 @@ def transformed(
     """The evidence after x → (R x − c) · s of the network's frame.
 
     Args:
-        surroundings: Before.
-        turn: [B, 3, 3], R: turns about z and mirrorings across it alone.
-        centre: [B, 3], c, whose z is 0.
+        surroundings: Surroundings before.
+        turn: [B, 3, 3], R: only rotations about z and reflections in planes through it.
+        centre: [B, 3], c, with z = 0.
         scale: [B], s.
     """
     maps, to_map, plane, known = surroundings
@@ -190,7 +190,7 @@ def plane_evidence(x: Tensor, cloud: Tensor, around: Surroundings) -> Tensor:
         around: Surroundings of the same views.
 
     Returns:
-        [B, Q, PLANE_SIZE + 2], float32; the last two say what evidence there is.
+        [B, Q, PLANE_SIZE + 2], float32; the last two are flags of the available evidence.
     """
     normal, offset = around.plane[:, :3, None], around.plane[:, 3, None]
     known = around.known[:, 1:]

@@ -1,10 +1,9 @@
 """A signed distance field as a dense grid in torch: many differentiable look-ups of one object.
 
-The field is asked once at the nodes of a box around the object. After that a look-up is a trilinear
-interpolation, a few nanoseconds a point, with its exact gradient: every cell keeps the eight
-coefficients of its polynomial, so that value and slope cost one gathering together. Points outside
-of the box get the value at the box's nearest point: the box is made wide enough that this only
-happens where features have saturated.
+The field is evaluated once at the nodes of a box around the object. A look-up is then a trilinear
+interpolation, a few nanoseconds a point, with its exact gradient: every cell stores the eight
+coefficients of its polynomial, so value and slope take one gather. Points outside the box get the
+value at its nearest point: the box is wide enough that features are saturated there.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class TensorGrid:
     Args:
         field: Signed distances [N] m at points [N, 3] m.
         low, high: [3], the box, m.
-        step: Wanted side of a cell, m.
+        step: Desired side of a cell, m.
         nodes: Approximate limit on the number of cells; along each side one more node than cells.
 
     Attributes:
@@ -73,7 +72,7 @@ class TensorGrid:
         ):
             free = (plane - low).mul_(inverse)
             place = free.clamp(0.0, cells)
-            # Clamped again as a number of a cell, for what is not a number has none.
+            # Clamped again as a cell index: NaN has none.
             cell = place.int().clamp_(0, cells - 1)
             if with_gradient:
                 inside.append(place.eq(free).float().mul_(inverse))
@@ -95,7 +94,7 @@ class TensorGrid:
 
 
 class _LookUp(torch.autograd.Function):
-    """`TensorGrid.look_up` for autograd: the gradient is found with the value and kept."""
+    """Autograd function of `TensorGrid.look_up`: computes the gradient with the value."""
 
     @staticmethod
     def forward(ctx: Any, planes: Tensor, grid: TensorGrid) -> Tensor:
@@ -112,13 +111,13 @@ class _LookUp(torch.autograd.Function):
 
 
 def _polynomials(values: Array) -> NDArray[np.float32]:
-    """Coefficients [8, X, Y, Z] of 1, x, y, z, xy, xz, yz, xyz in each cell, of values at nodes.
+    """Coefficients [8, X, Y, Z] of 1, x, y, z, xy, xz, yz, xyz in each cell, from values at nodes.
 
     x, y and z run from 0 to 1 through the cell.
     """
 
     def differences(parts: list[Array], axis: int) -> list[Array]:
-        """Each part at a cell's lower end along an axis, and by how much it grows to the upper."""
+        """Each part at a cell's lower end along an axis, and its difference to the upper end."""
         lower = [np.delete(part, -1, axis) for part in parts]
         return lower + [np.diff(part, axis=axis) for part in parts]
 

@@ -1,9 +1,8 @@
 """VoxelCNN, the paper's baseline: a 32³ occupancy grid in, a 32³ occupancy grid out.
 
-Trained by the cross-entropy of its logits at labelled points, which is its voxel cross-entropy
-sampled where the labels are. Between voxel centres the logits are interpolated; divided by a
-constant slope they stand in for a signed distance: negative inside, zero at probability 0.5, right
-in sign but not in length.
+Trained by the cross-entropy of its logits at the labelled points instead of at all voxels. Between
+voxel centres the logits are interpolated; divided by a constant slope they replace a signed
+distance: negative inside, zero at probability 0.5, right in sign but not in length.
 """
 
 from __future__ import annotations
@@ -18,8 +17,7 @@ from pointsdf_cli.models.surroundings import Surroundings
 
 GRID = 32
 VIEW_VOXELS = 26
-"""Number of voxels that the partial view's largest extent spans; the rest is for the unseen
-part."""
+"""Number of voxels along the partial view's largest extent; the rest is for the unseen part."""
 
 EXTENT_IN_NETWORK_UNITS = 1.0 / 1.03
 VOXEL = EXTENT_IN_NETWORK_UNITS / VIEW_VOXELS

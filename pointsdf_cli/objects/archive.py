@@ -19,13 +19,12 @@ WANTED = ("nontextured.ply", "nontextured.stl", "textured.obj")
 def extract_mesh(archive: Path, out: Path, largest: int = LARGEST_MEMBER) -> Path:
     """Copy the mesh in a tar archive to `out` with the member's suffix; nothing else is unpacked.
 
-    The bytes are read through the archive and written to a path of our own, so no member can
-    choose where anything lands; an archive that tries is refused as a whole all the same.
+    No member determines where anything is written; an archive with unsafe members is refused.
 
     Args:
         archive: A `.tgz`.
-        out: The path to write, less its suffix.
-        largest: Bound on the mesh's size in bytes.
+        out: Path to write, without suffix.
+        largest: Largest size of the mesh in bytes.
 
     Returns:
         The file written.
@@ -39,7 +38,7 @@ def extract_mesh(archive: Path, out: Path, largest: int = LARGEST_MEMBER) -> Pat
             member = _choose(tar, archive, largest)
             source = tar.extractfile(member)
             if source is None:
-                raise InputError("the mesh in it is no file", where=archive)
+                raise InputError("the mesh in it is not a file", where=archive)
             data = source.read(largest + 1)
     except (tarfile.TarError, zlib.error, lzma.LZMAError, EOFError, OSError) as error:
         raise InputError(
@@ -55,7 +54,7 @@ def extract_mesh(archive: Path, out: Path, largest: int = LARGEST_MEMBER) -> Pat
 
 
 def _choose(tar: tarfile.TarFile, archive: Path, largest: int) -> tarfile.TarInfo:
-    """The member to read, after every member has been found harmless."""
+    """Check all members and choose the one to read."""
     found: dict[str, tarfile.TarInfo] = {}
     for number, member in enumerate(tar):
         name = PurePosixPath(member.name)

@@ -20,11 +20,11 @@ class Patience:
     """Limits of the attempts.
 
     Attributes:
-        attempts: Tries in all; one that brought at least a byte does not count.
-        first_wait: Seconds before the second try; doubled each time.
-        longest_wait: Bound of the wait [s].
-        timeout: Seconds without any byte after which a try has failed.
-        largest: Bound of the file's size in bytes.
+        attempts: Largest number of tries without a received byte.
+        first_wait: Time before the second try [s]; doubled each time.
+        longest_wait: Largest time between two tries [s].
+        timeout: Time without a received byte after which a try has failed [s].
+        largest: Largest size of the file in bytes.
     """
 
     attempts: int = 5
@@ -39,7 +39,7 @@ class Patience:
 
 
 class _Broken(Exception):
-    """This try failed in a way that another may not."""
+    """Failure of a try that may succeed when repeated."""
 
 
 def download(
@@ -48,11 +48,11 @@ def download(
     patience: Patience | None = None,
     on_bytes: Callable[[int], None] | None = None,
 ) -> str:
-    """Fetch `url` into `path` and give the SHA-256 of the whole file.
+    """Fetch `url` into `path` and return the SHA-256 of the whole file.
 
-    What was fetched so far lies in `path` + `.part`, also after a kill, and the next call asks the
-    server for the rest only. The file is resumed only if the server still has the same version of
-    it (its entity tag or date is compared), else fetched from the start.
+    The received part is in `path` + `.part`, also after a kill, and the next call fetches only the
+    rest. The file is resumed only if the server still has the same version (by its entity tag or
+    date), else fetched from the start.
 
     Raises:
         InputError: The server has no such file, the file is too large, or the disk cannot hold it.
@@ -106,7 +106,7 @@ def _fetch_rest(
         headers |= {"Range": f"bytes={have}-", "If-Range": validator}
     with client.stream("GET", url, headers=headers) as response:
         if response.status_code == 416 and validator:
-            # Nothing is left to send, or less than we have: let a fresh try decide.
+            # Nothing is left to send, or the file became shorter: start from the beginning.
             tag.unlink()
             raise _Broken("the part does not fit the file any more")
         if response.status_code in (403, 404, 410):

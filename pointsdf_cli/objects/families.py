@@ -48,7 +48,7 @@ def choose_families(names: Sequence[str] | None) -> tuple[Family, ...]:
     """The named families in the order of the table, or all of them for None.
 
     Raises:
-        InputError: A name that is no family, with the nearest ones; or no name at all.
+        InputError: A name is unknown (the nearest ones are listed), or there is no name.
     """
     if names is None:
         return tuple(FAMILIES.values())

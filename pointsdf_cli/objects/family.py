@@ -19,14 +19,14 @@ class Family:
 
     Attributes:
         name: Name in files and for `--families`.
-        build: Draws the parameters and returns the closed solid: metres, +z up, in the pose in
-            which the object stands or lies on a table. Its place is free.
+        build: Function that draws the parameters and returns the closed solid in metres, +z up,
+            standing or lying as on a table, at any place.
         weight: Relative frequency of the family.
         kind: Kind of shape, for the balance of the mix.
         summary: One line for the documentation.
         unevenness: Largest displacement of the surface by its smooth irregularities, as a fraction
             of the object's largest extent: fruit is uneven, steel is not.
-        genus: Number of through holes that every member has; None where it varies.
+        genus: Number of through holes of every member; None if it varies.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The YCB object set: the official archives, fetched, checked against known sums, made into PLY."""
+"""Download of the YCB object set: official archives, verified by checksums, converted to PLY."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ def fetch_ycb(
 ) -> tuple[dict[str, str], list[InputError]]:
     """Fetch objects of the YCB set as watertight PLY meshes in metres, `out`/NAME.ply.
 
-    The sum of each archive is kept in `out`/ycb.lock.json when it is first seen, and compared from
-    then on; a mesh that is there and fits its sum is left alone.
+    The checksum of each archive is stored in `out`/ycb.lock.json at its first download and compared
+    from then on; an existing mesh with the right checksum is kept.
 
     Args:
         out: A folder, made if need be.
         objects: Names or leading numbers (`003`, `065-a`); None for all.
         base_url: The folder of the archives NAME_google_16k.tgz.
-        force: Fetch anew what is there already (the sums still have to fit).
+        force: Fetch existing meshes again (checksums must still match).
         patience: Tries and waits.
         on_done: Called with each name and "fetched", "kept" or "refused".
 
@@ -71,7 +71,7 @@ def fetch_ycb(
         "fetched" or "kept" for each name, and the errors of the archives that could not be used.
 
     Raises:
-        InputError: A name that is no YCB object, or a folder that cannot be written.
+        InputError: A name is not a YCB object, or the folder cannot be written.
         RgraspError: The server cannot be reached.
     """
     names = choose_ycb(objects)
@@ -90,7 +90,7 @@ def fetch_ycb(
 
 
 def read_lock(out: Path) -> dict[str, LockEntry]:
-    """The known sums in a folder; none if there is no lock file.
+    """Known checksums in a folder; none without a lock file.
 
     Raises:
         InputError: The lock file cannot be understood.
@@ -105,9 +105,9 @@ def read_lock(out: Path) -> dict[str, LockEntry]:
         return {name: LockEntry(**entry) for name, entry in document["objects"].items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
-            f"is no lock file of this version ({error})",
+            f"is not a lock file of this version ({error})",
             where=path,
-            hint="move it away; the sums are then taken anew",
+            hint="move it away; the checksums are then stored again",
         ) from error
 
 
@@ -156,7 +156,7 @@ def _fetch_one(
 
 
 def _add_to_lock(out: Path, name: str, entry: LockEntry) -> None:
-    """Add one entry; those that another run has added since this one began stay."""
+    """Add one entry and keep those added by other runs meanwhile."""
     guard = os.open(out, os.O_RDONLY)
     try:
         fcntl.flock(guard, fcntl.LOCK_EX)

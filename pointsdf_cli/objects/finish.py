@@ -17,11 +17,11 @@ FINEST_DETAIL = 2e-5
 
 
 class UnusableShape(Exception):
-    """A draw of parameters that does not make a valid object; another draw is taken."""
+    """The drawn parameters do not give a valid object; others are drawn."""
 
 
 def uneven(solid: Manifold, draw: Draw, amount: float) -> Manifold:
-    """Taper, bulge and ripple a solid by a smooth map, as no made thing is perfect.
+    """Taper, bulge and ripple a solid by a smooth map, like a real, imperfect object.
 
     The displacement is a sum of waves no shorter than a sixth of the object, so the map cannot fold
     the surface or change its topology; walls keep their thickness to within a few percent.

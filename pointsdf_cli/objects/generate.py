@@ -1,4 +1,4 @@
-"""Object number i of a seed: which family, with which parameters, as a mesh."""
+"""Generation of object number i of a seed: family, parameters, mesh."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pointsdf_cli.objects.finish import (
 # Draws that make no valid solid are rare (1 in 124); so many in a row are a bug.
 MOST_ATTEMPTS = 20
 GENERATOR_VERSION = 1
-"""Raised whenever any object changes for a given seed and index."""
+"""Version of the generator; increases when any object of a given seed and index changes."""
 
 GOLDEN_RATIO = (5**0.5 - 1) / 2
 
@@ -48,9 +48,9 @@ class GeneratedObject:
 
 
 def make_object(seed: int, index: int, families: Sequence[str] | None = None) -> GeneratedObject:
-    """Make object `index` of the endless series that belongs to a seed.
+    """Make object `index` of the endless series of a seed.
 
-    It depends on nothing but the arguments: not on how many are made, by whom, or in what order.
+    It depends only on the arguments, not on the number or order of the objects.
 
     Args:
         seed: 0 or more.
@@ -58,7 +58,7 @@ def make_object(seed: int, index: int, families: Sequence[str] | None = None) ->
         families: Names to choose from with their relative weights; None for all.
 
     Raises:
-        InputError: A negative seed or index, or a name that is no family.
+        InputError: The seed or index is negative, or a family is unknown.
     """
     if seed < 0:
         raise InputError(f"the seed is {seed}", where="--seed", allowed="0 or more")
@@ -91,10 +91,10 @@ def build(family: Family, draw: Draw) -> tuple[np.ndarray, np.ndarray]:
 
 
 def family_of(seed: int, index: int, choices: Sequence[Family]) -> Family:
-    """The family of object `index`: golden-ratio steps through the table of weights.
+    """Family of object `index`, by golden-ratio steps through the table of weights.
 
-    Any run of indices then holds the families nearly in proportion to their weights, which
-    independent draws would only do on average.
+    Any range of indices then has the families nearly in proportion to their weights; independent
+    draws would have so only on average.
     """
     start = np.random.default_rng(seed).random()
     place = (start + index * GOLDEN_RATIO) % 1.0

@@ -40,7 +40,7 @@ class LabelSummary:
 def find_label_tasks(
     views: Path, meshes: Path, out: Path, config: SamplingConfig, seed: int, force: bool
 ) -> list[LabelTask]:
-    """A task for every views file, with the mesh that it was rendered from.
+    """One task for every views file and its mesh.
 
     Raises:
         InputError: A folder is missing or empty, or a views file's mesh is not in `meshes`.
@@ -72,14 +72,14 @@ def find_label_tasks(
 
 
 def label_file(task: LabelTask) -> LabelSummary | None:
-    """Label one mesh; None where its labels are there already.
+    """Label one mesh; None if its labels exist already.
 
     Raises:
         InputError: The mesh is not the one that the views show, or cannot be labelled.
     """
     config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
     views = read_views_header(task.views)
-    # The same file in another unit is another object; labels in metres say nothing about it.
+    # The unit is compared too: the same file in another unit is another object.
     config |= {} if views.unit == "m" else {"unit": views.unit}
     if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):
         with open_hdf5(task.out) as file:
@@ -104,9 +104,7 @@ def label_file(task: LabelTask) -> LabelSummary | None:
             mesh.vertices, mesh.faces, task.config, task_seed(task.seed, task.name)
         )
     except InputError as error:
-        raise InputError(
-            error.what, where=task.mesh, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error, task.mesh) from error
     write_labels(
         task.out,
         Labels(samples.points, samples.sdf, task.mesh.name, mesh.sha256),

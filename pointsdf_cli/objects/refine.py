@@ -1,7 +1,7 @@
 """Split long edges of a solid, so that a smooth map can bend its flat faces.
 
-manifold3d has `refine_to_length` for this, but version 3.5.4 reads outside its memory there now and
-then (a segmentation fault for one jug in thirty), so it is done here.
+Replaces `refine_to_length` of manifold3d, which in version 3.5.4 sometimes reads outside its memory
+(a segmentation fault for one jug in thirty).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def split_long_edges(
 def _split_faces(faces: np.ndarray, middles: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     """Faces split at their edges' midpoints; `middles` [F, 3] is −1 where an edge stays whole."""
     count = np.count_nonzero(middles >= 0, axis=1)
-    # Turn each face so that its first edge is split; of two, the first two; whole ones do not care.
+    # Rotate each face's corners so that its first edge is split; of two, the first two.
     last_whole = (count == 2) * ((middles[:, 0] < 0) * 1 + (middles[:, 1] < 0) * 2)
     first_split = (count == 1) * np.argmax(middles >= 0, axis=1)
     turn = (np.arange(3) + (last_whole + first_split)[:, None]) % 3

@@ -24,8 +24,8 @@ class StandIn:
 
     Attributes:
         family: Family in objects/families.py.
-        parameters: Draws that are fixed; all others take the middle of their range.
-        size: [m], the box that the object is then stretched to, along x, y and z.
+        parameters: Fixed parameters; all others take the middle of their range.
+        size: Box to which the object is then stretched, along x, y and z [m].
     """
 
     family: str
@@ -156,6 +156,6 @@ def make_stand_in(name: str) -> tuple[np.ndarray, np.ndarray]:
     unknown = set(wanted.parameters) - set(draw.values)
     if unknown:
         raise ValueError(f"{wanted.family} draws no {', '.join(sorted(unknown))}")
-    # A stretch by a few per cent, so that the parameters need not be solved for.
+    # Stretch by a few per cent instead of solving for the parameters.
     scale = np.asarray(wanted.size) / np.ptp(vertices, axis=0)
     return (vertices * scale).astype(np.float32), faces

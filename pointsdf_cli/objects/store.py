@@ -37,10 +37,10 @@ class ObjectTask:
 
 
 def check_count(count: int) -> int:
-    """Return `count`, if that many objects can be made.
+    """Check that `count` objects can be made, and return it.
 
     Raises:
-        InputError: They cannot.
+        InputError: The count is out of range.
     """
     if not 1 <= count <= MOST_OBJECTS:
         raise InputError(f"{count} objects", where="--count", allowed=f"1 to {MOST_OBJECTS}")
@@ -59,25 +59,25 @@ def make_objects(
 ) -> StageReport[dict[str, Any]]:
     """Write objects 0 to `count` − 1 of a seed into `out` as `NNNNN_family.ply`.
 
-    Files that are there already are kept, so that an interrupted run resumes; `objects.csv`, a row
-    for every generated object in the folder, is written last.
+    Existing files are kept, so that an interrupted run resumes; `objects.csv`, a row for every
+    generated object in the folder, is written last.
 
     Args:
-        out: A folder, made if need be.
+        out: Output folder, created if missing.
         count: 1 or more.
         seed: Random seed of the series of objects; 0 or more.
         families: Names to choose from; None for all.
-        jobs: Processes.
+        jobs: Number of processes.
         shard: `i/n` makes only every n-th object, from the i-th.
-        force: Make objects anew that are there already.
-        on_result: Called with each name and its description (None where the file was kept).
+        force: Replace existing files.
+        on_result: Called with each name and its description (None for a kept file).
 
     Returns:
         The report of the stage; `made` holds each new object's description.
 
     Raises:
-        InputError: A count, shard or family that does not exist; a folder that cannot be written;
-            an object there that another seed or another version of the generator made.
+        InputError: Count, shard or family is invalid, the folder cannot be written, or it has an
+            object of another seed or of another version of the generator.
     """
     check_count(count)
     choices = choose_families(families)
@@ -96,10 +96,10 @@ def make_objects(
 
 
 def make_file(task: ObjectTask) -> dict[str, Any] | None:
-    """Make one object and write it; its description, or None if the file was there.
+    """Make one object and write it; returns its description, or None for an existing file.
 
     Raises:
-        OptionsDifferError: The file there was made from another seed or by another generator.
+        OptionsDifferError: The existing file is of another seed or of another generator.
         InputError: The file cannot be written.
     """
     if task.path.exists() and not task.force and _is_same(task):
@@ -141,10 +141,10 @@ def write_manifest(folder: Path) -> Path:
 
 
 def _require_one_series(folder: Path, names: Sequence[str], force: bool) -> None:
-    """Objects of two seeds under one number would be two series in one folder, told by nothing.
+    """Refuse to mix objects of two seeds in one folder.
 
     Raises:
-        OptionsDifferError: The folder holds another object of one of these numbers.
+        OptionsDifferError: The folder has another object of one of these numbers.
     """
     wanted = {name.partition("_")[0]: name for name in names}
     for other in sorted(folder.glob("*.ply")):
@@ -163,7 +163,7 @@ def _require_one_series(folder: Path, names: Sequence[str], force: bool) -> None
 
 
 def _is_same(task: ObjectTask) -> bool:
-    """Whether the file there is this object; False if it is cut short or not ours to begin with."""
+    """Whether an existing file is this object; False without a file."""
     about = read_object_about(task.path)
     if about is None:
         raise OptionsDifferError(

@@ -1,4 +1,4 @@
-"""The YCB objects that the Google scanner's archives exist for."""
+"""Names of the YCB objects with an archive of the Google scanner."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def choose_ycb(wanted: Sequence[str] | None) -> list[str]:
     """Whole names for names, numbers (`003`, `065-a`) or number groups (`065`); all for None.
 
     Raises:
-        InputError: A name that fits no object, with the nearest ones; or none at all.
+        InputError: A name is unknown (the nearest ones are listed), or there is no name.
     """
     if wanted is None:
         return list(YCB_OBJECTS)

@@ -14,21 +14,18 @@ from pointsdf_cli.planning.grasp_problem import GraspProblem
 
 @dataclass(frozen=True)
 class AcceptanceConfig:
-    """Acceptance of grasps: good, and good enough (the paper: h > 0.6 and the objective < 5).
+    """Thresholds of acceptance (the paper: h > 0.6 and the objective < 5).
 
-    The paper's h was no calibrated probability; ours is, and grasps of which 6 in 10 hold do not
-    exist for every object. So h > 0.6 ends the search, what is above `least` is taken where a
-    longer search finds nothing better, and what is above `floor` with a warning where there is
-    nothing else (docs/planning.md).
+    The paper's h was not calibrated; this one is, and not every object has grasps of which 6 in 10
+    hold. So h > `success` ends the search; h > `least` is accepted if a longer search finds nothing
+    better; h > `floor` is accepted with a warning if nothing exceeds `least` (docs/planning.md).
 
     Attributes:
-        success: A predicted probability of success above this ends the search.
-        least: Success probability above which a grasp is taken when a longer search finds no better
-            one.
-        objective: The largest objective.
-        floor: Success probability above which, if no grasp exceeds `least` or falls below
-            `objective`, the best collision-free grasp is taken with a warning. Equal to `least`: no
-            such grasp.
+        success: Success probability that ends the search.
+        least: Least success probability of an accepted grasp.
+        objective: Largest objective of an accepted grasp.
+        floor: Least success probability of a fallback, a collision-free grasp that is not accepted.
+            Equal to `least`: no fallbacks.
     """
 
     success: float = 0.6
@@ -56,9 +53,9 @@ class Candidate:
         success: h.
         log_prior: log g.
         objective: max(s − β, 0)².
-        object_slack, table_slack, obstacle_slack, self_slack: Smallest distance less the clearance
-            [m]; negative is too near, infinite where there is nothing to touch.
-        reason: One of `reasons.REASONS`, or empty where the solution is accepted.
+        object_slack, table_slack, obstacle_slack, self_slack: Smallest distance minus the clearance
+            [m]; negative if too near, infinite without anything to touch.
+        reason: One of `reasons.REASONS`; empty for an accepted solution.
         kind: Kind of its seed, "side" or "top".
     """
 
@@ -75,7 +72,7 @@ class Candidate:
     kind: str = ""
 
     def is_fallback(self, config: AcceptanceConfig) -> bool:
-        """Whether it meets all constraints and is merely not promising."""
+        """Whether it meets all constraints and only its success probability is too low."""
         poor = self.reason in ("low_success_probability", "objective")
         return poor and self.success > min(config.floor, config.least)
 
@@ -94,10 +91,10 @@ def judge(
     """Check solutions x [B, n] against the exact problem, independently of the solver.
 
     Args:
-        problem: With the exact field and the clearances that were asked for.
+        problem: Problem with the exact field and the requested clearances.
         x: The solutions.
         config: Thresholds.
-        kinds: [B], of the seeds that they came from, if known.
+        kinds: [B], kinds of their seeds, if known.
     """
     config = config or AcceptanceConfig()
     if not len(x):

@@ -1,4 +1,4 @@
-"""An object as perceived, and a plan with what it was made of."""
+"""Intermediate and final results of the grasp planner."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pointsdf_cli.planning.target import Target
 
 @dataclass(frozen=True)
 class PerceivedObject:
-    """An object as perceived, before anything is planned.
+    """A perceived object, ready for planning.
 
     Attributes:
         target: The object as a constraint and a score.
-        points: [N, 3], all views in the world, m.
+        points: [N, 3], observed points of all views, world, m.
         reconstruction: Reconstruction of the first view; None in partial-view grasping.
         timings: Seconds by stage.
-        resampled: Fields completed from further samples of the points, `resampled_views` of them.
+        resampled: Fields completed from `resampled_views` further samples of the points.
         fused: Mean field of all views; None for one view.
     """
 
@@ -38,10 +38,9 @@ class Answer:
 
     Attributes:
         plan: The artifact; its status says whether there is a plan.
-        target: The object as a constraint and a score; None where there is no object.
+        target: The object as a constraint and a score; None without an object.
         reconstruction: Reconstruction of the cloud; None in partial-view grasping, or without an
             object.
-        candidates: [C, J], the configurations of all accepted grasps, best first.
     """
 
     plan: Plan

@@ -18,9 +18,9 @@ class ApproachConfig:
 
     Attributes:
         length: Length of the straight stretch [m].
-        shortest: Least length that counts as an approach [m].
-        step: Spacing of the inverse kinematics solutions on the way [m].
-        deviation: Largest distance of the palm from the straight line between them [m].
+        shortest: Least length of an approach [m].
+        step: Spacing of the inverse kinematics solutions along it [m].
+        deviation: Largest deviation of the palm from the straight line between them [m].
     """
 
     length: float = 0.08
@@ -39,7 +39,7 @@ def retreat(
     q: Array,
     config: ApproachConfig | None = None,
 ) -> Array | None:
-    """The straight way back from a grasp: configurations [T, J], the grasp first.
+    """Straight retreat from a grasp: configurations [T, J], the grasp first.
 
     Directions are tried in turn until one is free for its full length: against the palm's normal,
     back along the fingers, between both, and upwards. Otherwise the longest free one is taken.
@@ -48,7 +48,7 @@ def retreat(
         q: [J], the grasp.
 
     Returns:
-        None where no direction is free for `config.shortest`.
+        None if no direction is free for `config.shortest`.
     """
     config = config or ApproachConfig()
     robot = checker.kinematics.robot
@@ -77,7 +77,7 @@ def _straight(
     way: Array,
     config: ApproachConfig,
 ) -> Array:
-    """The free beginning of a straight way [T, J], in steps of the same length."""
+    """Collision-free beginning of a straight path [T, J], in steps of equal length."""
     robot = checker.kinematics.robot
     arm = q[robot.arm]
     rotation, position, _ = chain.palm_and_jacobian(arm[None])
@@ -103,7 +103,7 @@ def _straight(
 
 
 def _follow(chain: ArmChain, arm: Array, rotation: Array, position: Array) -> Array | None:
-    """The arm configuration next to `arm` with the palm at a pose near its own, by Newton."""
+    """Arm configuration near `arm` with the palm at a pose, by Newton's method; None if none."""
     q = arm.copy()
     for _ in range(8):
         turned, at, jacobian = chain.palm_and_jacobian(q[None])

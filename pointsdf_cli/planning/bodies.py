@@ -1,8 +1,8 @@
 """Exact distances of the robot's shapes to each other, to the table and to obstacles (coal).
 
-The paper's a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. What lies
-farther apart than `reach`, by the balls around it, is given that gap: a lower bound, and no
-constraint that could be active.
+The paper's a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. Pairs
+whose bounding balls are farther apart than `reach` get the gap between the balls, a lower bound:
+their constraints are inactive.
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ from pointsdf_cli.robot.shapes import Shape
 
 
 class BodyDistances:
-    """Distances between all pairs of shapes of the robot that may not touch, and to the world.
+    """Distances between all pairs of the robot's shapes that may not touch, and to the world.
 
-    One column of the result is one pair of shapes, so a link has several where it has several
-    shapes.
+    Each column of the result is one pair of shapes; a link of several shapes has several columns.
 
     Args:
         geometry: Geometry of the robot.
@@ -87,7 +86,7 @@ class BodyDistances:
         self._request.enable_signed_distance = True
 
     def reaching(self, reach: float) -> BodyDistances:
-        """The same, exact up to another distance [m]."""
+        """A copy with exact distances up to another `reach` [m]."""
         other = copy(self)
         other.reach = reach
         return other
@@ -97,7 +96,7 @@ class BodyDistances:
 
         Args:
             poses: Poses of B configurations.
-            wanted: bool [M], the pairs that are wanted exactly; the others only by their balls.
+            wanted: bool [M], pairs to measure exactly; the others get the gap between their balls.
         """
         count, pairs = len(poses.rotation), len(self._pairs)
         rotation = np.concatenate([poses.rotation, np.broadcast_to(np.eye(3), (count, 1, 3, 3))], 1)
@@ -202,7 +201,7 @@ class BodyDistances:
                 self._swallowed(out, b, int(m), j, turn[j], at[j])
 
     def _swallowed(self, out: Contacts, b: int, m: int, mesh: int, turn: Array, at: Array) -> None:
-        """A shape that is wholly inside of a closed mesh does not touch its triangles."""
+        """Correct the distance of a shape that lies wholly inside a closed mesh."""
         point = (out.point[b, m] - at) @ turn
         if self._inside[mesh](point):
             # From here the way out begins where the triangles are nearest, and goes past them.
@@ -211,12 +210,11 @@ class BodyDistances:
 
 
 def _settle_boxes() -> None:
-    """Make boxes of one size in every process.
+    """Make boxes equally large in every process.
 
-    coal 3 grows one side of its boxes by 1e-10, or does not, for the whole life of a process: as
-    the first direction that it ever asks a box about has a zero in it or not. That is enough for a
-    plan to end 1e-13 elsewhere, and for what comes of it in contact to be another. So the first
-    direction is one without zeros.
+    coal 3 decides once in a process whether its boxes are 1e-10 larger along one side: by whether
+    the first support direction of any box has a zero component. Plans then differ by 1e-13, and
+    simulated contacts more. So this asks for a first direction without zeros.
     """
     turned = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3
     coal.distance(

@@ -2,7 +2,7 @@
 
     with cancellable(stopped): planner.plan(...)     # raises CancelledError once stopped() is true
 
-Planning asks between its stages, rounds and motions, which last a fraction of a second each.
+Planning checks between stages, rounds and motions, which last a fraction of a second each.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class CancelledError(RgraspError):
 
 
 def stop_if_cancelled() -> None:
-    """Return, or end the work that is going on in this thread.
+    """End the work of this thread if it was cancelled.
 
     Raises:
         CancelledError: It was cancelled.
@@ -33,7 +33,7 @@ def stop_if_cancelled() -> None:
 
 @contextmanager
 def cancellable(stopped: Callable[[], bool]) -> Iterator[None]:
-    """Context in which `stop_if_cancelled` of this thread asks `stopped`."""
+    """Context in which `stop_if_cancelled` in this thread raises once `stopped()` is true."""
     token = _stopped.set(stopped)
     try:
         yield

@@ -1,4 +1,4 @@
-"""The whole shape of one object in a view, as a mesh: what `rgrasp mesh` computes."""
+"""Complete one object in a view to a mesh: the computation of `rgrasp mesh`."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from pointsdf_cli.training.precision import autocast_dtype
 
 @dataclass(frozen=True)
 class CompletedMesh:
-    """A mesh and what it was made from.
+    """A mesh and its reconstruction.
 
     Attributes:
-        mesh: Camera frame, m.
-        reconstruction: Its field.
+        mesh: The mesh, camera frame, m.
+        reconstruction: Reconstruction with the mesh's field.
         seconds: Duration of the computation [s].
     """
 
@@ -45,7 +45,7 @@ def complete_mesh(
 
     Raises:
         EmptySurfaceError: The network sees nothing solid.
-        InputError: A resolution that there is no grid of, or an unknown precision.
+        InputError: The resolution or the precision is not supported.
     """
     device = next(model.parameters()).device
     low_precision = autocast_dtype(choices.precision, torch.device(device))

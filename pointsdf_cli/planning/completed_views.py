@@ -1,4 +1,4 @@
-"""Completed views of an object, and what must hold its unseen side up."""
+"""Completed views of an object, and unseen space that must hold its support."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pointsdf_cli.planning.target import ObjectField, absent_object, given_objec
 def completed(
     network: ShapeModel, views: Sequence[View], seed: int | Sequence[int]
 ) -> list[Reconstruction]:
-    """Reconstructions, one a view, each from the points that `seed` draws of it."""
+    """Reconstructions, one a view, each from points sampled with `seed`."""
     return [
         Reconstruction.from_cloud(
             network,
@@ -35,7 +35,7 @@ def completed(
 
 
 def unseen_support(shape: ObjectField, views: Sequence[View]) -> Array:
-    """Places [M, 3] where something unseen must hold a shape up; none where it stands by itself."""
+    """Points [M, 3] in unseen space below a shape that could not stand; none if it could."""
     solid = shape.kept.inside()
     if not len(solid) or stands(shape.field, solid, shape.low, shape.high):
         return np.zeros((0, 3))
@@ -45,7 +45,7 @@ def unseen_support(shape: ObjectField, views: Sequence[View]) -> Array:
 def given_constraint(
     field: Field | Literal["none"], points: Array, grid: GridConfig
 ) -> ObjectField:
-    """A given field, or none, in place of that of the object seen at points [N, 3]."""
+    """Object constraint from a given field, or from none, for an object seen at points [N, 3]."""
     if isinstance(field, str):
         return absent_object(points)
     return given_object(field, points, grid)

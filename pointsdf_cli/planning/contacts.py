@@ -1,7 +1,7 @@
-"""Signed distances of the robot to something, with the points where they are measured.
+"""Signed distances of the robot to its surroundings, with their witness points.
 
 Every constraint of the plan is a distance d between a point that moves with a link and a point of
-something else. Its derivative needs no differentiation of the distance itself: at the nearest
+another body. Its derivative needs no differentiation of the distance itself: at the nearest
 points, ∂d/∂q = n · (∂a/∂q − ∂b/∂q), with a, b the witness points as fixed to their bodies and n the
 direction in which d grows when a moves (the envelope theorem).
 """
@@ -21,7 +21,7 @@ WORLD = -1
 """Link index of fixed bodies."""
 
 FAR = 1.0
-"""The distance [m] that stands for "nothing near"."""
+"""Distance [m] reported if nothing is near."""
 
 
 class Poses(NamedTuple):
@@ -48,7 +48,7 @@ class Contacts:
         point: [B, M, 3], that point in the world.
         normal: [B, M, 3], the gradient of the distance by the first point.
         other_link: [M], the link that the second point moves with, or WORLD.
-        other_point: [B, M, 3]; without meaning where the other link is WORLD.
+        other_point: [B, M, 3], the second point in the world; undefined if its link is WORLD.
     """
 
     distance: Array

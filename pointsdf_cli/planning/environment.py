@@ -58,12 +58,12 @@ class Obstacle:
                 allowed=f"{SIZES.get(self.kind, 0)} sizes above 0 m",
             )
         if (self.kind == "mesh") == (self.vertices is None or self.faces is None):
-            raise InputError("a mesh, and nothing else, has triangles", where=self.name)
+            raise InputError("only a mesh, and every mesh, has triangles", where=self.name)
 
 
 @dataclass(frozen=True)
 class Environment:
-    """Everything known but the robot and the object.
+    """Known surroundings of robot and object.
 
     Attributes:
         obstacles: Bodies that the robot may not touch.
@@ -85,7 +85,7 @@ def read_environment(path: Path | str) -> Environment:
     """Read an environment file.
 
     Raises:
-        InputError: No such file, no YAML, or an entry that makes no sense; the message names it.
+        InputError: The file is missing, is not YAML, or has an invalid entry, which is named.
     """
     path = Path(path)
     if not path.is_file():
@@ -97,14 +97,14 @@ def read_environment(path: Path | str) -> Environment:
     if not isinstance(table, bool):
         raise InputError(f"`table` is {table!r}", where=path, allowed="true, false")
     if not isinstance(entries, list):
-        raise InputError("`obstacles` is no list", where=path, allowed="a list of obstacles")
+        raise InputError("`obstacles` is not a list", where=path, allowed="a list of obstacles")
     return Environment(tuple(_obstacle(e, i, path) for i, e in enumerate(entries)), table)
 
 
 def _obstacle(entry: Any, place: int, path: Path) -> Obstacle:
     where = f"{path}: obstacles[{place}]"
     if not isinstance(entry, Mapping) or set(entry) - set(KEYS):
-        raise InputError("is no obstacle", where=where, allowed="keys " + ", ".join(KEYS))
+        raise InputError("is not an obstacle", where=where, allowed="keys " + ", ".join(KEYS))
     kinds = [kind for kind in (*SIZES, "mesh") if kind in entry]
     if len(kinds) != 1:
         raise InputError(

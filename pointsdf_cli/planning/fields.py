@@ -1,4 +1,4 @@
-"""Signed distance fields as planning asks them: metres, world frame, negative inside, gradients."""
+"""Signed distance fields for planning: metres, world frame, negative inside, with gradients."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class BoundedField(Field, Protocol):
     """A field with bounds of its error."""
 
     def with_bound(self, points: Array) -> tuple[Array, Array]:
-        """Values [N] and by how much they can exceed the truth [N], in m."""
+        """Values [N] and the most by which each can exceed the true distance [N], m."""
 
 
 class ReconstructionField:
@@ -40,9 +40,9 @@ class ReconstructionField:
 class MeanField:
     """The mean of several fields of one object: reconstructions from several views.
 
-    The mean of distances of slope 1 has a slope of at most 1. What one view guesses wrongly behind
-    the object, others saw; their mean is better than any one of them, and than one reconstruction
-    of the joined clouds, whose points no single camera could have seen (docs/notebook.md).
+    The mean of distances of slope 1 has a slope of at most 1. One view's wrong guess about a hidden
+    side is outvoted by views that saw it. The mean is better than any one of them, and than one
+    reconstruction of the joined clouds, which no single camera could have seen (docs/notebook.md).
     """
 
     def __init__(self, fields: Sequence[Field]) -> None:
@@ -68,14 +68,14 @@ class SeenField:
         return np.asarray(self._tree.query(points)[0])
 
     def at_most(self, points: Array, limits: Array) -> Array:
-        """The lower of the distance and a limit [N] at points [N, 3], m.
+        """Minimum of the distance and a limit [N] at points [N, 3], m.
 
-        Far quicker than all distances: where thousands of seen points are nearly equally far, the
-        search for the nearest must look at them all, and one that ends at the limit need not.
+        Far quicker than exact distances: among thousands of nearly equally distant points a nearest
+        neighbour search must visit all, a search that ends at the limit need not.
         """
         values = np.array(limits, dtype=np.float64)
         asked = np.flatnonzero(values > 0)
-        # The tree takes one limit a question: points of nearly the same limit are asked together.
+        # The tree takes one limit a query: points of nearly the same limit are queried together.
         group = np.floor(np.log(np.maximum(values[asked], 1e-4)) / np.log(1.1))
         for one in np.unique(group):
             rows = asked[group == one]
@@ -108,16 +108,16 @@ class UnionField:
 
 
 class NearField:
-    """A field evaluated near the object only; elsewhere, the distance to a box around it.
+    """A field evaluated only near the object; elsewhere the distance to a box around it.
 
-    The surface lies within the box, so the distance to the box is never more than the distance to
-    the object. A network was trained near objects, and far away it is slow (its nearest neighbours
-    are all equally near) and says nothing that the box does not.
+    The surface lies within the box, so the distance to the box never exceeds the distance to the
+    object. A network is trained near objects; far away it is slow (all its nearest neighbours are
+    equally near) and no more accurate than the box.
 
     Args:
         field: Field to evaluate.
         low, high: [3], the box [m]; it must enclose the surface.
-        reach: Points nearer to the box than this [m] are asked.
+        reach: Points nearer to the box than this [m] are evaluated.
     """
 
     def __init__(self, field: Field, low: Array, high: Array, reach: float = 0.03) -> None:
@@ -137,7 +137,7 @@ class NearField:
         return values, gradients
 
     def _way(self, points: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """From the box to each point [N, 3], its length [N], and whether that is near."""
+        """Vectors from the box to the points [N, 3], their lengths [N], and a mask of near ones."""
         way = points - np.clip(points, self._low, self._high)
         gap = np.sqrt((way**2).sum(axis=1))
         return way, gap, gap < self._reach
@@ -170,8 +170,8 @@ class MeshField:
 class RefinedField:
     """A quick field, replaced by the exact one wherever the difference could matter.
 
-    Where the quick value less its bound exceeds `beyond`, the true value does too, and the quick
-    one is returned. Everywhere else the exact field answers. So what is below `beyond` is exact.
+    If the quick value minus its error bound exceeds `beyond`, so does the true value, and the quick
+    one is returned; otherwise the exact field is evaluated. So values below `beyond` are exact.
 
     Attributes:
         queries: Number of queries of the exact field.
@@ -183,7 +183,7 @@ class RefinedField:
         self.queries = 0
 
     def cautious(self) -> RefinedField:
-        """The same with the quick value less its bound: never more than the exact one."""
+        """A copy that returns the quick value minus its bound: never more than the exact one."""
         other = copy(self)
         other._cautious = True
         return other

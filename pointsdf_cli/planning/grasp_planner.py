@@ -90,12 +90,12 @@ class PlanOptions:
     Attributes:
         method: One of `METHODS`.
         solver: "sqp" or "slsqp".
-        kind: "side", "top", or "auto": whichever promises more; low objects from the top first.
-        robot: Its YAML file; the bundled one if None.
+        kind: "side", "top", or "auto": the more promising; low objects from the top first.
+        robot: YAML file of the robot; the bundled one if None.
         checkpoint: Reconstruction network; the bundled one if None.
         grasp_checkpoint: Success network; the method's bundled one if None.
         clearances: Least distances.
-        margin: Distance to the object that is kept where it can be [m].
+        margin: Preferred distance to the object [m].
         successive_halving: Iterations after which the worse half of the seeds stops.
         device: Device of the networks.
         synthesis: Effort of the search, and thresholds of a good grasp.
@@ -171,16 +171,16 @@ class GraspPlanner:
         field: Field | Literal["none"] | None = None,
         table: bool = True,
     ) -> PerceivedObject:
-        """Complete the object, keep its field on a grid, and ready the score.
+        """Complete the object, sample its field on a grid, and prepare the score.
 
         Args:
-            views: One or more views of the same object. Each is completed on its own, and the mean
-                of the fields is the object; the score is made for the first.
+            views: One or more views of the same object. Each is completed on its own; the object is
+                the mean of the fields. The score is that of the first view.
             seed: Random seed of the cloud's resampling.
-            field: Constrains the robot instead of the method's own field: the truth in trials, or
-                "none" for no constraint. The score reads the method's own all the same.
-            table: The object rests on the table: what could not stand there as it was completed
-                keeps the hand out of the unseen space below it, too (`support.py`).
+            field: Object constraint instead of the method's own field: the truth in trials, or
+                "none" for no constraint. The score still reads the method's own field.
+            table: The object rests on the table. A reconstruction that could not stand there also
+                keeps the hand out of the unseen space below it (`support.py`).
 
         Raises:
             EmptyFieldError: The network sees nothing solid.
@@ -211,8 +211,8 @@ class GraspPlanner:
         if field is not None:
             constraint = given_constraint(field, world, grid)
         elif made:
-            # The score was trained on what the network completes; the hand keeps off what it
-            # misses, too.
+            # The score was trained on the network's field; the constraint adds the seen points
+            # that this field misses.
             hidden = unseen_support(own, views) if table else np.zeros((0, 3))
             known = np.concatenate([world, hidden])
             whole = enclosing(own, made, hidden, grid) if len(hidden) else own
@@ -233,18 +233,18 @@ class GraspPlanner:
         field: Field | Literal["none"] | None = None,
         rank: Rank | None = None,
     ) -> Answer:
-        """Configuration and motion, or the reason why there is none.
+        """Plan configuration and motion, or find the reason why there is none.
 
         Args:
             views: As in `see`.
             environment: Obstacles and table; the table alone if None.
-            start: [J], where the robot is; its home if None.
-            seed: Equal seeds give equal plans.
+            start: [J], the robot's present configuration; its home if None.
+            seed: Random seed; equal seeds give equal plans.
             field: As in `see`.
             rank: As in `Planner.plan`.
 
         Raises:
-            InputError: The start is no configuration within the joint limits.
+            InputError: The start is not a configuration within the joint limits.
         """
         try:
             table = environment is None or environment.table
@@ -262,7 +262,7 @@ class GraspPlanner:
         rank: Rank | None = None,
         stop: StopCondition | None = None,
     ) -> Answer:
-        """Plan like `plan`, for a perceived object: `rank` and `stop` may then know the target."""
+        """Plan as `plan` does, for a perceived object, so that `rank` and `stop` may use it."""
         search = self.search(perceived.points)
         plan = self.planner.plan(perceived.target, environment, start, seed, search, rank, stop)
         timings = {**perceived.timings, **plan.timings}
@@ -277,7 +277,8 @@ class GraspPlanner:
         return Answer(replace(plan, timings=timings), perceived.target, perceived.reconstruction)
 
     def too_large(self, points: Array) -> bool:
-        """Whether an object seen at points [N, 3] is wider all round than the hand opens."""
+        """Whether an object seen at points [N, 3] is wider than the opened hand in all
+        directions."""
         return narrowest(points) > self.planner.geometry.hand.span
 
     def search(self, points: Array) -> SynthesisConfig:
@@ -285,8 +286,8 @@ class GraspPlanner:
         search = replace(self.options.synthesis, kinds=self.kinds(points))
         if not self.too_large(points):
             return search
-        # It may still have a rim or a handle, but a long search seldom pays, and a hand that
-        # touches nothing there merely stands beside it.
+        # It may have a rim or a handle, but a long search seldom finds it, and a grasp that
+        # touches nothing only stands beside the object.
         strict = replace(search.acceptance, floor=search.acceptance.least)
         return replace(search, rounds=min(search.rounds, 2), acceptance=strict)
 
@@ -299,16 +300,15 @@ class GraspPlanner:
         return (EITHER,)
 
     def nothing(self, what: str) -> Answer:
-        """The answer to a cloud that shows no object."""
+        """Answer for a cloud that shows no object."""
         return Answer(no_plan(self.robot, "no_object", f"{what[0].upper()}{what[1:]}."), None, None)
 
 
 def _success_network(options: PlanOptions, robot: RobotDescription) -> SuccessModel:
-    """The checkpoint that was asked for, or the method's bundled one.
+    """The requested checkpoint, or the method's bundled one.
 
-    Where no network from scratch is bundled for the robot, both methods share the one on geometry,
-    which then reads each method's own field: partial-view grasping knows no more than what was
-    seen.
+    If no network from scratch is bundled, both methods use the one on geometry, which then reads
+    each method's own field: in partial-view grasping the seen points alone.
     """
     path = options.grasp_checkpoint
     if path is None and options.method == PARTIAL_VIEW:

@@ -1,4 +1,4 @@
-"""The paper's problem (section IV): the best grasp that the whole arm and hand can take.
+"""The paper's problem (section IV): the best grasp that the whole arm and hand can reach.
 
     min_q  max(s − β, 0)²
     s.t.   q_min ≤ q ≤ q_max
@@ -32,7 +32,7 @@ from pointsdf_cli.planning.variables import Variables
 
 @dataclass(frozen=True)
 class Clearances:
-    """The least distances that a plan keeps [m].
+    """Least distances of a plan [m].
 
     Attributes:
         object: Between the hand or arm and the object.
@@ -50,7 +50,7 @@ class Clearances:
 
 
 class Residuals(NamedTuple):
-    """Smallest distances at B configurations, less the clearance asked for [m]: ≥ 0 is met."""
+    """Slack at B configurations: smallest distance minus the clearance [m]; met if ≥ 0."""
 
     object: Array
     table: Array
@@ -64,7 +64,7 @@ class Residuals(NamedTuple):
 
 
 class GraspProblem:
-    """The problem for one object; `nonlinear.Problem` for the solvers.
+    """The problem for one object; implements `nonlinear.Problem`.
 
     Args:
         geometry: Geometry of the robot.
@@ -73,9 +73,9 @@ class GraspProblem:
         environment: Obstacles and table.
         clearances: Margins.
         objective: α and β.
-        critical: Number of constraints that `evaluate` reports of each configuration.
-        slope: The largest slope of the field.
-        reach: Distances to the object up to here [m] are looked at closely, others are bounded.
+        critical: Number of constraints that `evaluate` reports for each configuration.
+        slope: Largest slope of the field.
+        reach: Distances to the object up to this [m] are computed; larger ones are bounded below.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class GraspProblem:
         self.object = ObjectDistances(geometry, field, reach, slope)
         self._jacobian = ContactJacobian(kinematics)
         self.names = self.object.names + self.bodies.names
-        # By place and not by name: an obstacle may be called as its owner likes.
+        # By index, not by name: an obstacle may have any name.
         count = len(self.object.names)
         self.is_object = np.arange(len(self.names)) < count
         self._is_self = np.concatenate([np.zeros(count, bool), self.bodies.other_link != WORLD])
@@ -119,15 +119,14 @@ class GraspProblem:
         return other
 
     def keeping(self, clearance: float) -> GraspProblem:
-        """The same with another clearance to the object [m]."""
+        """A copy with another clearance to the object [m]."""
         other = copy(self)
         other.clearances = replace(self.clearances, object=clearance)
         other._margin = np.where(self.is_object, clearance, self._margin)
         return other
 
     def measuring(self) -> GraspProblem:
-        """The same with every sample and pair asked about, however far: for reports, not for
-        solvers."""
+        """A copy that computes every distance, however large: for reports, not for solvers."""
         other = copy(self)
         other.object = self.object.reaching(np.inf)
         other.bodies = self.bodies.reaching(np.inf)
@@ -155,15 +154,15 @@ class GraspProblem:
         )
 
     def evaluate(self, x: Array) -> Evaluation:
-        """The `critical` constraints that are nearest to being violated, each point its own."""
+        """Evaluate, for each point, its `critical` constraints of least slack."""
         poses, contacts = self.contacts(x)
         slack = np.where(self._relevant, contacts.distance - self._margin, np.inf)
         chosen = np.argpartition(slack, self._critical - 1, axis=1)[:, : self._critical]
         return self._evaluation(x, poses, contacts, slack, np.sort(chosen, axis=1))
 
     def evaluate_grouped(self, x: Array) -> Evaluation:
-        """The paper's constraints: for each link the minimum to the object, to each obstacle, to
-        the robot itself."""
+        """Evaluate the paper's constraints: each link's minimum distance to the object, to each
+        obstacle and to the robot itself."""
         poses, contacts = self.contacts(x)
         slack = np.where(self._relevant, contacts.distance - self._margin, np.inf)
         chosen = np.stack([group[slack[:, group].argmin(axis=1)] for group in self._groups], axis=1)

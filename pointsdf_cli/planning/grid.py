@@ -1,4 +1,4 @@
-"""A signed distance field kept on a grid: one look-up instead of one pass through the network.
+"""A signed distance field sampled on a grid: a look-up instead of a pass through the network.
 
 The grid is fine near the surface, where constraints are decided, and coarse elsewhere. Trilinear
 interpolation is a weighted mean of the cell's corners x_i, so for a field of slope at most L
@@ -7,8 +7,8 @@ interpolation is a weighted mean of the cell's corners x_i, so for a field of sl
                          = L √(Σ_k t_k (1 − t_k)) h ≤ (√3 / 2) L h
 
 (Jensen; t_k in [0, 1] is the place in the cell along axis k, h the cell's side). A corner that was
-itself interpolated on a coarser level adds its own bound, with the same weights. So the error is
-bounded everywhere, and the bound is part of every answer.
+itself interpolated on a coarser level adds its own bound, with the same weights. So every value has
+an error bound.
 """
 
 from __future__ import annotations
@@ -34,9 +34,10 @@ class GridConfig:
 
     Attributes:
         step: Side of the finest cells [m].
-        levels: Each level halves the cells of the one before; the first has step · 2^(levels − 1).
-        band: The field is known on the finest level wherever its absolute value is below this [m].
-        slope: L, the largest slope of the field: 1 for a distance. A network's is measured.
+        levels: Number of levels; each halves the cells of the one before.
+        band: The field is sampled on the finest level wherever its absolute value is below this
+            [m].
+        slope: L, the largest slope of the field: 1 for a distance; measured for a network.
     """
 
     step: float = 0.004
@@ -96,16 +97,16 @@ class GridField:
         return value, gradient
 
     def with_bound(self, points: Array) -> tuple[Array, Array]:
-        """Values [N] and the largest possible |grid − field| [N] inside of the box [m]; outside
-        the value less the bound is still no more than the distance."""
+        """Values [N] and error bounds [N], m: |grid − field| at most inside the box; outside, the
+        value minus the bound never exceeds the distance."""
         value, _, bound = self._look_up(points, bound=True)
         return value, bound
 
     def minimum_with(self, seen: SeenField) -> GridField:
-        """A grid of the lower of this field and the distance to seen points, taken at every node.
+        """A grid of the minimum of this field and the distance to seen points, at every node.
 
-        At a node the lower of two values is off by no more than this field's own is, so the bounds
-        stay what they are.
+        The minimum at a node has no larger error than this field's own value, so the bounds still
+        hold.
         """
         nodes = np.stack(np.meshgrid(*map(np.arange, self._nodes), indexing="ij"), axis=-1)
         places = self._low + self.config.step * nodes.reshape(-1, 3)
@@ -204,13 +205,13 @@ def surface_box(
     """Tight box (low [3], high [3]) around the surface within a wide one, from few queries.
 
     Args:
-        field: Asked on a grid of `step` [m].
+        field: Field to evaluate on a grid of `step` [m].
         low, high: [3], the wide box [m].
         step: Step of that grid; the result is tight to about as much.
         slope: The largest slope of the field.
 
     Raises:
-        InputError: No node's value is so low that a surface could be in a cell beside it.
+        InputError: All values are too large for a surface in any cell.
     """
     low = np.asarray(low, dtype=np.float64)
     wide = np.asarray(high, dtype=np.float64) - low

@@ -1,4 +1,4 @@
-"""Options of the mesh of an object, without what computes it."""
+"""Options of `rgrasp mesh`, importable without the network."""
 
 from __future__ import annotations
 

@@ -20,9 +20,9 @@ class Evaluation(NamedTuple):
     Attributes:
         objective: [B], f.
         gradient: [B, n].
-        curvature: [B, n, n], positive semidefinite, what is known of f's Hessian (Gauss-Newton);
-            zeros if nothing is.
-        constraints: [B, K], the values c that are nearest to being violated.
+        curvature: [B, n, n], positive semidefinite, the known part of f's Hessian (Gauss-Newton);
+            zeros if unknown.
+        constraints: [B, K], the values c of least slack.
         jacobian: [B, K, n], their derivatives.
     """
 
@@ -45,13 +45,13 @@ class Problem(Protocol):
     upper: Array
 
     def evaluate(self, x: Array) -> Evaluation:
-        """All at x [B, n]; which constraints are reported may change from point to point.
+        """Evaluate at x [B, n]; the choice of reported constraints may differ between points.
 
-        Any constraint that is not reported must be farther from violation than those that are.
+        Constraints that are not reported must have more slack than those that are.
         """
 
     def evaluate_grouped(self, x: Array) -> Evaluation:
-        """The same, with constraints that keep their meaning and number from point to point."""
+        """Evaluate at x [B, n] with the same constraints, in the same order, at every point."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Solutions:
         x: [B, n].
         objective: [B].
         violation: [B], the largest, in the constraints' unit.
-        converged: bool [B]; the solver's own tolerances were met.
+        converged: bool [B], whether the solver's tolerances were met.
         evaluations: Number of evaluations of the problem, summed over starts.
     """
 
@@ -82,5 +82,5 @@ class Solver(Protocol):
         Args:
             problem: Problem to solve.
             starts: Starting points.
-            iterations: At most so many; the solver's own number if None.
+            iterations: Largest number of iterations; the solver's default if None.
         """

@@ -16,12 +16,11 @@ TARGET_REACH = 0.1
 """Largest distance [m] from --target to the nearest seen point of the object it names."""
 
 PIXEL_REACH = 15.0
-"""--target names the thing that was seen no farther than this [px] from a pixel."""
+"""Largest distance [px] from --target's pixel to the nearest pixel of the object it names."""
 
 SIZE_POWER = 0.25
-"""Exponent of an object's seen surface in its rank: of two objects about as near to the middle of
-the image the larger comes first, but one that is clearly nearer comes before a somewhat larger one.
-"""
+"""Exponent of an object's seen surface in its rank: size decides only between objects about equally
+near to the middle of the image."""
 
 SMALLEST_THING, LARGEST_THING = 0.015, 0.35
 """Smallest and largest size [m] of an object worth grasping."""
@@ -38,10 +37,10 @@ class Target:
     """The user's choice of an object; exactly one attribute is set.
 
     Attributes:
-        number: In the list of things, from 1.
+        number: Number in the list of objects, from 1.
         pixel: (u, v) of the image.
         place: [3], world, m.
-        any: Whichever can be taken first (`take_order.py`).
+        any: The first that can be grasped (`take_order.py`).
     """
 
     number: int | None = None
@@ -52,17 +51,17 @@ class Target:
 
 @dataclass(frozen=True)
 class Thing:
-    """One of the things that stand on the table.
+    """One observed object.
 
     Attributes:
-        number: From 1; 1 is taken where nothing else is said.
-        label: In `Things.label`.
-        centre: [3], of its box, world, m.
-        size: [3], of its box: the longer and the shorter level side, and its height, m.
+        number: Number from 1; 1 is the default target.
+        label: Its label in `Things.label`.
+        centre: [3], centre of its bounding box, world, m.
+        size: [3], sides of its box: the longer and the shorter level side, and its height, m.
         points: Number of observed points, thinned.
-        stands: It stands on the table; others come last.
-        unsplit: It looks like several in touch.
-        image: [2], where it is in the image, in units of half the image: (0, 0) is the middle.
+        stands: Whether it stands on the table; others come last.
+        unsplit: Whether it looks like several objects in contact.
+        image: [2], its place in the image, in units of half the image: (0, 0) is the middle.
     """
 
     number: int
@@ -75,7 +74,7 @@ class Thing:
     image: Array
 
     def describe(self) -> str:
-        """Place and size in words."""
+        """Describe place and size in words."""
         x, y, z = self.centre
         a, b, c = self.size * 100
         return f"at {x:.2f},{y:.2f},{z:.2f} m, {a:.0f} × {b:.0f} × {c:.0f} cm"
@@ -108,17 +107,17 @@ def numbered(
     standing: NDArray[np.bool_],
     reach: tuple[float, float] | None = None,
 ) -> list[Thing]:
-    """All things, best to grasp first.
+    """Number the objects, best to grasp first.
 
-    A thing near the middle of the image, within the robot's reach and of a size to be grasped comes
-    first: what somebody points a camera at is what is meant.
+    An object near the middle of the image, within the robot's reach and of a graspable size comes
+    first: people point a camera at the object they mean.
 
     Args:
         points: [N, 3], world, m, one a voxel.
-        image: [N, 2], where they are in the image, in units of half its size.
-        things: The thing of each point.
-        standing: bool [T], which of them stand on the table.
-        reach: From `reach_of`; None where the robot's place is not known.
+        image: [N, 2], places in the image, in units of half its size.
+        things: The object of each point.
+        standing: bool [T], which objects stand on the table.
+        reach: Result of `reach_of`; None if the robot's pose is not known.
     """
     found = []
     for one in range(things.count):
@@ -150,18 +149,19 @@ def choose(
     pixels: Array | None,
     where: str,
 ) -> Thing:
-    """The thing that is meant; the first where nothing was said.
+    """The object that the user chose; the first without a choice.
 
     Args:
-        things: From `numbered`.
+        things: Result of `numbered`.
         target: The user's choice.
-        points, label: As for `numbered`.
-        pixels: [N, 2], (u, v) of the points; None where there is no image.
-        where: The cloud's name, for messages.
+        points, label: Points as for `numbered`, and the label of each.
+        pixels: [N, 2], (u, v) of the points; None without an image.
+        where: Name of the cloud, for messages.
 
     Raises:
-        InputError: No such number, a pixel without an image or outside of it, or no one object.
-        NoObjectError: Nothing is there.
+        InputError: No object has this number, the pixel is outside the image or there is no image,
+            or the choice is not one object.
+        NoObjectError: There is no object, or none at this place.
     """
     if not things:
         raise NoObjectError("nothing stands on the table", where=where)
@@ -169,7 +169,7 @@ def choose(
         return things[0]
     if target.any:
         raise InputError(
-            "any, where one object is needed", where="--target", allowed="a number, U,V or X,Y,Z"
+            "any, but one object is needed", where="--target", allowed="a number, U,V or X,Y,Z"
         )
     if target.number is not None:
         return _of_number(things, target.number, where)
@@ -178,7 +178,7 @@ def choose(
     if target.pixel is not None:
         if pixels is None:
             raise InputError(
-                "a pixel of a cloud that knows no image",
+                "a pixel, but the cloud has no image",
                 where="--target",
                 allowed="a number, or X,Y,Z in the world",
                 hint="add --intrinsics K.json, or give the depth image instead of the cloud",
@@ -222,7 +222,7 @@ def _sides(points: Array) -> Array:
 
 
 def _merit(thing: Thing, reach: tuple[float, float] | None) -> float:
-    """Merit of an object: 1 is the best."""
+    """Merit of an object as a target: 1 is the best."""
     centred = float(np.exp(-((np.linalg.norm(thing.image) / 0.6) ** 2)))
     near = 1.0
     if reach is not None:

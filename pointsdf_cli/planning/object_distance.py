@@ -1,9 +1,9 @@
 """The paper's learned constraint: f_SDF(o, FK_l(q)) > 0 at points of every link's surface.
 
 A link's surface is covered by samples (`robot.surface`), grouped into patches a few centimetres
-wide. A patch whose middle is farther from the object than its radius and `reach` gets that lower
-bound; of the others each gives its lowest sample. So a link that two fingertips' width of surface
-comes near with counts with several points, and the minimum over a link's patches is the paper's.
+wide. A patch whose centre is farther from the object than its radius plus `reach` gets the distance
+of its bounding ball, a lower bound; every other patch gets the distance of its nearest sample. A
+link has several patches near a wide contact; the minimum over them is the paper's constraint.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ class ObjectDistances:
     Args:
         geometry: Geometry of the robot.
         field: Field of the object, world frame.
-        reach: Patches whose lower bound exceeds this [m] are not looked at closely.
-        slope: The largest slope of the field: 1 for a distance.
+        reach: Patches with a lower bound above this [m] keep the bound.
+        slope: Largest slope of the field: 1 for a distance.
 
     Attributes:
         link: [M], each patch's link.
@@ -46,7 +46,7 @@ class ObjectDistances:
         self._points, self._centre, self._radius = patches.points, patches.centre, patches.radius
 
     def reaching(self, reach: float) -> ObjectDistances:
-        """The same, exact up to another distance [m]."""
+        """A copy with exact distances up to another `reach` [m]."""
         other = copy(self)
         other._reach = reach
         return other
@@ -58,7 +58,7 @@ class ObjectDistances:
         return other
 
     def __call__(self, poses: Poses, gradients: bool = True) -> Contacts:
-        """Distances [B, M] of all patches, with the samples where they are lowest."""
+        """Distances [B, M] of all patches, with their nearest samples."""
         rotation, position = poses.rotation[:, self.link], poses.position[:, self.link]
         count, patches = rotation.shape[:2]
         point = (rotation @ self._centre[:, :, None])[..., 0] + position

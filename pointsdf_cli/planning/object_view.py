@@ -1,4 +1,4 @@
-"""One object's points out of a file: a cloud of it alone, a masked image, or a table."""
+"""Points of one object from a file: a cloud of it alone, a masked image, or a view of a table."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class ObjectView:
     Attributes:
         points: [N, 3], camera frame, m.
         T_frame_camera: [4, 4], the camera in the file's frame.
-        frame: "camera" or "world": the file's.
-        said: Sentences about what was kept.
-        alone: The file held nothing else.
+        frame: Frame of the file: "camera" or "world".
+        said: Sentences about the points kept.
+        alone: Whether the file held nothing else.
         evidence: Observed space around the object; None for an object alone.
     """
 
@@ -42,8 +42,8 @@ class ObjectView:
 
 
 def is_scene(path: Path, files: SceneFileOptions, pose: str | None) -> bool:
-    """Whether a file shows a table by default: a depth image that has a pose or no mask, or one to
-    be posed over its table."""
+    """Whether a file is taken for a view of a table by default: a depth image with a pose or
+    without a mask, or any file with the pose `table`."""
     if pose is not None and table_place(pose) is not None:
         return True
     return is_depth_image(path, files.intrinsics) and (pose is not None or files.mask is None)
@@ -59,15 +59,15 @@ def object_view(
     workspace: str | None,
     cleaned: bool,
 ) -> ObjectView:
-    """The object's points, from a cloud of it alone or out of a view of a table.
+    """Points of the object, from a cloud of it alone or from a view of a table.
 
     Args:
         path, files, pose, target, robot, cleaned: As in `segmented_view`.
-        segment: As typed; by the file and its pose if None.
-        workspace: As typed.
+        segment: --segment as typed; chosen by `is_scene` if None.
+        workspace: --workspace as typed.
 
     Raises:
-        InputError: There is no object, or no pose, or an option says nonsense.
+        InputError: There is no object or no pose, or an option is invalid.
     """
     if segment is None:
         segment = "auto" if is_scene(path, files, pose) else "none"
@@ -86,17 +86,17 @@ def bare_view(
     """A cloud of an object alone, or the masked part of a view.
 
     Raises:
-        InputError: It cannot be read, or is no cloud of an object.
+        InputError: The file cannot be read, or is not a cloud of an object.
     """
     view = read_view(path, files, None if pose is None else camera_pose(pose))
     return bare_cloud(view, str(path), cleaned)
 
 
 def bare_cloud(view: Cloud, name: str, cleaned: bool = True) -> ObjectView:
-    """As `bare_view`, of a cloud that was read already; `name` is for messages.
+    """Make the view of `bare_view` from a cloud; `name` is for messages.
 
     Raises:
-        InputError: It is no cloud of an object.
+        InputError: It is not a cloud of an object.
     """
     from pointsdf_cli.planning.table_top import bare_object
 
@@ -121,18 +121,18 @@ def segmented_view(
     workspace: tuple[tuple[float, ...], tuple[float, ...]] | None,
     cleaned: bool = True,
 ) -> ObjectView:
-    """The object cut out of a view of a table.
+    """The object segmented from a view of a table.
 
     Args:
-        path, files: The view and how it is read.
+        path, files: The view and its reading options.
         pose, target: As typed; see `scene_input.read_scene`.
         segment: As for `look_at_table`.
-        robot: Its YAML; the bundled one if None.
-        workspace: Corners [m] of what is looked at; the usual ones if None.
-        cleaned: Whether flying pixels, outliers and specks are dropped.
+        robot: YAML file of the robot; the bundled one if None.
+        workspace: Corners [m] of the workspace; the default ones if None.
+        cleaned: Drop flying pixels, outliers and specks.
 
     Raises:
-        InputError: It cannot be read, has no pose, or shows no such object.
+        InputError: The view cannot be read, has no pose, or does not show the object.
     """
     from pointsdf_cli.planning.object_choice import NoObjectError
     from pointsdf_cli.planning.scene_input import read_scene
@@ -146,9 +146,7 @@ def segmented_view(
             [path], [] if pose is None else [pose], [files], target, around, cleaned, described
         )
     except NoObjectError as error:
-        raise InputError(
-            error.what, where=error.where, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error) from error
     cut = segmented_cloud(
         given.clouds[0], str(path), described, segment, given.target, around, cleaned
     )
@@ -164,10 +162,10 @@ def segmented_cloud(
     workspace: SegmentationConfig,
     cleaned: bool = True,
 ) -> ObjectView:
-    """As `segmented_view`, of a cloud that was read already; `name` is for messages.
+    """Make the view of `segmented_view` from a cloud; `name` is for messages.
 
     Raises:
-        InputError: It has no pose, or shows no such object.
+        InputError: The cloud has no pose, or does not show the object.
     """
     from pointsdf_cli.planning.object_choice import NoObjectError
     from pointsdf_cli.planning.plausibility import require_table_at_zero
@@ -181,9 +179,7 @@ def segmented_cloud(
             [cloud], [name], robot, robot.home, segment, target, workspace, cleaned
         )
     except NoObjectError as error:
-        raise InputError(
-            error.what, where=error.where, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error) from error
     view = found.views[0]
     return ObjectView(
         view.points,

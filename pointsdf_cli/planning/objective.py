@@ -24,14 +24,14 @@ from pointsdf_cli.robot.kinematics import Kinematics
 class GraspScore(Protocol):
     """Protocol of the success network and its prior for planning; both are differentiable.
 
-    One score belongs to one object: the cloud, its size and its frame are inside.
+    One score belongs to one object: it holds the object's cloud, size and frame.
     """
 
     def log_success(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
         """log h [B] of preshape joints [B, K] and palm poses [B, 4, 4] in the world."""
 
     def log_prior(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
-        """log g [B] of the same."""
+        """log g [B] of preshape joints [B, K] and palm poses [B, 4, 4] in the world."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class ObjectiveConfig:
 
     Attributes:
         alpha: Weight of the prior.
-        beta: Below this s a grasp is good enough: the cost is zero there.
+        beta: The cost is zero for s below this: the grasp is good enough.
     """
 
     alpha: float = 0.5
@@ -103,7 +103,7 @@ class Objective:
         return Cost(r**2, r, gradient.numpy(), success.detach().numpy(), prior.detach().numpy())
 
     def of_palms(self, preshape: Array, T_world_palm: Array) -> Array:
-        """The cost [B] of preshapes [B, K] at palms [B, 4, 4], wherever the arm may be."""
+        """The cost [B] of preshapes [B, K] at palm poses [B, 4, 4], independent of the arm."""
         hand, palm = torch.from_numpy(preshape), torch.from_numpy(T_world_palm)
         with torch.no_grad():
             success = self._score.log_success(hand, palm).double()

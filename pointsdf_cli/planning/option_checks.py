@@ -13,7 +13,8 @@ HULL = "hull"
 OBSTACLES = (RECONSTRUCTION, HULL)
 
 LARGEST_CLEARANCE = 0.015
-"""Distances are exact up to 2 cm only [m]; a grasp that stays farther away holds nothing."""
+"""Largest clearance [m]: distances are exact up to 2 cm only, and a hand farther away than this
+holds nothing."""
 
 
 def check_method(method: str) -> None:
@@ -35,7 +36,7 @@ def check_solver(solver: str) -> None:
 
 
 def check_kind(kind: str) -> None:
-    """`auto` or one of `KINDS`.
+    """Require `auto` or one of `KINDS`.
 
     Raises:
         InputError: It is none of them.
@@ -53,7 +54,7 @@ def check_obstacles(obstacles: str) -> None:
 
 
 def check_speed(speed: float) -> None:
-    """A share of the joints' speed limits.
+    """Require a share of the joints' speed limits.
 
     Raises:
         InputError: Not within (0, 1].
@@ -63,7 +64,7 @@ def check_speed(speed: float) -> None:
 
 
 def check_distance(name: str, value: float) -> None:
-    """A clearance or a margin [m].
+    """Require a plausible clearance or margin [m].
 
     Raises:
         InputError: Negative, or above `LARGEST_CLEARANCE`.
@@ -77,14 +78,14 @@ def check_distance(name: str, value: float) -> None:
 
 
 def check_min_success(probability: float | None) -> None:
-    """A probability, or None for the usual thresholds.
+    """Require a probability, or None for the default thresholds.
 
     Raises:
         InputError: Not within [0, 1).
     """
     if probability is not None and not 0 <= probability < 1:
         raise InputError(
-            f"{probability} is no probability", where="--min-success", allowed="0 ≤ p < 1"
+            f"{probability} is not a probability", where="--min-success", allowed="0 ≤ p < 1"
         )
 
 
@@ -93,10 +94,10 @@ def check_segment(segment: str, target: bool, workspace: bool) -> None:
 
     Args:
         segment: One of `SEGMENT`.
-        target, workspace: Whether they were given; both belong to `auto`.
+        target, workspace: Whether these options were given; both need `auto`.
 
     Raises:
-        InputError: Another word, or an option that does not go with it.
+        InputError: `segment` is none of them, or excludes an option that was given.
     """
     if segment not in SEGMENT:
         raise InputError(f"no {segment!r}", where="--segment", allowed=", ".join(SEGMENT))

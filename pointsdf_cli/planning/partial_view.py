@@ -1,6 +1,6 @@
 """Partial-view grasping's obstacle: the seen points alone, meshed at 32³ (the paper, section V-C).
 
-It knows nothing of the unseen side, which is what reconstruction is compared against.
+It leaves the unseen side free: the baseline of the reconstruction method.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pointsdf_cli.geometry.arrays import Array
 
 RESOLUTION = 32
 SPAN = 26
-"""Voxels that the cloud's longest side spans, as in the voxel network's input."""
+"""Number of voxels along the cloud's longest side, as in the voxel network's input."""
 
 
 def partial_mesh(points: Array) -> tuple[Array, NDArray[np.int32]]:
@@ -27,7 +27,7 @@ def partial_mesh(points: Array) -> tuple[Array, NDArray[np.int32]]:
         outside.
 
     Raises:
-        InputError: No points, or all the same.
+        InputError: There are no points, or all are equal.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or not len(points):

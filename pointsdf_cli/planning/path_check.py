@@ -1,4 +1,4 @@
-"""Is a joint-space path free, all along, and not only where it was looked at?
+"""Proof that a joint-space path is free along its whole length, not only at samples.
 
 Between two configurations two bodies move by no more than M = Σ_j |Δq_j| R_j against each other:
 the sum is over the joints between them, and R_j is the farthest that the outer body can be from
@@ -99,13 +99,13 @@ class PathChecker:
         self._kept: dict[tuple[bytes, bytes], Array] = {}
 
     def keeping(self, clearance: float) -> PathChecker:
-        """The same with another clearance to the object [m]."""
+        """A copy with another clearance to the object [m]."""
         other = copy(self)
         other._object_margin = clearance
         return other
 
     def beside_object(self) -> PathChecker:
-        """The same for all but the object, as where the hand takes it along."""
+        """A copy without the object: for motions in which the hand carries it."""
         other = copy(self)
         other._with_object = False
         return other
@@ -120,7 +120,7 @@ class PathChecker:
         return slacks
 
     def motion(self, a: Array, b: Array) -> Array:
-        """M [..., C]: how far the bodies of each pair move against each other, at most [m]."""
+        """Bounds M [..., C] on the relative motion of the bodies of each pair [m]."""
         bound: Array = np.abs(b - a) @ self._reach.T
         return bound
 

@@ -25,12 +25,12 @@ def plan_of(
     motion: Motion | None,
     timings: Mapping[str, float],
 ) -> Plan:
-    """The plan: the best candidate with its motion, or the reason that `found` gives.
+    """Make the plan: the best candidate with its motion, or the reason in `found`.
 
     Args:
-        problem: With the exact field and the clearances that were asked for.
-        chain: The robot's arm; tells where the palm is.
-        found: Everything that was tried.
+        problem: Problem with the exact field and the requested clearances.
+        chain: Kinematics of the arm, for the palm's pose.
+        found: Result of the search.
         best, motion: Chosen grasp and its motion; both None without a plan.
         timings: Seconds by stage.
     """
@@ -72,7 +72,7 @@ def plan_of(
 
 
 def no_plan(robot: RobotDescription, reason: str, sentence: str) -> Plan:
-    """An answer where nothing could be tried."""
+    """Make a plan artifact with a reason only: nothing could be tried."""
     joints, links = len(robot.joint_names), shaped_links(robot)
     nothing = np.full(len(links), np.nan)
     return Plan(
@@ -105,14 +105,14 @@ def shaped_links(robot: RobotDescription) -> tuple[str, ...]:
 def link_clearance(
     problem: GraspProblem, distance: Array, links: tuple[str, ...], to: NDArray[np.bool_]
 ) -> Array:
-    """Smallest distance [L] of each link among the problem's distances `to` (a mask) [m]; infinite
-    where it is not checked.
+    """Smallest distance [L] of each link among some of the problem's distances [m]; infinite for
+    links without any.
 
     Args:
-        problem: Names the distances.
-        distance: [M], all of them at one configuration, m.
-        links: Links that are asked about.
-        to: bool [M].
+        problem: Problem with the names of the distances.
+        distance: [M], all distances at one configuration, m.
+        links: Names of the links.
+        to: bool [M], mask of the distances to use.
     """
     clearance = np.full(len(links), np.inf)
     place = {link: k for k, link in enumerate(links)}

@@ -1,12 +1,10 @@
-"""One question to a planner and its answer, in plain data: what `plan` and `serve` exchange."""
+"""Request to a planner and its result in plain data, as `plan` and `serve` exchange them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -19,7 +17,6 @@ from pointsdf_cli.planning.object_choice import Target
 
 if TYPE_CHECKING:
     from pointsdf_cli.planning.acceptance import AcceptanceConfig
-    from pointsdf_cli.viz.plan_picture import PlanScene
 
 Corners = tuple[tuple[float, ...], tuple[float, ...]]
 
@@ -30,14 +27,14 @@ class PlanChoices:
 
     Attributes:
         method, solver, kind: As in `PlanOptions`.
-        clearance: Least distance to everything [m]; the usual ones if None.
-        margin: Distance to the object that is kept where it can be [m].
+        clearance: Least distance to everything [m]; the default ones if None.
+        margin: Preferred distance to the object [m].
         speed: Share of the joints' speed limits that the motion uses.
-        rehearse: Grasps of a round that are tried in simulation; 0 for none.
-        min_success: Least predicted probability; the usual thresholds if None.
+        rehearse: Number of grasps of a round to try in simulation; 0 for none.
+        min_success: Least predicted probability; the default thresholds if None.
 
     Raises:
-        InputError: A name that is none, or a number out of its range.
+        InputError: A name is unknown, or a number out of range.
     """
 
     method: str = option_checks.RECONSTRUCTION
@@ -62,7 +59,7 @@ class PlanChoices:
             raise InputError(f"{self.rehearse} grasps", where="--rehearse", allowed="0 or more")
 
     def acceptance(self) -> AcceptanceConfig:
-        """The usual thresholds, or with `min_success` no exception for want of better."""
+        """Default thresholds, or `min_success` without fallbacks."""
         from pointsdf_cli.planning.acceptance import AcceptanceConfig
 
         least = self.min_success
@@ -73,21 +70,21 @@ class PlanChoices:
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """Everything a plan depends on but the robot, the networks and the number of threads.
+    """Input of a plan, apart from the robot, the networks and the number of threads.
 
     Attributes:
-        clouds: One a camera, each with its pose.
+        clouds: Clouds, one for each camera, each with its pose.
         names: Names of the clouds, for messages.
         choices: Options of the search.
         environment: Known table and obstacles.
-        start: [J], where the robot is [rad]; its home if None.
-        seed: Equal seeds give equal plans.
-        segment: "auto", or "none" where the clouds hold the object alone.
-        target: The object that is meant.
-        others: Whether other things that are seen are obstacles.
-        workspace: Corners [m] of what is looked at; the usual ones if None.
-        cleaned: Whether flying pixels, outliers and specks are dropped.
-        obstacles: Other things as their "reconstruction" or as the "hull" of their seen points.
+        start: [J], the robot's present configuration [rad]; its home if None.
+        seed: Random seed; equal seeds give equal plans.
+        segment: "auto", or "none" if the clouds hold the object alone.
+        target: The user's choice of the object.
+        others: Treat other observed objects as obstacles.
+        workspace: Corners [m] of the workspace; the default ones if None.
+        cleaned: Drop flying pixels, outliers and specks.
+        obstacles: Model of other objects: "reconstruction", or "hull" of their seen points.
     """
 
     clouds: Sequence[Cloud]
@@ -104,11 +101,11 @@ class PlanRequest:
     obstacles: str = option_checks.RECONSTRUCTION
 
     def check(self) -> None:
-        """Refuse what cannot be planned from, before anything heavy is imported.
+        """Refuse an unusable request before anything heavy is imported.
 
         Raises:
-            InputError: Options that do not go together, or a cloud without a pose, in another unit
-                than metres, or of too few points.
+            InputError: Options exclude each other, or a cloud has no pose, another unit than
+                metres, or too few points.
         """
         option_checks.check_segment(
             self.segment, self.target is not None, self.workspace is not None
@@ -119,17 +116,17 @@ class PlanRequest:
 
 @dataclass(frozen=True)
 class PlanResult:
-    """A plan and what it was made from.
+    """A plan and its inputs.
 
     Attributes:
         plan: The artifact; its status says whether there is a plan.
-        report: Sentences about what was seen.
-        warnings: Sentences about what cannot be as it was given.
-        start: [J], where the robot is.
-        points: [N, 3], the object's seen points, world, m.
-        camera: [3], the first camera's place.
-        obstacles: Everything that stood around.
-        options: The planner's options in plain types, as the plan file keeps them.
+        report: Sentences about the segmentation.
+        warnings: Sentences about implausible input.
+        start: [J], the robot's start configuration.
+        points: [N, 3], observed points of the object, world, m.
+        camera: [3], position of the first camera.
+        obstacles: All obstacles.
+        options: The planner's options in plain types, as stored in the plan file.
         least: Probability below which a grasp is not likely to hold.
     """
 
@@ -143,22 +140,9 @@ class PlanResult:
     options: dict[str, Any]
     least: float
 
-    def scene(self) -> PlanScene:
-        """Contents of the picture."""
-        from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
-        from pointsdf_cli.viz.plan_picture import PlanScene
-
-        believed = (self.plan.object_vertices.astype(np.float64), self.plan.object_faces)
-        return PlanScene(
-            self.points,
-            self.camera,
-            believed if len(self.plan.object_faces) else None,
-            [obstacle_mesh(obstacle) for obstacle in self.obstacles],
-        )
-
 
 def headline(plan: Plan) -> str:
-    """The outcome in one line."""
+    """Summarise the outcome in one line."""
     if plan.reason:
         return f"no plan: {plan.reason}. {plan.sentence}"
     return (
@@ -168,7 +152,7 @@ def headline(plan: Plan) -> str:
 
 
 def as_sentences(warnings: Sequence[str]) -> str:
-    """Warnings as a plan keeps them."""
+    """Join warnings to the text stored in a plan."""
     return " ".join(
         f"{each[0].upper()}{each[1:]}{'' if each[-1] in '.?' else '.'}" for each in warnings
     )

@@ -42,7 +42,7 @@ from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.lift import lift_path
 
 Rank = Callable[[list[Candidate]], list[Candidate]]
-"""Puts accepted candidates in the order in which motions are looked for, and may leave some out."""
+"""Order in which motions to accepted candidates are searched; may leave some out."""
 
 SUCCESSIVE_HALVING = (6, 11)
 """Iterations of `sqp` after which the worse half of the seeds stops: seeds that cost three times as
@@ -57,28 +57,28 @@ PREFERRED_SLACK = 0.006
 prefers grasps with this much."""
 
 QUICK_LOOKS = 1000
-"""Configurations that a brief search for a motion may look at, with the margin and without: most
+"""Configurations checked at most by a brief motion search, with the margin and without: most
 motions are found within a few hundred."""
 
 BRIEFLY = 3
-"""Candidates to which motions are looked for briefly before any is looked at thoroughly."""
+"""Number of candidates that get a brief motion search before any gets a thorough one."""
 
 
 @dataclass(frozen=True)
 class PlannerConfig:
-    """Everything that is decided before an object is seen.
+    """Options of a planner, independent of the object.
 
-    Attributes: solver: One of `option_checks.SOLVERS`. `slsqp` asks the exact field throughout, as
-        the paper
-            does.
+    Attributes:
+        solver: One of `option_checks.SOLVERS`. `slsqp` always evaluates the exact field, as in the
+            paper.
         clearances: Least distances.
-        margin: Distance to the object that solver and motion keep wherever they can [m]; what
-            comes nearer, down to the clearance, is taken all the same.
+        margin: Preferred distance to the object [m] for solver and motion; distances down to the
+            clearance are accepted.
         grid: Grid of the object's field for `sqp`.
         successive_halving: Iterations of `sqp` after which the worse half of the seeds stops.
-        lift_height: A grasp that the arm can raise so far [m] goes before one that it cannot; at 0
-            none is asked to.
-        beyond: The exact field is evaluated wherever the sampled field less its bound exceeds the
+        lift_height: Height [m] to which the arm should be able to raise the hand: such grasps are
+            preferred. 0 asks for no lift.
+        beyond: The exact field is evaluated wherever the sampled field minus its bound exceeds the
             clearance by less than this [m].
         objective, synthesis, motion: Options of the stages.
     """
@@ -218,11 +218,11 @@ class Planner:
         start: Array,
         seed: int,
     ) -> tuple[Candidate | None, Motion | None, Synthesis]:
-        """The best accepted candidate that a motion leads to, or failing that, a fallback.
+        """Choose the best accepted candidate with a motion, or failing that, a fallback.
 
-        The best few are looked at briefly before any is looked at thoroughly: where the way to one
-        is narrow, the next is hardly worse and often reached at once. One that the arm cannot lift
-        from is taken only where no motion leads to another.
+        The best few get a brief search before any gets a thorough one: if the way to one is narrow,
+        the next is hardly worse and often reached at once. A candidate without a lift is chosen
+        only if no other has a motion.
         """
         best = [*found.accepted, *found.fallbacks]
         turns = [(k, candidate, False) for k, candidate in enumerate(best[:BRIEFLY])]
@@ -285,7 +285,7 @@ STUCK = (
 
 
 def _taken(found: Synthesis, best: list[Candidate], k: int, stuck: Container[int]) -> Synthesis:
-    """`found` with best[k] as its plan; those before it are rejected."""
+    """The result `found` with best[k] chosen and those before it rejected."""
     passed = _passed(best[:k], stuck)
     found = replace(found, accepted=found.accepted[k:], rejected=found.rejected + passed)
     return _with_warning(found, best[k])
@@ -301,7 +301,7 @@ def _passed(candidates: list[Candidate], stuck: Container[int]) -> list[Candidat
 
 
 def _with_warning(found: Synthesis, chosen: Candidate) -> Synthesis:
-    """No reason against the plan; a sentence if it is a poor one."""
+    """The result `found` without a reason, and with a warning if the plan is poor."""
     sentence = "" if not chosen.reason else warning(chosen, found.seeds_tried)
     return replace(found, best=chosen, reason="", sentence=sentence)
 

@@ -1,7 +1,7 @@
 """Plausibility of a scene, checked before any grasp is searched.
 
-A wrong camera pose, a wrong option or a wrong cloud gives a scene that cannot be: a camera that
-looks up through the table, an object in the air. The planner would answer all the same.
+A wrong camera pose, option or cloud gives an impossible scene: a camera that looks up through the
+table, an object in the air. The planner would plan for it without complaint.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from pointsdf_cli.geometry.arrays import Array
 ABOVE = 0.08
 """Height [m] above the table from which an object's lowest seen point suggests that it floats."""
 BELOW = 0.01
-"""A camera that is lower than the table by more than this [m] looks up through it."""
+"""Depth [m] below the table from which a camera is taken to look up through it."""
 STEEP = np.deg2rad(60)
-"""A camera that looks down more steeply than this may not see an object's foot."""
+"""Steepest view at which the foot of an object should be seen."""
 APART = 0.05
-"""Points of one object that a camera sees are not parted by more than about this [m]."""
+"""Largest gap [m] between observed points of one object."""
 PART, FEWEST = 0.1, 50
-"""Smallest share of a cloud's points, and smallest number, that make a part of it."""
+"""Smallest share of a cloud's points, and smallest number, that count as a part."""
 ROUND = 0.03
-"""A sphere fits points that are nearer to it than this share of its radius, as a rule."""
+"""Largest typical distance of points from a fitted sphere, as a share of its radius."""
 OTHER_TABLE = 0.6
-"""A table is looked for within this height [m] of z = 0 where none is seen there."""
+"""Height [m] around z = 0 within which a table is searched if none is seen at z = 0."""
 
 
 def require_table_at_zero(
@@ -37,7 +37,7 @@ def require_table_at_zero(
     names: Sequence[str],
     without_table: str = "--environment with `table: false`",
 ) -> None:
-    """Refuse views of a table that is far from z = 0, where it is taken to be.
+    """Refuse views of a table that is far from z = 0.
 
     Args:
         worlds: Points [N, 3] of each view in the world, m.
@@ -51,16 +51,16 @@ def require_table_at_zero(
         height = table_elsewhere(world)
         if height is not None:
             raise InputError(
-                f"a table is seen at z = {1000 * height:.0f} mm, and is taken to be at z = 0: the "
+                f"a table is seen at z = {1000 * height:.0f} mm, but must be at z = 0: the "
                 "camera's pose is off by as much",
                 where=name,
-                hint="correct --camera-pose; --camera-pose table takes the table that is seen for "
-                f"z = 0. If there is no table: {without_table}",
+                hint="correct --camera-pose; --camera-pose table puts z = 0 on the table that is "
+                f"seen. If there is no table: {without_table}",
             )
 
 
 def table_elsewhere(world: Array) -> float | None:
-    """The height [m] of a table that is not near z = 0; None if there is one, or none at all."""
+    """Height [m] of a table seen away from z = 0; None without one, or if one is near z = 0."""
     world = world[:: max(1, len(world) // 20_000)]
     config = SegmentationConfig()
     near = np.abs(world[:, 2]) < OTHER_TABLE
@@ -88,11 +88,11 @@ def _is_top_of_a_body(world: Array, height: float) -> bool:
 
 
 def doubts(views: Sequence[View], table: float | None = 0.0) -> list[str]:
-    """Sentences about views of one object that a person would not believe.
+    """Warnings about implausible views of one object.
 
     Args:
         views: The object as each camera saw it.
-        table: The height of its table [m]; None where there is none.
+        table: Height of its table [m]; None without one.
     """
     said = []
     world = np.concatenate([view.in_world for view in views])
@@ -105,7 +105,7 @@ def doubts(views: Sequence[View], table: float | None = 0.0) -> list[str]:
 
 
 def below_table(view: View, table: float) -> str:
-    """Says that the camera stands below the table that it looks at."""
+    """Warning that the camera stands below the table; empty if it does not."""
     height = float(view.T_world_camera[2, 3]) - table
     if height > -BELOW:
         return ""
@@ -116,7 +116,7 @@ def below_table(view: View, table: float) -> str:
 
 
 def in_the_air(views: Sequence[View], table: float) -> str:
-    """Says that nothing is seen between the object and the table."""
+    """Warning that nothing is seen between the object and the table; else empty."""
     world = np.concatenate([view.in_world for view in views])
     gap = float(np.percentile(world[:, 2], 1)) - table
     centre = world.mean(axis=0)
@@ -131,7 +131,7 @@ def in_the_air(views: Sequence[View], table: float) -> str:
 
 
 def from_inside(view: View) -> str:
-    """Says that the camera sees the inner side of something round, or stands in the object."""
+    """Warning that the camera sees the inside of a round object, or stands in it; else empty."""
     points = view.points
     centre = points.mean(axis=0)
     if np.linalg.norm(centre) < np.ptp(points, axis=0).max() / 2:
@@ -153,7 +153,7 @@ def from_inside(view: View) -> str:
 
 
 def in_parts(world: Array) -> str:
-    """Says that the points of one object lie in several places."""
+    """Warning that the points of one object are in separate places; else empty."""
     label, counts = clusters(world, APART)
     large = np.flatnonzero(counts >= max(FEWEST, PART * len(world)))
     if len(large) < 2:
@@ -167,7 +167,7 @@ def in_parts(world: Array) -> str:
 
 
 def _ball(points: Array) -> tuple[Array, float] | None:
-    """Centre and radius of the sphere that points lie on; None if they do not."""
+    """Centre and radius of a sphere through the points; None if none fits."""
     origin = points.mean(axis=0)
     away = points - origin
     system = np.column_stack([2 * away, np.ones(len(away))])

@@ -1,7 +1,7 @@
 """Common mistakes in a camera pose, found by the table that the camera sees.
 
-A pose whose table is not level at z = 0 may be a right one in another convention. Each convention
-is tried; if one puts the table level at z = 0, the user is told which.
+A pose that does not put the table level at z = 0 may be right in another convention. Each
+convention is tried; if one puts the table level at z = 0, the error names it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pointsdf_cli.geometry.frames import (
 from pointsdf_cli.io.clouds import Cloud
 
 SAMPLE = 20_000
-"""Points that are looked at."""
+"""Number of points used."""
 FEWEST, FARTHEST = 1000, 10.0
 """Fewest points that show a table, and its largest depth [m]."""
 LEVEL = np.deg2rad(6.0)
@@ -41,9 +41,9 @@ GRAPHICS_AXES = np.diag([1.0, -1.0, -1.0])
 
 
 def require_no_mistaken_pose(cloud: Cloud, name: str) -> None:
-    """Refuse a pose that is wrong as it stands and right in another convention.
+    """Refuse a pose that is wrong as given but right in another convention.
 
-    A cloud in which no table is found, or whose pose no other convention explains, passes.
+    Clouds without a table, and poses that no other convention explains, pass.
 
     Args:
         cloud: A view with its pose.
@@ -92,7 +92,7 @@ def _table(plane: Array, pose: Array) -> tuple[float, float]:
 
 
 def _corrections(pose: Array) -> Iterator[tuple[str, Array]]:
-    """Mistakes, each with the pose [4, 4] that was meant if it was made."""
+    """Possible mistakes, each with the pose [4, 4] that was then meant."""
     rotation, place = pose[:3, :3], pose[:3, 3]
     # Of two quaternions of one rotation the user typed either; both read alike.
     w, x, y, z = wxyz_from_rotation(rotation)

@@ -1,9 +1,9 @@
-"""Reason why there is no plan, as a code for programs and a sentence that a person can act on.
+"""Reason why there is no plan, as a code for programs and a sentence for people.
 
-Two things are known when all rounds have failed: what the drawn grasps met before any solver moved
-them, and how near to acceptance the solver's best solution came. Where hardly any drawn grasp is
-free, what is in the way is the reason: the solver then gets free only by leaving the object, and
-its nearest miss would blame the grasp for being a bad one.
+After all rounds two things are known: the collisions of the sampled grasps before any solver moved
+them, and the slack of the solver's best solution. If hardly any sampled grasp is free, the most
+frequent collision is the reason: the solver can then only move away from the object, and its best
+solution would fail for a low success probability.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ REASONS = (
     "lift",
 )
 """Reason codes of the plan artifact. "not_tried" (others came first) and "lift" (the arm cannot
-raise the hand from there) are rejected grasps' only."""
+raise the hand from there) apply to rejected grasps only."""
 
 FREE_SHARE = 0.05
-"""Share of free grasps among the reached ones below which their collisions are the reason."""
+"""Share of free grasps among the reached ones below which collisions are the reason."""
 FEW_GRASPS = 1000
-"""A success network that learned from fewer executed grasps is not planned with in silence."""
+"""Number of executed training grasps of the success network below which a plan warns."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class SeedStatistics:
     """Counts of the sampled palms by outcome.
 
     Attributes:
-        drawn: All.
+        drawn: All palms.
         above_table: Palms above the table.
         reached: Palms above the table that the arm reaches.
         free: Reached palms without collision.
-        object, table, obstacle, itself: The others, by what they enter deepest.
+        object, table, obstacle, itself: Reached palms in collision, by their deepest collision.
     """
 
     drawn: int = 0
@@ -63,12 +63,12 @@ class SeedStatistics:
 
     @property
     def in_the_way(self) -> str:
-        """Most frequent collision of the reached grasps: a field's name."""
+        """Name of the field with the most frequent collision of the reached grasps."""
         return max(("object", "table", "obstacle", "itself"), key=lambda name: getattr(self, name))
 
 
 def is_hemmed_in(statistics: SeedStatistics) -> bool:
-    """Whether obstacles or the robot itself, and not the object or the table, leave no room."""
+    """Whether collisions with obstacles or the robot itself are the reason."""
     hardly = bool(statistics.reached) and statistics.free < FREE_SHARE * statistics.reached
     return hardly and statistics.in_the_way in ("obstacle", "itself")
 
@@ -88,7 +88,7 @@ def why_none(
     seeds_tried: int,
     config: AcceptanceConfig | None = None,
 ) -> tuple[str, str]:
-    """Reason code and sentence where nothing was accepted."""
+    """Reason code and sentence for a search without an accepted candidate."""
     miss = nearest_miss(rejected)
     if not statistics.drawn:
         return "low_success_probability", (
@@ -114,7 +114,7 @@ def why_none(
 
 
 def too_large(width: float, span: float) -> tuple[str, str]:
-    """Reason code and sentence for an object of this least width [m] and a hand of this span."""
+    """Reason code and sentence for an object of least width `width` and a hand of `span` [m]."""
     return "object_collision", (
         f"The object is {width * 100:.0f} cm wide where it is narrowest, larger than the open hand "
         f"({span * 100:.0f} cm): it cannot be grasped as a whole."

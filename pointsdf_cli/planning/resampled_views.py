@@ -1,10 +1,10 @@
 """Resampled-view check: a grasp tested against reconstructions from other samples of the cloud.
 
-A network reads 1000 of the points that were seen. Where something unseen may be is a guess, and
-another thousand make another guess. A solver that looks for a place for a hand finds the places
-where one guess is wrong; it has not seen the others, so they are independent witnesses. (Of 142
-grasps of trials four other draws contradict 3 of the 6 with which the hand touched the object too
-early, and none of the 136 others: docs/notebook.md, "Other draws".)
+A network reads 1000 of the observed points and guesses the unseen parts; another sample gives
+another guess. An optimiser tends to place the hand where its one guess is wrong; reconstructions
+that it has not read are independent evidence. (In 142 trials four other samples contradict 3 of the
+6 grasps that touched the object early, and none of the 136 others: docs/notebook.md, "Other
+draws".)
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 
 LOOKED_AT = 0.01
-"""Parts of the robot that are farther than this [m] from an object are not asked about closely."""
+"""Distances of the robot to the object are exact up to this [m]."""
 
 
 def redrawn(view: View, count: int, seed: Sequence[int]) -> View:
-    """The view with an independent draw of `count` of its points.
+    """The view with an independent random sample of `count` of its points.
 
-    Systematic samples of one cloud resemble each other: they would agree where the first is wrong.
+    Systematic samples of one cloud are too alike: they would repeat the first one's mistakes.
     """
     rng = np.random.default_rng(seed)
     chosen = rng.permutation(len(view.points))[:count]
@@ -37,7 +37,7 @@ def redrawn(view: View, count: int, seed: Sequence[int]) -> View:
 
 
 class ResampledViewCheck:
-    """Asks the other draws.
+    """Check of grasps against fields from other samples of the cloud.
 
     Args:
         geometry: Geometry of the robot.
@@ -49,11 +49,11 @@ class ResampledViewCheck:
         self._distances = [ObjectDistances(geometry, field, LOOKED_AT) for field in fields]
 
     def contradicted(self, q: Array, clearance: float) -> NDArray[np.bool_]:
-        """Whether any draw has the robot nearer to the object than a clearance [m].
+        """Whether, in any other sample's field, the robot is nearer to the object than a clearance.
 
         Args:
             q: [C, J], configurations.
-            clearance: Clearance that all of them keep in the sample that they were planned with.
+            clearance: Clearance [m] with which they were planned.
 
         Returns:
             bool [C].

@@ -1,4 +1,4 @@
-"""The robot as distances see it: convex bodies, and patches of surface points; made once."""
+"""Geometry of the robot for distances: convex bodies, and patches of surface points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pointsdf_cli.robot.shapes import Shape, bounding_box
 from pointsdf_cli.robot.surface import robot_surface
 
 PATCH = 16
-"""Samples in a patch, at most."""
+"""Largest number of samples in a patch."""
 
 SPACING = 0.006
 """Spacing of the samples [m]. Between samples a finger can be nearer to an object than any of them:
@@ -27,10 +27,10 @@ class Body:
     """One convex shape.
 
     Attributes:
-        link: The index of the link that it moves with.
-        name: The link's, or the obstacle's.
-        geometry: For coal.
-        pose: [4, 4], in the link.
+        link: Index of the link that it moves with.
+        name: Name of the link or of the obstacle.
+        geometry: The shape in coal.
+        pose: [4, 4], the shape in the link.
         centre, radius: Bounding ball, in the link's frame.
     """
 
@@ -47,9 +47,9 @@ class Patches:
     """M groups of surface samples, each a few centimetres wide.
 
     Attributes:
-        link: [M].
+        link: [M], index of each patch's link.
         points: [M, PATCH, 3], link frame; short patches repeat samples.
-        centre, radius: [M, 3] and [M], of balls around them.
+        centre, radius: [M, 3] and [M], bounding balls.
     """
 
     link: Indices
@@ -66,7 +66,7 @@ class RobotGeometry:
         spacing: No surface point is farther than this [m] from a sample.
 
     Attributes:
-        bodies: One for each shape.
+        bodies: Bodies, one for each shape.
         patches: Patches of all links' surfaces.
         reach: [L + 1, J], see `link_reach`.
         hand: The hand's surface for any preshape.
@@ -144,7 +144,7 @@ def link_body(link: int, name: str, shape: Shape) -> Body:
 
 
 def coal_points(vertices: Array) -> coal.StdVec_Vec3s:
-    """Corners as coal takes them."""
+    """Corners in coal's type."""
     points = coal.StdVec_Vec3s()
     for vertex in vertices:
         points.append(np.asarray(vertex, dtype=np.float64))
@@ -152,7 +152,7 @@ def coal_points(vertices: Array) -> coal.StdVec_Vec3s:
 
 
 def coal_triangles(faces: NDArray[np.integer]) -> coal.StdVec_Triangle:
-    """Triangles as coal takes them."""
+    """Triangles in coal's type."""
     triangles = coal.StdVec_Triangle()
     for a, b, c in faces:
         triangles.append(coal.Triangle(int(a), int(b), int(c)))

@@ -1,4 +1,4 @@
-"""One camera's view of a table top with every point sorted: object, other things, table, rest."""
+"""One camera's view of a table with a label for every point: object, other object, table, rest."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
 reported as out of reach."""
 
 ANYWHERE = SegmentationConfig(low=(-5.0, -5.0, -0.05), high=(5.0, 5.0, 0.6))
-"""Default workspace where the robot's place is not known."""
+"""Default workspace if the robot's pose is not known."""
 
 VOXEL = 0.0025
-"""Scenes are thinned to one point a voxel of this side [m] before anything is looked for."""
+"""Side [m] of the voxels to which scenes are thinned, one point each, before segmentation."""
 
 ROBOT, UNCLEAN = -4, -5
-"""Labels, beside those of `camera/things.py`, of the robot's points and of those that cleaning
-dropped."""
+"""Labels of the robot's points and of those that cleaning dropped, beside those of
+`camera/things.py`."""
 
 
 @dataclass(frozen=True)
@@ -47,14 +47,14 @@ class Scene:
     Attributes:
         name: Name of the cloud, for messages.
         all_points: [N, 3], camera frame, m.
-        all_pixels: [N, 2], (u, v) of each; None where no image is known.
+        all_pixels: [N, 2], (u, v) of each; None without an image.
         voxel: i8 [N], the thinned point of each; -1 for those that cleaning dropped.
         points: [M, 3], camera frame, m.
         world: [M, 3], world, m.
-        pixels: [M, 2], (u, v); None where no image is known.
+        pixels: [M, 2], (u, v); None without an image.
         things: Object of each thinned point, or one of the negative labels.
-        listed: The things, best to grasp first.
-        flying: Number of the N points that were flying pixels or outliers.
+        listed: The objects, best to grasp first.
+        flying: Counts of flying pixels and outliers among the N points.
         T_world_camera: [4, 4].
         image: The depth image; None where there was none.
         mask: bool [N], points that the user says are the object's; None where he did not.
@@ -86,24 +86,24 @@ class Scene:
         return label
 
     def plane_in_camera(self) -> Array | None:
-        """The table's plane [4], n·x = offset in the camera's frame; None where none was seen."""
+        """The table's plane [4], n·x = offset in the camera's frame; None if none was seen."""
         plane = self.things.plane
         return None if plane is None else plane_in_camera(plane, self.T_world_camera)
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """The object as one camera saw it, and everything else that the camera knows.
+    """The object in one camera's view, and the other evidence of that view.
 
     Attributes:
-        object_points: [K, 3], cleaned, all of them, camera frame, m.
-        other_points: [L, 3], all other measured points, thinned: table, background, other things;
-            camera frame, m. Points that cleaning dropped are neither.
+        object_points: [K, 3], all points of the object, cleaned, camera frame, m.
+        other_points: [L, 3], all other measured points, thinned: table, background, other objects;
+            camera frame, m. Points that cleaning dropped are in neither array.
         support_plane: [4], (unit normal n that points up, offset d), n·x = d, camera frame; None
-            where no table was seen.
+            if no table was seen.
         T_world_camera: [4, 4].
-        image: The depth image with its intrinsics; None where the input was a cloud.
-        others_in_world: [J, 3], points of other things above the table, thinned, world, m.
+        image: The depth image with its intrinsics; None if the input was a cloud.
+        others_in_world: [J, 3], points of other objects above the table, thinned, world, m.
         cleaning: Report on cleaning the object's points.
     """
 
@@ -124,21 +124,21 @@ def sort_scene(
     reach: tuple[float, float] | None = None,
     cleaned: bool = True,
 ) -> Scene:
-    """Thin and clean a cloud with a pose, and find the things on its table.
+    """Thin and clean a cloud with a pose, and segment the objects on its table.
 
     Args:
         cloud: Cloud of the table top; its pose is known.
         name: Name of the cloud, for messages.
         workspace: Part of the scene to use.
-        on_robot: Mask of the points [M, 3] of the world that are the robot's own.
-        reach: From `object_choice.reach_of`; None where the robot's place is not known.
-        cleaned: Whether flying pixels and outliers are dropped.
+        on_robot: Function from points [M, 3] of the world to a mask of the robot's own.
+        reach: Result of `object_choice.reach_of`; None if the robot's pose is not known.
+        cleaned: Drop flying pixels and outliers.
 
     Raises:
         InputError: The cloud's frame is not known, or a mask covers nothing above the table.
     """
     if cloud.over_table:
-        # The world moves with the object that is meant: the numbers must not move with it.
+        # This pose depends on the chosen object; the numbers must not depend on it.
         reach, workspace = None, ANYWHERE if workspace is WORKSPACE else workspace
     points, _ = cloud.in_camera_frame()
     assert cloud.T_world_camera is not None
@@ -175,10 +175,10 @@ def sort_scene(
 
 
 def thin_and_clean(points: Array, cloud: Cloud, cleaned: bool) -> tuple[Thinned, Cleaning]:
-    """Thin points [N, 3] (camera frame) to one a voxel, without those that no surface returned.
+    """Thin points [N, 3] (camera frame) to one a voxel, without flying pixels and outliers.
 
     Returns:
-        The thinned points, `voxel` being -1 for those that were dropped, and how many these are.
+        The thinned points, with `voxel` -1 for dropped ones, and counts of these.
     """
     flying = np.zeros(len(points), dtype=bool)
     if cleaned and cloud.image is not None and cloud.pixels is not None:
@@ -209,19 +209,19 @@ def image_place(points: Array, pixels: Array | None, image: DepthImage | None) -
         half = np.array(image.depth.shape[::-1]) / 2
         return np.asarray((pixels - half) / half)
     direction = points[:, :2] / points[:, 2:]
-    # A cloud does not say how wide the image was: as wide as what was seen.
+    # The width of a cloud's image is not known: take that of the observed part.
     half = np.maximum(np.percentile(np.abs(direction), 99, axis=0), 1e-6)
     return np.asarray(direction / half)
 
 
 def sighting(scene: Scene, thing: Thing, cleaned: bool = True, is_target: bool = True) -> Sighting:
-    """The thing's points in full, and everything else the camera knows.
+    """All points of an object, and the other evidence of the view.
 
     Args:
-        scene: Sorted.
-        thing: Object in its list.
-        cleaned: Whether specks and outliers of the object are dropped.
-        is_target: Whether it is the object that a mask is of.
+        scene: The labelled view.
+        thing: One of its objects.
+        cleaned: Drop specks and outliers of the object.
+        is_target: Whether a mask applies to this object.
     """
     mine = scene.label == thing.label
     if scene.mask is not None and is_target:
@@ -242,7 +242,7 @@ def sighting(scene: Scene, thing: Thing, cleaned: bool = True, is_target: bool =
 
 
 def describe(scene: Scene, thing: Thing, seen: Sighting) -> str:
-    """Summary for the user: points kept, and the fate of all others."""
+    """Summary for the user: points kept, and points dropped by reason."""
     label = scene.label
     count = {
         "outside the workspace": OUTSIDE,

@@ -1,4 +1,5 @@
-"""Files and options of a command to clouds with poses: also without a pose, over the table."""
+"""Files and options of a command to clouds with poses; a missing pose can be made from the
+table."""
 
 from __future__ import annotations
 
@@ -23,10 +24,10 @@ from pointsdf_cli.planning.table_top import chosen_thing
 from pointsdf_cli.robot.description import RobotDescription
 
 MANY = 400_000
-"""Scenes of more points take seconds: it is said that something is done."""
+"""Number of points from which a scene takes seconds and a note announces it."""
 
 ANY = "any"
-"""`--target` of whichever object can be taken first."""
+"""`--target` for the first object that can be grasped."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,8 @@ class SceneInput:
 
     Attributes:
         clouds: Clouds, one for each camera.
-        target: The object that is meant; None where nothing was said.
-        notes: Sentences that the user should see.
+        target: The user's choice of the object; None without one.
+        notes: Sentences for the user.
     """
 
     clouds: tuple[Cloud, ...]
@@ -48,7 +49,7 @@ def parse_target(text: str | None) -> Target | None:
     """The object that `--target` names: a number, a pixel U,V, a place X,Y,Z, or any.
 
     Raises:
-        InputError: None of these.
+        InputError: It is none of these.
     """
     if text is None:
         return None
@@ -75,17 +76,16 @@ def read_scene(
 
     Args:
         paths: Depth images or clouds, one a camera.
-        poses: The cameras in the world as typed, one for each path, or none at all. `table` takes
-            the table that is seen for z = 0 and puts the object in the robot's reach; `table:X,Y`
-            puts it there.
+        poses: Camera poses as typed, one for each path, or none. `table` puts z = 0 on the observed
+            table and the object in the robot's reach; `table:X,Y` puts it at X,Y.
         options: Reading options of each file.
-        target: The object that is meant, as typed.
-        workspace, cleaned, robot: As in `look_at_table`, where the pose is `table`.
+        target: --target as typed.
+        workspace, cleaned, robot: As in `look_at_table`; used with the pose `table`.
 
     Raises:
         InputError: A file cannot be read, an option does not fit, no table is seen,
             or a pose is right only in another convention (`pose_mistakes.py`).
-        NoObjectError: The target is not there, where the pose is `table`.
+        NoObjectError: The target is not found, with the pose `table`.
     """
     if poses and len(poses) != len(paths):
         raise InputError(
@@ -98,7 +98,7 @@ def read_scene(
         raise InputError(
             "table, with several cameras",
             where="--camera-pose",
-            allowed="one camera: the table alone does not say how several stand to each other",
+            allowed="one camera: the table does not tell the poses of several to each other",
         )
     wanted = parse_target(target)
     clouds, notes = [], []
@@ -158,26 +158,26 @@ def stand_on_table(
     cleaned: bool = True,
     reach: tuple[float, float] | None = None,
 ) -> tuple[Cloud, Target | None]:
-    """A cloud with a pose in which z = 0 is its table and the object stands at a place.
+    """Give a cloud the pose in which z = 0 is its table and the object stands at `place`.
 
     Args:
         cloud: Cloud without a known pose.
         name: Name of the cloud, for messages.
         place: x and y [m] of the object.
-        target: The object that is meant: a number as `segment` lists them, or a pixel.
+        target: The user's choice: a number in the list of `segment`, or a pixel.
         workspace, cleaned: As in `look_at_table`.
-        reach: From `object_choice.reach_of`: it decides on the numbers.
+        reach: Result of `object_choice.reach_of`, for the numbering.
 
     Returns:
-        The cloud, and the place of the object if one was meant.
+        The cloud, and the object as a place in the world if one was chosen.
 
     Raises:
-        InputError: No table, or a target in a world that is not known yet.
-        NoObjectError: The target is not there.
+        InputError: No table is seen, or the target is a place in a world that is not known yet.
+        NoObjectError: The target is not found.
     """
     if target is not None and target.place is not None:
         raise InputError(
-            "a place in the world, and --camera-pose table only makes that world",
+            "a place in the world, which is not known before --camera-pose table has made it",
             where="--target",
             allowed="an object's number, or a pixel U,V",
         )
@@ -186,7 +186,7 @@ def stand_on_table(
     try:
         plane = find_support_plane(points)
     except InputError as error:
-        raise InputError(error.what, where=name, allowed=error.allowed, hint=error.hint) from error
+        raise InputError.of(error, name) from error
     above = pose_over_plane(plane)
     cloud = replace(cloud, T_world_camera=above, over_table=True)
     try:
@@ -213,7 +213,7 @@ def _centre(
     cleaned: bool,
     reach: tuple[float, float] | None,
 ) -> Array:
-    """The middle [3] of the object that is meant, in the world of the cloud's pose."""
+    """Centre [3] of the chosen object in the world of the cloud's pose."""
     scene = sort_scene(cloud, name, workspace, None, reach, cleaned)
     return chosen_thing(scene, target, workspace).centre
 

@@ -1,8 +1,8 @@
 """Screening of sampled grasps by the hand alone, before any inverse kinematics.
 
-Drawing from the prior costs nothing, reaching a palm with the arm and solving from it does. So many
-grasps are drawn, those whose open hand would stand in the table are lifted out of it, and those
-that the score likes and that stand least in the object are handed on.
+Sampling from the prior is cheap; inverse kinematics and solving are not. So many grasps are
+sampled, those with the open hand in the table are raised above it, and those with the best score
+and the least penetration of the object are passed on.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
 
 SPACING = 0.015
-"""Between samples of the hand [m]: this is a first look, not a check."""
+"""Spacing of the hand's samples [m]: coarse, as this only ranks."""
 
 
 class HandOutline:
@@ -28,8 +28,8 @@ class HandOutline:
         kinematics: Kinematics of the robot.
 
     Attributes:
-        span: The largest side of the opened hand's box, or the opening of its jaws [m]: it reaches
-            around nothing that is wider than this in every direction.
+        span: Largest side of the opened hand's bounding box, or the opening of its jaws [m]:
+            objects wider than this in every direction cannot be grasped.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -61,8 +61,8 @@ def lifted(outline: Array, palm: Array, gap: float) -> Array:
 
     Args:
         outline: Outline of each hand.
-        palm: T_world_palm.
-        gap: Left between hand and table [m].
+        palm: T_world_palm of each.
+        gap: Distance between hand and table [m].
     """
     lowest = (outline @ palm[:, 2, :3, None])[..., 0].min(axis=1) + palm[:, 2, 3]
     raised = palm.copy()
@@ -71,7 +71,7 @@ def lifted(outline: Array, palm: Array, gap: float) -> Array:
 
 
 def depth_in(field: Field, outline: Array, palm: Array) -> Array:
-    """Penetration of each hand [N, P, 3] at its palm into an object [N], m; 0 if none."""
+    """Penetration [N] of each hand [N, P, 3] at its palm into the object [m]; 0 if none."""
     count, points = outline.shape[:2]
     world = outline @ palm[:, :3, :3].transpose(0, 2, 1) + palm[:, None, :3, 3]
     values = field(world.reshape(-1, 3)).reshape(count, points)
@@ -79,8 +79,8 @@ def depth_in(field: Field, outline: Array, palm: Array) -> Array:
 
 
 def narrowest(points: Array) -> float:
-    """The smallest width of points [N, 3] over all level directions, or their height if that is
-    less [m]."""
+    """Smallest width [m] of points [N, 3] over all level directions, or their height if that is
+    less."""
     angle = np.linspace(0, np.pi, 18, endpoint=False)
     level = points[:, :2] @ np.stack([np.cos(angle), np.sin(angle)])
     return min(float(np.ptp(level, axis=0).min()), float(np.ptp(points[:, 2])))

@@ -1,8 +1,8 @@
 """Seeds of the solvers: grasps sampled from the prior, reached by inverse kinematics.
 
-As the paper does: sample q_g from the prior's side component, palm above the table. Beyond the
-paper, many palms are drawn at once and every elbow position that reaches one is judged by the
-whole problem, so that the solver starts where little or nothing is in the way.
+As in the paper: sample q_g from the prior's side component, palm above the table. Beyond the paper,
+many palms are sampled at once and every elbow position that reaches one is evaluated on the whole
+problem, so that the solver starts at configurations with few or no collisions.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from pointsdf_cli.planning.screen import depth_in, lifted
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
 EITHER = "either"
-"""Kind for half of the grasps from each kind; their merit decides which are tried."""
+"""Kind that samples half of the grasps from each kind and tries the better ones."""
 
 
 class GraspSampler(Protocol):
     """The prior over grasp configurations, for one object in the world."""
 
     def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Preshape joints [N, K] and T_world_palm [N, 4, 4], drawn from one component; N is 0 for
-        a kind of which the prior knows nothing."""
+        """Sample preshape joints [N, K] and T_world_palm [N, 4, 4] from one component; N is 0 for a
+        kind without a component."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ class SeedConfig:
         palms: Number of them handed to inverse kinematics.
         share: Share of those palms chosen by the hand-only screening; the rest are random, so that
             the arm is not asked for one place only.
-        seeds: Configurations handed to the solver.
-        elbows: Elbow positions judged for each palm, at most.
-        lowest_palm: Palms whose origin is lower above the table [m] are not tried.
+        seeds: Number of configurations passed to the solver.
+        elbows: Largest number of elbow positions evaluated for each palm.
+        lowest_palm: Least height of a palm's origin above the table [m].
         violation_weight: Cost per metre of violation when seeds are ranked.
     """
 
@@ -87,7 +87,7 @@ def draw_seeds(
     rng: np.random.Generator,
     config: SeedConfig | None = None,
 ) -> Seeds:
-    """Draw, reach, judge and keep the best.
+    """Sample grasps, reach them by inverse kinematics, evaluate them and keep the best.
 
     Raises:
         InputError: `kind` is neither "side" nor "top" nor "either".
@@ -119,7 +119,7 @@ def draw_seeds(
         return Seeds(x, (), SeedStatistics(len(above), int(above.sum())))
     slack = np.minimum(0.0, np.stack(list(problem.residuals(x))))
     rank = problem.cost(x).value - config.violation_weight * slack.sum(axis=0)
-    # One seed a palm, while there are palms: two elbows of one palm end alike.
+    # One seed a palm while there are palms: two elbows of one palm converge to similar solutions.
     order = np.argsort(rank, kind="stable")
     first = np.unique(rows[order], return_index=True)[1]
     others = np.setdiff1d(np.arange(len(order)), first)
@@ -135,7 +135,7 @@ def _promising(
     rng: np.random.Generator,
     config: SeedConfig,
 ) -> tuple[Array, NDArray[np.intp]]:
-    """All palms, lifted out of the table, and indices of those that the arm shall reach."""
+    """All palms, raised above the table, and indices of those to pass to inverse kinematics."""
     outline = problem.geometry.hand(preshape)
     if problem.environment.table:
         palm = lifted(outline, palm, problem.clearances.environment)
@@ -150,12 +150,12 @@ def _promising(
 
 
 def _fate(rows: NDArray[np.intp], slack: Array) -> tuple[int, int, int, int, int]:
-    """Number of palms without collision in some elbow position; and of the others by their deepest
-    collision.
+    """Number of palms without collision in some elbow position, and numbers of the others by their
+    deepest collision.
 
     Args:
         rows: [E], the palm of each configuration.
-        slack: [4, E], how deep each enters object, table, obstacles and the robot itself, ≤ 0.
+        slack: [4, E], ≤ 0, penetration of object, table, obstacles and the robot itself.
     """
     free, met = 0, np.zeros(4, dtype=int)
     for row in np.unique(rows):

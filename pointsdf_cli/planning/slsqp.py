@@ -14,10 +14,12 @@ from pointsdf_cli.planning.nonlinear import Evaluation, Problem, Solutions
 
 @dataclass(frozen=True)
 class SlsqpConfig:
-    """Attributes:
-    iterations: Most iterations of one start.
-    tolerance: SciPy's `ftol`.
-    feasible: Violations up to here count as none.
+    """Limits of the solver.
+
+    Attributes:
+        iterations: Largest number of iterations of one start.
+        tolerance: SciPy's `ftol`.
+        feasible: Largest violation that counts as none.
     """
 
     iterations: int = 100
@@ -69,7 +71,7 @@ class Slsqp:
 
 
 class _Memory:
-    """SciPy asks for value, gradient and constraints in turn; one evaluation answers all."""
+    """Last evaluation, shared by SciPy's calls for value, gradient and constraints."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem

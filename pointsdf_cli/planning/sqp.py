@@ -5,8 +5,8 @@ Each iteration evaluates all starts as one batch and solves one small quadratic 
 
     φ(x) = f(x) + μ Σ max(0, −c_i(x))
 
-decides what step is taken (Nocedal & Wright 2006, section 18.5). The Hessian model is what the
-problem knows (Gauss-Newton) plus a damped BFGS estimate of the rest of the objective. Constraints
+decides which steps are accepted (Nocedal & Wright 2006, section 18.5). The Hessian model is the
+problem's own (Gauss-Newton) plus a damped BFGS estimate of the rest of the objective. Constraints
 may change from iteration to iteration, so their curvature is left to the trust region.
 """
 
@@ -28,21 +28,21 @@ class SqpConfig:
     """Limits of iterations and steps.
 
     Attributes:
-        iterations: Most iterations of one start.
-        radius: First trust region: no variable moves farther in one step. Larger ones are refused
-            where the hand is near the object, and cost an iteration each to find that out.
-        smallest_radius: A start whose trust region is smaller has converged.
-        largest_radius: Steps grow up to here.
-        penalty: μ, cost per unit of violation; raised tenfold (twice at most) where a start
-            converges to an infeasible point.
-        tolerance: A start has converged when the model promises no more than this improvement of
-            φ, or this share of the objective where that is above 1. A plan is accepted below an
-            objective of 5, so hundredths do not matter.
+        iterations: Largest number of iterations of one start.
+        radius: First trust region: largest change of a variable in one step. Near the object larger
+            steps are rejected, each after a wasted iteration.
+        smallest_radius: Trust region below which a start has converged.
+        largest_radius: Largest trust region.
+        penalty: μ, cost per unit of violation; raised tenfold (twice at most) if a start converges
+            to an infeasible point.
+        tolerance: Predicted improvement of φ below which a start has converged; a share of the
+            objective if that is above 1. Plans are accepted below an objective of 5, so hundredths
+            do not matter.
         successive_halving: Iterations after which the worse half of the starts stops. The result of
             a start then depends on the others.
-        least_kept: Smallest number of starts that always go on.
-        feasible: Violations up to here count as none.
-        damping: Added to the Hessian model's diagonal.
+        least_kept: Smallest number of starts that always continue.
+        feasible: Largest violation that counts as none.
+        damping: Constant added to the Hessian model's diagonal.
     """
 
     iterations: int = 20
@@ -67,7 +67,7 @@ class SqpConfig:
 
 
 class Sqp:
-    """Solver of the module's docstring. One instance may solve many problems; programs are kept."""
+    """Solver for any number of problems; its quadratic programs are reused."""
 
     def __init__(self, config: SqpConfig | None = None) -> None:
         self.config = config or SqpConfig()
@@ -128,7 +128,7 @@ class Sqp:
         )
 
     def _worse(self, now: Evaluation, times: int) -> np.ndarray:
-        """bool [B], all starts but the best, after `times` halvings."""
+        """Mask [B] of the starts that stop after `times` halvings: all but the best."""
         count = len(now.objective)
         kept = max(self.config.least_kept, -(-count // 2**times))
         phi = _penalised(now, np.full(count, self.config.penalty))
@@ -144,7 +144,7 @@ class Sqp:
         penalty: Array,
         done: np.ndarray,
     ) -> None:
-        """Starts that can improve no more are done, or go on with a higher penalty."""
+        """Stop starts that can improve no more, or continue them with a higher penalty."""
         config = self.config
         violated = now.violation[rows] > config.feasible
         raise_more = violated & (penalty[rows] < 50 * config.penalty)
@@ -163,7 +163,8 @@ class Sqp:
         penalty: Array,
         live: np.ndarray,
     ) -> tuple[Array, Array]:
-        """Steps [A, n] of the live starts and the improvement of φ that the model promises [A]."""
+        """Steps [A, n] of the active starts and the improvement of φ that the model predicts
+        [A]."""
         n, k = x.shape[1], now.constraints.shape[1]
         program = self._program(n, k)
         steps, promised = np.empty((len(live), n)), np.empty(len(live))
@@ -199,11 +200,11 @@ class Sqp:
         live: np.ndarray,
         after: Array,
     ) -> Array:
-        """Pull trials that left a curved constraint back onto it; their φ after that [C].
+        """Move trial points that left a curved constraint back onto it; returns their φ [C].
 
-        The second-order correction: without it a step along a curved boundary is refused because
-        it leaves the boundary, however good it is (the Maratos effect). Here the correction is the
-        smallest step that meets the constraints as linearised at the trial itself.
+        This second-order correction avoids the Maratos effect: without it a good step along a
+        curved boundary is rejected because it leaves the boundary. The correction is the smallest
+        step that meets the constraints as linearised at the trial point.
         """
         n, k = trial.shape[1], new.constraints.shape[1]
         program = self._program(n, k)

@@ -75,7 +75,7 @@ class StepQp:
             gradient: g [n].
             jacobian: J [k, n].
             values: c [k].
-            low, high: [n], what the trust region and the joint limits leave.
+            low, high: [n], bounds of the trust region and the joint limits.
             penalty: μ.
         """
         matrix, cost, bound = self.data(factor, gradient, jacobian, values, low, high, penalty)
@@ -83,7 +83,7 @@ class StepQp:
             self._quadratic, cost, matrix, bound, self._cones, self._settings
         )
         step = np.array(solver.solve().x)[self.n : 2 * self.n]
-        # Interior points stop a hair outside of the box at worst.
+        # Interior-point solutions can lie outside the box by rounding.
         return np.clip(step, low, high)
 
     def data(

@@ -1,10 +1,9 @@
 """Hidden support of a reconstruction.
 
-What rests on the table stands: its centre of mass is above the feet that it stands on. A
-reconstruction that could not stand lacks a part of them, and the part is below it, where the camera
-could not look: the wheels of an aeroplane seen from above. So that is where the hand had better not
-reach. (Of 156 reconstructions in trials 8 could not stand, and 3 of the 6 early contacts were with
-these: docs/notebook.md, "What it stands on".)
+An object at rest has its centre of mass above its feet. A reconstruction that could not stand lacks
+some of them, in the unseen space below it: the wheels of an aeroplane seen from above. So the hand
+must keep out of that space. (Of 156 reconstructions in trials 8 could not stand, and 3 of the 6
+early contacts were with these: docs/notebook.md, "What it stands on".)
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 
 FOOT = 0.012
-"""Height above the table [m] below which a shape counts as standing on it: the feet of a
-reconstruction are a little off, as everything unseen is."""
+"""Height above the table [m] below which parts of a reconstruction count as feet: their height is
+uncertain."""
 
 FINE = 0.004
-"""So closely [m] are feet looked for where a coarser grid shows none: bases of cups are thin."""
+"""Grid step [m] of a second search for feet if a coarser grid shows none: cups have thin bases."""
 
 SPACING = 0.008
-"""Spacing of the occupied places below the shape [m]: no finger passes between them."""
+"""Spacing of the occupied points below the shape [m]: no finger passes between them."""
 
 BEHIND = 0.005
-"""A place is hidden by a seen point that is nearer to the camera by more than this [m]."""
+"""Least distance [m] between a seen point and a point that it hides."""
 
 
 def stands(field: Field, solid: Array, low: Array, high: Array) -> bool:
@@ -37,7 +36,7 @@ def stands(field: Field, solid: Array, low: Array, high: Array) -> bool:
 
     Args:
         field: Signed distances, world, m.
-        solid: [N, 3], places spread evenly over its inside, m.
+        solid: [N, 3], points spread evenly over its inside, m.
         low, high: [3], a box around the body [m].
     """
     centre = solid[:, :2].mean(axis=0)
@@ -60,10 +59,10 @@ def _above(feet: Array, centre: Array) -> bool:
 
 
 def hidden_below(solid: Array, views: Sequence[tuple[Array, Array]]) -> Array:
-    """Places [M, 3] between a body and the table that no view has seen to be free.
+    """Points [M, 3] between a body and the table that no view has seen to be free.
 
     Args:
-        solid: [N, 3], places inside of the body, world, m.
+        solid: [N, 3], points inside the body, world, m.
         views: Camera position [3] and observed object points [P, 3] of each view, world, m.
     """
     cells, column = np.unique(
@@ -84,7 +83,7 @@ def hidden_below(solid: Array, views: Sequence[tuple[Array, Array]]) -> Array:
 
 
 def _is_hidden(places: Array, eye: Array, seen: Array) -> NDArray[np.bool_]:
-    """Mask of the places [M, 3] that lie behind a seen point [P, 3], in the same direction from the
+    """Mask of the points [M, 3] that lie behind a seen point [P, 3], in the same direction from the
     eye."""
     way, seen_way = places - eye, seen - eye
     distance, seen_distance = (np.linalg.norm(w, axis=1) for w in (way, seen_way))

@@ -1,8 +1,8 @@
 """Search for the best acceptable configuration: seeds, solver, check, in up to 5 rounds.
 
 The solver works on a quick field for all seeds at once. All solutions are judged by the exact
-problem; the best few of those that the quick field let too near are solved again with the exact
-one, which costs little where only the points that come near ask it.
+problem; the best few that the quick field let come too near are solved again with the exact field,
+which is cheap because only points near the object evaluate it.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ MARGINS = (1.0, 0.5, 0.0)
 """Share of the margin to the object that is kept in each round."""
 
 FALLBACKS = 4
-"""Number of fallbacks kept for lack of an accepted grasp: if no motion leads to these, none
-does."""
+"""Number of fallbacks kept: if none of these has a motion, none of the rest will."""
 
 STALLED = 0.8
 """Ratio of a round's best free cost to the best before, above which the round has gained little."""
@@ -50,13 +49,13 @@ class SynthesisConfig:
 
     Attributes:
         rounds: Rounds of seeds (the paper: up to five).
-        enough: After so many rounds any accepted grasp ends the search, and so does a round that
-            gains little where all that is free is poor; before, a good one does.
-        polished: Solutions of a round that are solved again with the exact field, at most.
-        polish_iterations: Iterations of that second solution; it starts near its end.
+        enough: Number of rounds after which any accepted grasp ends the search, as does a round
+            that gains little while all free grasps are poor. Before, only a good grasp does.
+        polished: Largest number of solutions of a round that are solved again with the exact field.
+        polish_iterations: Iterations of that second solution, which starts near its end.
         seeds: Sampling of seeds.
         acceptance: Thresholds of a good grasp.
-        kinds: "side", "top" or "either", one a round, over and over.
+        kinds: "side", "top" or "either", one a round, in turn.
     """
 
     rounds: int = 5
@@ -77,14 +76,14 @@ class Synthesis:
     """Result of the search.
 
     Attributes:
-        best: The accepted candidate with the smallest objective, None if there is none.
-        accepted: All accepted candidates, best first; motion planning may need another.
-        fallbacks: The best few free ones that are unlikely to hold, used where nothing is accepted.
-        rejected: All that were not accepted.
-        reason: Empty, or why there is no plan.
-        sentence: The same for a person.
-        seeds_tried: Starts given to the solver.
-        statistics: Counts of the prior's grasps by outcome.
+        best: The accepted candidate with the smallest objective; None if there is none.
+        accepted: All accepted candidates, best first: the best may have no motion.
+        fallbacks: The best few free candidates that are unlikely to hold, used if none is accepted.
+        rejected: All candidates that were not accepted.
+        reason: Reason code if there is no plan; else empty.
+        sentence: The reason in words.
+        seeds_tried: Number of starts given to the solver.
+        statistics: Counts of the sampled grasps by outcome.
         timings: Seconds by stage.
     """
 
@@ -100,7 +99,7 @@ class Synthesis:
 
 
 StopCondition = Callable[[list[Candidate]], bool]
-"""Told the candidates that a round has added: whether to look no further."""
+"""Function from the candidates that a round has added to whether to stop the search."""
 
 
 @dataclass(frozen=True)
@@ -108,9 +107,9 @@ class Problems:
     """Planning problem in a quick and an exact version.
 
     Attributes:
-        quick: With a quick field and a little more clearance than was asked for.
-        exact: With the exact field, as asked.
-        polish: With the exact field and the quick one's clearances.
+        quick: Problem with the quick field and a little more clearance than requested.
+        exact: Problem with the exact field and the requested clearances.
+        polish: Problem with the exact field and the clearances of `quick`.
     """
 
     quick: GraspProblem
@@ -118,8 +117,8 @@ class Problems:
     polish: GraspProblem
 
     def in_round(self, turn: int, least: float) -> Problems:
-        """Problems of one round: the distance kept beyond `least` [m] shrinks from round to round,
-        because a grasp with less distance is better than none."""
+        """Problems of one round. The margin beyond `least` [m] shrinks from round to round: a grasp
+        with less distance is better than none."""
         share = MARGINS[min(turn, len(MARGINS) - 1)]
         wanted = self.quick.clearances.object
         if share == 1 or wanted <= least:
@@ -139,15 +138,15 @@ def synthesise(
     config: SynthesisConfig | None = None,
     stop: StopCondition | None = None,
 ) -> Synthesis:
-    """Look for the best acceptable configuration; equal generators give equal results.
+    """Search for the best acceptable configuration; equal generators give equal results.
 
     Args:
         whole: Problems of the first round.
         prior, kinematics, solver: Source of the seeds, and their solver.
         rng: Random generator of the seeds.
         config: Effort of the search.
-        stop: Asked after every round that has added to the accepted candidates whether to
-            stop; if None, what the configuration says of good grasps and of enough rounds.
+        stop: Stop condition, evaluated after every round that has added accepted candidates; by
+            default the configuration's.
     """
     config = config or SynthesisConfig()
     timings = dict.fromkeys(("seeds", "solve", "polish", "check"), 0.0)
@@ -199,10 +198,10 @@ def _polish(
     config: SynthesisConfig,
     timings: dict[str, float],
 ) -> None:
-    """Solve those that the quick field let too near again with the exact one, in place.
+    """Solve those that the quick field let come too near again with the exact field, in place.
 
-    Keeping away from the object makes no grasp better: what could not become better than `best`,
-    the least objective so far, is left.
+    More distance to the object improves no objective: solutions that could not become better than
+    `best`, the least objective so far, are skipped.
     """
     limit = min(best - WORTH, config.acceptance.objective)
     again = [
@@ -258,7 +257,7 @@ def _any_good(candidates: list[Candidate], config: SynthesisConfig) -> bool:
 
 
 def _best_fallback(candidates: list[Candidate], config: SynthesisConfig) -> float:
-    """The least objective of those that are free but promise too little."""
+    """Least objective of the fallbacks."""
     fallbacks = (c.objective for c in candidates if c.is_fallback(config.acceptance))
     return min(fallbacks, default=np.inf)
 

@@ -1,4 +1,4 @@
-"""Planning session on a table: clouds of a table top in, an answer with its surroundings out."""
+"""Plan on a table: from clouds of a table top to an answer with its surroundings."""
 
 from __future__ import annotations
 
@@ -29,27 +29,26 @@ from pointsdf_cli.planning.take_order import Turn, take_order
 from pointsdf_cli.planning.target import surface_of
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 from pointsdf_cli.robot.start import start_configuration
-from pointsdf_cli.viz.plan_picture import PlanScene
 
 TABLE_OFF = 0.005
-"""A seen table that is farther from z = 0 than this [m] is worth a warning."""
+"""Distance [m] of the observed table from z = 0 above which a warning is given."""
 
 BELOW, MUCH = 0.01, 0.1
-"""More than this share of all points that much [m] below the table is no noise."""
+"""Share of all points, and depth [m] below the table, above which points there are not noise."""
 
 
 @dataclass(frozen=True)
 class TableSession:
-    """An answer and everything that it was made from.
+    """An answer and its inputs.
 
     Attributes:
         answer: Answer of the planner.
-        report: Sentences about what was seen.
-        warnings: Sentences about what cannot be as it was given.
-        start: [J], where the robot is.
-        points: [N, 3], the object's seen points, world, m.
-        camera: [3], the first camera's place.
-        obstacles: Everything that stood around.
+        report: Sentences about the segmentation.
+        warnings: Sentences about implausible input.
+        start: [J], the robot's start configuration.
+        points: [N, 3], observed points of the object, world, m.
+        camera: [3], position of the first camera.
+        obstacles: All obstacles.
     """
 
     answer: Answer
@@ -61,7 +60,7 @@ class TableSession:
     warnings: tuple[str, ...] = ()
 
     def result(self, options: PlanOptions) -> PlanResult:
-        """The same in plain data, with the options that it was planned with."""
+        """The result in plain data, with the planner's options."""
         plain = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()}
         return PlanResult(
             self.answer.plan,
@@ -75,15 +74,11 @@ class TableSession:
             options.synthesis.acceptance.least,
         )
 
-    def scene(self) -> PlanScene:
-        """Contents of the picture."""
-        return self.result(PlanOptions()).scene()
-
 
 def answer_request(
     planner: GraspPlanner, request: PlanRequest, warn: Callable[[str], None] | None = None
 ) -> PlanResult:
-    """Answer of a planner to a checked request; see `plan_on_table`."""
+    """Answer a checked request; see `plan_on_table`."""
     typed = None if request.start is None else ",".join(repr(float(v)) for v in request.start)
     session = plan_on_table(
         planner,
@@ -121,21 +116,21 @@ def plan_on_table(
     """Find the object in the clouds and plan a grasp of it.
 
     Args:
-        planner: Loaded.
+        planner: A loaded planner.
         clouds: Clouds, one for each camera, each with its pose.
         names: Names of the clouds, for messages.
         environment: Known obstacles and table; the table alone if None.
         start: Start configuration as typed; the robot's home if None.
-        seed: Equal seeds give equal plans.
-        segment: "auto", or "none" where the clouds hold the object alone.
-        target: The object that is meant, or a place [3] of it in the world. For `any`, things are
-            planned for in their `take_order` until a grasp is good, or else the best is taken.
-        others: Whether other things that are seen are obstacles.
+        seed: Random seed; equal seeds give equal plans.
+        segment: "auto", or "none" if the clouds hold the object alone.
+        target: Choice of the object, or a place [3] of it in the world. With `any`, objects are
+            tried in their `take_order` until a grasp is good; otherwise the best is returned.
+        others: Treat other observed objects as obstacles.
         workspace: Part of the world to use.
-        cleaned: Whether flying pixels, outliers and specks are dropped.
-        warn: Told what cannot be as it was given, before the planning.
-        obstacles: Other things as their "reconstruction" or as the "hull" of their seen points;
-            partial-view grasping, which reconstructs nothing, has hulls.
+        cleaned: Drop flying pixels, outliers and specks.
+        warn: Called with each warning about implausible input, before planning.
+        obstacles: Model of other objects: "reconstruction", or "hull" of their seen points, which
+            partial-view grasping always uses.
 
     Raises:
         InputError: The clouds or the start cannot be used, or show a table far from z = 0.
@@ -203,7 +198,7 @@ def _without_object(
     q: Array,
     environment: Environment,
 ) -> TableSession:
-    """The session of clouds that show no object."""
+    """The session for clouds that show no object."""
     world = np.concatenate([in_world(cloud) for cloud in clouds])
     camera = np.asarray(clouds[0].T_world_camera)[:3, 3]
     answer = planner.nothing(f"{error.what}; {error.hint or error.allowed}")
@@ -238,7 +233,7 @@ def _turns(
     workspace: SegmentationConfig,
     cleaned: bool,
 ) -> list[Turn]:
-    """The things that the first camera sees, the easiest to take first."""
+    """Objects in the first camera's view, the easiest to grasp first."""
     require_pose(cloud, name)
     own, reach = robot_points(planner.robot, q), reach_of(planner.robot)
     scene = sort_scene(
@@ -258,13 +253,13 @@ def _first_good(
     enough: float,
     warn: Callable[[str], None] | None,
 ) -> TableSession:
-    """The session of the first thing whose grasp reaches a success probability, else the best.
+    """The session of the first object with a good grasp, or else of the best grasp.
 
     Args:
-        turns: The things, the easiest to take first.
-        attempt: `plan_on_table` but for its target and `warn`.
-        enough: That success probability.
-        warn: As in `plan_on_table`; told of the thing that is taken.
+        turns: The objects, the easiest to grasp first.
+        attempt: `plan_on_table` as a function of target and `warn`.
+        enough: Success probability of a good grasp.
+        warn: As in `plan_on_table`; also told the chosen object.
     """
     if not turns:
         return attempt(target=None, warn=warn)
@@ -290,8 +285,7 @@ def _first_good(
 
 
 def _with_surface(answer: Answer, obstacles: float) -> Plan:
-    """The plan with the object's surface that it was planned around, and the time [s] that the
-    obstacles took."""
+    """The plan with the reconstructed surface, and the time [s] that the obstacles took."""
     began = time.perf_counter()
     surface = None if answer.target is None else surface_of(answer.target)
     timings = {**answer.plan.timings, "obstacles": obstacles}

@@ -1,8 +1,7 @@
 """From camera clouds to the object to be grasped, and its obstacles.
 
-A cloud of the whole table is segmented (camera/segmentation.py); what else stands there becomes
-obstacles; points on the robot itself are neither. A cloud that was cut out already goes through
-unchanged, as nothing but its largest part is left to keep.
+A cloud of the whole table is segmented (camera/segmentation.py); other objects become obstacles;
+points on the robot itself are dropped. A cloud of the object alone stays as it is.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ def workspace_of(corners: tuple[tuple[float, ...], tuple[float, ...]] | None) ->
 
 
 DENSE = 100_000
-"""A cloud of one object with more points is thinned: it shows no more and takes longer."""
+"""Number of points from which a cloud of one object is thinned: more points only take longer."""
 
 WIDEST = 0.6
 """Largest level extent [m] of an object that is considered."""
@@ -63,10 +62,10 @@ class TableTop:
 
     Attributes:
         views: The object from each camera.
-        others: [N, 3], points on other things above the table, world, m.
-        report: One sentence a cloud: what was kept and what dropped.
+        others: [N, 3], points on other objects above the table, world, m.
+        report: Sentences, one a cloud, about points kept and dropped.
         table_height: Height of the observed plane [m]; None without one.
-        scenes: Each camera's sorted view, with the label of the object in it; -1 where the camera
+        scenes: Each camera's labelled view, with the label of the object in it; -1 if the camera
             does not see it.
     """
 
@@ -93,16 +92,16 @@ def look_at_table(
         clouds: Clouds, one for each camera, each with its pose.
         names: Names of the clouds, for messages.
         robot: The robot.
-        start: [J], where it is: points on it are left out.
-        segment: "auto", or "none" where the clouds hold the object alone.
-        target: The object that is meant, or a place [3] of it in the world; of the first cloud
-            where it is a number or a pixel. The best to grasp if None.
+        start: [J], its configuration: points on it are dropped.
+        segment: "auto", or "none" if the clouds hold the object alone.
+        target: Choice of the object, or a place [3] of it in the world. Numbers and pixels refer to
+            the first cloud. The best object to grasp if None.
         workspace: Part of the world to use.
-        cleaned: Whether flying pixels, outliers and specks are dropped.
+        cleaned: Drop flying pixels, outliers and specks.
 
     Raises:
-        InputError: No pose, no cloud of an object, or no such target.
-        NoObjectError: No cloud shows an object; the first one's reason.
+        InputError: A cloud has no pose or is not of an object, or the target does not exist.
+        NoObjectError: No cloud shows an object, with the first one's reason.
     """
     _check_options(segment, target, workspace)
     wanted = target if isinstance(target, Target) or target is None else Target(place=target)
@@ -127,7 +126,7 @@ def _look(
     workspace: SegmentationConfig,
     cleaned: bool,
 ) -> TableTop:
-    """The object in each scene; the other cameras are asked for what the first one chose."""
+    """Find the object in each scene: in the other cameras, the one that the first camera chose."""
     seen: list[Sighting] = []
     others, report = [], []
     scenes: list[tuple[Scene, int]] = []
@@ -162,7 +161,7 @@ def _look(
 
 
 def _check_sighting(in_world: Array, first: tuple[Array, Array] | None, name: str) -> None:
-    """The first camera's object may be grasped; that of another one is the same object."""
+    """Require a graspable object of the first camera, and the same object of the others."""
     if first is not None:
         _require_same(in_world, first, name)
     elif (width := level_width(in_world)) > WIDEST:
@@ -190,22 +189,22 @@ def view_of(seen: Sighting) -> View:
 
 
 def level_width(points: Array) -> float:
-    """The least width [m] of points [N, 3] of the world in any level direction."""
+    """Least width [m] of points [N, 3] of the world over all level directions."""
     angle = np.linspace(0, np.pi, 18, endpoint=False)
     level = points[:, :2] @ np.stack([np.cos(angle), np.sin(angle)])
     return float(np.ptp(level, axis=0).min())
 
 
 def _require_same(points: Array, first: tuple[Array, Array], name: str) -> None:
-    """A neighbour that stands before the object is not the object.
+    """Refuse a neighbour that stands before the object in this camera's view.
 
     Args:
-        points: [N, 3], what this camera takes for the object, world, m.
-        first: Points of the object [M, 3] and of other things [K, 3] in the first camera.
+        points: [N, 3], this camera's points of the supposed object, world, m.
+        first: Points of the object [M, 3] and of other objects [K, 3] in the first camera.
         name: Name of the cloud.
 
     Raises:
-        NoObjectError: It is another thing.
+        NoObjectError: It is another object.
     """
     to_object, to_others = (
         float(scipy.spatial.cKDTree(seen).query(points)[0].min()) if len(seen) else np.inf
@@ -227,7 +226,7 @@ def _check_options(segment: str, target: object, workspace: SegmentationConfig) 
 
 
 def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) -> TableTop:
-    """Clouds that hold the object alone."""
+    """Table top from clouds of the object alone."""
     views, report = [], []
     for cloud, name in zip(clouds, names, strict=True):
         require_pose(cloud, name)
@@ -251,7 +250,7 @@ def bare_object(cloud: Cloud, cleaned: bool = True) -> tuple[Array, str]:
     """The points [N, 3] (camera frame, m) of a cloud that holds one object alone.
 
     Returns:
-        The points, and what was dropped; nothing is said where nothing was.
+        The points, and a sentence about dropped points; empty if none were.
     """
     points, _ = cloud.in_camera_frame()
     said = []
@@ -269,17 +268,17 @@ def bare_object(cloud: Cloud, cleaned: bool = True) -> tuple[Array, str]:
 def chosen_thing(
     scene: Scene, wanted: Target | None, workspace: SegmentationConfig, again: bool = False
 ) -> Thing:
-    """The thing that is meant.
+    """The chosen object of a scene.
 
     Args:
-        scene: Sorted.
+        scene: The labelled view.
         wanted: The user's choice; the best object to grasp if None.
-        workspace: Workspace that the scene was sorted with, for messages.
-        again: Another camera named the target, which then says more than a mask.
+        workspace: Workspace of the segmentation, for messages.
+        again: The target comes from another camera and overrides a mask.
 
     Raises:
-        InputError: No such number, or a mask and a target.
-        NoObjectError: Nothing stands there.
+        InputError: No object has this number, or both a mask and a target are given.
+        NoObjectError: The scene shows no object.
     """
     if scene.mask is not None and not again:
         if wanted is not None:

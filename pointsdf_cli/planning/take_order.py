@@ -1,4 +1,4 @@
-"""The order in which the things on a table can be taken: in reach and least enclosed first."""
+"""Order in which to grasp the objects on a table: in reach and least enclosed first."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from pointsdf_cli.planning.object_choice import Thing
 from pointsdf_cli.planning.scene import Scene
 
 HAND_ROOM = 0.10
-"""Another thing nearer than this [m] is in the way of a hand that comes from its side."""
+"""Distance [m] within which another object blocks a hand that comes from its side."""
 
 SECTORS = 24
-"""Level directions around a thing that are free or not."""
+"""Number of level directions around an object to test."""
 
 EQUALLY_FREE = 0.1
-"""Shares of free directions that differ by less count as equal."""
+"""Difference of two shares of free directions below which they count as equal."""
 
 
 class Turn(NamedTuple):
-    """One thing in the order.
+    """One object in the order.
 
     Attributes:
-        thing: The thing.
-        free: Share of the level directions around it in which nothing stands near.
-        reached: It stands where the robot's palm gets near the table.
+        thing: The object.
+        free: Share of the level directions around it without a near neighbour.
+        reached: Whether the robot's palm can get near the table there.
     """
 
     thing: Thing
@@ -35,17 +35,17 @@ class Turn(NamedTuple):
     reached: bool
 
     def describe(self) -> str:
-        """Place in the order in words."""
+        """Describe the reason for its place in the order."""
         where = "in reach" if self.reached else "at the edge of the reach"
         return f"object {self.thing.number} ({where}, {self.free:.0%} of the directions free)"
 
 
 def take_order(scene: Scene, reach: tuple[float, float] | None = None) -> list[Turn]:
-    """The standing things of a scene, the easiest to take first.
+    """The standing objects of a scene, the easiest to grasp first.
 
     Args:
-        scene: Sorted.
-        reach: From `object_choice.reach_of`; None where the robot's place is not known.
+        scene: The labelled view.
+        reach: Result of `object_choice.reach_of`; None if the robot's pose is not known.
     """
     label = scene.things.label
     standing = [thing for thing in scene.listed if thing.stands]
@@ -55,17 +55,17 @@ def take_order(scene: Scene, reach: tuple[float, float] | None = None) -> list[T
         free = free_share(scene.world[mine], scene.world[(label >= 0) & ~mine])
         level = float(np.linalg.norm(thing.centre[:2]))
         turns.append(Turn(thing, free, reach is None or reach[0] <= level <= reach[1]))
-    # What is about equally free keeps the order of the numbers.
+    # Objects that are about equally free keep the order of their numbers.
     turns.sort(key=lambda turn: (not turn.reached, -round(turn.free / EQUALLY_FREE)))
     return turns
 
 
 def free_share(points: Array, others: Array) -> float:
-    """Share of the level directions around a thing in which no other stands within `HAND_ROOM`.
+    """Share of the level directions around an object without another within `HAND_ROOM`.
 
     Args:
-        points: [N, 3], of the thing, world, m.
-        others: [M, 3], of all others.
+        points: [N, 3], points of the object, world, m.
+        others: [M, 3], points of all other objects.
     """
     if not len(others):
         return 1.0

@@ -35,13 +35,14 @@ from pointsdf_cli.planning.partial_view import partial_mesh
 from pointsdf_cli.planning.seeds import GraspSampler
 
 BOX_MARGIN = 0.01
-"""Around a reconstruction's surface [m]: beyond, distances are bounded by the way to the box."""
+"""Margin of the box around a reconstruction's surface [m]; outside it, distances are bounded by the
+distance to the box."""
 
 KEPT_GRID = GridConfig(step=0.01, levels=3, band=0.0)
 """Grid of an object's field."""
 
 FINEST = 0.004
-"""Cells of the grid of a thin object are no smaller than this [m]."""
+"""Smallest cells [m] of the grid of a thin object."""
 
 CELLS_ACROSS = 5
 """Number of cells across the thinnest side of an object: a fork lies between the nodes of a grid
@@ -49,18 +50,18 @@ that is fine enough for a box."""
 
 
 COARSE_CELLS = 16
-"""Cells along the box where the search for a surface begins."""
+"""Number of cells along the box in the first search for a surface."""
 
 GIVEN_REACH = 0.25
-"""A given field's surface is looked for within this [m] of the seen points."""
+"""Distance [m] from the seen points within which a given field's surface is searched."""
 
 
 class EmptyFieldError(RgraspError):
-    """A field has no inside: there is nothing to grasp."""
+    """The field has no inside: there is nothing to grasp."""
 
 
 class NoField:
-    """The field of no object: far from everything."""
+    """Field without an object: large distances everywhere."""
 
     def __call__(self, points: Array) -> Array:
         return np.ones(len(points))
@@ -76,7 +77,7 @@ class ObjectField:
     Attributes:
         field: Its signed distance field, world frame.
         low, high: [3], a box [m] around its surface.
-        kept: The same field on a grid, for everything that asks often and need not be exact.
+        kept: The same field on a grid, for frequent evaluations that need not be exact.
     """
 
     field: Field
@@ -88,7 +89,7 @@ class ObjectField:
     def of(
         cls, field: Field, low: Array, high: Array, grid: GridConfig | None = None
     ) -> ObjectField:
-        """Keep `field` within the box of `low` and `high` [3] on a grid."""
+        """Sample `field` on a grid within the box of `low` and `high` [3]."""
         return cls(field, low, high, GridField(field, low, high, grid or KEPT_GRID))
 
 
@@ -97,7 +98,7 @@ class Target:
     """One object to be grasped.
 
     Attributes:
-        field: Its signed distance field, world frame: what the robot may not enter.
+        field: Signed distance field that the robot may not enter, world frame.
         low, high: [3], a box [m] around its surface.
         score: Score of its grasps.
         prior: Source of seeds.
@@ -165,8 +166,7 @@ def enclosing(
 
 
 def completed_field(reconstructions: Sequence[Reconstruction]) -> Field:
-    """The field of `reconstructed_object` without the grid; far from everything if nothing is
-    solid.
+    """The field of `reconstructed_object` without the grid; `NoField` if nothing is solid.
 
     Args:
         reconstructions: Reconstructions, one for each view.
@@ -193,11 +193,11 @@ def _mean_field(reconstructions: Sequence[Reconstruction]) -> Field:
 
 
 def kept_off(shape: ObjectField, seen: Array) -> ObjectField:
-    """The same object, and the seen points themselves: a network's surface may miss a thin part
-    that the camera saw.
+    """Add the seen points to an object: a network's surface may miss a thin part that the camera
+    saw.
 
     Args:
-        shape: Its box must enclose the points.
+        shape: An object with a box that encloses the points.
         seen: [N, 3], world, m.
     """
     points = SeenField(seen)
@@ -224,20 +224,20 @@ def given_object(field: Field, points: Array, grid: GridConfig | None = None) ->
     """Any field of an object that was seen at points [N, 3] of the world.
 
     Raises:
-        EmptyFieldError: It has no inside near the points.
+        EmptyFieldError: The field has no inside near the points.
     """
     low, high = points.min(axis=0) - GIVEN_REACH, points.max(axis=0) + GIVEN_REACH
     return _boxed(field, low, high, 0.02, grid)
 
 
 def absent_object(points: Array) -> ObjectField:
-    """Nothing that could be touched, about points [N, 3]: planning without the constraint."""
+    """An object field without an object at points [N, 3]: planning without the constraint."""
     return ObjectField.of(NoField(), points.min(axis=0), points.max(axis=0) + BOX_MARGIN)
 
 
 def surface_of(target: Target, step: float = 0.004) -> tuple[Array, NDArray[np.int32]] | None:
-    """The target's surface as planning takes it: vertices [V, 3] m in the world and faces [F, 3],
-    or None where it has none.
+    """Surface of the target's field: vertices [V, 3] m in the world and faces [F, 3], or None
+    without one.
 
     Args:
         target: The object.

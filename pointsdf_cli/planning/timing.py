@@ -40,27 +40,27 @@ class TimingConfig:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Configurations with their times.
+    """Timed configurations.
 
     Attributes:
-        times: [T] s, from 0, increasing.
-        positions: [T, J].
+        times: [T], increasing from 0, s.
+        positions: [T, J], joint positions.
     """
 
     times: Array
     positions: Array
 
     def at(self, time: Array) -> Array:
-        """Positions [N, J] at times [N], along straight ways between the points."""
+        """Positions [N, J] at times [N], interpolated linearly."""
         columns = [np.interp(time, self.times, column) for column in self.positions.T]
         return np.stack(columns, axis=-1)
 
 
 def time_path(path: Array, velocity: Array, config: TimingConfig | None = None) -> Trajectory:
-    """Give a path its times.
+    """Compute the times of a path that begins and ends at rest.
 
     Args:
-        path: [T, J], corners in joint space; it begins and ends at rest.
+        path: [T, J], corners in joint space.
         velocity: [J], speed limits.
     """
     config = config or TimingConfig()

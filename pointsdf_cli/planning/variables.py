@@ -11,10 +11,10 @@ from pointsdf_cli.robot.description import RobotDescription
 
 
 class Variables:
-    """The map between decision variables x [..., n] and configurations q [..., J].
+    """Map between decision variables x [..., n] and configurations q [..., J].
 
     Attributes:
-        columns: [n], where each variable stands in q: the arm's joints, then the preshape's.
+        columns: [n], index of each variable in q: the arm's joints, then the preshape's.
         lower, upper: [n], q_min ≤ q ≤ q_max of the paper.
         arm_count: Number of the arm's variables.
     """
@@ -38,17 +38,17 @@ class Variables:
         return len(self.columns)
 
     def configuration(self, x: Array) -> Array:
-        """q [..., J] of x [..., n]."""
+        """Configurations q [..., J] of variables x [..., n]."""
         q = np.broadcast_to(self._rest, (*x.shape[:-1], len(self._rest))).copy()
         q[..., self.columns] = x
         return q
 
     def configuration_tensor(self, x: Tensor) -> Tensor:
-        """Map to a configuration like `configuration`, with gradients."""
+        """Configurations q [..., J] of variables x [..., n], with gradients."""
         return x @ self._spread.to(x.dtype) + torch.as_tensor(self._rest, dtype=x.dtype)
 
     def of(self, q: Array) -> Array:
-        """x [..., n] of q [..., J]; also turns derivatives by q into derivatives by x."""
+        """Variables x [..., n] of configurations q [..., J]; maps derivatives likewise."""
         return np.ascontiguousarray(q[..., self.columns])
 
     def preshape(self, x: Tensor) -> Tensor:

@@ -1,7 +1,7 @@
 """Forward kinematics and Jacobian of the arm's chain from base to palm, in numpy.
 
-`kinematics.py` finds all links of the robot, with gradients; where only the palm is wanted, for a
-few configurations, this takes a tenth of the time.
+`kinematics.py` computes all links of the robot, with gradients; for the palm alone, at a few
+configurations, this takes a tenth of the time.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from pointsdf_cli.robot.urdf import MOVING
 
 ERROR, WARNING = "error", "warning"
 POSES, ANYWHERE = 60, 24
-"""Palm poses that inverse kinematics is tried on; configurations that are looked at."""
+"""Number of palm poses for inverse kinematics, and of configurations to check."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
 
 NEARER = 0.002
-"""A joint closes if it brings a fingertip nearer to the palm's axis by more than this [m]."""
+"""Least distance [m] by which a closing joint brings a fingertip nearer to the palm's axis."""
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
 
 STEPS = 15
-"""Points of the path."""
+"""Number of steps of the path."""
 WAYS = ((0.0, 1.0), (0.05, 1.0), (0.1, 1.0), (0.0, 0.1), (0.05, 0.02), (0.1, 0.02))
-"""Attempts in turn: how far outwards the palm moves on the way [m], and the cost of a turn by 1 rad
-in metres off the line; at 1 it may not turn."""
+"""Attempts in turn: outward motion of the palm on the way [m], and cost of a rotation by 1 rad in
+metres off the line; at 1 the palm does not rotate."""
 OFF_LINE = 0.003
 """Largest deviation [m] of a path's step from the line."""
 MOST_TURN = 0.6
@@ -38,12 +38,12 @@ def lift_path(
     Args:
         chain: Chain of the arm.
         robot: The robot.
-        q: [J], where it begins.
-        height: [m].
-        free: Whether the robot touches nothing all along a path [K + 1, A]; not asked if None.
+        q: [J], start configuration.
+        height: Height of the lift [m].
+        free: Function that tells whether a path [K + 1, A] is free of collision; None for no check.
 
     Returns:
-        None where the arm has no room even so.
+        None if no attempt succeeds.
     """
     for outwards, weight in WAYS:
         path = _follow(chain, robot, q[robot.arm], height, outwards, weight)

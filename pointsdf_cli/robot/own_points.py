@@ -11,7 +11,7 @@ from pointsdf_cli.geometry.box import strictly_inside
 from pointsdf_cli.robot.description import RobotDescription
 
 ROBOT_MARGIN = 0.03
-"""Points nearer to the robot's surface than this [m] are its own."""
+"""Distance [m] from the robot's surface within which points are its own."""
 
 
 def robot_points(robot: RobotDescription, q: Array) -> Array:
@@ -31,9 +31,9 @@ def robot_points(robot: RobotDescription, q: Array) -> Array:
 
 def off_robot(points: Array, own: Array) -> NDArray[np.bool_]:
     """Mask of the points [N, 3] of a cloud that are not the robot's, given its samples [P, 3];
-    world.
+    world frame.
 
-    Points that are not finite are nobody's: True.
+    True for points that are not finite.
     """
     off = np.ones(len(points), dtype=bool)
     low, high = own.min(axis=0) - ROBOT_MARGIN, own.max(axis=0) + ROBOT_MARGIN

@@ -74,7 +74,7 @@ def score_answer(resident: Resident, body: ScoreBody, form: str) -> tuple[bytes,
 
 
 def require_expected(resident: Resident, body: SceneBody) -> None:
-    """Refuse to answer with another robot, other weights or another version than is expected.
+    """Refuse to answer with another robot, other weights or another version than expected.
 
     Raises:
         InputError: One of these differs.

@@ -32,10 +32,10 @@ from pointsdf_cli.service.resident import Resident
 from pointsdf_cli.viz.viewer_access import may_connect
 
 LARGEST_BODY = 64 << 20
-"""Bytes of a body: a depth image of two million pixels with all that is sent with it."""
+"""Largest body in bytes: a depth image of two million pixels with its further fields."""
 
 SLOWEST_BODY = 60.0
-"""Seconds in which a body must arrive: it has a place in the queue meanwhile."""
+"""Time limit for receiving a body [s]; it holds a place in the queue meanwhile."""
 
 Answer = tuple[bytes, str]
 Scope = Any

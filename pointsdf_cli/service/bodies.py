@@ -145,7 +145,7 @@ class Served(_Body):
 
 
 class SceneBody(_Body):
-    """Views of one scene, and which object is meant."""
+    """Views of one scene, and the chosen object."""
 
     clouds: list[CloudBody] = Field(min_length=1, max_length=16)
     segment: Literal["auto", "none"] = Field(
@@ -153,8 +153,8 @@ class SceneBody(_Body):
     )
     target: int | list[float] | Literal["any"] | None = Field(
         None,
-        description="Number as `rgrasp segment` lists them, pixel [u, v] or place [x, y, z] m; "
-        "any for a plan of whichever can be taken first",
+        description="Number in the list of `rgrasp segment`, pixel [u, v] or place [x, y, z] m; "
+        "any for the first object that can be grasped",
     )
     workspace: _numbers(2, 3) | None = Field(None, description="Corners of what is looked at [m]")  # type: ignore[valid-type]
     clean: bool = True
@@ -220,7 +220,7 @@ class PlanBody(SceneBody):
     min_success: float | None = None
     start: _numbers(None) | None = Field(None, description="All joints [rad]; home if null")  # type: ignore[valid-type]
     ignore_others: bool = False
-    obstacles: str = Field("reconstruction", description="Shape of other things, or hull")
+    obstacles: str = Field("reconstruction", description="Other objects: reconstruction or hull")
     environment: EnvironmentBody = Field(default_factory=EnvironmentBody)
 
     def choices(self) -> PlanChoices:

@@ -1,4 +1,4 @@
-"""One worker and a short queue: requests are answered in turn, or refused at once."""
+"""Queue of requests with one worker: requests are answered in turn, or refused if it is full."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Job:
 
 
 class Desk:
-    """Does one job at a time, in a thread of its own.
+    """Worker for one job at a time, in a thread of its own.
 
     Args:
         places: Jobs that may wait beside the one that runs.

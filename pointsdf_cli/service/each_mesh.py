@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MeshSettings:
-    """Everything but a cloud's own files.
+    """Settings of meshes, apart from a cloud's own files.
 
     Attributes:
         choices: Meshing options.
@@ -73,7 +73,7 @@ class MeshTask:
         return self.out.with_suffix(".json")
 
     def config(self) -> dict[str, Any]:
-        """Everything that decides the mesh, in plain types."""
+        """All settings that determine the mesh, in plain types."""
         settings, weights = self.settings, self.settings.checkpoint
         own = {
             "cloud": self.cloud,
@@ -130,9 +130,7 @@ def mesh_cloud(task: MeshTask) -> MeshSummary | None:
     try:
         completed = resident.mesh(seen, settings.choices, str(task.cloud))
     except EmptySurfaceError as error:  # one cloud's fault, not the stage's end
-        raise InputError(
-            error.what, where=error.where, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error) from error
     made = completed.mesh
     vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[task.files.unit]
     summary = MeshSummary(len(vertices), len(made.faces), completed.seconds)

@@ -48,7 +48,7 @@ class PlanTask:
     force: bool = False
 
     def config(self) -> dict[str, Any]:
-        """Everything that decides the plan, in plain types."""
+        """All settings that determine the plan, in plain types."""
         asked = self.settings
         around = json.dumps(plain(asdict(asked.environment)))
         own = {
@@ -99,9 +99,7 @@ def plan_scene(task: PlanTask) -> PlanSummary | None:
         poses = [] if task.pose is None else [task.pose]
         request, _ = settings.read([task.cloud], poses, [task.files])
     except NoObjectError as error:  # one scene's mistake, not the stage's end
-        raise InputError(
-            error.what, where=error.where, allowed=error.allowed, hint=error.hint
-        ) from error
+        raise InputError.of(error) from error
     # Seconds of imports: only for clouds and options that can be used.
     from pointsdf_cli.models.registry import use_threads
 

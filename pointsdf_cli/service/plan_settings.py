@@ -23,13 +23,12 @@ from pointsdf_cli.robot.description import load_robot
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """Everything but a scene's own files.
+    """Settings of plans, apart from a scene's own files.
 
     Attributes:
-        choices, environment, start, seed, segment, others, workspace, cleaned,
-        obstacles: As in
-            `PlanRequest`.
-        target: The object that is meant, as typed.
+        choices, environment, start, seed: As in `PlanRequest`.
+        segment, others, workspace, cleaned, obstacles: As in `PlanRequest`.
+        target: --target as typed.
         robot, checkpoint, grasp_checkpoint: Files; the bundled ones if None.
         device: Device of the networks.
     """
@@ -98,10 +97,13 @@ def draw_plan(path: Path, result: PlanResult, robot: Path | None) -> None:
         result: The answer.
         robot: Its YAML; the bundled one if None.
     """
+    from pointsdf_cli.service.pictures import scene_of_plan
     from pointsdf_cli.viz.plan_picture import plan_picture
     from pointsdf_cli.viz.robot_picture import RobotMeshes
 
     plan = result.plan
     q = result.start if plan.reason else plan.q
     below = "; ".join((*result.report, *result.warnings))
-    plan_picture(path, RobotMeshes(load_robot(robot)), q, result.scene(), headline(plan), below)
+    plan_picture(
+        path, RobotMeshes(load_robot(robot)), q, scene_of_plan(result), headline(plan), below
+    )

@@ -24,11 +24,11 @@ from pointsdf_cli.planning.table_top import look_at_table, workspace_of
 from pointsdf_cli.planning.variables import Variables
 
 KEPT = 4
-"""Planners that are kept, one for each set of choices; a hundred megabytes each at most."""
+"""Largest number of cached planners, one for each set of choices; each takes up to 100 MB."""
 
 
 class Resident:
-    """Answers requests one after the other; not for several threads at once.
+    """Loaded networks and planners that answer requests; not for several threads at once.
 
     Args:
         robot: Its YAML file; the bundled one if None.

@@ -1,4 +1,4 @@
-"""One attempt: a scene, a view of it, a heuristic preshape, a way to it, and its execution."""
+"""One attempt: a scene, a view of it, a heuristic preshape, a path to it, and its execution."""
 
 from __future__ import annotations
 
@@ -38,21 +38,22 @@ SCENE_TRIES = 12
 
 @dataclass(frozen=True)
 class AttemptConfig:
-    """Everything that decides the outcome of an attempt.
+    """Settings that determine the outcome of an attempt.
 
     Attributes:
-        scene_attempts: Attempts that share one pose of the object and one view of it.
-        low, high: Corners of where on the table the object is put [m]: where the arm reaches most
+        scene_attempts: Number of attempts that share one pose of the object and one view of it.
+        low, high: Corners of the region for the object on the table [m], where the arm reaches most
             preshapes.
-        widest: An object whose narrowest side is wider than this [m] does not fit the hand.
-        hand_alone: Grasps are carried out by the hand as on an arm that does not yield; if not,
-            the arm is simulated, too, at several times the cost.
-        masses: Estimate of the object's mass where none is published.
-        inverse: Inverse kinematics, in half as many steps as a plan allows: what is reached at
-            all mostly has been by then.
-        physics: With twice the step of a trial, which changes a little more labels than luck does,
-            and fewer iterations, which lose 0.8% of grasps (docs/notebook.md); for the whole arm
-            see `with_the_whole_arm`.
+        widest: Largest narrowest side of an object that fits the hand [m].
+        hand_alone: Simulate only the hand, as on a rigid arm; with the arm it takes several times
+            as long.
+        standing, settling, placement, heuristic: Settings of pose, rest, camera and preshape.
+        masses: Estimate of the object's mass if none is published.
+        inverse: Inverse kinematics, with half the iterations of a plan: few more are reached later.
+        reach, execution: Settings of the path and of the execution.
+        physics: Twice the step of a trial, which changes slightly more labels than chance, and
+            fewer iterations, which lose 0.8% of grasps (docs/notebook.md); for the whole arm see
+            `with_the_whole_arm`.
     """
 
     scene_attempts: int = 4
@@ -73,7 +74,7 @@ class AttemptConfig:
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
 
     def with_the_whole_arm(self) -> AttemptConfig:
-        """The same, carried out as in a trial."""
+        """Settings with the whole arm simulated, as in a trial."""
         return replace(self, hand_alone=False, physics=PhysicsConfig())
 
     def as_dict(self) -> dict[str, Any]:
@@ -100,7 +101,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One attempt with one object; its record is in `Grasps`."""
+    """One attempt with one object; `Grasps` stores it."""
 
     index: int
     scene: Scene
@@ -133,11 +134,11 @@ class Attempt:
 
 
 class Attempter:
-    """Makes attempts; attempt i of an object is the same whoever makes it, in whatever order.
+    """Source of attempts; attempt i of an object does not depend on the others or on their order.
 
     Args:
         robot: The robot.
-        config: Everything that decides the outcome.
+        config: Settings that determine the outcome.
         seed: Random seed.
         gui: Open PyBullet's window.
     """
@@ -153,7 +154,7 @@ class Attempter:
         self.config = config or AttemptConfig()
         self.seed = seed
         self.world = World(robot, self.config.physics, gui)
-        # Never stepped, so that it need not be built anew for each attempt.
+        # Never stepped, so it is not rebuilt for each attempt.
         self.checks = World(robot, self.config.physics)
         self._observer = Observer(robot, self.config.placement)
         solver = InverseKinematics(robot, self.config.inverse)
@@ -164,15 +165,15 @@ class Attempter:
         self._last_scene: tuple[tuple[str, str, int], Scene] | None = None
 
     def close(self) -> None:
-        """Leave the physics clients."""
+        """Close the physics clients."""
         self.world.close()
         self.checks.close()
 
     def check(self, item: SimObject) -> None:
-        """Refuse objects that cannot be simulated or grasped at all.
+        """Refuse objects too large for the hand.
 
         Raises:
-            InputError: It is wider than the hand opens in every direction.
+            InputError: The object is wider than the opened hand in every direction.
         """
         from trimesh.bounds import oriented_bounds
 
@@ -192,7 +193,7 @@ class Attempter:
         index: int,
         watch: Callable[[World, str], None] | None = None,
     ) -> Attempt:
-        """Attempt `index` with an object.
+        """Make attempt `index` with an object.
 
         Raises:
             InputError: The object never comes to rest, or no view shows it.
@@ -227,7 +228,7 @@ class Attempter:
         lift: Array,
         watch: Callable[[World, str], None] | None = None,
     ) -> Outcome:
-        """Carry out a grasp in a world built anew, so that equal inputs give equal outcomes."""
+        """Execute a grasp in a rebuilt world, so that equal inputs give equal outcomes."""
         there: Literal["hand", "whole"] = "hand" if self.config.hand_alone else "whole"
         self.world.reset(self._standing(item, T_world_object), T_world_object, q, there)
         return Executor(self.world, self.config.execution, watch).run(q, lift)
@@ -239,7 +240,7 @@ class Attempter:
         row: int,
         watch: Callable[[World, str], None] | None = None,
     ) -> Outcome:
-        """Carry out a stored grasp again: same object, pose and preshape, same outcome.
+        """Execute a stored grasp again: same object, pose and preshape, same outcome.
 
         Raises:
             InputError: The attempt was never executed.
@@ -255,7 +256,7 @@ class Attempter:
         return self.execute(item, grasps.T_world_object[row], q, lift, watch)
 
     def scene(self, item: SimObject, index: int) -> Scene:
-        """Scene `index` of an object.
+        """Make scene `index` of an object.
 
         Raises:
             InputError: The object never comes to rest, or no view shows it.
@@ -293,7 +294,7 @@ class Attempter:
         raise problem
 
     def _resting(self, item: SimObject, which: int) -> Array | None:
-        """The settled pose of one stable pose, found once."""
+        """Settled pose of one stable pose, cached."""
         key = (item.mesh.sha256, which)
         if key not in self._settled:
             if len(self._settled) > 256:
@@ -304,7 +305,7 @@ class Attempter:
         return self._settled[key]
 
     def _standing(self, item: SimObject, T_world_object: Array) -> SimObject:
-        """The object with a foot for the resting pose that it is nearest to."""
+        """The object with a flat foot for its nearest resting pose."""
         if self._feet is None or self._feet[0] is not item:
             self._feet = item, {}
         which, made = nearest_pose(item, T_world_object), self._feet[1]
@@ -318,7 +319,7 @@ class Attempter:
 
 
 def as_grasps(attempts: list[Attempt], scene_attempts: int) -> Grasps:
-    """Attempts with one object as the arrays that are stored."""
+    """Arrays of attempts with one object, for storage."""
 
     def column(values: list[Any], dtype: type) -> NDArray[Any]:
         return np.array(values, dtype=dtype)

@@ -1,4 +1,4 @@
-"""PyBullet, imported where it is needed and kept quiet: its C code writes where results go."""
+"""Import of PyBullet, and suppression of the output of its C code on stdout."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pointsdf_cli.errors import RgraspError
 
 
 def import_bullet() -> Any:
-    """The module `pybullet`, which greets on standard output when it is first imported.
+    """Import `pybullet` without its greeting on stdout.
 
     Raises:
         RgraspError: It is not installed.
@@ -31,7 +31,7 @@ def import_bullet() -> Any:
 
 @contextlib.contextmanager
 def silence() -> Iterator[None]:
-    """Keep PyBullet's C code from writing between this process's results and messages."""
+    """Suppress the output of PyBullet's C code."""
     sys.stdout.flush()
     sys.stderr.flush()
     kept = os.dup(1), os.dup(2)

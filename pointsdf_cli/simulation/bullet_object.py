@@ -1,4 +1,4 @@
-"""An object in PyBullet: one free body of convex pieces, and where it is."""
+"""An object in PyBullet: one free body of convex pieces."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class BulletObject:
     Args:
         bullet, client: The module and the number of the physics client.
         item: The object.
-        file: Its pieces (`write_pieces`).
+        file: File of its pieces (`write_pieces`).
         T_world_object: [4, 4], its mesh frame in the world.
-        physics: Its friction.
+        physics: Friction of the object.
 
     Attributes:
-        body: Its number.
+        body: Number of the body.
 
     Raises:
         RgraspError: PyBullet cannot read the pieces.
@@ -80,7 +80,7 @@ class BulletObject:
         )
 
     def place(self, T_world_object: Array) -> None:
-        """Put it there at rest, without physics."""
+        """Place it at rest, without physics."""
         position, xyzw = self._body_pose(T_world_object)
         self._bullet.resetBasePositionAndOrientation(
             self.body, position, xyzw, physicsClientId=self._client
@@ -102,7 +102,7 @@ class BulletObject:
         return np.array(position)
 
     def speed(self) -> tuple[float, float]:
-        """Speed of the centre of mass [m/s], and of the turning [rad/s]."""
+        """Speed of the centre of mass [m/s] and angular speed [rad/s]."""
         linear, angular = self._bullet.getBaseVelocity(self.body, physicsClientId=self._client)
         return float(np.linalg.norm(linear)), float(np.linalg.norm(angular))
 
@@ -118,13 +118,13 @@ class BulletObject:
         )
 
     def _body_pose(self, T_world_object: Array) -> tuple[list[float], list[float]]:
-        """Place [3] and quaternion [4] (scalar last, as PyBullet has them) of the body frame."""
+        """Position [3] and quaternion [4] (scalar last, for PyBullet) of the body frame."""
         T = T_world_object @ self._T_mesh_body
         return T[:3, 3].tolist(), wxyz_from_rotation(T[:3, :3])[[1, 2, 3, 0]].tolist()
 
 
 def write_pieces(pieces: Pieces, path: Path, skin: float) -> None:
-    """Convex pieces as one OBJ file, which PyBullet takes as a union of hulls with a skin each."""
+    """Write convex pieces as one OBJ file, for PyBullet a union of hulls with a skin each."""
     text, start = io.StringIO(), 1
     for i, (corners, faces) in enumerate(drawn_in(*piece, skin) for piece in pieces):
         text.write(f"o piece{i}\n")

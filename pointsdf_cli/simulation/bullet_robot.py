@@ -1,4 +1,4 @@
-"""A robot in PyBullet: its links and joints by name, whatever bodies they are of."""
+"""A robot in PyBullet: links and joints by name, in one body or several."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class BulletRobot:
     Args:
         bullet, client: The module and the number of the physics client.
         robot: The robot.
-        files: The URDFs that it is made of.
-        T_world_root: [4, 4], where their roots are.
-        recovery: Share of an error of position that a joint takes back in a step.
-        visible: Load what can be drawn of it; without, it is loaded a third faster.
+        files: URDFs of the robot's parts.
+        T_world_root: [4, 4], pose of their roots.
+        recovery: Share of a joint's position error that is corrected in a step.
+        visible: Load the visual shapes; without them loading is a third faster.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class BulletRobot:
         self._recovery = recovery
         self.bodies: list[int] = []
         self.links: dict[str, tuple[int, int]] = {}
-        """(body, number) of each link, by name."""
+        """Body and number of each link, by name."""
         by_name: dict[str, tuple[int, int]] = {}
         for file in files:
             body = self._load(file, T_world_root)
@@ -116,7 +116,7 @@ class BulletRobot:
             ) from error
 
     def ignore_contacts(self, pairs: Iterable[Iterable[str]]) -> None:
-        """Let these pairs of links pass through each other."""
+        """Disable collisions of these pairs of links."""
         for first, second in pairs:
             if first in self.links and second in self.links:
                 (a, i), (b, j) = self.links[first], self.links[second]
@@ -141,7 +141,7 @@ class BulletRobot:
     def drive_to(
         self, q: ArrayLike, columns: ArrayLike, forces: ArrayLike, speeds: ArrayLike
     ) -> None:
-        """Position targets; see `World.drive_to`."""
+        """Set position targets; see `World.drive_to`."""
         q, forces, speeds = (np.asarray(values, float) for values in (q, forces, speeds))
         columns = np.asarray(columns)
         for body, places, numbers in self._by_body(columns.tolist()):
@@ -158,7 +158,7 @@ class BulletRobot:
             )
 
     def drive_at(self, speeds: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
-        """Speed targets; see `World.drive_at`."""
+        """Set speed targets; see `World.drive_at`."""
         forces, speeds = np.asarray(forces, float), np.asarray(speeds, float)
         for body, places, numbers in self._by_body(np.asarray(columns).tolist()):
             self._bullet.setJointMotorControlArray(
@@ -180,8 +180,7 @@ class BulletRobot:
             yield
 
     def _by_body(self, columns: Sequence[int]) -> list[tuple[int, list[int], list[int]]]:
-        """Bodies of joints given by their columns in q: each body, places in the list, numbers in
-        the body."""
+        """Group joints (columns in q) by body: body, places in the list, numbers in the body."""
         key = tuple(columns)
         if key not in self._found:
             joints = [self._joints[column] for column in key]
@@ -198,14 +197,14 @@ class BulletRobot:
 
 
 class CarriedHand(BulletRobot):
-    """The hand alone, carried along the arm's path as by an arm that nothing can push aside.
+    """The hand alone, carried along the arm's path as by a rigid arm.
 
-    The palm moves at the speed that the arm's joints would give it, which what it touches feels;
-    the arm itself is not there. Arguments as of `BulletRobot`, and
+    The palm has the velocity that the arm's joints give it, so that contacts are right; the arm
+    itself is left out. Further arguments as for `BulletRobot`.
 
     Args:
-        chain: The robot's arm.
-        q: [J], where the hand is.
+        chain: Kinematics of the robot's arm.
+        q: [J], configuration of the robot.
         step: Step of the simulation [s].
     """
 
@@ -229,7 +228,7 @@ class CarriedHand(BulletRobot):
         self._absent = [k for k, at in enumerate(self._joints) if at is None]
 
     def place(self, q: ArrayLike) -> None:
-        """Put the hand where this configuration [J] has it, at rest."""
+        """Place the hand at its pose in this configuration [J], at rest."""
         self._q = np.array(q, dtype=float)
         pose = self._palm_links(self._q[None])[0]
         place, xyzw = pose[:3, 3].tolist(), wxyz_from_rotation(pose[:3, :3])[[1, 2, 3, 0]].tolist()
@@ -240,7 +239,7 @@ class CarriedHand(BulletRobot):
         super().place(q)
 
     def follow(self, arm: Array) -> Iterator[None]:
-        """Carry the hand as the arm's configurations [K, A] say, one a step."""
+        """Carry the hand along the arm's configurations [K, A], one a step."""
         q = np.tile(self._q, (len(arm) + 1, 1))
         q[1:, self.robot.arm] = arm
         poses = self._palm_links(q)
@@ -249,7 +248,7 @@ class CarriedHand(BulletRobot):
         try:
             for target, pose, turn in zip(arm, poses[1:], turning, strict=True):
                 self._q[self.robot.arm] = target
-                # From where it is: of a body that turns, a step misses by a little.
+                # From its actual pose: a step of a rotating body misses its target slightly.
                 here, _ = self._bullet.getBasePositionAndOrientation(
                     self.bodies[0], physicsClientId=self._client
                 )
@@ -259,7 +258,7 @@ class CarriedHand(BulletRobot):
             self._move(np.zeros(3), np.zeros(3))
 
     def _move(self, speed: Array, turning: Array) -> None:
-        # PyBullet takes a fixed base with a speed along, and lets contacts know of it.
+        # PyBullet moves a fixed base that has a velocity, and contacts take it into account.
         for body in self.bodies:
             self._bullet.resetBaseVelocity(
                 body, speed.tolist(), turning.tolist(), physicsClientId=self._client

@@ -1,13 +1,13 @@
-"""A robot for PyBullet as everything else here takes it: the same hulls, and a mass for each link.
+"""URDF of a robot for PyBullet, with the same hulls as in planning and a mass for each link.
 
-PyBullet reads a URDF by itself. Of meshes in some formats (text STL) it makes links without a body,
-at others (PLY, OFF, GLB) it gives up, and a link without `<inertial>` weighs 1 kg. So a URDF that
-has either is written anew, with the hulls of `robot/shapes.py` and masses of the links' volumes;
-so is one with hulls or cylinders, which PyBullet makes larger than they are (`skin.py`).
+PyBullet's own reader makes links without a body of some mesh formats (text STL), fails at others
+(PLY, OFF, GLB), and gives a link without `<inertial>` 1 kg. So such a URDF is rewritten, with the
+hulls of `robot/shapes.py` and masses by the links' volumes; so is one with hulls or cylinders,
+which PyBullet enlarges (`skin.py`).
 
-The hand alone comes as several files, one for what cannot move in the palm and one for each finger:
-a step of PyBullet costs the square of a body's joints, so five small bodies are several times as
-fast as one of 23 joints.
+The hand alone is several files, one for the parts fixed to the palm and one for each finger: the
+time of a PyBullet step grows with the square of a body's joints, so five small bodies are several
+times as fast as one of 23 joints.
 """
 
 from __future__ import annotations
@@ -33,18 +33,17 @@ from pointsdf_cli.simulation.skin import drawn_in, drawn_in_cylinder
 LINK_DENSITY = 1000.0
 """Density of a link whose mass the URDF omits [kg/m³]."""
 FRAME_MASS, FRAME_INERTIA = 1e-3, 1e-6
-"""Mass [kg] and inertia [kg m²] of a link without shape or mass, which only marks a place: PyBullet
-needs some."""
+"""Mass [kg] and inertia [kg m²] of a link without shape or mass: PyBullet needs some."""
 
 
 def bullet_urdf(robot: RobotDescription, folder: Path, skin: float, visible: bool = False) -> Path:
-    """The file to load: the robot's own where PyBullet reads it rightly, else one in `folder`.
+    """URDF file to load: the robot's own if PyBullet reads it correctly, else one in `folder`.
 
     Args:
         robot: The robot.
         folder: Folder for the URDF and the hulls.
         skin: `PhysicsConfig.skin`.
-        visible: Keep what is only to be looked at.
+        visible: Keep the visual shapes.
     """
     root = read_xml(robot.urdf)
     links = root.findall("link")
@@ -58,13 +57,13 @@ def bullet_urdf(robot: RobotDescription, folder: Path, skin: float, visible: boo
 def hand_urdfs(
     robot: RobotDescription, folder: Path, skin: float, visible: bool = False
 ) -> list[Path]:
-    """The hand in bodies that can be loaded at the palm link's pose, each with a root of its own.
+    """Write the hand as several bodies, each with its root at the palm link's pose.
 
     Args:
         robot: The robot.
         folder: Folder for the URDFs and the hulls.
         skin: `PhysicsConfig.skin`.
-        visible: Keep what is only to be looked at.
+        visible: Keep the visual shapes.
 
     Returns:
         First what is fixed to the palm, a flange before it, too; then one file for every joint
@@ -178,7 +177,7 @@ def _led_from(parent: str, joint: ET.Element, pose: Array) -> ET.Element:
 
 
 def _origin(pose: Array) -> ET.Element:
-    """Place and roll, pitch, yaw, R = Rz(yaw) Ry(pitch) Rx(roll), of [4, 4]."""
+    """Origin element of a pose [4, 4]: xyz, and rpy with R = Rz(yaw) Ry(pitch) Rx(roll)."""
     m = pose[:3, :3]
     level = np.hypot(m[0, 0], m[1, 0])
     roll, yaw = np.arctan2(m[2, 1], m[2, 2]), np.arctan2(m[1, 0], m[0, 0])
@@ -199,7 +198,7 @@ def _written(root: ET.Element, path: Path) -> Path:
 
 
 def _readable(robot: RobotDescription, folder: Path, skin: float, visible: bool) -> ET.Element:
-    """The URDF with hulls, masses, and nothing to look at unless it can be found."""
+    """The URDF with hulls and masses, and with those visual meshes that exist."""
     root = read_xml(robot.urdf)
     for number, link in enumerate(root.findall("link")):
         shapes = robot.tree.shapes[str(link.get("name"))]
@@ -221,7 +220,7 @@ def _readable(robot: RobotDescription, folder: Path, skin: float, visible: bool)
 
 
 def _name_mesh(node: ET.Element, file: Path) -> None:
-    """Let a collision's mesh be this file, which is in metres."""
+    """Set a collision's mesh to this file, in metres."""
     mesh = node.find("geometry/mesh")
     assert mesh is not None
     mesh.attrib.clear()
@@ -239,7 +238,7 @@ def _draw_in_cylinder(node: ET.Element, skin: float) -> None:
 
 
 def _at_its_place(visual: ET.Element, urdf: Path) -> bool:
-    """Name a visual's mesh by its whole path; False if it is not there."""
+    """Set a visual's mesh to its absolute path; False if it does not exist."""
     for mesh in visual.findall("geometry/mesh"):
         try:
             mesh.set("filename", str(mesh_file(str(mesh.get("filename", "")), urdf).resolve()))

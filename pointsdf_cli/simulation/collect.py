@@ -32,7 +32,7 @@ from pointsdf_cli.simulation.sim_object import prepare_object
 
 TRAIN, TEST = "train", "test"
 TEST_SHARE = 0.2
-"""The paper holds out 1821 of 9111 grasps; here they are of objects that training never sees."""
+"""Share of held-out grasps. The paper holds out 1821 of 9111; here they are of held-out objects."""
 
 
 @dataclass(frozen=True)
@@ -42,14 +42,14 @@ class CollectTask:
     Attributes:
         name: Name of the artifact.
         mesh, out: Files.
-        quota: Executed grasps that are wanted of it.
+        quota: Desired number of executed grasps.
         split: "train" or "test".
-        config: Everything that decides outcomes.
+        config: Settings that determine outcomes.
         seed: Random seed.
-        robot: YAML file; the bundled robot if None.
-        patience: Attempts that end unexecuted at first, and for each executed one, before the
-            object counts as exhausted.
-        force: Begin anew even if there is a file.
+        robot: YAML file of the robot; the bundled one if None.
+        patience: Attempts without execution after which the object counts as exhausted: at first,
+            and more for each executed one.
+        force: Replace an existing file.
     """
 
     name: str
@@ -74,9 +74,9 @@ class CollectSummary:
 
     Attributes:
         executed: Grasps that were held or lost.
-        held: Held attempts by kind.
-        executed_by_kind: By kind.
-        causes: Attempts by cause.
+        held: Number of held grasps by kind.
+        executed_by_kind: Number of executed grasps by kind.
+        causes: Number of attempts by cause.
     """
 
     executed: int
@@ -86,16 +86,15 @@ class CollectSummary:
 
 
 def collect_object(task: CollectTask) -> CollectSummary | None:
-    """Attempts with one object until its quota is met or its patience ends; None if it is done.
+    """Make attempts with one object until its quota is met or its patience ends; None if done.
 
-    A file that is there is continued, not made again: attempt i is the same whoever makes it. An
-    object of which no further view is found has given what it can.
+    An existing file is continued. An object without a further view counts as exhausted.
 
     Returns:
-        Counts of the attempts that were made now.
+        Counts of the new attempts.
 
     Raises:
-        InputError: The mesh cannot be used, does not fit the hand, never rests, is never seen.
+        InputError: The mesh cannot be used, does not fit the hand, never rests or is never seen.
     """
     torch.set_num_threads(1)
     config = _options_of(task)
@@ -139,8 +138,7 @@ def collect_object(task: CollectTask) -> CollectSummary | None:
 
 
 def require_same_options(tasks: Iterable[CollectTask]) -> None:
-    """Require that existing files of objects outside this call have the same options: they are
-    counted.
+    """Require the same options in existing files of objects outside this call, which count too.
 
     Raises:
         OptionsDifferError: A file was made with other options.
@@ -159,7 +157,7 @@ def require_same_options(tasks: Iterable[CollectTask]) -> None:
 
 
 def _options_of(task: CollectTask) -> dict[str, Any]:
-    """All settings that decide the grasps of one object."""
+    """All settings that determine the grasps of one object."""
     config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
     config |= {"split": task.split}  # which other meshes there are decides it
     return config | {"mesh": file_sha256(task.mesh), "robot": robot_digest(task.robot)}
@@ -176,17 +174,17 @@ def summarise(grasps: Grasps) -> CollectSummary:
 
 
 def split_of(names: Sequence[str], seed: int) -> dict[str, str]:
-    """ "train" or "test" for every object: a fifth of the objects, drawn once, is held out."""
+    """Split of each object, "train" or "test": a random fifth of the objects is held out."""
     order = np.random.default_rng([seed, 77]).permutation(len(names))
     held_out = {int(i) for i in order[: round(TEST_SHARE * len(names))]}
     return {name: TEST if i in held_out else TRAIN for i, name in enumerate(sorted(names))}
 
 
 def first_quotas(splits: dict[str, str], count: int) -> dict[str, int]:
-    """Number of executed grasps to ask of every object so that the splits sum to 80% and 20%.
+    """Quotas of executed grasps for all objects; the splits sum to 80% and 20%.
 
     Raises:
-        InputError: No grasps.
+        InputError: The count is below 1.
     """
     if count < 1:
         raise InputError(f"{count} grasps", where="--count", allowed="1 or more")
@@ -200,15 +198,15 @@ def first_quotas(splits: dict[str, str], count: int) -> dict[str, int]:
 def next_quotas(
     quotas: dict[str, int], executed: dict[str, int], splits: dict[str, str], wanted: dict[str, int]
 ) -> dict[str, int] | None:
-    """Quotas that make up for objects that could not fill theirs; None if there is nothing to do.
+    """Quotas that make up for objects that could not fill theirs; None if all are met.
 
-    Depends only on what each object gives, so a resumed run asks for the same.
+    They depend only on the results of each object, so a resumed run has the same.
 
     Args:
         quotas: Quotas of the round before.
-        executed: Executed grasps of each object in its file; objects that were refused lack.
+        executed: Number of executed grasps in each object's file; without refused objects.
         splits: Split of each object.
-        wanted: Executed grasps wanted in each split.
+        wanted: Desired number of executed grasps in each split.
     """
     more: dict[str, int] = {}
     for split, target in wanted.items():
@@ -224,7 +222,7 @@ def next_quotas(
 
 
 def _spread(names: Sequence[str], count: int) -> dict[str, int]:
-    """`count` shared out as evenly as whole numbers allow."""
+    """Distribute `count` over the names as evenly as whole numbers allow."""
     if not names:
         return {}
     base, rest = divmod(count, len(names))
@@ -238,12 +236,12 @@ def _finished(grasps: Grasps, task: CollectTask) -> bool:
 
 @functools.lru_cache(maxsize=1)
 def _attempter(robot: Path | None, config: AttemptConfig, seed: int) -> Attempter:
-    """The process's own attempter: the inverse kinematics' pool and the physics client are kept."""
+    """The process's attempter, cached with its inverse kinematics and physics client."""
     return Attempter(load_robot(robot), config, seed)
 
 
 def wanted_of(splits: dict[str, str], quotas: dict[str, int]) -> dict[str, int]:
-    """Executed grasps that the first quotas ask of each split."""
+    """Number of executed grasps in the first quotas of each split."""
     totals: dict[str, Any] = {TRAIN: 0, TEST: 0}
     for name, quota in quotas.items():
         totals[splits[name]] += quota

@@ -1,4 +1,4 @@
-"""Contacts of the robot in PyBullet, and links below an object."""
+"""Contacts of the robot in PyBullet, and tests for links below an object."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class RobotContact:
 
     Attributes:
         links: Number of the robot's links that touch the object.
-        hand_links: Those of them that belong to the hand.
+        hand_links: Number of the hand's links that touch it.
         depth: Deepest overlap of any robot link with the object [m], 0 if none.
         force: Sum of normal forces [N].
     """
@@ -54,16 +54,16 @@ def contact_of(
 def any_below(
     bullet: Any, client: int, links: Iterable[tuple[int, int]], item: int, aside: float
 ) -> bool:
-    """Whether a link is below an object's top and, seen from above, within `aside` [m] of it.
+    """Whether a link is below an object's top and horizontally within `aside` [m] of it.
 
-    By upright boxes around both.
+    Uses upright boxes around both.
 
     Args:
         bullet: PyBullet.
         client: Its client.
         links: Body and number of each link.
         item: Body of the object.
-        aside: Nearer than this [m] counts, upwards too.
+        aside: Margin on all sides [m], upwards too.
     """
     low, high = bullet.getAABB(item, -1, physicsClientId=client)
     for body, number in links:

@@ -21,9 +21,9 @@ from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.meshes import LoadedMesh
 
 VOLUME_OFF = 0.15
-"""Largest relative change of volume that a simplified mesh may have."""
+"""Largest relative change of volume by simplification."""
 SHARES = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016)
-"""Share of a mesh's longest side; smaller details are given up in turn."""
+"""Sizes of removable details, as shares of a mesh's longest side, tried in turn."""
 VERSION = 3
 """Version of the pieces; cached pieces of other versions are ignored."""
 Pieces = list[tuple[NDArray[np.float64], NDArray[np.int64]]]
@@ -34,11 +34,11 @@ class DecompositionConfig:
     """Settings of the decomposition.
 
     Attributes:
-        convex_enough: A mesh that fills this much of its convex hull is that hull.
-        concavity: coacd's threshold: what concavity may stay in a piece.
-        most_pieces: No more pieces than this.
-        most_corners: No more corners a piece than this.
-        most_faces: The mesh is simplified to this many faces before it is cut.
+        convex_enough: Share of its convex hull from which a mesh is replaced by the hull.
+        concavity: CoACD's threshold: largest concavity of a piece.
+        most_pieces: Largest number of pieces.
+        most_corners: Largest number of corners of a piece.
+        most_faces: Number of faces to which the mesh is simplified first.
     """
 
     convex_enough: float = 0.93
@@ -59,7 +59,7 @@ def cache_folder() -> Path:
 def convex_pieces(
     mesh: LoadedMesh, config: DecompositionConfig | None = None, cache: Path | None = None
 ) -> Pieces:
-    """The mesh as a union of convex pieces, mesh frame.
+    """Decompose a mesh into convex pieces, mesh frame.
 
     Args:
         mesh: A closed mesh.
@@ -105,8 +105,8 @@ def decompose(
         return [with_few_corners(hull, config.most_corners)]
     import coacd
 
-    # Quadrics may leave a mesh that is no longer closed. CoACD would then rebuild it from voxels,
-    # up to a few millimetres too thick, and take several times as long to cut it.
+    # Quadric simplification may open a mesh. CoACD would then rebuild it from voxels, up to a few
+    # millimetres too thick, and take several times as long.
     closed = without_details(solid, config.most_faces)
     solid = with_few_faces(solid, config.most_faces) if closed is None else closed
     coacd.set_log_level("error")
@@ -139,10 +139,10 @@ def decompose(
 
 
 def with_few_faces(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:
-    """A closed mesh with about `most` faces, or as few as keep its volume.
+    """Simplify a closed mesh to about `most` faces, or to as few as keep its volume.
 
-    Quadrics keep round things rounder, but fold over the long thin triangles of a can's lid, and
-    take half of the can along, or stop at them; then short edges are taken away instead.
+    Quadric simplification keeps round shapes rounder, but fails at long thin triangles such as
+    those of a can's lid; then short edges are collapsed instead.
     """
     if len(mesh.faces) <= most:
         return mesh
@@ -155,8 +155,8 @@ def with_few_faces(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:
 
 
 def without_details(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh | None:
-    """A closed mesh without its short edges, still closed, the shortest first, until it has at
-    most `most` faces or would lose its volume; None if it is not closed."""
+    """Collapse the shortest edges of a closed mesh until it has at most `most` faces or would lose
+    volume; None if the result is not closed."""
     solid = Manifold(Mesh64(np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.uint64)))
     if solid.status() != Error.NoError:
         return None
@@ -181,7 +181,7 @@ def _same_volume(simple: trimesh.Trimesh, mesh: trimesh.Trimesh) -> bool:
 def with_few_corners(
     hull: trimesh.Trimesh, most: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """A hull of few corners that lies within a convex one and keeps its extremes."""
+    """Hull of at most `most` corners of a convex one, including its extremes."""
     if len(hull.vertices) > most:
         chosen = _spread(np.asarray(hull.vertices), most)
         hull = trimesh.convex.convex_hull(hull.vertices[chosen])

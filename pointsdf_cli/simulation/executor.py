@@ -29,21 +29,19 @@ class ExecutorConfig:
     """Execution of a grasp (as the paper's robot does).
 
     Attributes:
-        speed_up: Closing speed over the real robot's; the simulated hand may close faster.
+        speed_up: Ratio of the closing speed to the real robot's.
         closing_effort: Fraction of a joint's effort while it closes.
         grip_effort: Fraction of a joint's effort while it holds.
-        stall_speed: A joint slower than this fraction of its commanded speed has stalled.
-        stall_time: ... for this long [s].
-        longest_closing: The closing ends after this [s] whatever moves; later for a hand that
-            needs longer to close.
+        stall_speed: Fraction of its commanded speed below which a joint has stalled.
+        stall_time: Time below that speed until it counts as stalled [s].
+        longest_closing: Largest duration of the closing [s]; longer for a slower hand.
         grip_time: Time to build up the grip [s].
-        lift_height: [m], along the world's z.
-        lift_time: [s].
-        settle_time: Hold still after the lift [s].
-        longest_settling: An object that still moves in the hand is watched up to this long [s]:
-            it comes to rest there or falls.
+        lift_height: Height of the lift along the world's z [m].
+        lift_time: Duration of the lift [s].
+        settle_time: Time to hold still after the lift [s].
+        longest_settling: Largest time to wait for a moving object to rest in the hand or fall [s].
         shake: Amplitude of a lateral shake after the lift [m/s²]; 0 for none.
-        shake_time: [s].
+        shake_time: Duration of the shake [s].
         hold: Time that a lifted object is then held [s]; 0 for none.
         push: Force on a held object's centre of mass [N], in each direction of `PUSHES` in turn;
             0 for none.
@@ -79,31 +77,32 @@ class ExecutorConfig:
             raise InputError(f"{self.push:g} N", where="--push", allowed="0 to 1000 N")
 
     def without_tests(self) -> ExecutorConfig:
-        """The same, without hold and pushes."""
+        """Settings without hold and pushes."""
         return replace(self, hold=0.0, push=0.0)
 
 
 LOOK = 1 / 60
-"""So often [s] the object is looked at: for its speed, for being left behind, for being lost."""
+"""Interval [s] of checks of the object: its speed, whether it was left behind, whether it is
+lost."""
 STEADY_SPEED = 0.03
-"""A slower object [m/s] rests in the hand."""
+"""Speed [m/s] below which an object rests in the hand."""
 OFF_TABLE = -0.05
 """Height [m] of the centre of mass below which an object has fallen off the table."""
 CLEAR_HEIGHT = 0.05
 """Height [m] above the grip from which the hand no longer reaches an object left on the table."""
 CLEAR_ASIDE = 0.005
-"""Nor does one that rises straight with no link under it, or less far [m] beside it."""
+"""Lateral distance [m] beyond which a straight rise cannot meet the object."""
 PALM_TO_TIP = 0.25
-"""Lever arm: distance in metres that the farthest point moves per radian of the palm's turn."""
+"""Lever arm [m]: motion of the hand's farthest point per radian of the palm's rotation."""
 
 
 class Executor:
-    """Carries out grasps in a world.
+    """Executor of grasps in a world.
 
     Args:
-        world: Built with the robot and the object by `World.reset`.
+        world: World with the robot and the object, from `World.reset`.
         config: Times, speeds, efforts.
-        watch: Called after every step, to draw or record.
+        watch: Function called after every step, to draw or record.
     """
 
     def __init__(
@@ -128,7 +127,7 @@ class Executor:
         """Close, grip, lift along a path, settle, hold, push, judge.
 
         Args:
-            q: [J], where the hand begins to close; the world's robot is there.
+            q: [J], configuration in which the hand begins to close, that of the world's robot.
             lift: [K, A], arm joints from there to the end of the lift.
         """
         world, config = self._world, self._config
@@ -142,7 +141,7 @@ class Executor:
         self._touched = world.robot_contact().hand_links > 0
         self._gripped = self._object_in_palm()
         self._lift(lift)
-        # Nothing settles or shakes in a hand that left the object on the table.
+        # An object left on the table is not in the hand to settle or be shaken.
         if not self._left_behind():
             self._settle()
             if config.shake > 0:
@@ -185,7 +184,7 @@ class Executor:
         )
 
     def _close(self) -> None:
-        """Ramp the closing joints, all at once; each freezes once it stalls or is at its end."""
+        """Move all closing joints; each freezes when it stalls or reaches its limit."""
         world, config, robot = self._world, self._config, self._world.robot
         speeds = robot.closing_speeds * config.speed_up
         efforts = robot.effort[self._closing] * config.closing_effort
@@ -215,7 +214,7 @@ class Executor:
                 world.drive_to(q, self._closing[stop], efforts[stop])
 
     def _grip(self, q: Array) -> None:
-        """Every closing joint presses on with its full effort."""
+        """Press with the full effort of every closing joint."""
         world, config, robot = self._world, self._config, self._world.robot
         speeds = robot.closing_speeds * config.speed_up * 0.25
         efforts = robot.effort[self._closing] * config.grip_effort
@@ -225,8 +224,7 @@ class Executor:
     def _lift(self, path: Array) -> None:
         """Move the arm along a path in joint space, slowly at both ends.
 
-        It ends early where the rest can change nothing: the object is on the table and the hand
-        out of its reach.
+        The lift ends early once the object is on the table and out of the hand's reach.
         """
         world, config = self._world, self._config
         steps = max(1, round(config.lift_time / world.physics.step))
@@ -309,11 +307,11 @@ class Executor:
             if force is not None:
                 world.push(force)  # it acts during one step
             world.step()
-            # The same looks whether anybody watches or not: they decide what counts as flung.
+            # Checked with and without `watch` alike: the checks decide what counts as flung.
             if (
                 done % self._look_every == 0 or done == steps
             ) and self._object_height() > OFF_TABLE:
-                # Below, it falls as it must.
+                # Below the table it falls freely.
                 self._fastest = max(self._fastest, world.object_speed()[0])
             if self._watch:
                 self._watch(world, phase)
@@ -330,7 +328,7 @@ class Executor:
 def _sideways(chain: ArmChain, path: Array) -> float:
     """Largest sideways deviation [m] of the hand along arm joints [K, A].
 
-    The arm behind it may move farther; what only the arm could still meet is lost all the same.
+    The arm may move farther sideways, but an object that only the arm could meet is lost anyway.
     """
     rotation, position, _ = chain.palm_and_jacobian(path)
     aside = np.linalg.norm(position[:, :2] - position[0, :2], axis=1)

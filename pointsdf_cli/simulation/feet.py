@@ -1,4 +1,4 @@
-"""Objects stable in simulation as in the world: convex pieces with a flat foot for one pose."""
+"""Flat feet for convex pieces, so that objects stand in simulation as they do in the world."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.sim_object import SimObject
 
 FOOT = 5e-4
-"""Corners that are higher than this [m] above the lowest do not carry an object."""
+"""Height [m] above the lowest corner up to which corners carry an object."""
 
 
 def nearest_pose(item: SimObject, T_world_object: NDArray[np.float64]) -> int:
-    """Index of the object's resting pose that a pose in the world [4, 4] is, whatever its yaw."""
+    """Index of the object's resting pose nearest to a pose in the world [4, 4], for any yaw."""
     ups = np.array([pose.T_table_object[2, :3] for pose in item.poses])
     return int((ups @ T_world_object[2, :3]).argmax())
 
 
 def on_its_foot(item: SimObject, pose: StablePose) -> SimObject:
-    """The object with pieces that stand in this pose: unchanged if they do, else with a flat foot.
+    """The object with pieces that stand in this pose, with a flat foot if they need one.
 
-    A can's scanned bottom gives it many resting poses that lean a little this way and that, and a
-    hull made flat for all of them is flat for none.
+    A can's scanned bottom has many slightly leaning resting poses, and a hull flattened for all of
+    them is flat for none.
     """
     to_mesh, up, height = item.T_mesh_body, pose.T_table_object[2, :3], pose.T_table_object[2, 3]
     pieces = [
@@ -37,7 +37,7 @@ def on_its_foot(item: SimObject, pose: StablePose) -> SimObject:
     above = corners @ up + height
     level = pose.T_table_object[:2, :3]
     low = corners[above < above.min() + FOOT] @ level.T
-    # It stands if its centre of mass is over the polygon of these corners.
+    # It stands if its centre of mass is above the polygon of these corners.
     if np.linalg.matrix_rank(low - low[0]) == 2:
         sides = ConvexHull(low).equations
         if (sides @ np.append(level @ to_mesh[:3, 3], 1.0) < 0).all():
@@ -51,17 +51,17 @@ def on_its_foot(item: SimObject, pose: StablePose) -> SimObject:
 
 
 def with_flat_foot(pieces: Pieces, vertices: NDArray[np.float64], pose: StablePose) -> Pieces:
-    """Convex pieces that stand on the same points as the mesh; all in the mesh frame.
+    """Give convex pieces the foot of the mesh; all in the mesh frame.
 
-    A scan's bottom is a little round, and a hull of few corners leaves most of its rim out: a can
-    that stands in the world would rest on three corners here, and fall over. So the rim of the
-    mesh's foot is added to the pieces that it belongs to, and all that is foot is put flat.
+    A scan's bottom is slightly round, and a hull of few corners omits most of its rim: a standing
+    can would rest on three corners in simulation and fall over. So the rim of the mesh's foot is
+    added to the pieces, and the foot is flattened.
 
     Args:
         pieces: Corners [V, 3] and faces [F, 3] of each.
-        vertices: [N, 3], of the mesh.
-        pose: Resting pose. Flattened for several, pieces outgrow the mesh: a ball by 9% of its
-            volume.
+        vertices: [N, 3], vertices of the mesh.
+        pose: Resting pose. Flattened for several poses, pieces outgrow the mesh: a ball by 9% of
+            its volume.
     """
     up, height = pose.T_table_object[2, :3], pose.T_table_object[2, 3]
     lowest = min(float((corners @ up).min()) for corners, _ in pieces) + height

@@ -1,4 +1,4 @@
-"""Film of an attempt: moments of it, to draw or to play."""
+"""Recording of an attempt as a list of moments, to draw or to play."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Moment:
 
     Attributes:
         phase: "close", "grip", "lift", "settle", "shake", "hold" or a push ("push +x").
-        time: Since the world was built [s]: in a trial the approach counts, too.
-        q: [J].
+        time: Time since the world was built [s]; in a trial this includes the approach.
+        q: [J], configuration of the robot.
         T_world_object: [4, 4].
-        T_world_others: [N, 4, 4], of the other objects.
+        T_world_others: [N, 4, 4], poses of the other objects.
     """
 
     phase: str
@@ -30,20 +30,20 @@ class Moment:
 
 
 def moment_of(world: World, phase: str) -> Moment:
-    """The scene as it is."""
+    """Record the present scene."""
     others = np.array([other.pose() for other in world.others]).reshape(-1, 4, 4)
     return Moment(phase, world.time, world.configuration(), world.object_pose(), others)
 
 
 @dataclass
 class Recorder:
-    """Give it to an executor as `watch`; it keeps `rate` moments a second of simulated time."""
+    """Recorder for an executor's `watch`; keeps `rate` moments a second of simulated time."""
 
     rate: float = 20.0
     moments: list[Moment] = field(default_factory=list)
 
     def __call__(self, world: World, phase: str) -> None:
-        """Keep this step, if it is time."""
+        """Record this step if one is due."""
         last = self.moments[-1] if self.moments else None
         if last is not None and last.phase == phase and world.time - last.time < 1 / self.rate:
             return

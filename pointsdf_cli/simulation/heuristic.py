@@ -1,6 +1,6 @@
 """Preshapes around the faces of a partial cloud's bounding box (Lu et al. 2020).
 
-Only the partial cloud, the camera's place and the robot's are used, as on the real robot.
+Only the partial cloud and the positions of camera and robot are used, as on the real robot.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ class HeuristicConfig:
     """Numbers of the heuristic planner.
 
     Attributes:
-        top_standoff, side_standoff: From the face to the palm [m].
-        standoff_noise: Standard deviation [m].
-        position_noise: ... along the face [m].
-        turn_noise: ... of the orientation, about each axis [rad].
-        low_object: An object lower than this [m] is grasped from the top only, by a hand that is
-            raised until it clears the table and what of the object is below it: a thumb that
-            points down 0.145 m would be in the table in every attempt.
-        finger_reach: Distance along the fingers from the palm's origin to the object's middle [m]:
-            between the fingers and the thumb rather than at the fingers' roots. A hand's own `palm:
-            {reach: …}` takes precedence.
-        table_gap: Height [m] of the whole opened hand above what is below it, wherever the palm is
-            raised (from the side, and above low objects).
+        top_standoff, side_standoff: Distance from the face to the palm [m].
+        standoff_noise: Standard deviation of that distance [m].
+        position_noise: Standard deviation of the position along the face [m].
+        turn_noise: Standard deviation of the orientation, about each axis [rad].
+        low_object: Height [m] below which an object is grasped from the top only, by a hand raised
+            until it clears the table and the object: otherwise a thumb of 0.145 m that points down
+            would be in the table in every attempt.
+        finger_reach: Distance along the fingers from the palm's origin to the object's centre [m]:
+            between fingers and thumb, not at the fingers' roots. A hand's own `palm: {reach: …}`
+            takes precedence.
+        table_gap: Clearance [m] below the opened hand whenever the palm is raised (side grasps, and
+            low objects).
     """
 
     top_standoff: float = 0.035
@@ -59,7 +59,7 @@ class HeuristicConfig:
 
 @dataclass(frozen=True)
 class Preshape:
-    """Wanted palm pose and hand opening.
+    """Desired palm pose and hand opening.
 
     Attributes:
         kind: "side" or "top".
@@ -116,15 +116,15 @@ def draw_preshape(
     rng: np.random.Generator,
     kind: str | None = None,
 ) -> Preshape:
-    """One random preshape for a cloud.
+    """Draw a random preshape for a cloud.
 
     Args:
         points: [N, 3], the object's partial cloud, world.
-        camera, base: [3], world.
-        hand: Its preshapes and how much room they take.
+        camera, base: [3], positions of the camera and of the robot's base, world.
+        hand: Ranges and outline of the hand.
         config: Stand-offs and noise.
-        rng: Source of the noise.
-        kind: "side" or "top" to insist on one; the face is drawn among all otherwise.
+        rng: Random generator.
+        kind: "side" or "top"; any face if None.
     """
     if hand.reach is not None:
         config = replace(config, finger_reach=hand.reach)
@@ -149,8 +149,7 @@ def draw_preshape(
 
 
 def _to_clear(outline: Array, box: Box, gap: float) -> float:
-    """Height by which a hand with points [P, 3] must rise to be `gap` above the table and the
-    box."""
+    """Height by which a hand with points [P, 3] must rise to clear table and box by `gap`."""
     aside = np.abs((outline - box.centre) @ box.axes[:2].T)
     over = (aside <= box.half[:2]).all(axis=1)
     ground = np.where(over, box.centre[2] + box.half[2], 0.0)
@@ -166,7 +165,7 @@ def _away(box: Box, camera: Array) -> Array:
 def _top_palm(
     box: Box, face: Face, base: Array, config: HeuristicConfig, rng: np.random.Generator
 ) -> Array:
-    """Palm down, fingers along a diagonal of the box that leads away from the robot."""
+    """Palm pose from above, fingers along a diagonal of the box away from the robot."""
     diagonals = [a * box.axes[0] + b * box.axes[1] for a in (1, -1) for b in (1, -1)]
     away = face.centre - base
     outward = sorted(diagonals, key=lambda d: -float(d[:2] @ away[:2]))[:2]
@@ -177,7 +176,7 @@ def _top_palm(
 
 
 def _side_palm(face: Face, config: HeuristicConfig, rng: np.random.Generator) -> Array:
-    """Palm towards the face, thumb up."""
+    """Palm pose towards the face, thumb up."""
     inward, up = -face.normal, np.array([0.0, 0.0, 1.0])
     rotation = np.stack([inward, up, np.cross(inward, up)], axis=1)
     return _noisy(face, rotation, config.side_standoff, config, rng)
@@ -190,7 +189,7 @@ def _noisy(
     config: HeuristicConfig,
     rng: np.random.Generator,
 ) -> Array:
-    """The palm at its stand-off from a face, with noise on distance, place and orientation."""
+    """Palm pose at its stand-off from a face, with noise on distance, position and orientation."""
     distance = max(0.0, standoff + config.standoff_noise * rng.standard_normal())
     place = config.position_noise * rng.standard_normal(3)
     place[0] = 0.0  # the stand-off has its own

@@ -1,8 +1,8 @@
 """Masses of objects: the published one of a YCB object, else an estimate from the mesh.
 
-A scan is closed and says nothing about its inside. What fills most of its convex hull counts as a
-filled household thing. What does not is hollow or thin, such as a cup or a toy aeroplane, and
-counts as a plastic shell, but never as more than the filled thing.
+A scan is closed and does not tell whether it is filled. Objects that fill most of their convex hull
+count as filled. Others are hollow or thin, such as a cup or a toy aeroplane, and count as plastic
+shells, but never as heavier than filled ones.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ class MassConfig:
     """Estimate of a mass from a mesh.
 
     Attributes:
-        density: Mass of a filled thing over its volume [kg/m³]: between a full bottle and a toy.
-        lightest, heaviest: Bounds of the estimate [kg]; published masses have none.
-        fullness: A mesh that fills a smaller share of its convex hull is hollow or thin.
+        density: Mean density of a filled object [kg/m³]: between a full bottle and a toy.
+        lightest, heaviest: Bounds of the estimate [kg]; published masses are not bounded.
+        fullness: Share of the convex hull below which a mesh is hollow or thin.
         wall: Thickness of a shell [m].
         wall_density: Density of a shell [kg/m³]: plastics have 900 to 1400.
     """
@@ -92,18 +92,18 @@ YCB_MASSES = {
 }
 """Masses [kg] of YCB objects, as bought (Calli et al. 2015, table of the objects).
 
-Left out: those that were weighed as a set only (aeroplanes 072, bricks 073), and those of which
-copies of the table differ (031, 038, 055, 059, 063, 065, 070, 076).
+Left out: objects weighed only as a set (aeroplanes 072, bricks 073), and objects on which copies of
+the table differ (031, 038, 055, 059, 063, 065, 070, 076).
 """
 
 
 def mass_of(name: str, solid: trimesh.Trimesh, config: MassConfig | None = None) -> float:
-    """Mass [kg] of an object by its name, or else of its closed mesh.
+    """Mass [kg] of an object: published for YCB names, else estimated from the closed mesh.
 
     Args:
-        name: The mesh's name, with folders or without; names of YCB objects are known.
+        name: Name of the mesh, with or without folders.
         solid: The mesh, closed and facing outwards [m].
-        config: Estimate where the name is not known.
+        config: Settings of the estimate.
     """
     known = YCB_MASSES.get(name.rpartition("/")[2])
     if known is not None:

@@ -1,4 +1,4 @@
-"""Depth camera over the table: it sees object, table and robot, with the sensor's errors."""
+"""Simulated depth camera over the table: views of object, table and robot with sensor errors."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ class CameraPlacement:
     Attributes:
         camera: Intrinsics.
         noise: Noise of the depth.
-        sensor: Name in `SENSORS` of what measures the depth; only the ideal one uses `noise`.
-        azimuth: Directions [rad] from the object to the camera, 0 away from the robot.
-        elevation: Angles [rad] above the table.
-        distance: To the object [m].
+        sensor: Name of the depth sensor in `SENSORS`; only the ideal one uses `noise`.
+        azimuth: Range of directions [rad] from the object to the camera, 0 away from the robot.
+        elevation: Range of angles [rad] above the table.
+        distance: Range of distances to the object [m].
     """
 
     camera: Camera = CAMERAS["kinect2"]
@@ -66,11 +66,11 @@ class CameraPlacement:
 
 
 class Observer:
-    """Renders scenes of one robot.
+    """Renderer of scenes with one robot.
 
     Args:
-        robot: The robot, seen at the configuration that it waits in.
-        placement: The camera.
+        robot: The robot, at its home configuration.
+        placement: Distribution of the camera's pose.
         segmentation: Segmentation of the object in the cloud.
     """
 
@@ -94,7 +94,7 @@ class Observer:
         rng: np.random.Generator,
         q: Array | None = None,
     ) -> Array:
-        """The whole noisy cloud [N, 3] of the scene, camera frame, m."""
+        """Noisy cloud [N, 3] of the whole scene, camera frame, m."""
         depth = self.depth([(item, T_world_object)], T_world_camera, rng, q)
         v, u = np.nonzero(depth)
         return self.placement.camera.back_project(u, v, depth[v, u])
@@ -106,13 +106,13 @@ class Observer:
         rng: np.random.Generator,
         q: Array | None = None,
     ) -> Array:
-        """The noisy depth image [height, width] of the scene, m along z, 0 where there is none.
+        """Noisy depth image [height, width] of the scene, m along z, 0 without a return.
 
         Args:
             standing: Objects, each with its T_world_object [4, 4].
             T_world_camera: [4, 4].
             rng: Random generator of the sensor's errors.
-            q: [J], the robot; its home if None.
+            q: [J], configuration of the robot; its home if None.
         """
         parts: list[tuple[Array, NDArray[np.int64]]] = [
             (apply_transform(pose, item.mesh.vertices), item.mesh.faces.astype(np.int64))
@@ -135,15 +135,14 @@ class Observer:
         T_world_camera: Array,
         rng: np.random.Generator,
     ) -> View:
-        """The object found in a view of the scene, cleaned, with the observed space around it.
+        """View of the object segmented from the scene, cleaned, with its evidence.
 
         Raises:
-            InputError: The camera sees no object: it is hidden, or too flat to tell from the
-                table.
+            InputError: No object is seen: it is hidden, or too flat to tell from the table.
         """
         cloud = self.depth_cloud(item, T_world_object, T_world_camera, rng)
         world = apply_transform(T_world_camera, cloud)
-        # An arm that waits over the table is more points than the object under it.
+        # Remove the arm's points, which outnumber those of an object below it.
         free = np.flatnonzero(off_robot(world, self._own))
         found = segment_object(np.take(world, free, axis=0), self._segmentation)
         mine = free[found.kept]
@@ -155,7 +154,7 @@ class Observer:
 
 
 def resample(points: Array, count: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """`count` points [count, 3] of a cloud, each once before any twice.
+    """Sample `count` points [count, 3] of a cloud, each once before any twice.
 
     Raises:
         InputError: The cloud is empty.

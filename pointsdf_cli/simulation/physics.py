@@ -1,4 +1,4 @@
-"""The numbers of the contact simulation: step, iterations, friction, how errors are taken back."""
+"""Parameters of the contact simulation: step, iterations, friction, error correction."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from pointsdf_cli.errors import InputError
 JOINT_RECOVERY, CONTACT_RECOVERY = 96.0, 38.4
 """Correction rates [1/s] of position errors in joints and of overlaps in contacts.
 
-PyBullet asks for the share a step (these are its defaults, 0.2 and 0.08, at 1/480 s), with which
-half the step would be another, stiffer model, and a study of the step would compare the two.
+PyBullet takes shares a step (these rates are its defaults, 0.2 and 0.08, at 1/480 s). Fixed shares
+would make half the step a stiffer model, and a convergence study would compare two models.
 """
 
 
 @dataclass(frozen=True)
 class PhysicsConfig:
-    """Numbers of the contact simulation, chosen by the convergence study in docs/notebook.md.
+    """Parameters of the contact simulation, chosen by the convergence study in docs/notebook.md.
 
     Attributes:
         step: Time step [s].
         iterations: Iterations of the contact solver in each step. For the whole arm with 40, half
             the step changes 9% of labels, and objects of many pieces slip that hold with 200; with
             200, half the step changes 4%, and moving the object by 0.1 mm 3%.
-        hand_friction, object_friction, table_friction: Lateral; two bodies' values multiply.
-        rolling_friction, spinning_friction: Friction of the object, small: soft contacts resist a
-            little.
-        gravity: [m/s²].
-        skin: Thickness [m], measured, by which PyBullet inflates convex hulls, and a URDF's
-            cylinders; they are drawn in by it (`skin.py`). With 0 they stand out.
+        hand_friction, object_friction, table_friction: Coefficients of lateral friction; those of
+            two bodies multiply.
+        rolling_friction, spinning_friction: Small coefficients of the object, for soft contacts.
+        gravity: Gravity [m/s²].
+        skin: Measured thickness [m] by which PyBullet inflates convex hulls and a URDF's cylinders;
+            they are shrunk by it (`skin.py`). With 0 they stay inflated.
     """
 
     step: float = 1 / 480

@@ -1,8 +1,8 @@
-"""Convex pieces of a fresh reconstruction in a fraction of a second, for rehearsals.
+"""Convex decomposition of a reconstruction in a fraction of a second, for rehearsals.
 
-CoACD searches for the best cuts and takes seconds. Here a solid is halved greedily: the part that
-is farthest from its hull is cut by the best of a few planes along its own axes, until the hulls
-are close enough. The cuts are made by manifold3d, which keeps every part closed.
+CoACD searches for the best cuts and takes seconds. Here a solid is cut greedily: the part with the
+largest excess of its hull is cut by the best of a few planes along its own axes, until the hulls
+are close enough. manifold3d makes the cuts and keeps every part closed.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ class QuickCutConfig:
     """Settings of the decomposition.
 
     Attributes:
-        most_pieces: No more cuts once there are so many pieces.
-        close_enough: The hulls may exceed the solid by this share of its volume.
-        worth: A part whose hull exceeds it by less than this share of the whole is not cut.
-        places: Possible cuts of a part, as shares of its extent along each axis; among equally good
-            cuts the first is taken.
+        most_pieces: Number of pieces that ends the cutting.
+        close_enough: Excess of the hulls over the solid, as a share of its volume, that ends it.
+        worth: Least excess of a part's hull, as a share of the whole volume, that is cut.
+        places: Places of the cuts, as shares of a part's extent along each axis; the first of
+            equally good cuts is taken.
         most_corners: Largest number of corners of a piece.
-        most_faces: The solid is simplified to about this many faces first.
+        most_faces: Number of faces to which the solid is simplified first.
     """
 
     most_pieces: int = 8
@@ -53,9 +53,9 @@ class QuickCutConfig:
 def quick_pieces(
     vertices: Array, faces: NDArray[np.integer], config: QuickCutConfig | None = None
 ) -> Pieces:
-    """A closed mesh as a union of convex pieces: for each, corners [V, 3] and faces [F, 3].
+    """Decompose a closed mesh into convex pieces: for each, corners [V, 3] and faces [F, 3].
 
-    A mesh that is not closed, or encloses nothing, is taken as its convex hull.
+    A mesh that is not closed, or encloses nothing, is replaced by its convex hull.
 
     Raises:
         InputError: Its points lie in a plane.
@@ -86,7 +86,7 @@ def quick_pieces(
 
 
 class _Part:
-    """A solid, its hull, and by how much [m³] the hull is larger."""
+    """A solid, its hull, and the excess volume of the hull [m³]."""
 
     def __init__(self, solid: Manifold) -> None:
         self.solid = solid
@@ -95,11 +95,11 @@ class _Part:
 
 
 def _best_cut(part: _Part, places: tuple[float, ...]) -> list[_Part] | None:
-    """Pieces whose hulls waste least volume, among cuts along the part's principal axes."""
+    """Parts with the least excess, among cuts along the part's principal axes."""
     corners = np.asarray(part.solid.to_mesh().vert_properties)[:, :3].astype(float)
     _, axes = np.linalg.eigh(np.cov(corners.T))
     best: list[_Part] | None = None
-    # Halves of a ring waste as much as the ring, but their halves do not: a cut may gain nothing.
+    # A cut may gain nothing: halves of a ring have as much excess as the ring, quarters less.
     least = 1.001 * part.excess
     for axis in axes.T[::-1]:  # the longest first
         along = corners @ axis
@@ -108,7 +108,7 @@ def _best_cut(part: _Part, places: tuple[float, ...]) -> list[_Part] | None:
             halves = part.solid.split_by_plane(tuple(axis.tolist()), offset)
             if any(half.is_empty() for half in halves):
                 continue
-            # The feet of an arch are two pieces, not one with a hull that spans the gate.
+            # The feet of an arch are two parts, not one with a hull across the opening.
             parts = [_Part(piece) for half in halves for piece in half.decompose()]
             excess = sum(one.excess for one in parts)
             if excess < least - 1e-4 * part.excess:
@@ -117,7 +117,7 @@ def _best_cut(part: _Part, places: tuple[float, ...]) -> list[_Part] | None:
 
 
 def _solid(vertices: Array, faces: NDArray[np.integer], most_faces: int) -> Manifold | None:
-    """The mesh as a closed solid of few faces; None if it is none."""
+    """The mesh as a closed solid of few faces; None if it is not closed."""
     mesh = with_few_faces(trimesh.Trimesh(vertices, faces, process=False), most_faces)
     if not mesh.is_watertight:
         mesh = trimesh.Trimesh(vertices, faces, process=False)

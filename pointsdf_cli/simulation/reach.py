@@ -1,9 +1,9 @@
-"""Way of the arm to a preshape: inverse kinematics, a checked path, and a possible lift.
+"""Path of the arm to a preshape: inverse kinematics, a collision-checked path, and a possible lift.
 
 The path is home → retreat → preshape, straight in joint space to the retreat and straight in
-space from there, or by way of a point above the retreat; it is looked at every few hundredths of a
-radian against table, object and the robot itself. A motion planner can find more than these; what
-has no such path is labelled.
+Cartesian space from there, or through a point above the retreat. It is checked every few hundredths
+of a radian against table, object and the robot itself. A motion planner would find more paths;
+attempts without such a path are labelled.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ class ReachConfig:
     """Settings of the way to a preshape.
 
     Attributes:
-        candidates: Arm configurations that are tried for a palm pose, the nearest to home first.
-        retreat: The last stretch [m], straight, backwards out of the palm's direction.
-        over: Height [m] above the retreat of a point to pass if the direct path is blocked.
-        resolution: Largest joint motion [rad] between two checked configurations.
-        sliding: The same of joints that slide [m].
-        lift_height: [m], for which the arm must have room.
-        waypoints: Waypoints of the straight stretches.
+        candidates: Number of arm configurations tried for a palm pose, the nearest to home first.
+        retreat: Length of the straight last stretch along the palm's normal [m].
+        over: Height [m] above the retreat of the point to pass if the direct path is blocked.
+        resolution: Largest motion of a revolute joint between two checked configurations [rad].
+        sliding: Largest motion of a prismatic joint between them [m].
+        lift_height: Height of the lift that the arm must be able to make [m].
+        waypoints: Number of waypoints of the straight stretches.
     """
 
     candidates: int = 6
@@ -55,16 +55,16 @@ class ReachConfig:
 
 @dataclass(frozen=True)
 class Reach:
-    """A way to a preshape, or the reason why there is none.
+    """A path to a preshape, or the reason why there is none.
 
     Attributes:
         label: 0 if there is one; else `NO_MOTION` or `NO_CONFIGURATION`.
         cause: Empty, or "no_ik", "start_in_table", "start_in_object", "start_in_self",
             "no_lift", "no_path".
-        q: [J], the preshape; one that was tried if there is no way, NaN for the arm if none was
-            found at all.
-        approach: [T, J], from home to the preshape; empty if there is none.
-        lift: [K, A], arm joints along the lift; empty if there is none.
+        q: [J], the preshape; without a path, one that was tried; NaN for the arm without inverse
+            kinematics.
+        approach: [T, J], path from home to the preshape; empty without one.
+        lift: [K, A], arm joints along the lift; empty without one.
     """
 
     label: int
@@ -75,10 +75,10 @@ class Reach:
 
 
 class Reacher:
-    """Finds ways in one world.
+    """Path search in one world.
 
     Args:
-        world: Holds the scene that paths are checked in.
+        world: World with the scene for collision checks.
         solver: Inverse kinematics of the world's robot.
         config: Settings.
     """
@@ -101,7 +101,7 @@ class Reacher:
     def arms(self, T_world_palm: Array) -> Array:
         """Arm configurations [B, A] for the palm pose [4, 4], the nearest to home first.
 
-        Needs no scene: where there are none, none has to be built.
+        Needs no scene, which is then built only if there are any.
         """
         solutions = self._solver.solve(T_world_palm)
         arms = solutions.arm[0][solutions.reached[0]]
@@ -110,12 +110,12 @@ class Reacher:
         return _different(arms[order])[: self.config.candidates]
 
     def __call__(self, T_world_palm: Array, joints: Array, arms: Array | None = None) -> Reach:
-        """A way to a palm pose in the world's scene; the world's robot is moved.
+        """Find a path to a palm pose in the world's scene; moves the world's robot.
 
         Args:
             T_world_palm: [4, 4].
-            joints: [K], of the preshape.
-            arms: [B, A], what `arms` gives for this pose, where it was asked already.
+            joints: [K], preshape joints.
+            arms: [B, A], result of `arms` for this pose; computed if None.
         """
         robot = self._robot
         arms = self.arms(T_world_palm) if arms is None else arms
@@ -147,10 +147,10 @@ class Reacher:
         return paths[0]
 
     def _way(self, T_world_palm: Array, arms: Array, joints: Array) -> Reach:
-        """The first of the arm configurations [B, A] that can be reached and can lift."""
+        """Path to the first of the arm configurations [B, A] that is reachable and can lift."""
         robot, config = self._robot, self.config
         back = -config.retreat * T_world_palm[:3, 0]
-        # Followed side by side: many paths take hardly longer than one.
+        # All at once: many paths take hardly longer than one.
         ways = np.repeat([[0, 0, config.lift_height], back], len(arms), axis=0)
         paths, fine = self._straight(np.tile(arms, (2, 1)), T_world_palm, ways)
         (lifts, retreats), (can_lift, can_retreat) = np.split(paths, 2), np.split(fine, 2)
@@ -168,7 +168,7 @@ class Reacher:
     def _approach(
         self, retreat: Array, T_world_palm: Array, back: Array, joints: Array
     ) -> Array | None:
-        """Home to preshape [T, J] by way of a retreat path [K, A] that begins at the preshape."""
+        """Path [T, J] from home to the preshape through a retreat path [K, A], reversed."""
         robot, config = self._robot, self.config
         last = robot.configuration(retreat[::-1], joints)
         home = robot.configuration(robot.home[robot.arm], joints)
@@ -190,10 +190,8 @@ class Reacher:
     def _straight(
         self, arms: Array, T_world_palm: Array, ways: ArrayLike
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Paths [B, K + 1, A] from `arms` [B, A] that move the palm straight along `ways` [B, 3].
-
-        And bool [B]: whether the arm could follow.
-        """
+        """Paths [B, K + 1, A] from `arms` [B, A] that move the palm straight along `ways` [B, 3],
+        and a mask [B] of those that the arm can follow."""
         poses = np.tile(T_world_palm, (len(arms), self.config.waypoints, 1, 1))
         share = np.linspace(0, 1, self.config.waypoints + 1)[1:, None]
         poses[..., :3, 3] += share * np.asarray(ways, dtype=float)[:, None]
@@ -201,9 +199,9 @@ class Reacher:
         return np.concatenate([arms[:, None], paths], axis=1), fine
 
     def _free(self, path: Array) -> bool:
-        """Whether nothing is touched along straight lines between configurations [K, J].
+        """Whether straight lines between configurations [K, J] are free of collision.
 
-        Checked at both ends and then at ever finer steps: what blocks is mostly wide.
+        Checked at both ends and then at ever finer steps: most obstacles are wide.
         """
         dense = interpolate(path, self._resolution)
         return not any(self._world.collisions(dense[i]) for i in _coarse_first(len(dense)))
@@ -215,7 +213,7 @@ class Reacher:
 
 
 def interpolate(path: Array, resolution: Array) -> Array:
-    """Configurations [T, J] along straight lines between those of `path` [K, J].
+    """Interpolate configurations [T, J] linearly between those of `path` [K, J].
 
     No joint moves by more than its `resolution` [J] between two of them.
     """
@@ -228,7 +226,7 @@ def interpolate(path: Array, resolution: Array) -> Array:
 
 
 def _coarse_first(count: int) -> list[int]:
-    """0 … count - 1, the ends first, then halves, quarters, …"""
+    """Indices below `count`: the ends first, then halves, quarters, …"""
     order, seen = [], set()
     stride = 1 << max(count - 1, 1).bit_length()
     while stride >= 1:

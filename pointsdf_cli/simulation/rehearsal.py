@@ -1,9 +1,8 @@
-"""Grasps tried out in simulation on the reconstructed object before one is taken.
+"""Rehearsal: grasps tried in simulation on the reconstructed object before one is chosen.
 
-What the camera saw has been completed to a closed surface; an attempt with it costs about 0.3 s.
-The surface, the object's place, its mass and its friction are uncertain, so each grasp is tried
-under the same few disturbances of them, and the grasp that holds most often goes first. Nothing of
-the true object is used.
+A try on the completed surface takes about 0.3 s. Surface, position, mass and friction of the object
+are uncertain, so each grasp is tried under the same few disturbances of them, and the grasp that
+holds most often is preferred. The true object is not used.
 """
 
 from __future__ import annotations
@@ -33,20 +32,19 @@ from pointsdf_cli.simulation.world import World
 
 @dataclass(frozen=True)
 class RehearsalConfig:
-    """Disturbances to try: how much the truth may differ from the reconstruction.
+    """Disturbances of the reconstruction in rehearsals.
 
     Attributes:
-        repeats: Disturbances that a grasp is tried under, of which the first is none at all.
-        failures: A grasp that has failed so often is not tried again.
-        place: Standard deviation of the object's place on the table [m].
-        turn: ... of its yaw [rad].
-        scale: ... of its size, as a share, level and upright alike.
+        repeats: Number of tries of a grasp; the first is undisturbed.
+        failures: Number of failures after which a grasp is not tried again.
+        place: Standard deviation of the object's position on the table [m].
+        turn: Standard deviation of its yaw [rad].
+        scale: Standard deviation of its relative size, horizontally and vertically.
         friction: Range of the friction of the object.
-        mass: Range of its mass over the estimate (`masses`).
-        foot: The lowest points of an upright object that hover less than this [m] above the table
-            are put on it: it stands there.
-        physics: Coarser than the trials': what matters is who holds better.
-        cut: Convex pieces.
+        mass: Range of the ratio of its mass to the estimate (`masses`).
+        foot: Height [m] above the table below which the lowest points are moved onto it.
+        physics: Contact simulation, coarser than that of trials: only the ranking matters.
+        cut: Settings of the convex decomposition.
         masses: Estimate of the mass.
     """
 
@@ -73,9 +71,9 @@ class Rehearsed(NamedTuple):
     Attributes:
         tries: Number of tries; 0 if the arm cannot lift from there, or if an earlier grasp never
             failed.
-        held: In how many of them it held.
-        rise: Mean height that the object rose [m], up to the lift's height: between grasps that
-            hold equally often, the one that nearly held once more is better.
+        held: Number of tries in which it held.
+        rise: Mean rise of the object [m], at most the lift's height: decides between grasps that
+            hold equally often.
     """
 
     tries: int
@@ -101,12 +99,12 @@ class _Disturbance:
 
 
 class Rehearsal:
-    """Tries grasps out for one robot; one physics world is kept.
+    """Rehearsal of grasps with one robot, in one physics world.
 
     Args:
         robot: The robot.
         config: Disturbances to try.
-        execution: Execution of grasps, the same as later in earnest but for hold and pushes.
+        execution: Execution of grasps, as in trials but without hold and pushes.
     """
 
     def __init__(
@@ -116,7 +114,7 @@ class Rehearsal:
         execution: ExecutorConfig | None = None,
     ) -> None:
         self.config = config or RehearsalConfig()
-        # What rests in the hand after half a second mostly stays there, and holding and pushing
+        # An object at rest in the hand after half a second mostly stays there, and hold and pushes
         # take several times as long as the rest.
         execution = (execution or ExecutorConfig()).without_tests()
         self._execution = replace(execution, longest_settling=0.6)
@@ -124,7 +122,7 @@ class Rehearsal:
         self._tries = 0
 
     def close(self) -> None:
-        """Leave the physics client."""
+        """Close the physics client."""
         self._world.close()
 
     def __call__(
@@ -133,10 +131,10 @@ class Rehearsal:
         """Try grasps of an object in their order, until one never fails.
 
         Args:
-            vertices: [V, 3], of the reconstructed surface, world frame.
+            vertices: [V, 3], vertices of the reconstructed surface, world frame.
             faces: [F, 3].
             q: [C, J], configurations in which the hand begins to close.
-            seed: Random seed of the disturbances; all grasps meet the same.
+            seed: Random seed of the disturbances, which are the same for all grasps.
 
         Raises:
             InputError: The surface is flat.
@@ -164,7 +162,7 @@ class Rehearsal:
             if len(rises) - held >= self.config.failures or (rises and not held):
                 break  # it fails even when all is as believed, or too often
             self._tries += 1
-            # The name keeps the physics client from taking one surface for another.
+            # A name of its own, because the physics client caches surfaces by name.
             item = _disturbed(believed, disturbance, f"rehearsal {self._tries}")
             world = self._world
             world.physics = replace(self.config.physics, object_friction=disturbance.friction)
@@ -180,15 +178,15 @@ class Rehearsal:
 
 
 def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -> list[int]:
-    """Indices of grasps, the one most likely to hold first; equals keep their order.
+    """Indices of grasps, the one most likely to hold first; ties keep their order.
 
-    The share is (held + 1/2) / (tries + 1), so that one success of one try is less than five of
-    five, and no try at all comes last.
+    Each grasp is rated by (held + 1/2) / (tries + 1), so that one success in one try counts less
+    than five in five; grasps without a try come last.
 
     Args:
         tried: Result of each grasp.
-        chances: Factor on each grasp's share: the probability that the object is as reconstructed
-            where this grasp touches it; 1 each if None.
+        chances: Factor on each grasp's rating: the probability that the reconstruction is right
+            at its contacts; 1 each if None.
     """
     chances = [1.0] * len(tried) if chances is None else chances
 
@@ -203,7 +201,7 @@ def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -
 def believed_object(
     vertices: Array, faces: NDArray[np.integer], config: RehearsalConfig
 ) -> SimObject:
-    """A reconstructed surface as something to simulate; its mesh frame is the world's.
+    """Object to simulate from a reconstructed surface; its mesh frame is the world's.
 
     Raises:
         InputError: The surface is flat.
@@ -223,7 +221,7 @@ def believed_object(
     for hull in hulls:
         hull.density = mass / whole
         away = hull.center_mass - centre
-        # Steiner: about the whole's centre instead of the piece's.
+        # Parallel axis theorem: about the whole's centre instead of the piece's.
         inertia += hull.moment_inertia
         inertia += hull.mass * (away @ away * np.eye(3) - np.outer(away, away))
     moments, axes = np.linalg.eigh(inertia)
@@ -241,8 +239,7 @@ def believed_object(
 
 
 def _put_down(corners: Array, foot: float) -> trimesh.Trimesh | None:
-    """Hull clipped at the table, with its nearly resting points put onto it; None if nothing is
-    left."""
+    """Hull clipped at the table, with its lowest points moved onto it; None if nothing is left."""
     corners = np.array(corners)
     corners[corners[:, 2] < foot, 2] = 0.0
     if not corners[:, 2].any():  # all of it is foot, or was below
@@ -255,7 +252,7 @@ def _put_down(corners: Array, foot: float) -> trimesh.Trimesh | None:
 
 
 def _disturbances(config: RehearsalConfig, rng: np.random.Generator) -> list[_Disturbance]:
-    """None at all first, then `repeats` - 1 drawn ones."""
+    """Disturbances of the tries: the first is zero, the others are random."""
     middle = float(np.mean(config.friction))
     drawn = [_Disturbance(np.zeros(2), 0.0, np.ones(3), middle, 1.0)]
     for _ in range(config.repeats - 1):
@@ -273,7 +270,7 @@ def _disturbances(config: RehearsalConfig, rng: np.random.Generator) -> list[_Di
 
 
 def _disturbed(item: SimObject, disturbance: _Disturbance, name: str) -> SimObject:
-    """The object scaled and turned about where it stands, and shifted; its frame is the world's."""
+    """The object scaled, rotated about its foot and shifted; its frame is the world's."""
     axes, centre = item.T_mesh_body[:3, :3], item.T_mesh_body[:3, 3]
     c, s = np.cos(disturbance.yaw), np.sin(disturbance.yaw)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

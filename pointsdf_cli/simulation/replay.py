@@ -1,4 +1,4 @@
-"""Stored attempts carried out again to be drawn."""
+"""Replay of stored attempts, to draw them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ SHOWN = ("close", "grip", "lift", "settle")
 def pick_attempts(
     items: Sequence[tuple[str, Grasps, GraspsMeta]], count: int
 ) -> list[tuple[str, int]]:
-    """`count` successes and `count` failures in turn, each of another object where possible."""
+    """Pick `count` successes and `count` failures, alternating, of different objects if
+    possible."""
     picked: dict[int, list[tuple[str, int]]] = {HELD: [], LOST: []}
     rng = np.random.default_rng(0)
     order = rng.permutation(len(items))
@@ -40,10 +41,10 @@ def pick_attempts(
 
 
 def film_of(task: CollectTask, grasps: Grasps, row: int) -> tuple[Film, Film]:
-    """A stored attempt as a strip of its phases and as a film of 20 moments a second.
+    """Replay a stored attempt: a strip of its phases, and a film of 20 moments a second.
 
     Raises:
-        RgraspError: It ends otherwise than stored: the simulator has changed.
+        RgraspError: It ends differently from the stored one: the simulator has changed.
     """
     mesh = replace(load_mesh(task.mesh), name=task.name)
     item = prepare_object(mesh, masses=task.config.masses)

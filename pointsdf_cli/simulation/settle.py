@@ -1,4 +1,4 @@
-"""Letting an object come to rest on the table."""
+"""Simulation of an object until it rests on the table."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from pointsdf_cli.simulation.world import World
 
 @dataclass(frozen=True)
 class SettleConfig:
-    """When an object counts as at rest.
+    """Criteria of rest.
 
     Attributes:
-        drop: Height [m] above the table from which it is let go.
-        longest: It must rest before this [s].
-        speed: Below this [m/s] and
-        turn_speed: below this [rad/s] it rests,
-        rest_time: if for this long [s].
+        drop: Height above the table from which the object is released [m].
+        longest: Time limit [s].
+        speed: Largest speed of an object at rest [m/s].
+        turn_speed: Its largest angular speed [rad/s].
+        rest_time: Time below both speeds until it counts as at rest [s].
     """
 
     drop: float = 0.002
@@ -35,10 +35,8 @@ class SettleConfig:
 def settle(
     world: World, item: SimObject, pose: StablePose, config: SettleConfig
 ) -> NDArray[np.float64] | None:
-    """The pose T_table_object [4, 4] in which an object comes to rest; None if it does not.
-
-    An object that topples on the way rests all the same: it is where it ends that counts.
-    """
+    """Pose T_table_object [4, 4] in which an object comes to rest, even if it topples first; None
+    if it does not."""
     place = transform(np.eye(3), [0.5, 0.0, config.drop])
     world.reset(item, place @ pose.T_table_object, robot="none")
     check = max(1, round(0.05 / world.physics.step))

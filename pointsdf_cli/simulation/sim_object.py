@@ -1,4 +1,4 @@
-"""An object as the simulator needs it: convex pieces, mass, inertia, and how it can rest."""
+"""Simulated object: convex pieces, mass, inertia and resting poses."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class SimObject:
     """One object to simulate.
 
     Attributes:
-        mesh: Its surface, mesh frame.
+        mesh: The surface, mesh frame.
         pieces: Convex pieces in the body frame: origin at the centre of mass, principal axes.
         T_mesh_body: [4, 4], the body frame in the mesh frame.
-        mass: [kg].
-        inertia: [3], principal moments [kg m²].
-        poses: Its resting poses on a table.
+        mass: Mass [kg].
+        inertia: [3], principal moments of inertia [kg m²].
+        poses: Resting poses on a table.
     """
 
     mesh: LoadedMesh
@@ -45,13 +45,13 @@ def prepare_object(
     cut: QuickCutConfig | None = None,
     masses: MassConfig | None = None,
 ) -> SimObject:
-    """Everything that does not change between attempts with a mesh.
+    """Prepare a mesh for simulation.
 
     Args:
         mesh: A closed mesh.
         cache: Cache folder of CoACD's pieces; see `convex_pieces`.
-        cut: Cut in this way instead of by CoACD.
-        masses: Estimate of its mass where none is published.
+        cut: Settings of `quick_pieces`, which then replaces CoACD.
+        masses: Estimate of its mass if none is published.
 
     Raises:
         InputError: It encloses no volume or has no resting pose.
@@ -72,12 +72,12 @@ def prepare_object(
     try:
         poses = stable_poses(mesh.vertices, centre)
     except InputError as error:
-        raise InputError(error.what, where=mesh.name, allowed=error.allowed) from error
+        raise InputError.of(error, mesh.name) from error
     if cut is None:
         pieces = convex_pieces(mesh, cache=cache)
     else:
         pieces = quick_pieces(mesh.vertices, mesh.faces, cut)
-    # Flat things have moments near 0 about one axis, which no contact solver likes.
+    # Bounded below: contact solvers fail at moments near 0, as flat objects have about one axis.
     moments = np.maximum(moments, 1e-6)
     body = [((corners - centre) @ axes, faces) for corners, faces in pieces]
     return SimObject(

@@ -1,4 +1,4 @@
-"""Hulls drawn in by the skin that PyBullet gives them: bodies as large as they are."""
+"""Shrinking of hulls by the skin that PyBullet adds, so that bodies keep their size."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from pointsdf_cli.geometry.arrays import Array
 Faces = NDArray[np.int64]
 
 DEEPEST = 0.9
-"""Share of the way to its middle by which a shape about as thin as two skins is drawn in."""
+"""Share of its inner radius by which a shape about as thin as two skins is shrunk."""
 FARTHEST = 3.0
-"""No corner is drawn in by more skins than this: a square one needs 1.7, the end of an edge of 45°
-2.8; of a sharper wedge all would be lost that is thinner than two skins."""
+"""Largest shift of a corner, in skins: a right-angled one needs 1.7, the end of an edge of 45° 2.8;
+a sharper wedge would lose everything thinner than two skins."""
 WORTH = 0.2
-"""A corner that would be missed by this many skins is worth its time."""
+"""Distance, in skins, from the hull of the others beyond which a further corner is kept."""
 SIDES = 32
 """Corners on the circle of the prism that PyBullet uses for a URDF's cylinder."""
 
 
 def drawn_in(corners: Array, faces: Faces, skin: float) -> tuple[Array, Faces]:
-    """A convex hull, so drawn in that it has its size again when it has a skin.
+    """Shrink a convex hull so that with its skin it has its original size.
 
-    Faces come to lie where they were, edges become round: a square one by 0.4 skins. Where more
-    than three faces meet they may lean by a fifth of a skin. Beside edges and corners that are
-    sharper than 45°, and where it is thinner than two skins, the hull still stands out, by less
-    than one, and loses up to two of the sharp end. One that is all but flat stays as it is.
+    Faces stay where they were, edges become round: a right-angled one by 0.4 skins. Where more than
+    three faces meet, they may lean by a fifth of a skin. At edges and corners sharper than 45°, and
+    where it is thinner than two skins, the hull still protrudes by less than one skin and loses up
+    to two at the sharp end. A nearly flat hull is unchanged.
 
     Args:
-        corners: [N, 3] of the hull, m.
+        corners: [N, 3], corners of the hull, m.
         faces: [F, 3], outwards.
         skin: Thickness [m], `PhysicsConfig.skin`.
 
@@ -59,10 +59,10 @@ def drawn_in(corners: Array, faces: Faces, skin: float) -> tuple[Array, Faces]:
 
 
 def _with_the_rest(corners: Array, within: Array, skin: float) -> Array:
-    """Corners and what else makes a difference of those within [N, 3].
+    """Add those of the corners `within` [N, 3] that change the hull noticeably.
 
-    Where more than three faces meet an old corner has several new ones, and with the nearest alone
-    the other faces would lean inwards. With all of them physics would take longer for nothing.
+    Where more than three faces meet, an old corner has several new ones, and with the nearest alone
+    the other faces would lean inwards. All of them would slow the physics down.
     """
     sides = ConvexHull(corners).equations
     outside = (within @ sides[:, :3].T + sides[:, 3]).max(axis=1)
@@ -70,8 +70,8 @@ def _with_the_rest(corners: Array, within: Array, skin: float) -> Array:
 
 
 def drawn_in_cylinder(radius: float, length: float, skin: float) -> tuple[float, float]:
-    """Radius and length [m] of a cylinder, the same; the prism's corners are as far outside of the
-    circle as its sides are inside, 0.24% of the radius."""
+    """Radius and length [m] of a shrunk cylinder. PyBullet's prism has its corners outside the
+    circle by as much as its sides are inside, 0.24% of the radius."""
     if skin == 0.0:
         return radius, length
     depth = min(skin, DEEPEST * min(radius, length / 2.0))
@@ -90,13 +90,13 @@ def _hull(points: Array) -> tuple[Array, Faces]:
 
 
 def _middle(corners: Array, sides: Array, skin: float) -> tuple[Array, float]:
-    """A place inside, and how deep it is: more than two skins, or as deep as any."""
+    """A point inside, and its depth: more than two skins, or the largest possible."""
     centre = corners.mean(axis=0)
     depth = float(-(sides[:, :3] @ centre + sides[:, 3]).max())
     if depth > 2.0 * skin:
         return centre, depth
-    # The ball within all sides that has the largest radius (Boyd & Vandenberghe 2004, 4.3.1), in
-    # lengths near 1, because the solver's tolerances are absolute.
+    # The largest ball within all sides (Boyd & Vandenberghe 2004, 4.3.1), in lengths near 1,
+    # because the solver's tolerances are absolute.
     unit = float(np.ptp(corners, axis=0).max())
     found = linprog(
         [0.0, 0.0, 0.0, -1.0],

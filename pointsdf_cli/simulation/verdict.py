@@ -9,16 +9,16 @@ import numpy as np
 from pointsdf_cli.geometry.arrays import Array
 
 FLUNG_SPEED = 3.0
-"""An object faster than this [m/s] was shot out by the contact solver, not moved by a hand."""
+"""Speed [m/s] above which an object was ejected by the contact solver, not moved by a hand."""
 DEEPEST = 0.008
-"""A robot link deeper in the object than this [m] at the end means that contacts failed."""
+"""Final depth [m] of a robot link in the object above which contacts have failed."""
 HELD_FRACTION = 0.7
-"""Share of the lift's height that a held object must have risen."""
+"""Least rise of a held object, as a share of the lift's height."""
 FARTHEST_RISE = 0.5
-"""No hand lifts an object higher than this [m]."""
+"""Largest credible rise of an object [m]."""
 
 UNTRIED = -1
-"""`Outcome.unshaken` where nothing was pushed."""
+"""Value of `Outcome.unshaken` without pushes."""
 
 LIFT, HOLD, PUSH = "lift", "hold", "push"
 PUSHES: dict[str, Array] = {
@@ -34,17 +34,17 @@ class Outcome:
     """Result of an executed grasp. Each verdict implies those before it.
 
     Attributes:
-        lifted: The object rose with the hand and is in it after the lift.
-        held: It is still in the hand after the hold; equal to `lifted` without a hold.
+        lifted: Whether the object rose with the hand and is in it after the lift.
+        held: Whether it is still in the hand after the hold; equal to `lifted` without a hold.
         unshaken: 1 if it is still in the hand after all pushes, 0 if it was lost in one or before,
-            `UNTRIED` if nothing was to be pushed.
+            `UNTRIED` without pushes.
         lost_in: Step in which it was lost: "lift", "hold" or a key of `PUSHES`; else empty.
-        valid: The simulation until `held` was judged can be believed; if not, `held` is False.
-        cause: "held", or why not: "missed" (nothing touched when the lift began), "slipped",
+        valid: Whether the simulation until the verdict `held` is credible; if not, `held` is False.
+        cause: "held", or why not: "missed" (no contact at the beginning of the lift), "slipped",
             "dropped", "flung", "penetration".
-        lift_height: Height by which the object's centre of mass had risen then [m].
-        slip: Distance that it had moved then in the palm's frame since the grip [m].
-        links: Links of the hand that touched the object then.
+        lift_height: Rise of the object's centre of mass at the verdict `held` [m].
+        slip: Its motion in the palm's frame from the grip until then [m].
+        links: Number of the hand's links in contact with it then.
         duration: Simulated time [s].
     """
 
@@ -65,11 +65,11 @@ class Seen:
     """Observation of the object and the hand at one moment.
 
     Attributes:
-        rise: Height by which the object's centre of mass has risen [m].
-        hand_links: Links of the hand that touch the object.
+        rise: Rise of the object's centre of mass [m].
+        hand_links: Number of the hand's links that touch the object.
         depth: Deepest overlap of any robot link with it [m].
-        on_table: It touches the table.
-        fastest: Greatest speed that it has had [m/s].
+        on_table: Whether it touches the table.
+        fastest: Its greatest speed so far [m/s].
     """
 
     rise: float
@@ -85,7 +85,7 @@ def cause_of(seen: Seen, lift_height: float, touched: bool) -> str:
     Args:
         seen: The object at the end.
         lift_height: Height of the lift [m].
-        touched: The hand touched the object when the lift began.
+        touched: Whether the hand touched the object when the lift began.
     """
     if seen.fastest > FLUNG_SPEED or not np.isfinite(seen.rise) or seen.rise > FARTHEST_RISE:
         return "flung"

@@ -33,10 +33,10 @@ class World:
     Args:
         robot: The robot.
         physics: Step, iterations, friction; all but its skin may be changed later.
-        gui: Open PyBullet's window to watch.
+        gui: Open PyBullet's window.
 
     Attributes:
-        chain: The robot's arm.
+        chain: Kinematics of the robot's arm.
         others: Free objects beside the one to be grasped.
 
     Raises:
@@ -82,14 +82,14 @@ class World:
         robot: Literal["whole", "hand", "none"] = "whole",
         others: Sequence[tuple[SimObject, Array]] = (),
     ) -> None:
-        """Build the scene anew: nothing of an earlier attempt remains, so attempts replay.
+        """Rebuild the scene, so that attempts do not depend on earlier ones.
 
         Args:
-            item: The object, if there is one.
+            item: The object; None for none.
             T_world_object: [4, 4], its mesh frame in the world.
             q: [J], the robot's configuration; home if None.
-            robot: Simulated part of the robot: all of it; its hand, carried as by an arm that does
-                not yield, several times as fast; or nothing.
+            robot: Simulated part of the robot: the whole; the hand on a rigid arm, several times as
+                fast; or nothing.
             others: Further free objects, each with its T_world_object [4, 4].
         """
         b, c = self._bullet, self._client
@@ -118,10 +118,9 @@ class World:
         )
 
     def show(self, item: SimObject, T_world_object: Array) -> None:
-        """The whole robot at home and an object, to look for collisions at rest.
+        """Show the whole robot at home and an object, to check collisions at rest.
 
-        As after `reset`, but what is there already is only moved: nothing that has been looked at
-        in between makes a difference.
+        Same result as `reset`, but existing bodies are only moved.
 
         Args:
             item: The object.
@@ -132,7 +131,7 @@ class World:
             self._shown = item.pieces
         else:
             self._there.place(T_world_object)
-        # What was near each other is no longer: contacts that PyBullet keeps are forgotten.
+        # Clear PyBullet's cached contacts of the former poses.
         self.collisions(self.robot.home)
 
     def step(self, count: int = 1) -> None:
@@ -161,7 +160,7 @@ class World:
         return self._robot.state()
 
     def palm_pose(self) -> Array:
-        """T_world_palm [4, 4], where the arm's joints have it."""
+        """T_world_palm [4, 4] by the arm's joints."""
         return self.chain.palm(self.configuration())
 
     def drive_to(
@@ -171,20 +170,19 @@ class World:
         forces: ArrayLike,
         speeds: ArrayLike | None = None,
     ) -> None:
-        """Position targets for the joints at `columns` of q, with the largest efforts to use.
+        """Set position targets for the joints at `columns` of q, with their largest efforts.
 
         Args:
-            q: [J].
-            columns: [K], which joints. Without an arm, its joints stay where they are.
-            forces: [K].
-            speeds: [K], at which the targets move: known, the joints do not lag behind them;
-                0 if None.
+            q: [J], target configuration.
+            columns: [K], indices of the joints. Joints of an arm that is not simulated stay.
+            forces: [K], largest efforts.
+            speeds: [K], speeds of moving targets, so that joints do not lag behind; 0 if None.
         """
         speeds = np.zeros(len(np.asarray(columns))) if speeds is None else speeds
         self._robot.drive_to(q, columns, forces, speeds)
 
     def drive_at(self, speeds: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
-        """Speed targets for the joints at `columns` of q, with the largest efforts to use."""
+        """Set speed targets for the joints at `columns` of q, with their largest efforts."""
         self._robot.drive_at(speeds, columns, forces)
 
     def follow(self, arm: Array) -> Iterator[None]:
@@ -195,8 +193,8 @@ class World:
         """Contacts of the robot at a configuration: any of "table", "object", "self".
 
         Args:
-            q: [J]; the robot is left there. What is not there of it touches nothing.
-            clearance: Distances below this [m] count as touching.
+            q: [J], to which the robot is moved; parts that are not simulated have no contacts.
+            clearance: Distances below this [m] count as contact.
         """
         b, c = self._bullet, self._client
         self.place(q)
@@ -236,7 +234,7 @@ class World:
         return self._there.centre()
 
     def object_speed(self) -> tuple[float, float]:
-        """Speed of the object's centre of mass [m/s], and of its turning [rad/s]."""
+        """Speed of the object's centre of mass [m/s] and its angular speed [rad/s]."""
         return self._there.speed()
 
     def robot_contact(self) -> RobotContact:
@@ -248,10 +246,10 @@ class World:
     def rises_into_object(self, aside: float) -> bool:
         """Whether a link could meet the object on its way straight up.
 
-        By upright boxes around them, so it may say so of one that passes.
+        Conservative: uses upright boxes around links and object.
 
         Args:
-            aside: Nearer than this [m] counts as meeting.
+            aside: Lateral distance [m] below which they meet.
         """
         links = [
             place for link, place in self._robot.links.items() if self.robot.tree.shapes.get(link)
@@ -308,7 +306,7 @@ class World:
         for link in sorted(robot.links_on_table & set(links)):
             body, number = links[link]
             b.setCollisionFilterPair(body, self._table, number, -1, 0, physicsClientId=c)
-        # Each in one order: PyBullet renews its pairs on the way, whose order contacts have.
+        # In a fixed order: it determines the order of PyBullet's pairs, and so of contacts.
         self._robot.ignore_contacts(sorted(map(sorted, robot.may_touch | robot.tree.neighbours())))
         self._hand_links = {links[link] for link in robot.hand_links}
         for body, number in sorted(self._hand_links):
@@ -319,7 +317,7 @@ class World:
         self.drive_to(q, np.arange(len(robot.joint_names)), robot.effort)
 
     def _add_object(self, item: SimObject, T_world_object: Array) -> None:
-        # The list itself, not what it holds: whoever changes pieces makes another list.
+        # Compared by identity: changed pieces are another list.
         if self._object_file is None or self._object_file[0] is not item.pieces:
             path = self._folder / "object.obj"
             write_pieces(item.pieces, path, self._skin)
@@ -335,7 +333,7 @@ class World:
 
 
 def try_robot(robot: RobotDescription) -> None:
-    """Build the robot once as trials have it, and once its hand alone as collection does.
+    """Build the whole robot once, as for trials, and its hand alone once, as for collection.
 
     Raises:
         InputError: PyBullet cannot load it, or a joint of the arm does not move the palm.

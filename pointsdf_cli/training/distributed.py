@@ -1,8 +1,8 @@
 """Distributed training by several processes started by `torchrun`: on several GPUs, or machines.
 
-Every worker holds the whole network and sees its share of each batch; gradients are averaged before
-each step, so that all take the same step. What a batch holds depends on seed and step alone, so n
-workers see together what one would have seen (batch norm and dropout apart: those act on a share).
+Every worker holds the whole network and processes its share of each batch; gradients are averaged
+before each step, so that all take the same step. A batch depends on seed and step alone, so n
+workers together train as one would (except for batch norm and dropout, which act on a share).
 
     torchrun --nproc-per-node 4 --no-python rgrasp train-sdf --device cuda …
 """
@@ -23,18 +23,17 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.training.sdf_data import Batch
 
 PATIENCE = timedelta(minutes=60)
-"""Time limit for workers that wait for each other: the first packs the data while the others
-wait."""
+"""Time limit for workers that wait for each other; long, because the first packs the data."""
 
 
 @dataclass(frozen=True)
 class Workers:
-    """The processes of one run, seen from one of them; a run of one process is the default.
+    """The processes of a run, as known to one of them; by default one process.
 
     Attributes:
         rank: Rank of this process, from 0.
         count: Number of processes.
-        local_rank, local_count: The same among those of this machine.
+        local_rank, local_count: Rank and number among the processes of this machine.
     """
 
     rank: int = 0
@@ -44,18 +43,18 @@ class Workers:
 
     @property
     def is_first(self) -> bool:
-        """Whether this one writes files and talks to the user."""
+        """Whether this process writes files and reports to the user."""
         return self.rank == 0
 
     def share(self, batch: Batch) -> Batch:
-        """The rows of a batch that are this worker's.
+        """This worker's rows of a batch.
 
         Raises:
-            InputError: The batch cannot be shared out evenly.
+            InputError: The batch cannot be divided evenly.
         """
         if len(batch.cloud) % self.count:
             raise InputError(
-                f"{len(batch.cloud)} clouds cannot be shared out among {self.count} processes",
+                f"{len(batch.cloud)} clouds cannot be divided evenly among {self.count} processes",
                 where="--batch-size",
                 allowed=f"multiples of {self.count}, and as many training views",
             )
@@ -84,7 +83,7 @@ class Workers:
         return self._reduced(value, dist.ReduceOp.MAX) if self.count > 1 else value
 
     def wait(self) -> None:
-        """Until all workers are here."""
+        """Wait until all workers have arrived."""
         self.most(0.0)
 
     def _reduced(self, value: float, how: dist.ReduceOp.RedOpType) -> float:
@@ -99,7 +98,7 @@ ALONE = Workers()
 
 @contextmanager
 def join_workers(device: str) -> Iterator[tuple[Workers, str]]:
-    """The workers that `torchrun` started with this one, and the device that this one computes on.
+    """Join the workers that `torchrun` started; yields them and this worker's device.
 
     Without torchrun's environment variables there is one worker. `cuda` becomes this worker's GPU.
 

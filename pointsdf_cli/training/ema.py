@@ -23,7 +23,8 @@ class WeightAverage(Generic[Model]):
 
     @torch.no_grad()
     def update(self, model: nn.Module, step: int) -> None:
-        """Take in the weights after `step` (only every few steps: it costs as much as one Adam)."""
+        """Add the weights after `step` (only every few steps: it costs as much as a step of
+        Adam)."""
         if step % self.every:
             return
         decay = min(self.decay**self.every, (step + 1.0) / (step + 20.0)) if self.decay else 0.0
@@ -40,5 +41,5 @@ class WeightAverage(Generic[Model]):
         return dict(self.model.state_dict())
 
     def load(self, state: dict[str, Tensor]) -> None:
-        """Carry on from `state`."""
+        """Continue from `state`."""
         self.model.load_state_dict(state)

@@ -1,9 +1,9 @@
-"""`eval-sdf`: every method on every view, scored as Table I is (docs/method.md, "Table I").
+"""Evaluation of reconstructions for `eval-sdf`, as in Table I (docs/method.md, "Table I").
 
-The networks work in the camera's frame, as always. Their meshes are then carried into the mesh's
-own frame, where the truth's samples and search trees serve all views of an object; the metrics do
-not change under rigid motion. Volumes are those of the meshes, as in Occupancy Networks, not of
-the field, so what is scored is what `rgrasp mesh` writes.
+Networks work in the camera's frame. Their meshes are then transformed to the true mesh's frame,
+where one set of samples and search trees serves all views of an object; the metrics are invariant
+to rigid motion. Volumes are those of the meshes, as in Occupancy Networks, not of the field: the
+score is that of the output of `rgrasp mesh`.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ class EvalConfig:
     Attributes:
         checkpoints: Label and directory of each network.
         resolution: Resolution of the extracted meshes.
-        views: Views of each object, the first so many; 0 takes all.
-        samples: Points that each metric counts.
+        views: Number of views of each object, from the first; 0 for all.
+        samples: Number of points of each metric.
         precision: Precision of the networks: auto, bfloat16 or float32.
-        exact: Ask the networks everywhere, see `mesh_reconstruction`.
+        exact: Evaluate the networks everywhere, see `mesh_reconstruction`.
         seed: Random seed of the resampled clouds and of the metrics' points.
 
     Raises:
@@ -105,7 +105,7 @@ def evaluate_object(task: EvalTask) -> list[ScoredView]:
         }
         surfaces[PARTIAL_HULL] = convex_hull(views.cloud[view])
         for method, surface in surfaces.items():
-            # A method's draws do not depend on which others are scored beside it.
+            # Random numbers of a method do not depend on the other methods.
             drawn = task_seed(task.config.seed, f"{task.name} {view}")
             score = _score(surface, to_object, truth, drawn, samples)
             scored.append(ScoredView(method, task.name, view, score))
@@ -114,7 +114,7 @@ def evaluate_object(task: EvalTask) -> list[ScoredView]:
 
 
 def make_tasks(views: Path, meshes: Path, config: EvalConfig) -> list[EvalTask]:
-    """One task for each mesh whose views are there.
+    """One task for each mesh with views.
 
     Raises:
         InputError: A folder does not exist or is empty, or no mesh has views.
@@ -141,7 +141,7 @@ def make_tasks(views: Path, meshes: Path, config: EvalConfig) -> list[EvalTask]:
 def reconstruct(
     model: ShapeModel, views: Views, task: EvalTask, view: int
 ) -> tuple[Reconstruction, Surface | None]:
-    """The reconstruction of one view, and its mesh in the camera's frame, if it has one."""
+    """Reconstruct one view; also its mesh in the camera's frame, or None without a surface."""
     reconstruction = Reconstruction.from_cloud(
         model,
         views.cloud[view].astype(np.float64),
@@ -162,7 +162,7 @@ def reconstruct(
 
 
 def gallery_row(task: EvalTask, scored: ScoredView, note: str) -> GalleryRow:
-    """The picture's row for one scored view of the first network, reconstructed once more."""
+    """Row of the gallery for one scored view of the first network, reconstructed again."""
     views, mesh = _load(task)
     pose = views.T_camera_object[scored.view]
     model = load_cached(task.config.checkpoints[0][1])
@@ -196,7 +196,7 @@ def best_median_worst(scored: Sequence[ScoredView], each: int) -> list[tuple[str
 
 
 def convex_hull(points: NDArray[np.floating]) -> Surface | None:
-    """The convex hull of points [N, 3] as a closed mesh; None where they lie in a plane."""
+    """The convex hull of points [N, 3] as a closed mesh; None if they lie in a plane."""
     try:
         hull = ConvexHull(points.astype(np.float64))
     except QhullError:

@@ -1,4 +1,4 @@
-"""Baselines of a success network: always yes, the prior alone, known grasps nearby."""
+"""Baselines of a success network: constant, prior alone, nearest neighbours."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ NEIGHBOURS = 10
 
 
 def always(data: GraspData, known: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The share of known grasps that held, for every grasp [N]."""
+    """Constant score [N]: the share of known grasps that held."""
     return np.full(len(data), float(data.label[known].mean()))
 
 
 def prior_score(data: GraspData, prior: GraspPrior, robot: RobotDescription) -> NDArray[np.float64]:
-    """log g [N] of every grasp."""
+    """Log density [N] of every grasp under the prior."""
     found = np.zeros(len(data))
     places = places_of(data, robot)
     preshape, palm = torch.tensor(data.preshape), torch.tensor(data.T_world_palm)
@@ -36,7 +36,7 @@ def prior_score(data: GraspData, prior: GraspPrior, robot: RobotDescription) -> 
 def nearest_neighbours(data: GraspData, known: NDArray[np.int64]) -> NDArray[np.float64]:
     """Share held of the 10 known grasps nearest to each [N] by configuration and cloud size.
 
-    Distances are taken in the published network's own inputs less the embedding: preshape, palm in
+    Distances are between the published network's inputs without the embedding: preshape, palm in
     the object's frame, size of the cloud; each is scaled to unit deviation. A grasp is not its own
     neighbour.
     """
@@ -49,6 +49,6 @@ def nearest_neighbours(data: GraspData, known: NDArray[np.int64]) -> NDArray[np.
     _, near = cKDTree(scaled[known]).query(scaled, k=count + 1)
     neighbours = known[near]
     own = neighbours == np.arange(len(data))[:, None]
-    # Itself stands first where it is known; else the farthest of the eleven is one too many.
+    # Drop the grasp itself, which comes first if known, or else the farthest of the eleven.
     own[~own.any(axis=1), -1] = True
     return data.label[neighbours[~own].reshape(len(data), count)].mean(axis=1)

@@ -1,8 +1,8 @@
-"""Calibration of probabilities: a temperature and a shift, by likelihood.
+"""Calibration of probabilities: a temperature and a shift, by maximum likelihood.
 
-A network trained on balanced classes does not know the base rate, and one trained for long is too
-sure. Both are mended by two numbers, log h = log σ(a z + b), fitted to held-out objects (Platt
-1999; b = 0 is the temperature scaling of Guo et al. 2017). The ranking does not change, for a > 0.
+Training on balanced classes removes the base rate, and long training makes a network overconfident.
+Two numbers correct both, log h = log σ(a z + b), fitted to held-out objects (Platt 1999; b = 0 is
+the temperature scaling of Guo et al. 2017). The ranking does not change, as a > 0.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 SCALES = (0.05, 10.0)
-"""a is kept in here: a network that knows nothing gets flat, never reversed."""
+"""Bounds of a: an uninformative network becomes flat, never reversed."""
 
 
 class Platt(NamedTuple):
-    """a (one over the temperature) and b."""
+    """Parameters of the calibration: a (one over the temperature) and b."""
 
     scale: float
     shift: float
@@ -34,10 +34,10 @@ def negative_log_likelihood(
 
 
 def fit_platt(label: NDArray[np.floating], logit: NDArray[np.floating]) -> Platt:
-    """The two numbers that make labels [N] likeliest; the problem is convex.
+    """Fit the calibration to labels [N] and raw logits [N] by maximum likelihood; it is convex.
 
-    Each kind is drawn in as if one more of it had ended the other way, so that perfectly told apart
-    classes do not ask for infinite sureness (Platt's correction).
+    Target probabilities are smoothed as by one further example of each class with the other label,
+    so that separable classes do not give infinite confidence (Platt's correction).
     """
     label = np.asarray(label, dtype=np.float64)
     logit = np.asarray(logit, dtype=np.float64)

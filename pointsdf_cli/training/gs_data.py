@@ -1,7 +1,7 @@
 """Executed grasps for the success network, split by object.
 
-Only grasps that were carried out are read: held is 1, lost is 0. A grasp without inverse kinematics
-or without a motion says nothing about whether it would have held.
+Only executed grasps are read: held is 1, lost is 0. For a grasp without inverse kinematics or
+without a motion the outcome is unknown.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ class GraspData:
     """N executed grasps of O objects.
 
     Attributes:
-        names: O, the files' paths in the folder, without suffix.
-        files: O.
-        held_out: bool [O], objects that no training of a success network may see. The
-            reconstruction that it reads may have learned their shape.
-        object_of: int [N].
+        names: Paths of the O files in the folder, without suffix.
+        files: The O files.
+        held_out: bool [O], objects excluded from training success networks. The reconstruction
+            network may have been trained on their shapes.
+        object_of: int [N], the object of each grasp.
         scene_of: int [N], numbered over all objects; grasps of a scene share pose and view.
-        preshape: f8 [N, K] rad.
+        preshape: f8 [N, K], rad.
         T_world_palm, T_world_camera: f8 [N, 4, 4].
         cloud: f4 [N, P, 3], camera frame, m.
         kind: i1 [N], 0 side, 1 top.
@@ -63,12 +63,12 @@ class GraspData:
 
 @dataclass(frozen=True)
 class Split:
-    """Indices of grasps; no object is in two of them, but for folds.
+    """Split of the grasps by object.
 
     Attributes:
-        train, validation, test: int [n].
-        folds: [N], or None. If given, `train` and `validation` are the same grasps, and fold m of
-            them is held back from member m of an ensemble.
+        train, validation, test: int [n], indices of grasps.
+        folds: [N], fold of each grasp; None without folds. With folds, `train` and `validation` are
+            the same grasps, and fold m validates member m of an ensemble.
     """
 
     train: NDArray[np.int64]
@@ -128,14 +128,14 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
 
 
 PALM_OFF = 2e-3
-"""Palm frames that differ by less [m, and of unit axes] are the same frame, typed otherwise."""
+"""Largest difference [m, and of unit axes] of palm frames that count as the same."""
 
 
 def _require_palm(kinematics: Kinematics, q: Array, T_world_palm: Array, file: Path) -> None:
-    """The palm stands where it stood: the robot's description has not changed since.
+    """Require that the robot's description still gives the stored palm poses.
 
     Raises:
-        InputError: It has.
+        InputError: It gives other ones.
     """
     with torch.no_grad():
         now = kinematics.palm(torch.from_numpy(q)).numpy()
@@ -144,17 +144,17 @@ def _require_palm(kinematics: Kinematics, q: Array, T_world_palm: Array, file: P
         raise InputError(
             f"was made with another description of this robot: the palm is {away:.0f} mm off",
             where=file,
-            hint="collect-grasps again with this --robot, or take the one of then",
+            hint="collect-grasps again with this --robot, or use the former description",
         )
 
 
 def split_grasps(data: GraspData, validation: float, seed: int) -> Split:
-    """Split by object: those held out are the test; of the others a share validates.
+    """Split by object: held-out objects are the test; a share of the others is for validation.
 
     Args:
         data: The grasps.
-        validation: Share of the objects that are not held out.
-        seed: Random seed of the choice.
+        validation: Share for validation of the objects that are not held out.
+        seed: Random seed of the split.
 
     Raises:
         InputError: Too few objects, or grasps of one label only in training or validation.
@@ -178,9 +178,9 @@ def split_grasps(data: GraspData, validation: float, seed: int) -> Split:
 
 
 def fold_grasps(data: GraspData, folds: int, seed: int) -> Split:
-    """All objects that are not held out both teach and validate, each in one of several folds.
+    """Split by folds: every object that is not held out validates one member and trains the others.
 
-    Fewer objects than folds leave folds empty; their members learn from all objects.
+    With fewer objects than folds some folds are empty; their members train on all objects.
 
     Raises:
         InputError: Fewer than two objects, or grasps of one label only.
@@ -202,7 +202,7 @@ def _check_both_labels(label: NDArray[np.float32], purpose: str) -> None:
     if len(labels) < 2:
         outcome = "held" if labels[0] == 1 else "were lost"
         raise InputError(
-            f"all {len(label)} grasps to {purpose} {outcome}: there is nothing to tell apart",
+            f"all {len(label)} grasps to {purpose} {outcome}: there is nothing to learn",
             where="--grasps",
             allowed="held and lost grasps",
             hint="collect more grasps, or of more objects",

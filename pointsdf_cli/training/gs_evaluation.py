@@ -1,4 +1,4 @@
-"""`eval-gs`: success networks and baselines on held-out objects, as Figure 3 and beyond it."""
+"""Evaluation of success networks and baselines on held-out objects (Figure 3), for `eval-gs`."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Scored:
 
     Attributes:
         name: Name of the method.
-        score: [N], what it ranks by.
-        chosen: bool [N], what it calls a success at its own threshold: 0.5 for a network trained
-            on balanced classes (as in the figure), the threshold of highest F1 on known grasps for
-            a baseline without probabilities.
-        probability: [N], calibrated; None where there is none.
-        threshold: Threshold of the probability, with the highest F1 on validation objects.
+        score: [N], score for ranking.
+        chosen: bool [N], predicted success at the method's threshold: 0.5 for a network trained on
+            balanced classes (as in the figure), the threshold of highest F1 on known grasps for a
+            baseline without probabilities.
+        probability: [N], calibrated; None for a baseline.
+        threshold: Threshold of the probability with the highest F1 on validation objects.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Scored:
     threshold: float | None = None
 
     def at(self, rows: NDArray[np.int64]) -> Scored:
-        """The answers for the grasps `rows`."""
+        """Predictions for the grasps `rows`."""
         probability = None if self.probability is None else self.probability[rows]
         return replace(
             self, score=self.score[rows], chosen=self.chosen[rows], probability=probability
@@ -54,21 +54,21 @@ class Scored:
 def scored_network(
     name: str, logits: Array, scale: float, shift: float, threshold: float
 ) -> Scored:
-    """A network's answers from its raw logits and its calibration."""
+    """Predictions of a network from its raw logits and its calibration."""
     return Scored(name, logits, logits > 0, expit(scale * logits + shift), threshold)
 
 
 def scored_baseline(
     name: str, score: Array, known_label: NDArray[np.floating], known_score: Array
 ) -> Scored:
-    """A baseline's answers; its threshold is the best one on known grasps."""
+    """Predictions of a baseline; its threshold is the best one on known grasps."""
     return Scored(name, score, score >= gs_metrics.best_threshold(known_label, known_score))
 
 
 def measure(data: GraspData, rows: NDArray[np.int64], scored: Scored, seed: int) -> dict[str, Any]:
-    """All numbers of one method on the grasps `rows`, with 95% intervals over objects.
+    """All metrics of one method on the grasps `rows`, with 95% intervals over objects.
 
-    `scored` holds the answers for these grasps alone, in their order.
+    `scored` holds the predictions for these grasps alone, in their order.
     """
     label, groups = data.label[rows].astype(np.float64), data.object_of[rows]
     score, chosen = scored.score, scored.chosen

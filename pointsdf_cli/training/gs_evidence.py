@@ -1,7 +1,7 @@
-"""Asking a shape network once for everything that grasps need of it, and keeping the answers.
+"""Cache of a shape network's embeddings and distances for grasps.
 
-Embeddings and distances go to one file for each grasps file, named by a hash of the grasps, the
-network's weights and the points that are asked for. A second training run reads them in a second.
+They are stored in one file for each grasps file, named by a hash of the grasps, the network's
+weights and the evaluated points. A second training run reads them in a second.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from pointsdf_cli.training.gs_data import GraspData
 from pointsdf_cli.training.precision import autocast_dtype
 
 RECIPE = 3
-"""Counts up when the same inputs would give other numbers."""
+"""Version of the cache; increases when the same inputs give other numbers."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class EvidenceTask:
     """One grasps file for one worker process.
 
     Attributes:
-        grasps: The file.
+        grasps: The grasps file.
         out: Path of its evidence.
-        key: Hash of all that decides it.
+        key: Hash of everything that the evidence depends on.
         encoder: The shape network's checkpoint.
         sweep: Points for the hand's distances; None for embeddings only.
         robot: The robot's YAML; None for the bundled one.
@@ -71,7 +71,7 @@ def evidence_of(
     jobs: int = 1,
     on_done: Callable[[str, object], None] | None = None,
 ) -> Evidence:
-    """The evidence of all grasps, computed where the cache does not have it.
+    """The evidence of all grasps, from the cache or computed.
 
     Args:
         data: The grasps.
@@ -166,7 +166,7 @@ def _scene_evidence(
     T_world_palm: NDArray[np.float64],
     features: GraspFeatures,
 ) -> Evidence:
-    """All grasps [G] of one scene; its view is read once."""
+    """Evidence of all grasps [G] of one scene, whose view is encoded once."""
     count = len(preshape)
     points = apply_transform(T_world_camera, cloud)
     position, axes = T_world_camera[:3, 3], T_world_camera[:3, :3]
@@ -196,7 +196,7 @@ def _embeddings(
     T_world_camera: NDArray[np.float64],
     scene: NDArray[np.integer],
 ) -> Evidence:
-    """All grasps [G] of one file, embeddings alone: each scene's view is read, nothing decoded."""
+    """Embeddings of all grasps [G] of one file: each scene's view is encoded, nothing decoded."""
     first, of_grasp = np.unique(scene, return_index=True, return_inverse=True)[1:]
     frames = [network_frame(cloud[row]) for row in first]
     clouds = np.stack([f.to_network(cloud[row]) for f, row in zip(frames, first, strict=True)])

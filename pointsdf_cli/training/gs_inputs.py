@@ -1,7 +1,7 @@
 """Inputs of the success networks as tensors: one row a grasp, ready for batches.
 
-Two kinds. `FixedInputs` holds everything that the network reads, because nothing before it learns.
-`CloudInputs` holds the clouds, one a scene, and an encoder that is trained along.
+`FixedInputs` holds the network's inputs: nothing before it is trained. `CloudInputs` holds the
+clouds, one a scene, and an encoder that is trained too.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from pointsdf_cli.training.sdf_pack import pack_views
 Index = NDArray[np.int64]
 
 EVALUATED = 256
-"""Clouds encoded at once when nothing is learned."""
+"""Number of clouds encoded at once in evaluation."""
 
 SHAKE = 0.3
-"""Clouds and palms are turned together about the optical axis, within this angle [rad]."""
+"""Largest rotation [rad] of clouds and palms about the optical axis, for augmentation."""
 
 
 class Learner(ABC):
@@ -42,18 +42,18 @@ class Learner(ABC):
 
     @abstractmethod
     def training_logits(self, index: Index, rng: np.random.Generator) -> Tensor:
-        """Raw logits [M, n] of grasps `index` [n], of each of M members, with gradients."""
+        """Raw logits [M, n] of the M members for grasps `index` [n], with gradients."""
 
     @abstractmethod
     def logits(self, index: Index) -> NDArray[np.float64]:
         """Raw logits [n] in evaluation mode."""
 
     def validation_logits(self, index: Index) -> NDArray[np.float64]:
-        """Raw logits [n] of networks that were not trained on these grasps."""
+        """Raw logits [n] by members that were not trained on these grasps."""
         return self.logits(index)
 
     def member_weights(self, index: Index) -> Tensor:
-        """[M or 1, n], how much each grasp teaches each member."""
+        """Weights [M or 1, n] of the grasps in each member's loss."""
         return torch.ones(1, len(index))
 
     @abstractmethod
@@ -62,20 +62,20 @@ class Learner(ABC):
 
     @property
     def parameters(self) -> list[nn.Parameter]:
-        """All that learns."""
+        """All trained parameters."""
         return [p for module in self.modules.values() for p in module.parameters()]
 
     def train(self, learning: bool) -> None:
-        """Training or evaluation mode."""
+        """Set training or evaluation mode."""
         for module in self.modules.values():
             module.train(learning)
 
 
 class FixedInputs(Learner):
-    """The network's inputs do not depend on anything that learns.
+    """Inputs that do not depend on trained parameters.
 
-    Members of a `GeometryNet` can be trained on different objects: member m then learns nothing
-    from grasps of fold m and is judged by them, so that every object both teaches and validates.
+    Members of a `GeometryNet` can be trained on different objects: fold m is excluded from the
+    training of member m and validates it, so that every object serves for both.
 
     Args:
         network: Network of either kind.
@@ -122,13 +122,13 @@ class FixedInputs(Learner):
 
 
 class CloudInputs(Learner):
-    """An encoder that learns, and the clouds of all scenes that it reads.
+    """A trained encoder with the clouds of all scenes.
 
     Args:
-        network: Reads the embedding.
-        encoder: Encoder; only the parts that make the embedding are trained.
-        data: The grasps; of each scene the first grasp's cloud is read.
-        low_precision: For autocast in the encoder; None for float32.
+        network: Network on the embedding.
+        encoder: Encoder; only the modules of the embedding are trained.
+        data: The grasps; each scene's cloud is that of its first grasp.
+        low_precision: Type for autocast in the encoder; None for float32.
     """
 
     def __init__(
@@ -203,7 +203,7 @@ class CloudInputs(Learner):
 
 
 def geometry_features(data: GraspData, evidence: Evidence, features: GraspFeatures) -> Tensor:
-    """Features [N, F] of all grasps from kept distances."""
+    """Features [N, F] of all grasps from cached distances."""
     preshape, palm = torch.tensor(data.preshape), torch.tensor(data.T_world_palm)
     body = torch.from_numpy(evidence.body)
     parts = []
@@ -244,7 +244,7 @@ def pose_numbers(
 
 
 def turn_numbers(numbers: Tensor, turn: Tensor) -> Tensor:
-    """Grasp numbers [n, K + 9] of palms that are turned by [n, 3, 3] about the object frame."""
+    """Rotate the palms in grasp numbers [n, K + 9] by [n, 3, 3] about the object frame's origin."""
     joints = numbers.shape[1] - 9
     vectors = numbers[:, joints:].unflatten(1, (3, 3))  # place and two columns, as rows
     turned = vectors @ turn.transpose(1, 2)

@@ -26,17 +26,17 @@ from pointsdf_cli.training.resuming import progress_of, put_back_optimiser, sens
 
 @dataclass(frozen=True)
 class SuccessTraining:
-    """Everything that decides a run, besides data and architecture.
+    """Training settings, apart from data and architecture.
 
     Attributes:
-        epochs: Passes over the training grasps, at most.
-        batch_size: Grasps a step.
-        learning_rate: At its highest; a cosine to 1% of it.
-        encoder_rate: Share of it for an encoder that is trained along.
-        warmup: Steps of linear warm-up.
-        weight_decay: AdamW's.
-        patience: Epochs without a better validation before the run ends.
-        validation: Share of the training objects that validate.
+        epochs: Largest number of passes over the training grasps.
+        batch_size: Number of grasps per step.
+        learning_rate: Peak learning rate, followed by a cosine to 1% of it.
+        encoder_rate: Learning rate of a trained encoder, as a share of it.
+        warmup: Number of steps of linear warm-up.
+        weight_decay: Weight decay of AdamW.
+        patience: Number of epochs without improvement after which the run ends.
+        validation: Share of the training objects for validation.
         seed: Random seed of the split, the weights and the order.
     """
 
@@ -71,11 +71,11 @@ class Fitted(NamedTuple):
     """Result of a run.
 
     Attributes:
-        finished: False if it was stopped; it then resumes from the last state.
+        finished: Whether the run finished; a stopped one resumes from the last state.
         weights: Weights of the best epoch, by module and name, such as `network.leave.bias`.
         platt: Calibration of these weights on the validation objects.
-        validation_logits: Raw, of the best epoch.
-        history: One entry an epoch.
+        validation_logits: Raw logits of the best epoch.
+        history: One entry per epoch.
         seconds: Training time, over all resumed parts.
     """
 
@@ -102,24 +102,25 @@ def train_success(
     on_epoch: Callable[[Fitted, dict[str, Any]], None] = lambda fitted, state: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> Fitted:
-    """Train, keep the epoch that is likeliest on held-out objects, and calibrate it there.
+    """Train, keep the epoch with the highest likelihood on held-out objects, and calibrate it
+    there.
 
-    The classes are balanced by weight. An epoch is judged by the likelihood of the validation
-    grasps after calibration, which neither the base rate nor overconfidence can spoil. A stopped
-    and resumed run gives bit for bit the weights of an uninterrupted one.
+    The classes are balanced by weight. The criterion is the likelihood of the validation grasps
+    after calibration, which removes the effects of base rate and overconfidence. A stopped and
+    resumed run gives bit for bit the weights of an uninterrupted one.
 
     Args:
         data: The grasps.
-        split: By object.
+        split: Split by object.
         learner: Network and inputs; its weights are overwritten when resuming.
-        config: See `SuccessTraining`.
-        resume: A state that `on_epoch` was given.
-        on_epoch: Called after each epoch with what was found so far, and the state.
-        should_stop: Asked before each step; the epoch that was begun is then lost.
+        config: Training settings.
+        resume: State from an earlier call of `on_epoch`.
+        on_epoch: Called after each epoch with the result so far, and the state.
+        should_stop: Called before each step; True discards the current epoch and returns.
 
     Raises:
         InputError: `resume` is of another run.
-        RgraspError: The loss is no longer finite.
+        RgraspError: The loss is not finite.
     """
     keep_large_allocations()
     run = _Run(data, split, learner, config)
@@ -163,7 +164,7 @@ class _Run:
 
     @property
     def finished(self) -> bool:
-        """Whether all epochs are done, or the last ones brought nothing."""
+        """Whether all epochs are done, or the patience is exhausted."""
         config = self._config
         return self._epoch >= config.epochs or _exhausted(self._history, config.patience)
 
@@ -203,8 +204,8 @@ class _Run:
         loss = torch.nn.functional.binary_cross_entropy_with_logits(
             predicted, target.expand_as(predicted), weight=weight.expand_as(predicted)
         )
-        # Members share but the gains of two layer norms: each must get the gradient of its own
-        # loss, not of the mean.
+        # Members share only the gains of two layer norms, so the losses are summed, not averaged:
+        # each member gets the gradient of its own loss.
         self._optimiser.zero_grad(set_to_none=True)
         (loss * len(predicted)).backward()
         weights = [p for group in self._optimiser.param_groups for p in group["params"]]
@@ -213,7 +214,7 @@ class _Run:
         return loss.item()
 
     def judge_epoch(self) -> None:
-        """Judge the weights by the validation grasps, and keep them if they are the best yet."""
+        """Evaluate the weights on the validation grasps, and keep them if they are the best yet."""
         logits = self._learner.validation_logits(self._split.validation)
         platt = fit_platt(self._truth, logits)
         entry = {
@@ -247,18 +248,18 @@ class _Run:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Carry on from a state.
+        """Continue from a state.
 
         Raises:
             InputError: It is of another run.
         """
         with sense_of_state():
             if state["config"] != asdict(self._config):
-                raise InputError("was begun with other settings", hint="drop --resume")
+                raise InputError("began with other settings", hint="leave --resume out")
             if state.get("data", self._data_hash) != self._data_hash:
                 raise InputError(
-                    "was begun with other grasps, or with other objects held out",
-                    hint="drop --resume",
+                    "began with other grasps, or with other objects held out",
+                    hint="leave --resume out",
                 )
             load_weights(self._learner, state["weights"])
             put_back_optimiser(self._optimiser, state["optimiser"])
@@ -276,7 +277,7 @@ class _Run:
 
 
 def _weights(learner: Learner, network: bool) -> list[torch.nn.Parameter]:
-    """Weights of the success network, or of what is trained along with it."""
+    """Parameters of the success network, or of an encoder that is trained too."""
     return [
         weight
         for name, module in learner.modules.items()
@@ -286,15 +287,15 @@ def _weights(learner: Learner, network: bool) -> list[torch.nn.Parameter]:
 
 
 def _batch_count(grasps: int, size: int) -> int:
-    """Batches an epoch; a rest below half a batch joins the one before.
+    """Number of batches per epoch; a remainder below half a batch joins the one before.
 
-    It may be grasps of one scene alone, and batch norm cannot learn from one cloud.
+    It might be of one scene alone, and batch norm cannot learn from one cloud.
     """
     return max(1, math.floor(grasps / size + 0.5))
 
 
 def scene_order(data: GraspData, index: Index, rng: np.random.Generator) -> Index:
-    """Grasps [n] in random order, those of one scene together, so that its cloud is read once."""
+    """Grasps [n] in random order, those of a scene together, so that its cloud is encoded once."""
     rank = rng.permutation(int(data.scene_of.max()) + 1)[data.scene_of[index]]
     return index[np.lexsort((rng.random(len(index)), rank))]
 
@@ -309,7 +310,7 @@ def weights_of(learner: Learner) -> dict[str, Tensor]:
 
 
 def load_weights(learner: Learner, weights: Mapping[str, Tensor]) -> None:
-    """Put the weights of `weights_of` back."""
+    """Load the weights of `weights_of`."""
     for module, part in learner.modules.items():
         start = f"{module}."
         part.load_state_dict(
@@ -320,7 +321,7 @@ def load_weights(learner: Learner, weights: Mapping[str, Tensor]) -> None:
 def _judged(
     learner: Learner, best: Mapping[str, Tensor], index: Index, truth: NDArray[np.float32]
 ) -> tuple[Platt, NDArray[np.float64]]:
-    """Calibration and logits of kept weights, leaving the learner's own as they are."""
+    """Calibration and logits of stored weights; the learner's own are restored."""
     now = copy.deepcopy(weights_of(learner))
     load_weights(learner, best)
     logits = learner.validation_logits(index)

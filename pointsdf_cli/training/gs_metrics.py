@@ -16,16 +16,16 @@ from scipy.stats import rankdata
 from pointsdf_cli.geometry.arrays import Array
 
 BINS = 10
-"""Bins of equally many predictions each, for the calibration error."""
+"""Number of bins of equally many predictions, for the calibration error."""
 
 CANDIDATES = 20
-"""Grasps of one object among which the ranking chooses."""
+"""Number of grasps of one object from which the top one is chosen."""
 
 BOOTSTRAPS = 500
 
 
 class Interval(NamedTuple):
-    """A number and its 95% interval over objects; NaN where it is not defined."""
+    """A number and its 95% interval over objects; NaN if undefined."""
 
     value: float
     low: float
@@ -33,24 +33,24 @@ class Interval(NamedTuple):
 
 
 def f1(label: NDArray[np.floating], chosen: NDArray[np.bool_]) -> float:
-    """2 TP / (2 TP + FP + FN); 0 where nothing is chosen and nothing was to be."""
+    """F1 score 2 TP / (2 TP + FP + FN); 0 without any positives."""
     hits = float((label[chosen] == 1).sum())
     total = float(chosen.sum() + (label == 1).sum())
     return 2.0 * hits / total if total else 0.0
 
 
 def best_threshold(label: NDArray[np.floating], score: NDArray[np.floating]) -> float:
-    """The score from which on a grasp is chosen so that F1 is highest."""
+    """Threshold of the score with the highest F1."""
     order = np.argsort(-score, kind="stable")
     held = np.cumsum(label[order])
     values = 2.0 * held / (np.arange(1, len(label) + 1) + label.sum())
-    # Only where the next score differs can a threshold stand.
+    # Thresholds lie only between different scores.
     last = np.append(score[order][1:] < score[order][:-1], True)
     return float(score[order][np.argmax(np.where(last, values, -1.0))])
 
 
 def average_precision(label: NDArray[np.floating], score: NDArray[np.floating]) -> float:
-    """Σ (R_k − R_{k−1}) P_k over thresholds; NaN without a held grasp."""
+    """Average precision Σ (R_k − R_{k−1}) P_k over thresholds; NaN without a held grasp."""
     if not label.sum():
         return float("nan")
     order = np.argsort(-score, kind="stable")
@@ -62,7 +62,8 @@ def average_precision(label: NDArray[np.floating], score: NDArray[np.floating]) 
 
 
 def roc_auc(label: NDArray[np.floating], score: NDArray[np.floating]) -> float:
-    """Chance that a held grasp is scored above a lost one; NaN without both."""
+    """Area under the ROC curve: probability that a held grasp scores above a lost one; NaN without
+    both."""
     positive = int(label.sum())
     negative = len(label) - positive
     if not positive or not negative:
@@ -79,9 +80,10 @@ def brier(label: NDArray[np.floating], probability: NDArray[np.floating]) -> flo
 def reliability(
     label: NDArray[np.floating], probability: NDArray[np.floating], bins: int = BINS
 ) -> NDArray[np.float64]:
-    """[bins, 3]: mean probability, share held, count, in bins of equally many predictions.
+    """Reliability diagram [bins, 3]: mean probability, share held and count of bins of equally many
+    predictions.
 
-    Equal predictions have one share held, theirs together: which bin takes which says nothing.
+    Equal predictions get their common share held, because their order is arbitrary.
     """
     _, which = np.unique(probability, return_inverse=True)
     held = (np.bincount(which, label) / np.bincount(which))[which]
@@ -105,7 +107,7 @@ def top_choice(
 ) -> tuple[Array, Array]:
     """Success of the highest-scored of `candidates` random grasps of each object.
 
-    Objects with fewer grasps offer all they have. Equal scores are drawn among.
+    For objects with fewer grasps, all are candidates. Ties are broken at random.
 
     Returns:
         Success of the top choice [O], mean over draws, and of a random choice [O].
@@ -128,12 +130,10 @@ def over_objects(
     seed: int = 0,
     draws: int = BOOTSTRAPS,
 ) -> dict[str, Interval]:
-    """Measures with 95% intervals from drawing whole objects with replacement.
-
-    Twenty grasps of one mug are not twenty independent trials.
+    """Measures with 95% bootstrap intervals over objects: grasps of one object are not independent.
 
     Args:
-        measures: By name; each takes indices of grasps.
+        measures: Functions of indices of grasps, by name.
         groups: [N], the object of each grasp.
         seed: Random seed.
         draws: Number of draws.

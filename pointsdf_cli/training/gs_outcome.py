@@ -1,4 +1,4 @@
-"""Writer of the checkpoint of `train-gs`, repeatedly during training."""
+"""Writer of the checkpoint of `train-gs`, during training and at its end."""
 
 from __future__ import annotations
 
@@ -25,20 +25,19 @@ from pointsdf_cli.training.gs_loop import Fitted, SuccessTraining
 from pointsdf_cli.training.gs_variants import FIXED, Prepared, Variant, reconstruction_of
 
 SAVE_EVERY = 20.0
-"""Seconds between states written while training; small networks take less than one an epoch."""
+"""Least time between two states written while training [s]."""
 
 
 def resumable_state(out: Path, variant: Variant, sdf: Path | None = None) -> dict[str, Any]:
-    """The state that a stopped run left in its checkpoint directory.
+    """State of a stopped run in its checkpoint directory.
 
     Args:
         out: The directory.
         variant: Variant to train.
-        sdf: The reconstruction that is asked; the bundled one if None.
+        sdf: Reconstruction network; the bundled one if None.
 
     Raises:
-        InputError: There is none, or it is of another variant, or has learned from what another
-            reconstruction says.
+        InputError: There is none, or it is of another variant or of another reconstruction network.
     """
     state, config = read_train_state(out), read_config(out)
     found = config.get("variant")
@@ -53,7 +52,7 @@ def resumable_state(out: Path, variant: Variant, sdf: Path | None = None) -> dic
         reconstruction_of(variant, sdf)
     ):
         raise InputError(
-            f"was begun with another reconstruction ({before.get('checkpoint')})",
+            f"began with another reconstruction ({before.get('checkpoint')})",
             where=f"--out {out}",
             hint="give the same --sdf as before, or choose another --out",
         )
@@ -61,7 +60,7 @@ def resumable_state(out: Path, variant: Variant, sdf: Path | None = None) -> dic
 
 
 class Checkpointer:
-    """Writes one run's checkpoint directory.
+    """Writer of one run's checkpoint directory.
 
     Args:
         out: The directory.
@@ -88,14 +87,14 @@ class Checkpointer:
         self._state: dict[str, Any] | None = None
 
     def save_now_and_then(self, fitted: Fitted, state: dict[str, Any]) -> None:
-        """After an epoch: write if the last writing is long past."""
+        """Write after an epoch, if the last state is old enough."""
         self._state = state
         if time.monotonic() - self._written > SAVE_EVERY:
             self._save(fitted)
             self._written = time.monotonic()
 
     def finish(self, fitted: Fitted) -> dict[str, Any]:
-        """Write at the end, or when stopped, and report the results on the validation objects."""
+        """Write at the end, or when stopped; returns the results on the validation objects."""
         found: dict[str, Any] = {"finished": fitted.finished, "seconds": round(fitted.seconds, 1)}
         if not fitted.history:
             return found | {"epochs": 0}

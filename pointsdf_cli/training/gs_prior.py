@@ -14,12 +14,11 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.grasp_prior import KINDS, GraspPrior, ObjectPlace
 
 FLOORS = (0.1, 0.1, 0.1)
-"""Standard deviations whose squares are added to the fitted variances: of the offset (in units of
-0.1 m), of the turn [rad], of the preshape (in widths of its ranges). No direction can become
-narrower than these."""
+"""Smallest standard deviations, whose squares are added to the fitted variances: of the offset (in
+units of 0.1 m), of the rotation [rad], of the preshape (in widths of its ranges)."""
 
 FEWEST = 8
-"""Grasps that a component needs."""
+"""Least number of grasps for a component."""
 
 
 def fit_prior(
@@ -30,17 +29,17 @@ def fit_prior(
     ranges: NDArray[np.float64],
     shares: NDArray[np.integer] | None = None,
 ) -> GraspPrior:
-    """One Gaussian for each kind, in the chart about that kind's mean rotation.
+    """Fit one Gaussian for each kind, in the chart about that kind's mean rotation.
 
     Scikit-learn fits each (`GaussianMixture` of one component with `reg_covar`); coordinates are
-    scaled so that its single regulariser means `FLOORS`.
+    scaled so that its single regulariser gives `FLOORS`.
 
     Args:
-        preshape: [N, K] rad.
+        preshape: [N, K], rad.
         T_world_palm: [N, 4, 4].
         kind: [N], indices into `KINDS`.
-        places: N, the object of each grasp.
-        ranges: [K, 2], of the preshape joints.
+        places: Places of the N grasps' objects.
+        ranges: [K, 2], ranges of the preshape joints.
         shares: Relative frequency of each kind; its frequency in the data if None.
 
     Raises:

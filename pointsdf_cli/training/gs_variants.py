@@ -53,7 +53,7 @@ ARCHITECTURES = {
     POINTSDF: ("pointsdf-ray", "pointsdf"),
     VOXELCNN: ("voxelcnn",),
 }
-"""Shape networks for each choice; the first is built where none is given."""
+"""Shape networks allowed for each encoder; the first is the default."""
 
 MEMBERS = 5
 """Size of the ensemble on features of geometry, and number of validation folds of objects."""
@@ -99,7 +99,7 @@ class Variant:
 
     @property
     def epochs(self) -> int:
-        """Passes over the grasps, if nobody says; embeddings are read more slowly."""
+        """Default number of passes over the grasps; networks on embeddings need more."""
         return 20 if self.encoder == GEOMETRY else 60
 
 
@@ -108,8 +108,8 @@ class Prepared(NamedTuple):
 
     Attributes:
         learner: Network and inputs.
-        network, encoder, sweep: For the checkpoint.
-        frozen_from: The encoder's checkpoint, if it stays frozen.
+        network, encoder, sweep: Parts of the checkpoint.
+        frozen_from: Checkpoint of a frozen encoder; None for a trained one.
     """
 
     learner: Learner
@@ -121,14 +121,14 @@ class Prepared(NamedTuple):
 
 @dataclass(frozen=True)
 class Sources:
-    """Source of inputs.
+    """Sources of the inputs.
 
     Attributes:
-        cache: Folder of kept evidence.
-        sdf: Checkpoint of a reconstruction network; the bundled one where None.
-        robot: The robot's YAML; the bundled one where None.
-        jobs: Processes that fill the cache.
-        on_done: Called with the name of each file whose evidence was computed.
+        cache: Folder of cached evidence.
+        sdf: Checkpoint of a reconstruction network; the bundled one if None.
+        robot: YAML file of the robot; the bundled one if None.
+        jobs: Number of processes that fill the cache.
+        on_done: Called with the name of each file after its evidence was computed.
     """
 
     cache: Path
@@ -139,7 +139,7 @@ class Sources:
 
 
 def split_for(data: GraspData, variant: Variant, validation: float, seed: int) -> Split:
-    """The split that a variant trains with: folds for an ensemble, else a share that validates.
+    """Split for training a variant: folds for an ensemble, else a share for validation.
 
     Raises:
         InputError: Too few objects, or grasps of one label only.
@@ -152,7 +152,7 @@ def split_for(data: GraspData, variant: Variant, validation: float, seed: int) -
 def prepare(
     data: GraspData, split: Split, variant: Variant, sources: Sources, seed: int
 ) -> Prepared:
-    """A fresh network with the inputs of all grasps.
+    """Prepare an untrained network with the inputs of all grasps.
 
     Raises:
         InputError: The reconstruction network is missing or of the wrong kind.
@@ -186,13 +186,13 @@ def prepare(
 def prepare_trained(
     path: Path, data: GraspData, sources: Sources
 ) -> tuple[Learner, GraspPrior, dict[str, Any]]:
-    """A trained checkpoint with the inputs of all grasps, its prior and its config.
+    """Prepare a trained checkpoint with the inputs of all grasps, its prior and its config.
 
     Raises:
         InputError: As `read_grasp_checkpoint`.
     """
     robot = load_robot(sources.robot)
-    # With several checkpoints in a row, --sdf is for those that were trained with it.
+    # Of several checkpoints, --sdf applies to those that were trained with it.
     wanted = read_config(path).get("encoder", {}).get("sha256")
     sdf = sources.sdf if sources.sdf and weights_hash(sources.sdf) == wanted else None
     parts = read_grasp_checkpoint(path, sdf, robot)
@@ -225,8 +225,8 @@ def places_of(data: GraspData, robot: RobotDescription) -> list[ObjectPlace]:
 
 
 def prior_of(data: GraspData, robot: RobotDescription) -> GraspPrior:
-    """The prior of what held among grasps that are not held out; of all of a kind of which too few
-    held, which stays as rare a kind as it holds.
+    """Fit the prior to the successful grasps of training objects; to all grasps of a kind with too
+    few successes, with the kind's share of the successes as its weight.
 
     Fitted to successes it is likelier on held-out successes than fitted to all attempts
     (docs/notebook.md), and its samples hold more often.
@@ -247,7 +247,7 @@ def prior_of(data: GraspData, robot: RobotDescription) -> GraspPrior:
         data.kind[rows],
         [places[row] for row in rows],
         robot.preshape_ranges,
-        # Of the data as it is where nothing holds often enough to be learned from.
+        # Fit to all grasps if no kind has enough successes.
         np.maximum(counts, 1) if (counts >= FEWEST).any() else None,
     )
 

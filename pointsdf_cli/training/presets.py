@@ -1,4 +1,4 @@
-"""The settings that `train-sdf` starts from for each model and preset."""
+"""Default settings of `train-sdf` for each model and preset."""
 
 from __future__ import annotations
 
@@ -55,5 +55,5 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
 
 
 def paper_steps(views: int, batch_size: int) -> int:
-    """Steps in which batches of clouds are `PAPER_EPOCHS` times all views to train on."""
+    """Number of steps in `PAPER_EPOCHS` epochs."""
     return max(1, PAPER_EPOCHS * views // batch_size)

@@ -1,7 +1,7 @@
-"""Checks of a training state before a run carries on from it.
+"""Checks of a training state before a run resumes from it.
 
 A state is read without running code (`io/checkpoints.py`), but it may be damaged, of another run or
-of other data, and torch answers that in many ways, some of them steps later.
+of other data, and torch fails at that in many ways, sometimes steps later.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.shape_model import ShapeModel
 
 LATER = ("steps", "minutes", "validate_every")
-"""Settings that a longer run of the same kind may change: they decide the schedule from here on."""
+"""Settings that a resumed run may change: they only affect the remaining schedule."""
 _ADAM = {"step", "exp_avg", "exp_avg_sq"}
 
 
 @contextmanager
 def sense_of_state(where: Path | str | None = None) -> Iterator[None]:
-    """For the lines that put a state back.
+    """Context for restoring a state: turns its failures into one error.
 
     Raises:
-        InputError: It lacks something, or holds what does not fit the run.
+        InputError: The state is incomplete, or does not fit the run.
     """
     senseless = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError)
     try:
@@ -45,12 +45,12 @@ def sense_of_state(where: Path | str | None = None) -> Iterator[None]:
 def progress_of(
     state: Mapping[str, Any], counted: str, judged_by: str
 ) -> tuple[int, float, list[dict[str, float]]]:
-    """Steps or epochs done, seconds spent, and one entry a validation.
+    """Number of steps or epochs done, seconds spent, and one entry per validation.
 
     Args:
         state: The state.
         counted: "step" or "epoch".
-        judged_by: Name of the number in each entry by which the best is chosen.
+        judged_by: Name of the entries' criterion for the best.
 
     Raises:
         TypeError, ValueError, KeyError: A value is missing, of another kind or not finite.
@@ -88,12 +88,12 @@ def put_back_optimiser(optimiser: torch.optim.Optimizer, state: Mapping[str, Any
 def require_same_run(
     state: Mapping[str, Any], model: ShapeModel, config: Mapping[str, Any], out: Path | str
 ) -> None:
-    """Refuse to carry on the training of a reconstruction with another model or other numbers.
+    """Refuse to resume the training of a reconstruction with another model or other settings.
 
     Raises:
         InputError: The settings that differ, with both values.
     """
-    # An argument that is newer than the run had its default.
+    # An argument that is missing in the run had its default.
     parameters = inspect.signature(type(model)).parameters.values()
     defaults = {p.name: _plain(p.default) for p in parameters if p.default is not p.empty}
     arguments = {**defaults, **state.get("arguments", {})}
@@ -122,12 +122,12 @@ def require_same_data(state: Mapping[str, Any], learned_from: str, out: Path | s
             "was trained on other data, or with another part of it held out",
             where=out,
             hint="give the same --views, --labels, --held-out and --views-per-object as before, or "
-            "begin anew with another --out",
+            "start again with another --out",
         )
 
 
 def _kinds(group: Mapping[str, Any]) -> dict[str, object]:
-    """The kind of each setting of a group of weights."""
+    """Type of each setting of a parameter group."""
 
     def kind(value: object) -> object:
         if isinstance(value, tuple | list):

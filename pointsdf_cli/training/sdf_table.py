@@ -51,8 +51,8 @@ class Statistic(NamedTuple):
     """One metric of one method.
 
     Attributes:
-        mean, deviation, median: Over views.
-        low, high: 95% interval of the mean, from drawing objects with replacement.
+        mean, deviation, median: Statistics over views.
+        low, high: 95% bootstrap interval of the mean, over objects.
     """
 
     mean: float
@@ -65,7 +65,7 @@ class Statistic(NamedTuple):
 def summarise(scored: Sequence[ScoredView], seed: int = 0) -> dict[str, Any]:
     """Each method's statistics: {method: {metric: {...}, views, objects, failures}}.
 
-    The interval draws whole objects, because ten views of one mug are not ten independent trials.
+    Intervals resample whole objects, because views of one object are not independent.
     """
     table = {}
     for method in dict.fromkeys(view.method for view in scored):
@@ -104,7 +104,7 @@ def statistic(values: NDArray[np.float64], groups: NDArray[np.integer], seed: in
 
 
 def table_lines(table: dict[str, Any], beside: str | None = None) -> list[str]:
-    """The table as aligned text, with the published rows of a data set where it is named."""
+    """The table as aligned text, with the published rows of the data set `beside`."""
     head = ("method", "IoU", "median", "95%", "Chamfer-L1 [mm]", "95%", "normals", "95%", "failed")
     rows = [head]
     for method, entry in table.items():

@@ -1,4 +1,4 @@
-"""Other objects around the target of a trial: where they stand, and whether they still do."""
+"""Clutter in trials: placement of other objects around the target, and their disturbance."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ Standing = tuple[SimObject, Array]
 
 POSE_TRIES, PLACE_TRIES = 12, 2000
 OUTLINE_STEP = 0.004
-"""Outlines are compared at points so far apart [m]."""
+"""Spacing of the points at which outlines are compared [m]."""
 
 
 @dataclass(frozen=True)
 class ClutterConfig:
-    """Distribution of the other objects, and what counts as disturbing them.
+    """Distribution of the other objects, and limits of disturbance.
 
     Attributes:
-        gap: Range of the level distance between the target's outline and a neighbour's [m]; two
-            neighbours keep the lower one.
-        low, high: Corners of the part of the table that they stand on [m].
+        gap: Range of the horizontal distance between the outlines of target and neighbour [m]; two
+            neighbours keep the lower bound.
+        low, high: Corners of their region on the table [m].
         standing: Distribution of their poses.
-        settling: When they rest.
-        moved: Largest displacement [m] of the centre of mass that is no disturbance.
-        tilted: Largest tilt [rad] that is none.
+        settling: Criteria of rest.
+        moved: Largest allowed displacement of a centre of mass [m].
+        tilted: Largest allowed tilt [rad].
     """
 
     gap: tuple[float, float] = (0.03, 0.12)
@@ -67,7 +67,7 @@ class Disturbance(NamedTuple):
     """Movement of the other objects.
 
     Attributes:
-        disturbed: One moved or tilted by more than is allowed.
+        disturbed: Whether one moved or tilted by more than is allowed.
         largest_move: Largest displacement of a centre of mass [m].
     """
 
@@ -85,7 +85,7 @@ def place_neighbours(
     """The neighbours of a trial, at rest: the same for all views and variants of a scene.
 
     Raises:
-        InputError: One cannot be used, never rests, or finds no room.
+        InputError: One cannot be used, never rests, or finds no free place.
     """
     if not trial.others:
         return []
@@ -109,7 +109,7 @@ def place_neighbours(
                 break
         else:
             raise InputError(
-                "there is no room beside the target", where=other.name, hint="a smaller --clutter"
+                "no free place beside the target", where=other.name, hint="lower --clutter"
             )
     return found
 
@@ -138,8 +138,8 @@ def level_corners(item: SimObject, T_world_object: Array) -> Array:
 
 
 def turned(corners: Array, yaw: float, place: Array) -> Array:
-    """Corners [C, 2] turned about the vertical, the middle of their box at `place` [2], as `placed`
-    does it."""
+    """Corners [C, 2] rotated about the vertical, with the centre of their box at `place` [2], as in
+    `placed`."""
     c, s = np.cos(yaw), np.sin(yaw)
     level = corners @ np.array([[c, s], [-s, c]])
     return level + place - (level.min(axis=0) + level.max(axis=0)) / 2
@@ -156,7 +156,7 @@ def along(corners: Array) -> Array:
 
 
 def level_gap(one: Array, other: Array) -> float:
-    """Distance [m] between two outlines [N, 2] and [M, 2]; 0 where they overlap."""
+    """Distance [m] between two outlines [N, 2] and [M, 2]; 0 if they overlap."""
     for inner, outer in ((one, other), (other, one)):
         sides = ConvexHull(outer).equations
         if (inner @ sides[:, :2].T + sides[:, 2] <= 0).all(axis=1).any():
@@ -171,10 +171,10 @@ def look(
     T_world_camera: Array,
     rng: np.random.Generator,
 ) -> tuple[View, TableTop | None]:
-    """The target's view, without points where it is not seen, and the table top around it.
+    """View of the target, empty if it is not seen, and the table top around it.
 
-    In clutter the scene is read as `rgrasp plan` reads a depth image. A target that stands alone is
-    segmented as in the collection of grasps, and no table top is returned.
+    In clutter the scene is segmented as by `rgrasp plan`. A target that stands alone is segmented
+    as in the collection of grasps, without a table top.
 
     Args:
         observer: The camera.
@@ -202,13 +202,12 @@ def look(
 def target_number(
     cloud: Cloud, standing: Sequence[Standing], robot: RobotDescription
 ) -> int | None:
-    """The target's number as `rgrasp segment` lists it; None where it is not seen.
+    """The target's number in the list of `rgrasp segment`; None if it is not seen.
 
-    Of the listed things it is the one that holds most of the points that the true target is
-    nearest to.
+    It is the listed object with most of the points nearest to the true target.
 
     Args:
-        cloud: The camera's.
+        cloud: The camera's cloud.
         standing: The true objects, the target first.
         robot: The robot, at home.
     """
@@ -245,10 +244,10 @@ def _away(points: Array, standing: Standing) -> Array:
 def disturbance(
     before: Sequence[Standing], after: Sequence[Array], config: ClutterConfig
 ) -> Disturbance:
-    """Whether the neighbours still stand where they stood.
+    """Measure the movement of the neighbours.
 
     Args:
-        before: The neighbours as they were placed.
+        before: The neighbours as placed.
         after: T_world_object [4, 4] of each at the end.
         config: Limits of movement and tilt.
     """
@@ -265,8 +264,8 @@ def disturbance(
 def with_others(
     row: TrialRow, before: Sequence[Standing], after: Sequence[Array], config: ClutterConfig
 ) -> TrialRow:
-    """A trial's row with what became of the other objects; `after` is empty where nothing was
-    executed."""
+    """A trial's row with the movement of the other objects; `after` is empty without an
+    execution."""
     row = replace(row, clutter=len(before))
     if not after:
         return row

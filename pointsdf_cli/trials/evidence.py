@@ -1,4 +1,4 @@
-"""Evidence of a trial: the arrays that its picture is drawn from."""
+"""Evidence of a trial: the data of its picture."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ def evidence_of(
     Args:
         cloud: [N, 3], the target's seen points, world, m.
         T_world_camera, T_world_object: [4, 4].
-        believed: The target's surface as the planner took it.
-        plan, executed: None where there are none.
-        home: [J], where the robot waits.
+        believed: The target's surface in the planner.
+        plan, executed: Plan and execution; None without them.
+        home: [J], home configuration of the robot.
         T_world_others: [4, 4] of each other object.
-        obstacles: The same objects as the planner took them.
+        obstacles: The other objects in the planner.
     """
     nothing = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32)
     vertices, faces = _few_faces(*(nothing if believed is None else believed))

@@ -1,4 +1,4 @@
-"""A planned motion and grasp carried out with contacts, as the robot would."""
+"""Execution of a planned motion and grasp in simulation, with contacts."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Executed:
     Attributes:
         outcome: Outcome of closing, lifting, holding and pushing; None if the arm could not lift
             from there.
-        contact: The robot touched the object before the hand closed.
-        moved: Distance that the object had moved by then [m].
-        lag: Farthest that a joint was from where it should have been when the hand closed [rad].
-        moments: The end of each phase, in order.
+        contact: Whether the robot touched the object before the hand closed.
+        moved: Displacement of the object by then [m].
+        lag: Largest position error of a joint when the hand closed [rad].
+        moments: The last moment of each phase, in order.
     """
 
     outcome: Outcome | None
@@ -55,13 +55,13 @@ def execute_plan(
 ) -> Executed:
     """Follow a timed trajectory to a grasp, then close, grip, lift, hold, push and judge.
 
-    The object is free all the while: what the robot bumps into moves.
+    The object is free throughout: contacts move it.
 
     Args:
-        world: Is built anew.
-        item, T_world_object: The true object and where it stands [4, 4].
-        trajectory: [T, J], from where the robot waits to the grasp.
-        times: [T] s, when each is reached.
+        world: World to rebuild.
+        item, T_world_object: The true object and its pose [4, 4].
+        trajectory: [T, J], from home to the grasp.
+        times: [T], time of each configuration, s.
         config: As in the collection of grasps.
         watch: Called after every step.
         others: Further free objects, each with its T_world_object [4, 4].
@@ -86,7 +86,8 @@ def execute_plan(
 
 
 def _follow(world: World, trajectory: Array, times: Array, last: _Last) -> tuple[bool, float]:
-    """Drive all joints along the trajectory; whether the object was touched, and the final lag."""
+    """Drive all joints along the trajectory; returns whether the object was touched, and the final
+    lag."""
     robot = world.robot
     columns = np.arange(len(robot.joint_names))
     steps = max(1, round(float(times[-1] - times[0]) / world.physics.step))
@@ -105,11 +106,11 @@ def _follow(world: World, trajectory: Array, times: Array, last: _Last) -> tuple
 
 
 REST = 0.3
-"""Time that the arm is given to come to rest before the hand closes [s]."""
+"""Time for the arm to come to rest before the hand closes [s]."""
 
 
 class _Last:
-    """Keeps the last moment of every phase."""
+    """Recorder of the last moment of every phase."""
 
     def __init__(self, watch: Watch | None) -> None:
         self._watch = watch

@@ -23,7 +23,7 @@ OTHER_COLOUR = (0.72, 0.55, 0.55)
 CLOUD_COLOUR = (0.15, 0.35, 0.80)
 SIZE = (260, 230)
 POINT = 0.0022
-"""Half the side of the cubes that points are drawn as [m]."""
+"""Half the side of the cubes that represent points [m]."""
 
 Image = NDArray[np.uint8]
 
@@ -34,11 +34,11 @@ def trial_strip(
     evidence: Evidence,
     others: Sequence[LoadedMesh] = (),
 ) -> Image:
-    """Five pictures side by side [height, width, 3].
+    """Draw five pictures side by side [height, width, 3].
 
-    The cloud on the true object as the camera stands; the believed surface (orange) with the true
-    object (green) from the robot's side; the planned grasp; the moment before the lift; the end.
-    Other objects, of the meshes `others`, are drawn where they are then, and as believed.
+    The cloud on the true object from the camera; the reconstruction (orange) with the true object
+    (green) from the robot's side; the planned grasp; the moment before the lift; the end. Other
+    objects, with the meshes `others`, are drawn at their poses then, and as reconstructed.
     """
     before = evidence.T_world_object[0]
     true = Painted(apply_transform(before, mesh.vertices), mesh.faces.astype(int), OBJECT_COLOUR)
@@ -127,7 +127,7 @@ def _shown(phases: tuple[str, ...]) -> list[int]:
 def _side_by_side(
     true: Painted, evidence: Evidence, eye: Array, target: Array, table: Painted
 ) -> Image:
-    """Belief and truth, one above the other half through: the belief cut where it is nearer."""
+    """Reconstruction and truth in one picture; the reconstruction is half transparent."""
     width, height = SIZE
     camera = look_at(eye, target)
     parts = [table, true]

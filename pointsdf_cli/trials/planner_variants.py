@@ -58,9 +58,9 @@ class VariantOptions:
         robot: YAML file; the bundled robot if None.
         checkpoint: Reconstruction network; the bundled one if None.
         grasp_checkpoint: Success network of the method "reconstruction"; the bundled one if None.
-        clearance: Least distance of the robot to the object as the variant knows it [m].
-        margin: Distance to it that is kept where it can be [m].
-        rehearse: Grasps of a round that are rehearsed; 0 for none.
+        clearance: Least distance of the robot to the object in the variant's model [m].
+        margin: Preferred distance to it [m].
+        rehearse: Number of grasps of a round to rehearse; 0 for none.
         device: Device of the networks.
     """
 
@@ -78,13 +78,13 @@ def plan_options(variant: PlannerVariant, options: VariantOptions) -> PlanOption
     """Planning options of a variant.
 
     Raises:
-        InputError: An option that cannot be.
+        InputError: An option is invalid.
     """
     checkpoint = options.checkpoint
     if variant.ablation.startswith(protocol.CHECKPOINT):
         checkpoint = Path(variant.ablation.removeprefix(protocol.CHECKPOINT))
-    # The baseline is what it is: the weights that are tried out are the reconstruction method's.
-    # Of another robot there is one success network, which then both share.
+    # Checkpoint options apply to the reconstruction method, not to the baseline. For another robot
+    # there is one success network, which both share.
     reconstructs = variant.method == protocol.RECONSTRUCTION
     own_network = reconstructs or options.robot is not None
     return PlanOptions(
@@ -101,7 +101,7 @@ def plan_options(variant: PlannerVariant, options: VariantOptions) -> PlanOption
 
 @functools.cache
 def weights_of(variant: PlannerVariant, options: VariantOptions) -> str:
-    """A check sum of all checkpoints that could have a say: trials with others are other trials."""
+    """Checksum of all checkpoints that affect a trial."""
     total = hashlib.sha256()
     asked = plan_options(variant, options)
     folders = [asked.checkpoint, asked.grasp_checkpoint, *sorted(asset_path("weights").iterdir())]
@@ -114,7 +114,7 @@ def weights_of(variant: PlannerVariant, options: VariantOptions) -> str:
 
 
 def check_variant(variant: PlannerVariant, options: VariantOptions) -> None:
-    """Refuse variants that no trial could run with, before the first trial.
+    """Refuse unusable variants before the first trial.
 
     Raises:
         InputError: An unknown solver, or a checkpoint that cannot be read.
@@ -179,9 +179,9 @@ class TrialPlanner:
 
         Args:
             view: The segmented object.
-            truth: The object's true surface in the world; only the oracle asks.
+            truth: Function that returns the object's true surface in the world, for the oracle.
             seed: Random seed.
-            environment: From `surroundings`; the table alone if None.
+            environment: Result of `surroundings`; the table alone if None.
         """
         field: Field | Literal["none"] | None = None
         surface: Surface | None = None
@@ -200,12 +200,13 @@ class TrialPlanner:
         return planner.plan_seen(perceived, environment, seed=seed)
 
     def surroundings(self, seen: TableTop, seed: int) -> Environment:
-        """The table and everything that was seen on it beside the object, as the variant knows it:
-        reconstructions, or hulls for a variant without a network of shapes."""
+        """The table and the other observed objects: reconstructions, or hulls for a variant without
+        a reconstruction network."""
         return Environment(seen_obstacles(seen, self._planner.shape, seed=seed)[0])
 
     def believed(self, answer: Answer, points: Array) -> Surface | None:
-        """The surface that the variant believed in, for pictures; points [N, 3] in the world."""
+        """Surface of the object in the variant's model, for pictures; points [N, 3] in the
+        world."""
         if isinstance(answer, RehearsedAnswer) and answer.surface is not None:
             return answer.surface
         if self.variant.method == protocol.PARTIAL_VIEW:
@@ -217,7 +218,7 @@ class TrialPlanner:
 
 
 class Indifferent:
-    """A success network that finds all grasps equally good; its prior is kept."""
+    """A success network with a constant score; its prior is kept."""
 
     def __init__(self, model: SuccessModel) -> None:
         self._model = model

@@ -1,8 +1,7 @@
 """List of trials: objects × yaws × repeats × cameras × variants (the paper, section V-C).
 
-Both variants of a pair meet the same object in the same place, seen by the same camera with the
-same noise. Everything is drawn from (seed, object, repeat, yaw, camera), never from the order in
-which trials run.
+Both variants of a pair have the same object at the same pose, camera and noise. All random numbers
+depend on (seed, object, repeat, yaw, camera) only, not on the order of the trials.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ YCB_NAMES = {
     "pringles": ("001_",),
     "pitcher": ("019_",),
 }
-"""The paper's objects that are in YCB, by how their names begin; the other two are stand-ins."""
+"""Beginnings of the YCB names of the paper's objects; the other two are stand-ins."""
 
 PUBLISHED = {
     RECONSTRUCTION: {"high": 0.50, "low": 0.42, "all": 0.48},
@@ -48,9 +47,9 @@ class TrialObject:
 
     Attributes:
         name: Name in the results.
-        mesh: Its file; None for the stand-in of that name.
-        upright: Whether the mesh's z axis is known to be up: YCB is scanned upright, as stand-ins
-            are made. Other meshes may lie in any way.
+        mesh: Mesh file; None for the stand-in of that name.
+        upright: Whether the mesh's z axis is up, as in YCB and the stand-ins. Other meshes may have
+            any orientation.
     """
 
     name: str
@@ -60,7 +59,7 @@ class TrialObject:
 
 @dataclass(frozen=True)
 class PlannerVariant:
-    """A method, or one with something taken away or added.
+    """A method, or an ablation of it.
 
     Attributes:
         method: One of `METHODS`.
@@ -85,7 +84,7 @@ class PlannerVariant:
 
     @property
     def name(self) -> str:
-        """For people: the method, with the ablation behind a slash."""
+        """Name for people: the method, with the ablation after a slash."""
         return f"{self.method}/{self.ablation}" if self.ablation else self.method
 
 
@@ -120,7 +119,7 @@ class Trial:
 
     @property
     def scene_name(self) -> str:
-        """The object in its place."""
+        """Name of the scene: the object and its pose."""
         return f"{self.object.name}_yaw{self.yaw_index}_repeat{self.repeat}"
 
     @property
@@ -133,13 +132,13 @@ class Trial:
         """Name of this trial's file."""
         variant = self.variant.name.replace("/", "+")
         if self.variant.ablation.startswith(CHECKPOINT):
-            # A path is no part of a file name; its check sum tells two apart.
+            # A checksum, as a path cannot be part of a file name.
             variant = f"{self.variant.method}+checkpoint-{zlib.crc32(variant.encode()):08x}"
         return f"{self.pair_name}_{variant}"
 
     def rng(self, of: str) -> np.random.Generator:
-        """Randomness that belongs to "pose" (object and repeat), "scene", its "others" and
-        where they stand ("clutter"), or "view"."""
+        """Random generator of "pose" (object and repeat), "scene", "others" (which), "clutter"
+        (their poses) or "view"."""
         names = {
             "pose": f"{self.object.name} {self.repeat}",
             "scene": self.scene_name,
@@ -157,10 +156,10 @@ def choose_objects(
 
     Args:
         meshes: A folder of meshes, or one mesh; None for the eight stand-ins.
-        objects: "eight" for the paper's, of the folder where it has them; "all" for every mesh of
-            the folder; "others" for all but the paper's; "auto" for the eight if the folder holds
-            any of the paper's, else all; or names with commas.
-        pattern: Only meshes whose file name matches.
+        objects: "eight" for the paper's, from the folder if it has them; "all" for every mesh of
+            the folder; "others" for all but the paper's; "auto" for the eight if the folder has any
+            of the paper's, else all; or names separated by commas.
+        pattern: Only meshes with a matching file name.
 
     Raises:
         InputError: No such folder or object.
@@ -183,7 +182,7 @@ def choose_objects(
     if objects in ("all", "others"):
         return _distinct(every)
     known = {name: TrialObject(name, by_paper.get(name), upright=True) for name in STAND_INS}
-    known |= {item.name: item for item in every}  # a file of that very name is what was meant
+    known |= {item.name: item for item in every}  # a file of exactly that name takes precedence
     named = objects.split(",")
     _distinct([item for item in every if item.name in named])
     chosen = []
@@ -212,8 +211,8 @@ def make_trials(
 
     Args:
         objects, variants, yaws, cameras, repeats, seed: The experiment.
-        clutter: Number of other objects around each, drawn anew for each scene.
-        pool: Objects that they are drawn from; never the target itself.
+        clutter: Number of other objects around each, drawn for each scene.
+        pool: Objects to draw them from; the target itself is excluded.
 
     Raises:
         InputError: No yaw, repeat or variant, an unknown camera, or a pool that is too small.
@@ -248,7 +247,7 @@ def _others(trial: Trial, count: int, pool: Sequence[TrialObject]) -> tuple[Tria
     """Objects of the pool to stand around the target.
 
     Raises:
-        InputError: There are not so many.
+        InputError: The pool is too small.
     """
     target = trial.object
     free = [

@@ -1,8 +1,8 @@
-"""Planning that tries its grasps out on the reconstructed object before one is taken.
+"""Planner that rehearses its grasps on the reconstructed object before it chooses one.
 
-`GraspPlanner` stops at the first round of seeds in which a grasp is accepted. Here the accepted
-grasps of a round are rehearsed; if none holds often enough, another round is drawn, and the best of
-all rounds is taken in the end, whatever it promises.
+`GraspPlanner` stops at the first round of seeds with an accepted grasp. Here the accepted grasps of
+a round are rehearsed; if none holds often enough, another round follows, and finally the best grasp
+of all rounds is chosen.
 """
 
 from __future__ import annotations
@@ -55,17 +55,16 @@ class RehearsedPlannerConfig:
     """Effort of the search.
 
     Attributes:
-        count: Grasps of a round that are rehearsed, the best by the objective.
-        enough: A grasp that holds in this share of its rehearsals ends the search.
-        slack: Among equally good grasps, those that keep this distance [m] to the object until the
-            hand closes are rehearsed first: the unseen side may be nearer than predicted.
-        resampled_views: Further samples of the cloud's points that are completed and checked. A
+        count: Number of grasps of a round to rehearse, the best by the objective.
+        enough: Share of rehearsals in which a grasp must hold to end the search.
+        slack: Distance [m] to the object; of equally good grasps, those that keep it until the hand
+            closes are rehearsed first, because the unseen side may be nearer than predicted.
+        resampled_views: Number of further samples of the cloud for the resampled-view check. A
             grasp that violates the clearance in any of them never ends the search.
-        most_motions: Grasps to which motions are looked for.
+        most_motions: Largest number of grasps for which motions are searched.
         resolution: Cells along the network's box for the surface to rehearse on.
-        rehearsal: See there.
-        execution: Execution of grasps; rehearsals use the same, shaking included, but
-            neither hold nor push.
+        rehearsal: Disturbances.
+        execution: Execution of grasps; rehearsals use it without hold and pushes.
     """
 
     count: int = 12
@@ -78,9 +77,8 @@ class RehearsedPlannerConfig:
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
 
     def as_dict(self) -> dict[str, Any]:
-        """Settings for `config_json`, under the trials artifact's keys."""
-        keys = {"slack": "room", "resampled_views": "redraws"}
-        return {keys.get(key, key): value for key, value in asdict(self).items()}
+        """Settings for `config_json`."""
+        return asdict(self)
 
     def __post_init__(self) -> None:
         if self.count < 1 or not 0 <= self.enough <= 1:
@@ -89,7 +87,7 @@ class RehearsedPlannerConfig:
 
 @dataclass(frozen=True)
 class RehearsedAnswer(Answer):
-    """A plan, and how its grasp did.
+    """An answer with the rehearsal of its grasp.
 
     Attributes:
         rehearsed: Rehearsal of the chosen grasp; None without one.
@@ -104,15 +102,14 @@ CONTRADICTED = 0.5
 """Factor on the rehearsed score of a grasp that the resampled-view check rejects."""
 
 REHEARSED_SEARCH = SynthesisConfig(rounds=5, seeds=SeedConfig(palms=40, seeds=12))
-"""More grasps a round than the paper's search needs: a rehearsal tells them apart."""
+"""Number of grasps per round: more than in the paper, because rehearsals distinguish them."""
 
 
 class RehearsedPlanner(GraspPlanner):
-    """A `GraspPlanner` whose grasps are rehearsed before motions are looked for.
+    """A `GraspPlanner` that rehearses grasps before it searches motions.
 
     Args:
-        options: Options with the method "reconstruction": partial views enclose nothing to rehearse
-            on.
+        options: Options with the method "reconstruction": partial views have no closed surface.
         grasps: The success network to use instead of a checkpoint's.
         config: Effort of the search.
 
@@ -133,7 +130,7 @@ class RehearsedPlanner(GraspPlanner):
                 where="--rehearse",
                 allowed=f"the method {RECONSTRUCTION}",
             )
-        # A rehearsal may like what the score does not: all seeds are solved to the end.
+        # All seeds are solved to the end: a rehearsal may prefer a grasp with a worse score.
         search = replace(REHEARSED_SEARCH, acceptance=options.synthesis.acceptance)
         self.config = config or RehearsedPlannerConfig()
         options = replace(
@@ -156,18 +153,19 @@ class RehearsedPlanner(GraspPlanner):
         stop: StopCondition | None = None,
         surface: Surface | None = None,
     ) -> Answer:
-        """Plan like `GraspPlanner.plan_seen`; the answer is a `RehearsedAnswer`.
+        """Plan as `GraspPlanner.plan_seen` does; the answer is a `RehearsedAnswer`.
 
         Args:
             perceived, environment, start, seed: As in `GraspPlanner.plan_seen`.
             rank, stop: Must be None: rehearsals decide.
-            surface: To rehearse on, world frame, instead of the reconstruction's: the oracle.
+            surface: Surface to rehearse on instead of the reconstruction's, world frame, for the
+                oracle.
         """
         if rank is not None or stop is not None:
             raise ValueError("rehearsals rank the grasps themselves")
         if environment is not None and not environment.table:
             raise InputError(
-                "a rehearsal puts the object on the table, and there is none",
+                "a rehearsal needs a table",
                 where="--rehearse",
                 allowed="an environment with `table: true`",
                 hint="leave --rehearse out",
@@ -218,7 +216,7 @@ class _Pool:
         self.seconds = 0.0
 
     def stop(self, new: list[Candidate]) -> bool:
-        """Rehearse the candidates of a round; whether any holds often enough."""
+        """Rehearse the candidates of a round; True if one holds often enough."""
         began = time.perf_counter()
         contradicted = self._are_contradicted(new)
         order = promising_first(new, self._least_slack, contradicted)[: self._config.count]
@@ -237,11 +235,11 @@ class _Pool:
         )
 
     def ranked(self, accepted: list[Candidate]) -> list[Candidate]:
-        """The best candidates of all rounds, best first; those not rehearsed come last.
+        """The best few candidates of all rounds, best first; unrehearsed ones come last.
 
-        No more than a few: if there is no motion to them, there hardly is one to the others.
+        If these have no motion, the others hardly will.
         """
-        if not self._candidates and accepted:  # for want of better ones
+        if not self._candidates and accepted:  # nothing was rehearsed
             self.stop(accepted)
         chances = [CONTRADICTED if one else 1.0 for one in self._contradicted]
         order = [self._candidates[k] for k in best_first(self._tried, chances)]
@@ -272,7 +270,7 @@ def promising_first(
 def believed_surface(
     reconstruction: Reconstruction, resolution: int = 64, fused: Field | None = None
 ) -> Surface | None:
-    """The reconstructed surface; None where the network sees no inside.
+    """The reconstructed surface; None if the network sees no inside.
 
     Args:
         reconstruction: Reconstruction of the first view.

@@ -1,4 +1,4 @@
-"""The report on an experiment: one HTML page that needs nothing else, and the same as Markdown."""
+"""Report on an experiment: one self-contained HTML page, and its tables as Markdown."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Table = tuple[str, Sequence[str], list[Sequence[object]]]
 
 
 def trial_tables(rows: Sequence[TrialRow]) -> list[Table]:
-    """Everything that the report says in numbers."""
+    """All tables of the report."""
     summaries = summarise(rows)
     tables = [_success(summaries), _verdicts(summaries), _tests(rows, summaries)]
     tables += [_plans(summaries), _contacts(summaries)]
@@ -44,11 +44,11 @@ def html_report(
     title: str,
     refused: Mapping[str, str] | None = None,
 ) -> str:
-    """The page.
+    """The HTML page.
 
     Args:
         rows: All trials.
-        pictures: Caption and PNG of every trial to show.
+        pictures: Caption and PNG of each trial to show.
         title: Title of the page.
         refused: Objects that could not be used, with the reason.
     """
@@ -86,7 +86,7 @@ PICTURE_NOTE = (
 
 
 def success_figure(summaries: Sequence[Summary]) -> Figure:
-    """Bars by camera beside the published ones, and by object, with Wilson intervals."""
+    """Bar charts by camera, beside the published rates, and by object, with Wilson intervals."""
     objects = list(dict.fromkeys(item for s in summaries for item in s.by_object))[:24]
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(13, 3.8), width_ratios=(1, max(1.2, 0.18 * len(objects)))
@@ -154,13 +154,13 @@ def _verdicts(summaries: Sequence[Summary]) -> Table:
 
 
 def _published(method: str, cameras: Sequence[str]) -> dict[str, float]:
-    """The paper's rates of a method by camera; "all", the mean of both, where both were run."""
+    """The paper's rates of a method by camera; with both cameras also "all", their mean."""
     both = {"high", "low"} <= set(cameras)
     return {c: rate for c, rate in PUBLISHED[method].items() if both or c != "all"}
 
 
 def _whole_methods(summaries: Sequence[Summary]) -> list[str]:
-    """Methods that took part unchanged."""
+    """Methods without an ablation."""
     return [m for m in METHODS if any(s.method == m and not s.ablation for s in summaries)]
 
 

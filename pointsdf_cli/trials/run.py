@@ -1,4 +1,4 @@
-"""One trial from the object in its place to the verdict, and one process's share of trials."""
+"""Run of one trial, from the placed object to the verdict, and task of a worker process."""
 
 from __future__ import annotations
 
@@ -72,11 +72,12 @@ KEPT_OBJECTS = 32
 
 @dataclass(frozen=True)
 class TrialConfig:
-    """Everything that decides outcomes but the trial itself.
+    """Settings of all trials of an experiment.
 
     Attributes:
-        sensor: Name in `SENSORS` of what measures the depth.
-        clutter: Distribution of other objects; None where the target stands alone.
+        variants, scene, physics, execution: Settings of planners, scenes, simulation and execution.
+        sensor: Name of the depth sensor in `SENSORS`.
+        clutter: Distribution of other objects; None for a target that stands alone.
     """
 
     variants: VariantOptions = field(default_factory=VariantOptions)
@@ -92,7 +93,7 @@ class TrialConfig:
     def as_dict(self) -> dict[str, Any]:
         """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
         plain: dict[str, Any] = without_ideal(asdict(self))
-        options = plain["contenders"] = plain.pop("variants")  # key of the trials artifact
+        options = plain["variants"]
         if plain["clutter"] is None:
             del plain["clutter"]
         for name in ("robot", "checkpoint", "grasp_checkpoint"):
@@ -106,10 +107,10 @@ class TrialTask:
 
     Attributes:
         trial: The trial.
-        out: Its file.
+        out: Output file.
         config: Settings.
         film: Path of a film to write; None for none.
-        force: Do it again even if the file is there.
+        force: Replace an existing file.
     """
 
     trial: Trial
@@ -120,11 +121,11 @@ class TrialTask:
 
 
 class TrialRunner:
-    """Runs trials in one process; trial by trial the same, whoever runs it.
+    """Runner of trials in one process; a trial's result does not depend on the others.
 
     Args:
         config: Settings.
-        grasps: A success network to use instead of checkpoints.
+        grasps: Success network to use instead of checkpoints.
     """
 
     def __init__(self, config: TrialConfig, grasps: SuccessModel | None = None) -> None:
@@ -139,11 +140,11 @@ class TrialRunner:
         self._objects: OrderedDict[TrialObject, SimObject] = OrderedDict()
 
     def close(self) -> None:
-        """Leave the physics client."""
+        """Close the physics client."""
         self._world.close()
 
     def run(self, trial: Trial, recorder: Recorder | None = None) -> tuple[TrialRow, Evidence]:
-        """One trial.
+        """Run one trial.
 
         Raises:
             InputError: The mesh cannot be used, or the object never rests.
@@ -269,7 +270,7 @@ class TrialRunner:
 
 
 def run_trial_task(task: TrialTask) -> TrialRow | None:
-    """One trial into its file; None if the file is there already.
+    """Run one trial and write its file; None if the file exists already.
 
     Raises:
         InputError: The object cannot be used.
@@ -294,8 +295,7 @@ def run_trial_task(task: TrialTask) -> TrialRow | None:
 
 
 def require_same_options(tasks: list[TrialTask]) -> None:
-    """Require that existing files of these trials have the same options: other shards' work is
-    counted.
+    """Require the same options in existing files of these trials, which count too.
 
     Raises:
         OptionsDifferError: A file was made with other options.
@@ -306,7 +306,7 @@ def require_same_options(tasks: list[TrialTask]) -> None:
 
 
 def _options_of(task: TrialTask) -> dict[str, Any]:
-    """All that decides a trial's outcome."""
+    """All settings that determine a trial's outcome."""
     trial = task.trial
     config = task.config.as_dict() | {"seed": trial.seed, "yaws": trial.yaws, "trial": trial.name}
     config["weights"] = weights_of(trial.variant, task.config.variants)
@@ -317,16 +317,16 @@ def _options_of(task: TrialTask) -> dict[str, Any]:
         config["others"] = {
             one.name: "" if one.mesh is None else file_sha256(one.mesh) for one in trial.others
         }
-    config["contenders"] |= {"robot": robot_digest(task.config.variants.robot)}
+    config["variants"] |= {"robot": robot_digest(task.config.variants.robot)}
     return config
 
 
 def read_rows(tasks: list[TrialTask]) -> list[TrialRow]:
-    """The rows of all trials whose files are there, in the order of the tasks."""
+    """Rows of all trials with a file, in the order of the tasks."""
     return [read_trial(task.out)[0] for task in tasks if task.out.is_file()]
 
 
 @functools.lru_cache(maxsize=1)
 def _runner(config: TrialConfig) -> TrialRunner:
-    """One per process: networks and the physics client are kept."""
+    """The process's runner, cached with its networks and physics client."""
     return TrialRunner(config)

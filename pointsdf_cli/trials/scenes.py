@@ -1,7 +1,6 @@
-"""An object in its place on the table, and its view from one of the two cameras.
+"""Pose of the object on the table, and of the two cameras.
 
-The camera stands opposite the robot and looks back at it, so that the side which the hand comes
-from is the side that is not seen.
+The camera stands opposite the robot and looks at it, so the hand comes from the unseen side.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from pointsdf_cli.viz.shading import look_at
 
 POSE_TRIES = 12
 NEARLY_UPRIGHT = 0.09
-"""Resting poses within this [rad] of the model's z axis count as upright."""
+"""Largest tilt [rad] of the model's z axis in an upright resting pose."""
 TRUE_CUT = QuickCutConfig(
     most_pieces=64,
     close_enough=0.03,
@@ -40,9 +39,9 @@ TRUE_CUT = QuickCutConfig(
     most_faces=3000,
 )
 """Decomposition of the true object for contacts: nine tenths of the hulls' surface are less than 2
-mm outside of the mesh. With the sixteen pieces of the collection a biplane's wings are one block
-(docs/notebook.md). What is convex but for a scanner's noise stays one piece: cut in twenty, a can
-slid out of every grasp, since each seam is two more contacts for a solver of few iterations."""
+mm outside the mesh. With the sixteen pieces of the collection a biplane's wings are one block
+(docs/notebook.md). Shapes that are convex apart from scanner noise stay one piece: cut in twenty, a
+can slid out of every grasp, since each seam adds two contacts for a solver of few iterations."""
 
 
 @dataclass(frozen=True)
@@ -50,16 +49,16 @@ class SceneConfig:
     """Poses of the camera and the table.
 
     Attributes:
-        place: Place of the object [m].
-        place_spread: Standard deviation of that, level [m].
-        camera_distance: Level, from the object to the camera [m].
-        azimuth: The camera stands within this [rad] of straight opposite the robot.
-        look_height: It looks at the object at this height [m].
-        lowest: An object that is lower than this [m] as modelled is stood on its side.
+        place: Mean position of the object [m].
+        place_spread: Standard deviation of its horizontal position [m].
+        camera_distance: Horizontal distance from the object to the camera [m].
+        azimuth: Largest angle of the camera from opposite the robot [rad].
+        look_height: Height above the table of the point that it looks at [m].
+        lowest: Height below which an upright object is laid on its side [m].
         cut: Decomposition of the object into convex pieces.
-        masses: Estimate of the object's mass where none is published.
-        standing: As in the collection of grasps, but what can stand always does.
-        settling: When an object rests.
+        masses: Estimate of the object's mass if none is published.
+        standing: Distribution of poses: objects that can stand always do.
+        settling: Criteria of rest.
     """
 
     place: tuple[float, float] = (0.60, 0.0)
@@ -75,7 +74,7 @@ class SceneConfig:
 
 
 def load_object(item: TrialObject, config: SceneConfig) -> SimObject:
-    """The object ready to be placed.
+    """Load and prepare an object.
 
     Raises:
         InputError: Its mesh cannot be used.
@@ -97,7 +96,7 @@ def object_mesh(item: TrialObject) -> LoadedMesh:
 
 
 def hash_of(*arrays: NDArray[np.generic]) -> str:
-    """A check sum of arrays, the same in every process."""
+    """Checksum of arrays, equal in every process."""
     total = hashlib.sha256()
     for array in arrays:
         total.update(np.ascontiguousarray(array).tobytes())
@@ -107,10 +106,10 @@ def hash_of(*arrays: NDArray[np.generic]) -> str:
 def place_object(
     world: World, item: SimObject, trial: Trial, config: SceneConfig
 ) -> tuple[SimObject, Array, float]:
-    """The object with a foot to stand on, T_world_object [4, 4] of a trial and its yaw [rad]; the
-    same for all views and variants.
+    """Place the object of a trial: the object with a foot, T_world_object [4, 4] and yaw [rad];
+    equal for all views and variants.
 
-    Yaws of one repeat are evenly spaced from an offset that is drawn for the repeat.
+    Yaws of one repeat are evenly spaced from a random offset.
 
     Raises:
         InputError: The object never comes to rest.
@@ -135,15 +134,15 @@ def place_object(
 
 
 def upright_pose(item: SimObject, config: SceneConfig) -> StablePose:
-    """The firm pose nearest to how the mesh is modelled, z up, or the tallest firm one if that is
-    too low to be grasped from the side."""
+    """The firm pose nearest to z up, or the tallest firm one if that is too low for a side
+    grasp."""
     firm = [pose for pose in item.poses if pose.margin >= config.standing.firm] or item.poses
     upright = max(firm, key=lambda pose: pose.T_table_object[2, 2])
     if upright.height < config.lowest:
         return max(firm, key=lambda pose: pose.height)
     if upright.T_table_object[2, 2] < np.cos(NEARLY_UPRIGHT):
         return upright
-    # A scan's bottom is not flat, and its resting poses lean: it stands upright on its foot.
+    # Upright on a flat foot: a scan's bottom is not flat, so its resting poses lean.
     middle = item.T_mesh_body[:3, 3]
     lowest = item.mesh.vertices[:, 2].min()
     return replace(upright, T_table_object=transform(np.eye(3), [-middle[0], -middle[1], -lowest]))

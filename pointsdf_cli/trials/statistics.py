@@ -17,7 +17,7 @@ class Share(NamedTuple):
 
     Attributes:
         successes, trials: Counts.
-        low, high: Bounds of the interval; NaN where there are no trials.
+        low, high: Bounds of the interval; NaN without trials.
     """
 
     successes: int
@@ -27,7 +27,7 @@ class Share(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Successes over trials; NaN where there are none."""
+        """Successes over trials; NaN without trials."""
         return self.successes / self.trials if self.trials else float("nan")
 
 
@@ -48,7 +48,7 @@ def wilson(successes: int, trials: int, confidence: float = 0.95) -> Share:
     p, n = successes / trials, trials
     middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    # At the ends the bound is exact; rounding may leave it a hair inside.
+    # At 0 and 1 the bound is exact; correct its rounding error.
     low = 0.0 if successes == 0 else max(0.0, middle - half)
     high = 1.0 if successes == trials else min(1.0, middle + half)
     return Share(successes, trials, float(low), float(high))
@@ -58,10 +58,9 @@ class Paired(NamedTuple):
     """Two methods on the same trials.
 
     Attributes:
-        both, neither: Pairs in which both succeeded, or none.
-        only_first, only_second: Pairs in which one did.
-        p: Two-sided exact McNemar test: that so uneven a split of the discordant pairs comes about
-            if the methods are equally good and every trial stands for itself.
+        both, neither: Number of pairs in which both or neither succeeded.
+        only_first, only_second: Number of pairs in which only one did.
+        p: Two-sided p-value of the exact McNemar test; assumes independent trials.
     """
 
     both: int
@@ -87,15 +86,15 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
 
 
 def sign_flips(differences: Sequence[int]) -> float:
-    """Two-sided p of a sum of differences, had each come out with either sign (Fisher 1935).
+    """Two-sided p-value of a sum of differences under random signs (Fisher 1935); 1 if all are 0.
 
-    Of two methods, with one difference an object, it tells whether one is better on other objects
-    of the same kind: six trials with one object are not six objects.
+    With one difference per object it tests whether a method is better on objects of the same kind:
+    trials with one object are not independent.
 
     Args:
-        differences: Whole numbers, one a group; 1 where all are 0.
+        differences: Whole numbers, one per object.
     """
-    ways = {0: 1}  # how many signs lead to each sum
+    ways = {0: 1}  # number of sign patterns with each sum
     for size in (abs(int(value)) for value in differences):
         more: dict[int, int] = {}
         for total, count in ways.items():

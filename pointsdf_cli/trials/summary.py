@@ -1,4 +1,4 @@
-"""The numbers of an experiment: shares by variant, camera and object, tests, causes, times."""
+"""Summary of an experiment: shares by variant, camera and object, tests, causes, times."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ class Summary:
     Attributes:
         name: "method" or "method/ablation".
         method, ablation: Its parts.
-        lifted, held, unshaken: Shares of all trials with each verdict; of none where nothing was
-            pushed. `held` counts only trials in which nothing else was disturbed.
+        lifted, held, unshaken: Shares of trials with each verdict; `unshaken` of the trials with
+            pushes. `held` counts only trials without a disturbed object.
         by_camera, by_object: `held` by camera and object.
         lost_in: Count of each step in which an object was lost.
-        no_plan: Share without a plan.
-        contact: Share of trials with a plan in which the robot touched the object too early.
+        no_plan: Share of trials without a plan.
+        contact: Share of trials with a plan in which the robot touched the object early.
         reasons: Count of each reason for no plan.
         causes: Count of each cause that ended an executed trial.
         seconds, cpu_seconds: Median planning time, wall and processor.
         penetration: Largest and mean penetration of the true mesh by planned grasps [m].
-        penetrated: Share of planned grasps that enter the true mesh at all.
+        penetrated: Share of planned grasps that enter the true mesh.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Summary:
 
 
 def variant_of(row: TrialRow) -> str:
-    """Name of who planned."""
+    """Name of a row's planner variant."""
     return f"{row.method}/{row.ablation}" if row.ablation else row.method
 
 
@@ -67,12 +67,11 @@ def summarise(rows: Sequence[TrialRow]) -> list[Summary]:
 
 
 class Comparison(NamedTuple):
-    """Two variants on the trials that both have.
+    """Comparison of two variants on their common trials.
 
     Attributes:
-        paired: Test that treats every trial as independent.
-        by_object: p of the differences of whole objects (`sign_flips`): what says something about
-            other objects.
+        paired: Test with independent trials.
+        by_object: p-value by objects (`sign_flips`), valid for other objects of the same kind.
         objects: Number of objects, and of those on which the variants differ.
     """
 
@@ -82,7 +81,7 @@ class Comparison(NamedTuple):
 
 
 def compare(rows: Sequence[TrialRow], first: str, second: str) -> Comparison:
-    """Whether two variants differ on the trials that both have."""
+    """Compare two variants on their common trials."""
 
     def key(row: TrialRow) -> tuple[object, ...]:
         return row.object, row.yaw_index, row.repeat, row.camera, row.seed

@@ -1,4 +1,4 @@
-"""Any artifact as a scene, and several in one world."""
+"""Scenes of any artifact, and of several in one world."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from pointsdf_cli.viz.shape_scenes import (
 
 
 def scene_of(path: Path, options: SceneOptions) -> Scene:
-    """One artifact as a scene in the world's frame (a mesh, views and labels in the mesh's).
+    """Make the scene of an artifact in the world's frame (mesh, views and labels: the mesh's).
 
     Raises:
-        InputError: No such file, or of a kind that cannot be shown.
+        InputError: The file does not exist, or is of a kind that cannot be shown.
     """
     suffix = path.suffix.lower()
     if not path.exists():
@@ -62,9 +62,9 @@ def scene_of(path: Path, options: SceneOptions) -> Scene:
 
 
 def scenes_of(paths: Sequence[Path], options: SceneOptions) -> Scene:
-    """Several artifacts in one world.
+    """Make one scene of several artifacts in one world.
 
-    A mesh beside a cloud is taken to lie in the cloud's frame, as `rgrasp mesh` writes it.
+    A mesh beside a cloud is assumed to be in the cloud's frame, as `rgrasp mesh` writes it.
 
     Raises:
         InputError: An artifact cannot be shown, or two of them move.

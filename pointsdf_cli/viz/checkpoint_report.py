@@ -11,10 +11,10 @@ from pointsdf_cli.viz.loss_curve import loss_figure
 
 
 def checkpoint_report(path: Path, title: str) -> str:
-    """The page on the checkpoint in a directory, as HTML.
+    """HTML page about a checkpoint directory.
 
     Raises:
-        InputError: There is none, or it is damaged.
+        InputError: There is no checkpoint, or it is damaged.
     """
     checkpoint = read_checkpoint(path)
     count = sum(tensor.numel() for tensor in checkpoint.weights.values())

@@ -17,7 +17,7 @@ from pointsdf_cli.viz import html
 from pointsdf_cli.viz.sheets import sdf_slices, views_sheet
 
 SHOWN = 6
-"""Objects drawn of each kind, spread evenly over the folder."""
+"""Number of objects drawn of each kind, spread evenly over the folder."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ def scan(folder: Path, meshes: Path | None = None) -> DataFolder:
     """Find views, labels and meshes below `folder` (meshes also below `meshes`).
 
     Raises:
-        InputError: No such folder, or nothing in it that this report knows.
+        InputError: The folder does not exist, or has neither views nor labels.
     """
     if not folder.is_dir():
         raise InputError("no such folder", where=folder)
@@ -51,8 +51,8 @@ def scan(folder: Path, meshes: Path | None = None) -> DataFolder:
 
 
 def single(path: Path, schema: str, meshes: Path | None = None) -> DataFolder:
-    """One file of views or labels, as `schema` says; its mesh is looked for as `rgrasp` writes
-    (meshes/a.ply beside views/a.h5), and below `meshes`."""
+    """One file of views or labels, by its `schema`; its mesh is searched in meshes/ beside views/,
+    and below `meshes`."""
     here = path.resolve().parent
     beside = [here, here.parent / "meshes"]
     found = _meshes_below(*(folder for folder in (*beside, meshes) if folder and folder.is_dir()))
@@ -114,7 +114,7 @@ def data_report(found: DataFolder, title: str) -> str:
 def sample_items(
     found: DataFolder,
 ) -> tuple[list[tuple[LoadedMesh, Views]], list[tuple[LoadedMesh, Labels]]]:
-    """The same selection as the page shows, for pictures of their own."""
+    """The artifacts shown on the page, for pictures as files."""
     views = [(m, read_views(path)) for path in _spread(found.views) for m in _mesh(path, found)]
     labels = [(m, read_labels(path)) for path in _spread(found.labels) for m in _mesh(path, found)]
     return views, labels
@@ -127,7 +127,7 @@ def _spread(paths: list[Path]) -> list[Path]:
 
 
 def _mesh(artifact: Path, found: DataFolder) -> list[LoadedMesh]:
-    """The mesh that an artifact was made from, known by its hash; empty if it is not here."""
+    """Mesh of an artifact, by its hash; empty if it is not found."""
     with open_hdf5(artifact) as file:
         name, digest = str(file.attrs["mesh_file"]), str(file.attrs["mesh_hash"])
         unit = mesh_unit(file)

@@ -137,7 +137,7 @@ def grasp_report(
 
 
 def share(part: int, whole: int) -> str:
-    """A percentage, or a dash where there is nothing."""
+    """A percentage, or a dash for none of none."""
     return f"{part / whole:.1%}" if whole else "–"
 
 
@@ -176,13 +176,13 @@ EYES = ((0.55, -0.65, 0.35), (0.55, 0.65, 0.35), (0.85, 0.0, 0.35), (0.0, -0.85,
 
 
 def _viewpoint(robot: RobotMeshes, film: Film) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Eye and target [3] of the place where the hand hides the least of the object throughout."""
+    """Eye and target [3] of the view in which the hand hides least of the object."""
     target = _target(film)
     last = len(film.frames) - 1
     moments = [film.frames[k] for k in sorted({0, last // 2, last})]
 
     def seen(eye: NDArray[np.float64]) -> int:
-        """Object pixels in the moment that shows the fewest."""
+        """Smallest number of object pixels over all frames."""
         small = [
             draw_frame(robot, film.mesh, moment, eye, target, (60, 52), 1).astype(int)
             for moment in moments

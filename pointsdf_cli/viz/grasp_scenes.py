@@ -93,7 +93,7 @@ def plan_scene(path: Path, options: SceneOptions) -> Scene:
 def trial_scene(path: Path, options: SceneOptions) -> Scene:
     """One trial: the robot along the planned motion and at the moments of its execution.
 
-    Where there was no plan, the robot and the object as they stood.
+    Without a plan, the robot and the object at their first poses.
     """
     row, evidence = read_trial(path)
     robot = MovingRobot(options.robot)
@@ -101,7 +101,7 @@ def trial_scene(path: Path, options: SceneOptions) -> Scene:
         raise InputError("is of another robot", where=path, hint="give it by --robot")
     thing = len(robot.bodies)
     points = np.asarray(evidence.cloud, np.float32)
-    # What was believed is stored in the world, as it stood when it was seen; it moves along.
+    # The reconstruction is stored at the object's first pose; it moves with the object.
     believed = apply_transform(invert_transform(evidence.T_world_object[0]), evidence.vertices)
     parts = [
         *robot.parts,

@@ -42,12 +42,12 @@ def heading(text: str) -> str:
 
 
 def note(text: str) -> str:
-    """A paragraph in a quiet colour."""
+    """A paragraph in a muted colour."""
     return f'<p class="note">{html.escape(text)}</p>'
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table; numbers stand to the right."""
+    """A table with right-aligned numbers."""
     head = "".join(f"<th>{html.escape(name)}</th>" for name in header)
     body = "\n".join("<tr>" + "".join(map(_cell, row)) + "</tr>" for row in rows)
     return f"<table><tr>{head}</tr>\n{body}</table>"

@@ -1,4 +1,4 @@
-"""A scene as one HTML file: WebGL without a library; nothing is fetched, so it works offline."""
+"""HTML page of a scene: WebGL without a library; nothing is fetched, so it works offline."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _START = '<script id="scene" type="application/json">'
 def scene_page(scene: Scene) -> str:
     """The page. Its data is one JSON object; arrays are base64 of little-endian numbers."""
     template = resources.files("pointsdf_cli.viz").joinpath("scene_page.html")
-    # "<" cannot close the script element early if it is never written.
+    # Escape "<", which could close the script element early.
     data = json.dumps(scene_as_json(scene)).replace("<", "\\u003c")
     page = template.read_text(encoding="utf-8").replace("<!--TITLE-->", html.escape(scene.title))
     return page.replace(_MARK, f"{_START}{data}</script>")

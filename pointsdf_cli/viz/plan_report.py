@@ -16,7 +16,7 @@ from pointsdf_cli.viz.shading import Painted
 
 
 def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
-    """The page, as HTML. The robot is drawn at the start, half-way and at the grasp."""
+    """HTML page of a plan, with the robot at the start, half-way and at the grasp."""
     parts = [html.table(("", ""), _facts(plan))]
     things = _completed(plan)
     if plan.status == OK and len(plan.times):
@@ -68,7 +68,7 @@ def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
 
 
 def _completed(plan: Plan) -> list[Painted]:
-    """The completed object, if the plan keeps it."""
+    """The completed object, if the plan has it."""
     if not len(plan.object_faces):
         return []
     vertices, faces = plan.object_vertices.astype(np.float64), plan.object_faces.astype(np.int64)

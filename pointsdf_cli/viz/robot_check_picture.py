@@ -1,4 +1,4 @@
-"""A robot's description drawn: frames, how the fingers close, surface samples."""
+"""Picture of a robot's description: frames, closing motion, surface samples."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def check_picture(robot: RobotDescription, size: int = 620) -> NDArray[np.uint8]
     """Three pictures side by side [size, 3·size, 3].
 
     The robot at home on its table with the base's and the palm's frames; the opened hand with the
-    palm's frame (x red, out of the palm; z blue) and the ways of the fingertips as they close; the
+    palm's frame (x red, out of the palm; z blue) and the paths of the closing fingertips; the
     surface samples.
     """
     closing, q = closing_of(robot), open_hand(robot)
@@ -122,7 +122,7 @@ def _frame(pose: Array, length: float) -> list[Painted]:
 
 
 def _ways(closing: Closing, palm: Array) -> list[Painted]:
-    """The ways of the fingertips as rods from step to step, and a ball where they end."""
+    """Paths of the fingertips as rods from step to step, with a ball at their ends."""
     parts = []
     for k in range(len(closing.tips)):
         way = apply_transform(palm, closing.paths[:, k])

@@ -57,7 +57,8 @@ def robot_poses_picture(
     height: int = 520,
     things: Sequence[Painted] = (),
 ) -> NDArray[np.uint8]:
-    """The robot on its table at several configurations [J], side by side, with other things."""
+    """Draw the robot on its table at several configurations [J], side by side, with other
+    meshes."""
     meshes = RobotMeshes(robot)
     camera = look_at((1.9, -2.0, 1.25), (0.25, 0.0, 0.55))
     pictures = [

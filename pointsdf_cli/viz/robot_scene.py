@@ -50,11 +50,11 @@ class MovingRobot:
         self.parts = tuple(parts)
 
     def poses(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[F, L, 4, 4] of all links in the world at configurations [F, J]; NaN where q is."""
+        """Poses [F, L, 4, 4] of all links in the world at configurations [F, J]; NaN where q is."""
         with torch.no_grad():
             rotation, position = self._kinematics(torch.from_numpy(np.array(q, dtype=np.float64)))
             poses: NDArray[np.float64] = homogeneous(rotation, position).numpy()
-        # A link is there if it and the whole robot are known: half a robot would mislead.
+        # Show all links or none: half a robot would mislead.
         poses[~np.isfinite(poses).all(axis=(1, 2, 3))] = np.nan
         return poses
 

@@ -1,4 +1,4 @@
-"""A scene to look at, as pure data: things fixed to bodies, and frames in which the bodies move."""
+"""Scene for viewers as pure data: parts fixed to bodies, and frames in which the bodies move."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from pointsdf_cli.errors import InputError
 
 KINDS = ("mesh", "points", "lines")
 WORLD = -1
-"""The body that never moves."""
+"""Index of the body that never moves."""
 
 Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Part:
-    """One thing to draw.
+    """One part of a scene.
 
     Attributes:
         name: Name of the part.
-        layer: Parts of one layer are shown and hidden together.
+        layer: Name of the layer; parts of a layer are shown and hidden together.
         kind: One of `KINDS`. Lines join vertices 0-1, 2-3, and so on.
         vertices: f4 [V, 3], in the body's frame, m.
         faces: i4 [F, 3] of a mesh; None for the others.
         colour: Red, green, blue in [0, 1], or f4 [V, 3] with one for each vertex.
         body: Index into `Scene.bodies`, or WORLD.
-        frame: The only frame it is seen in; None if it is seen in all.
-        opacity: 1 is solid.
+        frame: The only frame that shows it; None for all.
+        opacity: Opacity; 1 is solid.
     """
 
     name: str
@@ -48,21 +48,21 @@ class Part:
             raise InputError(f"a part of kind {self.kind!r}", allowed=", ".join(KINDS))
 
     def vertex_colours(self) -> NDArray[np.float32]:
-        """f4 [V, 3]."""
+        """Colours f4 [V, 3] of the vertices."""
         colours = np.asarray(self.colour, dtype=np.float32)
         return np.ascontiguousarray(np.broadcast_to(colours, self.vertices.shape))
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything that a viewer needs.
+    """A scene of moving bodies.
 
     Attributes:
         title: Title of the scene.
         parts: Parts to draw.
-        bodies: Names of what moves; B of them.
-        poses: f8 [F, B, 4, 4], body in world, for each of F frames; NaN where a body is not there.
-        captions: [F], what each frame is.
+        bodies: Names of the B moving bodies.
+        poses: f8 [F, B, 4, 4], body in world, for each of F frames; NaN for a body not shown.
+        captions: [F], descriptions of the frames.
         slider: Meaning of a frame, such as "time" or "view".
         rate: Frames a second when played.
         facts: Names and values to print beside the picture.
@@ -95,17 +95,17 @@ class Scene:
 
     @property
     def layers(self) -> tuple[str, ...]:
-        """Their names, in the order in which they first occur."""
+        """Names of the layers, in order of first occurrence."""
         return tuple(dict.fromkeys(part.layer for part in self.parts))
 
     def pose(self, body: int, frame: int) -> NDArray[np.float64]:
-        """[4, 4] of a body in the world; NaN where it is not there."""
+        """Pose [4, 4] of a body in the world; NaN if it is not shown."""
         return np.eye(4) if body == WORLD else self.poses[frame, body]
 
     def bounds(self) -> NDArray[np.float64]:
-        """The corners (low, high) [2, 3] of everything but table, axes and camera, world, m.
+        """Bounding box (low, high) [2, 3] without table, axes and camera, world, m.
 
-        A body counts where it first is.
+        Bodies count at their first pose.
         """
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         there = np.logical_and.reduce(np.isfinite(self.poses), axis=(2, 3))
@@ -124,7 +124,7 @@ class Scene:
 
 
 def joined(scenes: Sequence[Scene]) -> Scene:
-    """Several scenes in one world; at most one of them may move.
+    """Join scenes in one world; at most one of them may move.
 
     Raises:
         InputError: Two of them have frames of their own.

@@ -1,4 +1,4 @@
-"""Shared parts of artifact scenes: options, meshes known by their hash, a selection of frames."""
+"""Shared parts of artifact scenes: options, meshes by their hash, selection of frames."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class SceneOptions:
 
     Attributes:
         robot: The robot of plans and grasps.
-        meshes: A folder with the meshes that artifacts name; they are known by their hash.
-        most: Frames to show of views and grasps, spread evenly over all.
+        meshes: Folder with the artifacts' meshes, identified by their hash.
+        most: Largest number of frames of views and grasps, spread evenly over all.
         unit: Unit of clouds and meshes.
     """
 
@@ -51,7 +51,7 @@ def require_joints(path: Path, names: Sequence[str], robot: RobotDescription) ->
 
 
 def spread(count: int, most: int) -> NDArray[np.int64]:
-    """At most `most` of 0 … count − 1, evenly."""
+    """At most `most` evenly spread indices below `count`."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
@@ -68,7 +68,7 @@ def mesh_part(name: str, vertices: NDArray, faces: NDArray, opacity: float = 1.0
 
 
 def named_mesh(name: str, digest: str, artifact: Path, options: SceneOptions) -> list[Part]:
-    """The mesh that an artifact was made from, if it lies where it was looked for."""
+    """Mesh of an artifact as parts; empty if it is not found."""
     folders = [options.meshes] if options.meshes else [artifact.parent]
     with open_hdf5(artifact) as file:
         unit = mesh_unit(file)

@@ -23,7 +23,7 @@ COLOURS = (
     (120, 110, 0),
 )
 LARGEST = 960
-"""Longer side [px] of the picture of a cloud that knows no image."""
+"""Longer side [px] of the picture of a cloud without an image."""
 
 
 def segment_picture(
@@ -35,14 +35,14 @@ def segment_picture(
     size: tuple[int, int] | None = None,
     background: NDArray[np.uint8] | None = None,
 ) -> None:
-    """Draw every thing in a colour of its own with its number on it.
+    """Draw every object in a colour of its own with its number on it.
 
     Args:
-        path: A PNG.
-        pixels: [N, 2], (u, v) of all points; of a cloud without an image any projection.
+        path: PNG to write.
+        pixels: [N, 2], (u, v) of all points; any projection for a cloud without an image.
         depth: [N], m.
-        number: [N], of the thing that each belongs to; 0 for none.
-        labels: The number of each thing and the pixel that it is written at.
+        number: [N], number of each point's object; 0 for none.
+        labels: Number of each object and the pixel for writing it.
         size: (width, height) of the image; None fits the picture to the points.
         background: u1 [height, width, 3] to draw on; None shades the depths.
     """

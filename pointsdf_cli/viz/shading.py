@@ -25,7 +25,7 @@ class Painted:
         vertices: [V, 3], world, m.
         faces: [F, 3].
         colour: Red, green and blue in [0, 1].
-        unlit: Shown in that very colour, wherever the light comes from, as signs want to be.
+        unlit: Show exactly that colour, without shading.
     """
 
     vertices: NDArray[np.float64]
@@ -141,11 +141,11 @@ class Stage:
         which = hits["geometry_ids"].numpy()[hit]
         normals, toward = hits["primitive_normals"].numpy()[hit], directions[hit]
         facing = np.einsum("ij,ij->i", normals, toward)
-        # Seen from inside or with reversed faces: light the side that is looked at.
+        # Light the visible side, also of faces seen from inside.
         normals *= -np.sign(facing)[:, None]
         light = LIGHT.astype(np.float32)
         diffuse = np.clip(normals @ light, 0, 1)
-        # What is turned away from the light is dark whatever stands in between.
+        # Faces turned away from the light are dark without a shadow test.
         bright = np.flatnonzero(diffuse > 0)
         places = origin.astype(np.float32) + depth[hit[bright], None] * toward[bright]
         toward_light = np.broadcast_to(light, places.shape)
@@ -171,7 +171,7 @@ def shaded_image(
 
 
 EDGE = 0.03
-"""Neighbouring pixels that differ by more than this, of 1, are looked at more closely."""
+"""Difference of neighbouring pixels, of 1, above which more rays are cast."""
 
 
 def _edges(image: NDArray[np.float32]) -> NDArray[np.bool_]:

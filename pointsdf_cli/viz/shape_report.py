@@ -22,7 +22,7 @@ AZIMUTHS = (-60.0, 30.0, 120.0)
 
 
 def shape_report(path: Path, unit: str, title: str) -> str:
-    """The page on a cloud or mesh, as HTML.
+    """HTML page about a cloud or mesh.
 
     Args:
         path: The file.
@@ -30,7 +30,7 @@ def shape_report(path: Path, unit: str, title: str) -> str:
         title: Title of the page.
 
     Raises:
-        InputError: It cannot be read.
+        InputError: The file cannot be read.
     """
     facts = describe(path, unit)["facts"]
     if is_cloud(path):

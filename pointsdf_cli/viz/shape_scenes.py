@@ -15,13 +15,13 @@ from pointsdf_cli.io.views import read_views
 from pointsdf_cli.viz.scene import Part, Scene, axes, by_height
 from pointsdf_cli.viz.scene_sources import SceneOptions, mesh_part, named_mesh, spread
 
-# How a cloud in a camera's frame is set upright where nothing says how the camera stood: what the
-# camera has in front of it is ahead, what it has below is below.
+# Orientation of a cloud in the camera's frame without a camera pose: the viewing direction is
+# ahead, the image's downward direction is down.
 T_UPRIGHT_CAMERA = transform([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0, 0, 0])
 
 
 def cloud_scene(path: Path, options: SceneOptions) -> Scene:
-    """A cloud in the world, or upright where its camera's place is not known."""
+    """Scene of a cloud in the world, or upright if its camera's pose is not known."""
     cloud = read_cloud(path, options.unit, drop_invalid=True)
     placed = "world"
     if cloud.frame == "camera":
@@ -39,7 +39,7 @@ def cloud_scene(path: Path, options: SceneOptions) -> Scene:
 
 
 def cloud_place(cloud: Cloud) -> NDArray[np.float64]:
-    """[4, 4], the frame of a cloud's coordinates in the world that is shown."""
+    """Pose [4, 4] of a cloud's frame in the world shown."""
     if cloud.frame == "world":
         return np.eye(4)
     return T_UPRIGHT_CAMERA if cloud.T_world_camera is None else cloud.T_world_camera

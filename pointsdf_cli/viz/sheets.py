@@ -1,4 +1,4 @@
-"""Pictures of the data half: views with their clouds, slices of signed distance, depth noise."""
+"""Pictures of training data: views with their clouds, slices of signed distance, depth noise."""
 
 from __future__ import annotations
 
@@ -66,10 +66,10 @@ def _camera_of(views: Views) -> Camera:
 
 
 def sdf_slices(items: Sequence[tuple[LoadedMesh, Labels]], resolution: int = 160) -> Figure:
-    """The signed distance through each mesh's middle with its zero level, and the labelled points.
+    """Slices of the signed distance through each mesh's middle, beside the labelled points.
 
-    Left of each pair: the field itself, computed anew on a plane. Right: the stored labels within
-    a thin slab about that plane, in the same colours, so that a wrong label would stand out.
+    Left of each pair: the field, recomputed on a plane, with its zero level. Right: the stored
+    labels within a thin slab about that plane, in the same colours, so that wrong labels show.
     """
     columns = 2
     rows = -(-len(items) // columns)
@@ -91,7 +91,7 @@ def sdf_slices(items: Sequence[tuple[LoadedMesh, Labels]], resolution: int = 160
         grid[..., plane[1]] += line[:, None]
         field = SignedDistance(mesh.vertices, mesh.faces)(grid.reshape(-1, 3))
         field = field.reshape(resolution, resolution) * 100
-        # Beyond a third of the picture the colour is full: what is near zero is what matters.
+        # Saturate the colours beyond a third of the picture: values near zero matter.
         limit = 100 * half / 3
         extent = (-half * 100, half * 100, -half * 100, half * 100)
         style = {"cmap": "RdBu", "vmin": -limit, "vmax": limit}

@@ -16,12 +16,12 @@ from pointsdf_cli.viz.viewer_access import free_port, guarded, only_controls
 
 
 class Viewer:
-    """Serves one scene: a slider over its frames, a button to play them, a box a layer.
+    """Server of one scene: a slider over its frames, a button to play them, a checkbox per layer.
 
     Args:
         scene: Scene to show.
-        host: The address to listen at; "127.0.0.1" is seen from this machine only.
-        port: To listen at; the next free one is taken if it is in use.
+        host: Address to listen at; "127.0.0.1" is reachable from this machine only.
+        port: Port to listen at; if it is in use, the next free one.
 
     Attributes:
         port: Port to listen on.
@@ -79,7 +79,7 @@ class Viewer:
         return self._frame
 
     def show(self, frame: int) -> None:
-        """Put every body where it is in a frame."""
+        """Move every body to its pose in a frame."""
         self._frame = min(max(frame, 0), self.scene.frames - 1)
         with self._server.atomic():
             for body, handle in enumerate(self._bodies):

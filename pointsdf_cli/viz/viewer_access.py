@@ -1,8 +1,8 @@
 """Access to the viewer's server: only for pages that it served itself.
 
-A browser lets any page open a WebSocket to any address, this machine's own among them, and says in
-`Origin` whose page it is. viser does not ask, so that a page from elsewhere could read the scene
-while the viewer runs.
+Browsers let any page open a WebSocket to any address, including this machine's, and send the page's
+origin in `Origin`. viser does not check it: without this module a page from elsewhere could read
+the scene while the viewer runs.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 from pointsdf_cli.errors import InputError
 
 LARGEST_MESSAGE = 1 << 20
-"""Bytes that a browser may send at once: where its camera is, which box was ticked."""
+"""Largest message from a browser in bytes: camera pose, checkboxes."""
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
@@ -26,9 +26,9 @@ def may_connect(origin: str | None, host_header: str | None, bound: str) -> bool
     """Whether a WebSocket may be opened.
 
     Args:
-        origin: Origin of the page that asks; None without a browser.
-        host_header: The address that the browser thinks it talks to.
-        bound: The address that the server listens at.
+        origin: Origin of the requesting page; None without a browser.
+        host_header: Address that the browser uses for the server.
+        bound: Address at which the server listens.
     """
     if origin is None:
         return True
@@ -39,12 +39,12 @@ def may_connect(origin: str | None, host_header: str | None, bound: str) -> bool
         return True  # by SSH the port may be another one there
     if bound in _LOOPBACK or origin.partition("//")[2] != host_header:
         return False
-    # Of a name that is not this machine's somebody else decides where it leads (DNS rebinding).
+    # Others control where foreign names lead (DNS rebinding).
     return _is_address(page) or page in (bound, socket.gethostname(), socket.getfqdn())
 
 
 def free_port(host: str, port: int) -> int:
-    """The first port from `port` on that can be listened at.
+    """Find the first free port from `port` on.
 
     viser binds in a thread of its own, and waits for ever if that fails.
 

@@ -1,0 +1,46 @@
+"""Pictures of planning results: the scene of a plan, and the numbered objects on a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pointsdf_cli.io.depth_images import read_colour
+from pointsdf_cli.planning.list_things import Listing
+from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
+from pointsdf_cli.planning.plan_request import PlanResult
+from pointsdf_cli.viz.plan_picture import PlanScene
+from pointsdf_cli.viz.segment_picture import segment_picture
+
+
+def scene_of_plan(result: PlanResult) -> PlanScene:
+    """The scene of a plan to draw, without the robot."""
+    believed = (result.plan.object_vertices.astype(np.float64), result.plan.object_faces)
+    return PlanScene(
+        result.points,
+        result.camera,
+        believed if len(result.plan.object_faces) else None,
+        [obstacle_mesh(obstacle) for obstacle in result.obstacles],
+    )
+
+
+def draw_things(picture: Path, listing: Listing, colour: Path | None = None) -> None:
+    """Draw the objects with their numbers, on a colour image if there is one."""
+    scene = listing.scene
+    number = np.zeros(scene.things.count, dtype=np.int64)
+    for thing in listing.things:
+        number[thing.label] = thing.number
+    label = scene.label
+    mine = np.where(label >= 0, number[np.maximum(label, 0)], 0) if len(number) else label * 0
+    points = scene.all_points
+    if scene.all_pixels is not None and scene.image is not None:
+        pixels, size = scene.all_pixels, scene.image.depth.shape[::-1]
+    else:
+        pixels, size = points[:, :2] / points[:, 2:], None
+    at = [
+        (thing.number, tuple(np.median(pixels[mine == thing.number], axis=0)))
+        for thing in listing.things
+    ]
+    background = None if colour is None or size is None else read_colour(colour)
+    segment_picture(picture, pixels, points[:, 2], mine, at, size, background)
