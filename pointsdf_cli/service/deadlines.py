@@ -21,7 +21,7 @@ SLOWEST_READER = 60.0
 _Protocol: Any = AutoHTTPProtocol
 
 
-class PunctualProtocol(_Protocol):  # type: ignore[misc]
+class PunctualProtocol(_Protocol):
     """uvicorn's protocol of one connection, with deadlines."""
 
     _head: asyncio.TimerHandle | None = None
