@@ -207,11 +207,11 @@ class PathChecker:
         return least
 
     def _in_doubt(self, a: Array, b: Array, motion: Array) -> NDArray[np.bool_]:
-        """Which pairs of these slacks at both ends, and of this motion between, are not proven."""
+        """Mask of the pairs that these slacks at both ends and this motion between do not prove free."""
         return np.asarray((a + b < motion) & (motion > self.config.resolution))
 
     def _halved(self, doubt: _Doubt, ways: int, slack: Array) -> _Doubt:
-        """What is still in doubt on the first and, `ways` rows later, on the second halves.
+        """Remaining doubt on the first and, `ways` rows later, on the second halves.
 
         Args:
             doubt: Before; its ways count from 0 to `ways`.

@@ -137,7 +137,7 @@ class Kinematics:
 
     @cached_property
     def _fixed(self) -> _Fixed:
-        """What does not depend on q, in numpy."""
+        """Constants of the chain, in numpy."""
         parts = (self._rotation, self._sine, self._versine, self._offset, self._slide)
         base = torch.cat([self._base_rotation, self._base_position[:, None]], dim=1)
         whole = (*parts, base, self._columns, self._order)
@@ -185,7 +185,7 @@ class Kinematics:
 
 
 class _Fixed(NamedTuple):
-    """What forward kinematics does not recompute, level by level: of L - 1 joints, by their links.
+    """Constants of forward kinematics, level by level: of L - 1 joints, by their links.
 
     Attributes:
         rotation, sine, versine: [L - 1, 3, 3], the parts of a joint's rotation.

@@ -208,7 +208,7 @@ def _cast(
 def _occluded(
     scene: Any, origins: NDArray[np.floating], directions: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
-    """Which rays hit anything [N]: quicker than what they hit first."""
+    """Mask of the rays [N] that hit anything: quicker than their first hits."""
     hit: NDArray[np.bool_] = scene.test_occlusions(_rays(origins, directions)).numpy()
     return hit
 
