@@ -207,7 +207,7 @@ class PathChecker:
         return least
 
     def _in_doubt(self, a: Array, b: Array, motion: Array) -> NDArray[np.bool_]:
-        """Mask of the pairs that these slacks at both ends and this motion between do not prove free."""
+        """Mask of the pairs that slacks at both ends and the motion between do not prove free."""
         return np.asarray((a + b < motion) & (motion > self.config.resolution))
 
     def _halved(self, doubt: _Doubt, ways: int, slack: Array) -> _Doubt:
