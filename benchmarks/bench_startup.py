@@ -24,6 +24,7 @@ from statistics import median
 
 HERE = Path(__file__).resolve().parents[1]
 TABLE, MUG = "assets/clouds/table.ply", "assets/clouds/mug.ply"
+BOTTLE = "assets/clouds/spray_bottle.ply"
 BARE = "bare interpreter"
 COMMANDS = {
     BARE: "",
@@ -32,6 +33,7 @@ COMMANDS = {
     "plan": f"plan {TABLE} --out {{}}/plan.h5 --force -q",
     "plan --no-picture": f"plan {TABLE} --out {{}}/p.h5 --force -q --no-picture",
     "mesh": f"mesh {MUG} --out {{}}/mesh.ply --force -q",
+    "mesh --resolution 128": f"mesh {BOTTLE} --out {{}}/m.ply --force -q --resolution 128",
     "objects make, wrong count": "objects make --out {}/o --count -1",
     "objects fetch, wrong archive": "objects fetch none --out {}/o",
     "render, no such folder": "render --meshes none",
@@ -47,6 +49,7 @@ COMMANDS = {
     "eval-gs, no such folder": "eval-gs --grasps none --checkpoint none --out {}/t.json",
     "plan, no such robot": f"plan {TABLE} --out {{}}/no.h5 --robot none.yaml",
     "plan, no pose": "plan {}/lost.xyz --out {}/no.h5",
+    "plan, millimetres": "plan {}/far.xyz --out {}/no.h5 --camera-pose 0,0,1,1,0,0,0",
     "plan, wrong unit": f"plan {TABLE} --out {{}}/no.h5 --unit furlong",
     "plan, no such weights": f"plan {TABLE} --out {{}}/no.h5 --checkpoint none",
     "serve, no token": "serve --host 0.0.0.0",
@@ -71,6 +74,8 @@ def main() -> None:
             f"{k % 10 / 100} {k // 10 % 10 / 100} {0.8 + k / 1e4}" for k in range(99)
         )
         Path(folder, "lost.xyz").write_text(points)
+        far = "\n".join(f"{k % 10 * 10} {k // 10 % 10 * 10} {800 + k / 10}" for k in range(99))
+        Path(folder, "far.xyz").write_text(far)
         if options.imports:
             rows = [imports_row(name, typed(name, folder)) for name in names[1:]]
             head = "|command|all [ms]|most, without what they import [ms]|\n|---|---|---|\n"

@@ -12,10 +12,19 @@ from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from threading import RLock
-from types import ModuleType
+from types import FrameType, ModuleType
 from typing import Any
 
-LEAVES = ("numpy.f2py", "numpy.ma", "numpy.polynomial", "numpy.testing", "pydoc")
+LEAVES = (
+    "PIL.Image",
+    "h5py",
+    "networkx",
+    "numpy.f2py",
+    "numpy.ma",
+    "numpy.polynomial",
+    "numpy.testing",
+    "pydoc",
+)
 TORCH_LEAVES = (
     "torch._meta_registrations",  # shapes without data, for tracing and compiling
     "torch.distributions",
@@ -29,6 +38,10 @@ TORCH = "2.13."
 
 COMPILER = "torch._dynamo"
 """Loaded by optimisers, and written for a torch that was imported whole."""
+
+PROMISED = {("networkx", "trimesh.base"): ("Graph",)}
+"""Names that one module takes from another as it loads, only for annotations: it gets stand-ins,
+which load what they stand for should they be called."""
 
 _LOOKED_FOR = ("__path__", "__file__", "__cached__", "__warningregistry__")
 """Attributes that imports and warnings look for in any module."""
@@ -80,6 +93,8 @@ class _Deferred(ModuleType):
         lacks = AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
         if name in _LOOKED_FOR:
             raise lacks
+        if name in PROMISED.get((self.__name__, _asking()), ()):
+            return _stand_in(self, name)
         with _loading:
             if not self._run() and type(self) is _Deferred:
                 raise lacks  # asked for by what it imports while it runs
@@ -94,6 +109,23 @@ class _Deferred(ModuleType):
         spec.loader.exec_module(self)
         object.__setattr__(self, "__class__", ModuleType)
         return True
+
+
+def _asking() -> str:
+    """Name of the module that asks a deferred module for an attribute."""
+    frame: FrameType | None = sys._getframe(2)
+    while frame is not None and frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return "" if frame is None else str(frame.f_globals.get("__name__", ""))
+
+
+def _stand_in(module: ModuleType, name: str) -> type:
+    """A class whose call is a call of the module's function or class of that name."""
+
+    def called(cls: type, *values: Any, **named: Any) -> Any:
+        return getattr(module, name)(*values, **named)
+
+    return type(name, (), {"__new__": called, "__module__": module.__name__})
 
 
 def _load(names: Iterable[str]) -> None:

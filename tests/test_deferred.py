@@ -82,3 +82,16 @@ def test_what_optimisers_load_finds_all_of_torch(tmp_path: Path) -> None:
         tmp_path,
     )
     assert told == ["0.5"]
+
+
+def test_meshes_load_without_networkx_and_have_it_when_asked(tmp_path: Path) -> None:
+    told = run(
+        "from pointsdf_cli.deferred import defer_unused\n"
+        "defer_unused()\n"
+        "import trimesh\n"
+        "box = trimesh.creation.box((1, 1, 1))\n"
+        "print('networkx.algorithms' in sys.modules, box.is_watertight)\n"
+        "print(len(box.vertex_adjacency_graph), type(sys.modules['networkx']).__name__)\n",
+        tmp_path,
+    )
+    assert told == ["False True", "8 module"]
