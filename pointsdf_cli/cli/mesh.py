@@ -205,6 +205,7 @@ def _mesh_one(
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.meshes import UNITS, save_mesh
     from pointsdf_cli.planning.object_view import object_view
+    from pointsdf_cli.preload import preload
 
     idle, unit, choices = IdleProcessors(), files.unit, settings.choices
     seen = object_view(
@@ -223,6 +224,7 @@ def _mesh_one(
     if seen.alone and np.ptp(points, axis=0).max() > SCENE:
         reporter.say(f"{cloud}: wide for one object; if it shows a table, add --segment auto")
 
+    preload(("torch", "open3d"))
     # Seconds of imports: only for a cloud that can be used.
     from pointsdf_cli.models.registry import completion_checkpoint, load_model, use_threads
     from pointsdf_cli.planning.complete_mesh import complete_mesh

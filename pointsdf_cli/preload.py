@@ -1,0 +1,41 @@
+"""Shared libraries that a thread loads while Python imports other modules.
+
+Importing torch or Open3D spends about a third of its time in the system's loader, which needs
+neither Python nor its lock. An import that comes later finds the library loaded.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Iterable
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+LIBRARIES = {"torch": "lib/libtorch_cpu.so", "open3d": "libOpen3D.so*"}
+"""Package → pattern of its largest library without Python code, below the package's folder."""
+
+
+def preload(packages: Iterable[str]) -> threading.Thread:
+    """Load the libraries of these packages, keys of `LIBRARIES`, in a thread of its own.
+
+    A library that is missing or cannot be loaded is left to its package's import, which says so.
+    """
+    paths = [path for package in packages for path in _libraries(package)]
+    thread = threading.Thread(target=_load, args=(paths,), name="preload", daemon=True)
+    thread.start()
+    return thread
+
+
+def _libraries(package: str) -> list[Path]:
+    spec = PathFinder.find_spec(package)
+    folders = list(spec.submodule_search_locations or []) if spec is not None else []
+    return [path for folder in folders for path in sorted(Path(folder).glob(LIBRARIES[package]))]
+
+
+def _load(paths: Iterable[Path]) -> None:
+    for path in paths:
+        try:
+            ctypes.CDLL(str(path))  # without Python's lock
+        except OSError:
+            continue
