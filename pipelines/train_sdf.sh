@@ -18,9 +18,9 @@ echo '{"width": 640, "height": 480, "K": [[1067, 0, 319.5], [0, 1067, 239.5], [0
 exact() { # views of the object alone, without errors: shapes are learned from these
     rgrasp render --meshes "$1" --out "$work/exact/$2" --views "$3" --distance "$4" --skip-bad --seed "$seed"
 }
-scenes() { # views of tables by cameras that err, almost half of them exact
+scenes() { # views of tables: a fifth exact, in the others masks and, in two of three, cameras err
     rgrasp render --meshes "$1" --out "$work/scenes/$2" --views "$3" --camera "$4" --scene table \
-        --sensor structured-light,stereo --exact 0.45 --skip-bad --seed "$seed"
+        --sensor ideal,structured-light,stereo --exact 0.2 --skip-bad --seed "$seed"
 }
 labels() {
     rgrasp label-sdf --views "$work/exact/$2" --meshes "$1" --out "$work/labels/$2" --points "$3" --skip-bad
