@@ -32,7 +32,8 @@ from pointsdf_cli.planning.list_things import list_things
 from pointsdf_cli.planning.object_view import ObjectView, bare_view, segmented_view
 from pointsdf_cli.planning.scene_input import read_scene
 from pointsdf_cli.planning.table_session import TableSession, plan_on_table
-from pointsdf_cli.service.pictures import draw_things, scene_of_plan
+from pointsdf_cli.service.objects_picture import draw_things
+from pointsdf_cli.service.plan_scene import scene_of_plan
 from pointsdf_cli.viz.plan_picture import plan_picture
 from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 from pointsdf_cli.viz.robot_picture import RobotMeshes

@@ -260,7 +260,7 @@ def test_environment_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("obstacles: 3", "no list"),
+        ("obstacles: 3", "is not a list"),
         ("walls: []", "unknown keys"),
         ("table: maybe", "true, false"),
         ("obstacles: [{box: [1, 1, 1], sphere: [1]}]", "2 shapes"),

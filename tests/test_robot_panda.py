@@ -18,6 +18,7 @@ from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import Target
 from pointsdf_cli.robot.check import check_robot
 from pointsdf_cli.robot.description import RobotDescription, load_robot
+from pointsdf_cli.robot.jaws import jaws_of
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.heuristic import HeuristicConfig, draw_preshape, hand_of
 
@@ -105,16 +106,17 @@ def test_preshapes_put_the_object_between_the_jaws(panda: RobotDescription) -> N
     corners = np.array(np.meshgrid([0.475, 0.525], [-0.015, 0.015], [0.0, 0.15])).reshape(3, -1).T
     cloud = np.repeat(corners, 10, axis=0) + rng.normal(0, 1e-4, (80, 3))
     quiet = HeuristicConfig(standoff_noise=0, position_noise=0, turn_noise=0)
+    jaws = jaws_of(panda)
+    assert jaws is not None
     for _ in range(10):
         preshape = draw_preshape(
             cloud, np.array([1.2, 0, 0.8]), np.zeros(3), hand_of(panda), quiet, rng, "side"
         )
         palm = preshape.T_world_palm
         local = palm[:3, :3].T @ (np.array([0.5, 0, 0.075]) - palm[:3, 3])
-        assert abs(local[2]) < 2e-3  # in the middle between the jaws
-        # The box is 5 × 3 cm; either side may be the one in front of the palm.
-        depth = local[0] - quiet.side_standoff
-        assert min(abs(depth - 0.025), abs(depth - 0.015)) < 2e-3
+        # The object's middle is between the jaws, its near side in front of the palm.
+        assert abs(local[2]) < jaws.opening / 2 - 0.01
+        assert 0.015 < local[0] < jaws.pads[1] + 0.025
 
 
 def test_a_can_is_planned_for(panda: RobotDescription) -> None:

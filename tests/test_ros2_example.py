@@ -18,9 +18,9 @@ import pytest
 from bags import STORE, TYPES
 from plan_files import turning_plan
 
-from pointsdf_cli.assets import asset_path
+from pointsdf_cli.assets import DEFAULT_ROBOT, asset_path
 from pointsdf_cli.io.plans import Plan, write_plan, write_trajectory
-from pointsdf_cli.robot.description import BUNDLED, RobotDescription, load_robot
+from pointsdf_cli.robot.description import RobotDescription, load_robot
 
 FOLDER = Path(__file__).resolve().parents[1] / "examples" / "ros2"
 NAME = "trajectory_msgs/msg/JointTrajectory"
@@ -82,7 +82,7 @@ def test_a_controller_gets_its_own_joints(
     example: Any, plan: Plan, robot: RobotDescription, tmp_path: Path
 ) -> None:
     write_trajectory(tmp_path / "motion.json", plan)
-    arm, hand = example.read_hand(asset_path(BUNDLED))
+    arm, hand = example.read_hand(asset_path(DEFAULT_ROBOT))
     assert arm == robot.joint_names[:7]
     assert tuple(hand.speeds) == robot.closing_joints
     ends = [robot.hard_upper[robot.joint_names.index(name)] for name in hand.limits]

@@ -111,7 +111,7 @@ def test_a_stopped_training_is_not_taken_for_done(
         signal.signal(signal.SIGINT, before)
     assert stopped.code == code
     assert json.loads(stopped.out)["finished"] is False
-    assert "--resume carries on at step 0" in stopped.err
+    assert "--resume continues at step 0" in stopped.err
     monkeypatch.setattr(sdf_loop, "train_sdf", real)
     assert cli(*options, "--resume").code == 0
 

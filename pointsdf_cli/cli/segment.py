@@ -80,7 +80,6 @@ def segment(
 
     from pointsdf_cli.planning.list_things import list_things
     from pointsdf_cli.planning.object_choice import NoObjectError
-    from pointsdf_cli.service.pictures import draw_things
 
     try:
         listing = list_things(scene, files, camera_pose, corners, robot, not no_clean)
@@ -88,6 +87,8 @@ def segment(
         raise InputError.of(error) from error
     for note in listing.notes:
         reporter.say(note)
+    from pointsdf_cli.service.objects_picture import draw_things
+
     draw_things(picture, listing, color)
     lines = [f"{'number':>6}  {'centre [m]':^20}  {'size [cm]':^18}  points"]
     for thing in listing.things:

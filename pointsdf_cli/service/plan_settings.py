@@ -97,7 +97,7 @@ def draw_plan(path: Path, result: PlanResult, robot: Path | None) -> None:
         result: The answer.
         robot: Its YAML; the bundled one if None.
     """
-    from pointsdf_cli.service.pictures import scene_of_plan
+    from pointsdf_cli.service.plan_scene import scene_of_plan
     from pointsdf_cli.viz.plan_picture import plan_picture
     from pointsdf_cli.viz.robot_picture import RobotMeshes
 

@@ -1,4 +1,4 @@
-"""Pictures of planning results: the scene of a plan, and the numbered objects on a table."""
+"""Picture of the objects on a table with their numbers."""
 
 from __future__ import annotations
 
@@ -8,21 +8,7 @@ import numpy as np
 
 from pointsdf_cli.io.depth_images import read_colour
 from pointsdf_cli.planning.list_things import Listing
-from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
-from pointsdf_cli.planning.plan_request import PlanResult
-from pointsdf_cli.viz.plan_picture import PlanScene
 from pointsdf_cli.viz.segment_picture import segment_picture
-
-
-def scene_of_plan(result: PlanResult) -> PlanScene:
-    """The scene of a plan to draw, without the robot."""
-    believed = (result.plan.object_vertices.astype(np.float64), result.plan.object_faces)
-    return PlanScene(
-        result.points,
-        result.camera,
-        believed if len(result.plan.object_faces) else None,
-        [obstacle_mesh(obstacle) for obstacle in result.obstacles],
-    )
 
 
 def draw_things(picture: Path, listing: Listing, colour: Path | None = None) -> None:
