@@ -231,6 +231,21 @@ def test_nobody_listening_is_an_error_and_no_mistake_of_the_user(tmp_path: Path)
     assert caught.value.exit_code == 1
 
 
+@pytest.mark.parametrize("kind", [tarfile.REGTYPE, tarfile.GNUTYPE_LONGNAME])
+def test_a_member_of_astronomic_size_is_refused(kind: bytes, tmp_path: Path) -> None:
+    """Sizes beyond 8 GiB are stored in base 256: 87 bits of them in a damaged header."""
+    member = tarfile.TarInfo("a/readme.txt")
+    member.type = kind
+    header = bytearray(member.tobuf())
+    header[124:136] = b"\x80" + b"\x7f" * 11
+    header[148:156] = b" " * 8
+    header[148:156] = f"{sum(header):06o}\0 ".encode()
+    path = tmp_path / "huge.tgz"
+    path.write_bytes(gzip.compress(bytes(header) + bytes(1024)))
+    with pytest.raises(InputError):
+        extract_mesh(path, tmp_path / "mesh")
+
+
 def test_missing_archive_does_not_stop_the_others(server: Server, tmp_path: Path) -> None:
     server.put("025_mug", good_archive("025_mug"))
     states, refused = fetch_ycb(tmp_path, ["003", "025"], server.url, patience=QUICK)

@@ -40,7 +40,11 @@ def extract_mesh(archive: Path, out: Path, largest: int = LARGEST_MEMBER) -> Pat
             if source is None:
                 raise InputError("the mesh in it is not a file", where=archive)
             data = source.read(largest + 1)
-    except (tarfile.TarError, zlib.error, lzma.LZMAError, EOFError, OSError) as error:
+    # OverflowError: a member whose size no file position can hold.
+    except (
+        *(tarfile.TarError, zlib.error, lzma.LZMAError),
+        *(EOFError, OSError, OverflowError),
+    ) as error:
         raise InputError(
             f"is no readable tar archive ({type(error).__name__}: {error})",
             where=archive,
