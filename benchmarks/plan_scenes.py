@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from pointsdf_cli.camera.segmentation import segment_object
+from pointsdf_cli.camera.things import nearest_thing
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, transform
@@ -99,8 +99,9 @@ def table_scene(
     T_world_camera = look_at(eye, (*place, 0.08))
     item = SimObject(mesh, [], np.eye(4), 0.1, np.ones(3), poses)
     cloud = observer.depth_cloud(item, pose, T_world_camera, rng)
-    kept = segment_object(apply_transform(T_world_camera, cloud)).kept
     vertices = apply_transform(pose, mesh.vertices)
+    world = apply_transform(T_world_camera, cloud)
+    kept, _ = nearest_thing(world, T_world_camera[:3, 3], vertices.mean(axis=0))
     return TableScene(
         path.stem, camera, vertices, mesh.faces.astype(np.int64), cloud, kept, T_world_camera
     )

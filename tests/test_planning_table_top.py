@@ -24,7 +24,7 @@ from pointsdf_cli.viz.shading import look_at
 ROBOT = load_robot()
 HOME = ROBOT.home
 POSE = look_at((1.5, 0.0, 0.9), (0.6, 0.0, 0.0))
-LARGE, SMALL = (0.6, 0.2, 0.06), (0.6, -0.2, 0.04)
+LARGE, SMALL = (0.6, 0.2, 0.05), (0.6, -0.2, 0.03)
 
 
 def sheet(centre: tuple[float, float, float], half: tuple[float, float, float]) -> np.ndarray:

@@ -12,7 +12,8 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.pinhole import Camera
-from pointsdf_cli.camera.segmentation import SegmentationConfig, segment_object
+from pointsdf_cli.camera.segmentation import SegmentationConfig
+from pointsdf_cli.camera.things import LOOSE, find_things
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import (
     apply_transform,
@@ -176,27 +177,22 @@ def table_scene(centre: NDArray, size: NDArray, turn: float, rng: np.random.Gene
     st.floats(0, 3),
     st.integers(0, 1000),
 )
-def test_segmentation_parts_the_points_and_finds_the_box(
-    offset: NDArray, size: NDArray, turn: float, seed: int
-) -> None:
+def test_segmentation_finds_the_box(offset: NDArray, size: NDArray, turn: float, seed: int) -> None:
     cloud = table_scene(offset + [0.65, 0.0], size, turn, np.random.default_rng(seed))
-    found = segment_object(cloud)
-    parts = np.stack([found.kept, found.outside, found.table, found.other])
-    assert (parts.sum(axis=0) == 1).all()  # each point in one part
-    assert not found.kept[:4000].any()
+    camera = np.array([1.5, 0.0, 0.8])
+    found = find_things(cloud, camera).label >= 0
+    assert not found[:4000].any()
     above = cloud[4000:, 2] > SegmentationConfig().plane_band + 0.004
-    assert found.kept[4000:][above].mean() > 0.9
+    assert found[4000:][above].mean() > 0.9
     order = np.random.default_rng(seed).permutation(len(cloud))
-    again = segment_object(cloud[order])
-    differ = np.count_nonzero(again.kept != found.kept[order])
+    again = find_things(cloud[order], camera).label >= 0
+    differ = np.count_nonzero(again != found[order])
     assert differ <= 0.02 * len(cloud)  # the order decides nothing but the band's edge
 
 
 @MANY
-@given(arrays(np.float64, (60, 3), elements=st.floats(-3, 3) | st.just(float("nan"))))
-def test_segmentation_of_anything_answers_or_refuses(cloud: NDArray) -> None:
-    try:
-        found = segment_object(cloud)
-    except InputError:
-        return
-    assert np.isfinite(cloud[found.kept]).all()
+@given(arrays(np.float64, (60, 3), elements=st.floats(-3, 3)))
+def test_segmentation_of_anything_labels_every_point(cloud: NDArray) -> None:
+    label = find_things(cloud, np.zeros(3)).label
+    assert label.shape == (60,)
+    assert label.min() >= LOOSE

@@ -1,4 +1,4 @@
-"""Segmentation of one object in a cloud with a table."""
+"""The table in a cloud, and groups of connected points."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.box import strictly_inside
 
 
 @dataclass(frozen=True)
@@ -50,93 +49,6 @@ class SegmentationConfig:
         for name in ("plane_search", "plane_band", "gap"):
             if not 0 < getattr(self, name) < 1:
                 raise InputError(f"{name} = {getattr(self, name)} m", allowed="above 0, below 1 m")
-
-
-@dataclass(frozen=True)
-class Segmentation:
-    """Segmentation of N points: a mask of the object, and masks of the others by reason.
-
-    Attributes:
-        kept: bool [N], the object.
-        outside: bool [N], beyond the workspace, or not finite.
-        table: bool [N], on or below the table's plane.
-        other: bool [N], in the workspace and above the table, but not in the kept cluster.
-        plane: [4], (unit normal, offset) of the table: n·x = offset; None if none was seen.
-        clusters: Sizes of all clusters, the largest first.
-    """
-
-    kept: NDArray[np.bool_]
-    outside: NDArray[np.bool_]
-    table: NDArray[np.bool_]
-    other: NDArray[np.bool_]
-    plane: Array | None
-    clusters: tuple[int, ...]
-
-    def report(self) -> str:
-        """One sentence for the user."""
-        plane = "no table seen" if self.plane is None else f"{int(self.table.sum())} on the table"
-        return (
-            f"kept {int(self.kept.sum())} of {len(self.kept)} points as the object; dropped "
-            f"{int(self.outside.sum())} outside the workspace, {plane}, {int(self.other.sum())} "
-            f"in {max(0, len(self.clusters) - 1)} smaller clusters"
-        )
-
-
-def segment_object(
-    points: ArrayLike,
-    config: SegmentationConfig | None = None,
-    target: ArrayLike | None = None,
-) -> Segmentation:
-    """Crop to the workspace, remove the table, keep the largest cluster.
-
-    Only the points are used, so simulated and real clouds are treated alike.
-
-    Args:
-        points: [N, 3], world, m; rows that are not finite are dropped.
-        config: Workspace and thresholds.
-        target: [3], a place in the world: the cluster nearest to it is kept instead of the
-            largest.
-
-    Raises:
-        InputError: Nothing is left; the message says where the points went.
-    """
-    config = config or SegmentationConfig()
-    points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"a cloud of shape {points.shape}", allowed="[N, 3]")
-    inside = strictly_inside(points, config.low, config.high)
-    kept = np.zeros(len(points), dtype=bool)
-    table, other = kept.copy(), kept.copy()
-    index = np.flatnonzero(inside)
-    cropped = np.take(points, index, axis=0)
-    plane = find_table(cropped, config)
-    above = np.ones(len(index), dtype=bool)
-    if plane is not None:
-        above = cropped @ plane[:3] - plane[3] > config.plane_band
-        table[index[~above]] = True
-    candidates = index[above]
-    sizes: tuple[int, ...] = ()
-    if len(candidates):
-        label, counts = clusters(points[candidates], config.gap)
-        order = np.argsort(-counts, kind="stable")
-        sizes = tuple(int(counts[i]) for i in order)
-        chosen = int(order[0])
-        if target is not None:
-            away = np.linalg.norm(points[candidates] - np.asarray(target, float), axis=1)
-            big = counts[label] >= config.fewest
-            if big.any():
-                chosen = int(label[big][away[big].argmin()])
-        kept[candidates[label == chosen]] = True
-        other[candidates[label != chosen]] = True
-    found = Segmentation(kept, ~inside, table, other, plane, sizes)
-    if kept.sum() < config.fewest:
-        raise InputError(
-            f"no object in the cloud: {found.report()}",
-            allowed=f"at least {config.fewest} points of an object above the table, between "
-            f"{config.low} and {config.high} m in the world",
-            hint="check the camera's pose (--camera-pose) and the cloud's unit",
-        )
-    return found
 
 
 def find_table(points: Array, config: SegmentationConfig) -> Array | None:

@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 from pointsdf_cli.camera.concave_split import SplitConfig, standing_parts
 from pointsdf_cli.camera.hollow import HollowConfig, whole_bowls
 from pointsdf_cli.camera.segmentation import SegmentationConfig, clusters, find_table
+from pointsdf_cli.camera.table_relief import table_relief
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import strictly_inside
+from pointsdf_cli.geometry.voxels import thin
 
 OUTSIDE, TABLE, LOOSE = -1, -2, -3
 """Labels of points that belong to no object: outside the workspace, on or below the table, and in
 groups too small for an object."""
+
+VOXEL = 0.0025
+"""Side of the voxels to which clouds are thinned [m]: finer than a depth camera's noise."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +116,9 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
     height = inside[:, 2] if plane is None else inside @ plane[:3] - plane[3]
     above = np.ones(len(index), dtype=bool)
     if plane is not None:
-        above = height > _band(inside, camera, config)
+        band = _band(inside, camera, config)
+        height = height - table_relief(inside[:, :2], height, band)
+        above = height > band
     label[index[~above]] = TABLE
     low, index, height = index[~above], index[above], height[above]
     if not len(index):
@@ -149,6 +156,29 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
         unsplit |= {count + part for part in doubtful}
         count += int(parts.max()) + 1
     return Things(label, plane, frozenset(unsplit))
+
+
+def nearest_thing(
+    points: Array, camera: Array, place: Array, config: ThingsConfig | None = None
+) -> tuple[NDArray[np.bool_], Array | None]:
+    """Mask [N] of the object nearest to a place, and the table's plane.
+
+    Args:
+        points: [N, 3], a dense cloud, world, m; finite.
+        camera, config: As for `find_things`.
+        place: [3], world, m.
+
+    Raises:
+        InputError: Nothing stands on the table.
+    """
+    few = thin(points, VOXEL)
+    found = find_things(points[few.first], camera, config)
+    things = found.label >= 0
+    if not things.any():
+        raise InputError("no object in the cloud", allowed="an object that stands on the table")
+    away = np.linalg.norm(points[few.first] - place, axis=1)
+    nearest = int(np.where(things, away, np.inf).argmin())
+    return (found.label == found.label[nearest])[few.voxel], found.plane
 
 
 def masked_thing(mask: NDArray[np.bool_], found: Things) -> Things:

@@ -14,6 +14,7 @@ from pointsdf_cli.camera.things import (
     LOOSE,
     OUTSIDE,
     TABLE,
+    VOXEL,
     Things,
     ThingsConfig,
     find_things,
@@ -31,9 +32,6 @@ reported as out of reach."""
 
 ANYWHERE = SegmentationConfig(low=(-5.0, -5.0, -0.05), high=(5.0, 5.0, 0.6))
 """Default workspace if the robot's pose is not known."""
-
-VOXEL = 0.0025
-"""Side [m] of the voxels to which scenes are thinned, one point each, before segmentation."""
 
 ROBOT, UNCLEAN = -4, -5
 """Labels of the robot's points and of those that cleaning dropped, beside those of

@@ -12,6 +12,7 @@ import numpy as np
 from pointsdf_cli.camera.scene_file import SceneFileOptions, read_view
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
+from pointsdf_cli.camera.things import VOXEL
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
@@ -19,7 +20,7 @@ from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
 from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
 from pointsdf_cli.planning.pose_mistakes import require_no_mistaken_pose
-from pointsdf_cli.planning.scene import ANYWHERE, VOXEL, WORKSPACE, sort_scene
+from pointsdf_cli.planning.scene import ANYWHERE, WORKSPACE, sort_scene
 from pointsdf_cli.planning.table_top import chosen_thing
 from pointsdf_cli.robot.description import RobotDescription
 

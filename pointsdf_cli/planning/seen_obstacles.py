@@ -16,7 +16,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.segmentation import clusters
-from pointsdf_cli.camera.things import LOOSE
+from pointsdf_cli.camera.things import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
@@ -27,7 +27,7 @@ from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.environment import Obstacle
-from pointsdf_cli.planning.scene import VOXEL, WORKSPACE, Scene, sighting
+from pointsdf_cli.planning.scene import WORKSPACE, Scene, sighting
 from pointsdf_cli.planning.table_top import WIDEST, TableTop, level_width, view_of
 
 RESOLUTION = 32

@@ -14,6 +14,7 @@ import scipy
 
 from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.segmentation import SegmentationConfig
+from pointsdf_cli.camera.things import VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -24,7 +25,6 @@ from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
 from pointsdf_cli.planning.cloud_checks import require_pose
 from pointsdf_cli.planning.object_choice import NoObjectError, Target, Thing, choose, reach_of
 from pointsdf_cli.planning.scene import (
-    VOXEL,
     WORKSPACE,
     Scene,
     Sighting,

@@ -12,9 +12,9 @@ from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.noise import DepthNoise
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.camera.raycast import MeshCaster, depth_image
-from pointsdf_cli.camera.segmentation import SegmentationConfig, segment_object
 from pointsdf_cli.camera.sensor import DepthSensor
 from pointsdf_cli.camera.sensor_presets import load_sensor
+from pointsdf_cli.camera.things import nearest_thing
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -71,17 +71,10 @@ class Observer:
     Args:
         robot: The robot, at its home configuration.
         placement: Distribution of the camera's pose.
-        segmentation: Segmentation of the object in the cloud.
     """
 
-    def __init__(
-        self,
-        robot: RobotDescription,
-        placement: CameraPlacement | None = None,
-        segmentation: SegmentationConfig | None = None,
-    ) -> None:
+    def __init__(self, robot: RobotDescription, placement: CameraPlacement | None = None) -> None:
         self.placement = placement or CameraPlacement()
-        self._segmentation = segmentation
         self._robot = RobotMeshes(robot, sections=16)
         self._home = robot.home
         self._own = robot_points(robot, robot.home)
@@ -144,11 +137,12 @@ class Observer:
         world = apply_transform(T_world_camera, cloud)
         # Remove the arm's points, which outnumber those of an object below it.
         free = np.flatnonzero(off_robot(world, self._own))
-        found = segment_object(np.take(world, free, axis=0), self._segmentation)
-        mine = free[found.kept]
+        place = apply_transform(T_world_object, item.mesh.vertices).mean(axis=0)
+        kept, table = nearest_thing(world[free], T_world_camera[:3, 3], place)
+        mine = free[kept]
         mine = mine[clean(cloud[mine]).kept]
         points, others = cloud[mine], np.delete(cloud, mine, axis=0)
-        plane = None if found.plane is None else plane_in_camera(found.plane, T_world_camera)
+        plane = None if table is None else plane_in_camera(table, T_world_camera)
         image = visibility_image(points, others, plane, 1.0 / self.placement.camera.fx)
         return View(points, T_world_camera, ViewEvidence(image, plane))
 

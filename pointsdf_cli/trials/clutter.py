@@ -173,8 +173,8 @@ def look(
 ) -> tuple[View, TableTop | None]:
     """View of the target, empty if it is not seen, and the table top around it.
 
-    In clutter the scene is segmented as by `rgrasp plan`. A target that stands alone is segmented
-    as in the collection of grasps, without a table top.
+    The scene is segmented as by `rgrasp plan`. A target that stands alone is not named: it must be
+    found.
 
     Args:
         observer: The camera.
@@ -185,14 +185,14 @@ def look(
     """
     nothing = View(np.zeros((0, 3)), T_world_camera)
     try:
-        if len(standing) == 1:
-            return observer.object_view(*standing[0], T_world_camera, rng), None
         depth = observer.depth(standing, T_world_camera, rng)
         cloud = cloud_of_depth(depth, observer.placement.camera, T_world_camera)
-        number = target_number(cloud, standing, robot)
-        if number is None:
-            return nothing, None
-        wanted = Target(number=number)
+        wanted = None
+        if len(standing) > 1:
+            number = target_number(cloud, standing, robot)
+            if number is None:
+                return nothing, None
+            wanted = Target(number=number)
         seen = look_at_table([cloud], ["the view"], robot, robot.home, target=wanted)
     except (InputError, NoObjectError):
         return nothing, None
