@@ -45,7 +45,8 @@ def test_what_stands_has_its_centre_above_its_feet(mesh: trimesh.Trimesh, expect
     field = MeshField(mesh.vertices, mesh.faces)
     low, high = mesh.bounds[0] - 0.01, mesh.bounds[1] + 0.01
     solid = GridField(field, low, high, GridConfig(step=0.01, levels=3, band=0.0)).inside()
-    assert stands(field, solid, low, high) is expected
+    kept = GridField(field, low, high, GridConfig(step=0.01, levels=3, band=0.0))
+    assert stands(field, kept, solid, low, high) is expected
 
 
 def plate() -> np.ndarray:

@@ -37,7 +37,7 @@ def completed(
 def unseen_support(shape: ObjectField, views: Sequence[View]) -> Array:
     """Points [M, 3] in unseen space below a shape that could not stand; none if it could."""
     solid = shape.kept.inside()
-    if not len(solid) or stands(shape.field, solid, shape.low, shape.high):
+    if not len(solid) or stands(shape.field, shape.kept, solid, shape.low, shape.high):
         return np.zeros((0, 3))
     return hidden_below(solid, [(view.T_world_camera[:3, 3], view.in_world) for view in views])
 

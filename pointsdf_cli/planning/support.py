@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
+from pointsdf_cli.planning.grid import GridField
 
 FOOT = 0.012
 """Height above the table [m] below which parts of a reconstruction count as feet: their height is
@@ -31,11 +32,12 @@ BEHIND = 0.005
 """Least distance [m] between a seen point and a point that it hides."""
 
 
-def stands(field: Field, solid: Array, low: Array, high: Array) -> bool:
+def stands(field: Field, kept: GridField, solid: Array, low: Array, high: Array) -> bool:
     """Whether a body could stand on the table, z = 0: its centre is above its feet.
 
     Args:
         field: Signed distances, world, m.
+        kept: The same on a grid; where it rules out the inside, `field` is not evaluated.
         solid: [N, 3], points spread evenly over its inside, m.
         low, high: [3], a box around the body [m].
     """
@@ -45,6 +47,8 @@ def stands(field: Field, solid: Array, low: Array, high: Array) -> bool:
     axes = [np.arange(low[k], high[k] + FINE, FINE) for k in (0, 1)]
     heights = np.arange(FINE / 2, FOOT, FINE)
     places = np.stack(np.meshgrid(*axes, heights, indexing="ij"), axis=-1).reshape(-1, 3)
+    value, bound = kept.with_bound(places)
+    places = places[value - bound < 0]
     return _above(places[field(places) < 0, :2], centre)
 
 
