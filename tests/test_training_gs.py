@@ -13,6 +13,7 @@ from scipy.special import expit
 from sklearn import metrics as reference
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.grasps import read_grasps, write_grasps
 from pointsdf_cli.models.grasp_success import EmbeddingNet, GeometryNet
 from pointsdf_cli.models.hand_sweep import SweepConfig
 from pointsdf_cli.models.registry import build_model, default_checkpoint
@@ -266,6 +267,16 @@ def test_only_executed_grasps_are_read_and_objects_are_never_shared(balls: Path)
     assert parts[2] == {3}
     assert set.union(*parts) == set(range(6))
     assert sum(map(len, parts)) == 6
+
+
+def test_a_grasp_that_is_lost_in_a_push_counts_as_lost(balls: Path, tmp_path: Path) -> None:
+    grasps, meta = read_grasps(balls / "balls" / "0.h5")
+    pushed = np.where(grasps.label == 1, np.arange(len(grasps.label)) % 2, 0).astype(np.int8)
+    write_grasps(tmp_path / "0.h5", replace(grasps, unshaken=pushed), meta, seed=0)
+    before, after = read_grasp_data(balls, ROBOT), read_grasp_data(tmp_path, ROBOT)
+    held = before.label[before.object_of == 0] == 1
+    assert np.array_equal(after.label == 1, held & (pushed[grasps.executed] == 1))
+    assert 0 < after.label.sum() < held.sum()
 
 
 def test_embeddings_asked_for_alone_are_those_asked_for_with_distances(

@@ -1,7 +1,7 @@
 """Executed grasps for the success network, split by object.
 
-Only executed grasps are read: held is 1, lost is 0. For a grasp without inverse kinematics or
-without a motion the outcome is unknown.
+Only executed grasps are read: held is 1; lost, be it in a push, is 0. For a grasp without inverse
+kinematics or without a motion the outcome is unknown.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.grasps import HELD, read_grasps, was_collected
+from pointsdf_cli.io.grasps import HELD, Grasps, read_grasps, was_collected
 from pointsdf_cli.io.hdf5 import artifacts_below
 from pointsdf_cli.models.grasp_checkpoint import check_robot
 from pointsdf_cli.robot.description import RobotDescription
@@ -37,7 +37,7 @@ class GraspData:
         T_world_palm, T_world_camera: f8 [N, 4, 4].
         cloud: f4 [N, P, 3], camera frame, m.
         kind: i1 [N], 0 side, 1 top.
-        label: f4 [N], 1 held, 0 lost.
+        label: f4 [N], 1 held and not lost in a push, 0 lost.
     """
 
     names: list[str]
@@ -114,7 +114,7 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
                 grasps.T_world_camera[chosen],
                 grasps.cloud[chosen],
                 grasps.kind[chosen],
-                (grasps.label[chosen] == HELD).astype(np.float32),
+                _succeeded(grasps, chosen),
             )
         )
         scenes += int(scene.max()) + 1
@@ -125,6 +125,12 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         raise InputError("holds no executed grasp", where=folder, hint="collect more of them")
     joined = [np.concatenate(column) for column in zip(*rows, strict=True)]
     return GraspData(names, kept, np.array(held_out), *joined)
+
+
+def _succeeded(grasps: Grasps, chosen: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Labels [n] of executed grasps: 1 if the object was held and not lost in a push."""
+    held = grasps.label[chosen] == HELD
+    return (held & (grasps.unshaken[chosen] != 0)).astype(np.float32)
 
 
 PALM_OFF = 2e-3
