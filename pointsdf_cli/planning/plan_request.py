@@ -13,7 +13,7 @@ from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.planning import option_checks
 from pointsdf_cli.planning.cloud_checks import check_scene_inputs
 from pointsdf_cli.planning.environment import Environment, Obstacle
-from pointsdf_cli.planning.object_choice import Target
+from pointsdf_cli.planning.object_choice import TargetChoice
 
 if TYPE_CHECKING:
     from pointsdf_cli.planning.acceptance import AcceptanceConfig
@@ -94,7 +94,7 @@ class PlanRequest:
     start: Array | None = None
     seed: int = 0
     segment: str = "auto"
-    target: Target | None = None
+    target: TargetChoice | None = None
     others: bool = True
     workspace: Corners | None = None
     cleaned: bool = True

@@ -17,7 +17,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
-from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
+from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
 from pointsdf_cli.planning.pose_mistakes import require_no_mistaken_pose
 from pointsdf_cli.planning.scene import ANYWHERE, VOXEL, WORKSPACE, sort_scene
 from pointsdf_cli.planning.table_top import chosen_thing
@@ -41,11 +41,11 @@ class SceneInput:
     """
 
     clouds: tuple[Cloud, ...]
-    target: Target | None
+    target: TargetChoice | None
     notes: tuple[str, ...]
 
 
-def parse_target(text: str | None) -> Target | None:
+def parse_target(text: str | None) -> TargetChoice | None:
     """The object that `--target` names: a number, a pixel U,V, a place X,Y,Z, or any.
 
     Raises:
@@ -54,13 +54,13 @@ def parse_target(text: str | None) -> Target | None:
     if text is None:
         return None
     if text == ANY:
-        return Target(any=True)
+        return TargetChoice(any=True)
     numbers = target_numbers(text)
     if len(numbers) == 1:
-        return Target(number=int(numbers[0]))
+        return TargetChoice(number=int(numbers[0]))
     if len(numbers) == 2:
-        return Target(pixel=(float(numbers[0]), float(numbers[1])))
-    return Target(place=numbers)
+        return TargetChoice(pixel=(float(numbers[0]), float(numbers[1])))
+    return TargetChoice(place=numbers)
 
 
 def read_scene(
@@ -124,7 +124,7 @@ def read_scene(
     return SceneInput(tuple(clouds), wanted, tuple(notes))
 
 
-def _require_pixel_within(target: Target | None, cloud: Cloud) -> None:
+def _require_pixel_within(target: TargetChoice | None, cloud: Cloud) -> None:
     """Refuse a pixel that lies outside of the first view's image."""
     if target is None or target.pixel is None or cloud.image is None:
         return
@@ -153,11 +153,11 @@ def stand_on_table(
     cloud: Cloud,
     name: str,
     place: tuple[float, float],
-    target: Target | None = None,
+    target: TargetChoice | None = None,
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
     reach: tuple[float, float] | None = None,
-) -> tuple[Cloud, Target | None]:
+) -> tuple[Cloud, TargetChoice | None]:
     """Give a cloud the pose in which z = 0 is its table and the object stands at `place`.
 
     Args:
@@ -195,7 +195,7 @@ def stand_on_table(
         if target is not None and not target.any:
             chosen = _centre(cloud, name, target, workspace, cleaned, reach)
             cloud = _moved(cloud, chosen, place)
-            target = Target(place=np.array([*place, chosen[2]]))
+            target = TargetChoice(place=np.array([*place, chosen[2]]))
     except NoObjectError:
         if target is not None:
             raise
@@ -208,7 +208,7 @@ def stand_on_table(
 def _centre(
     cloud: Cloud,
     name: str,
-    target: Target | None,
+    target: TargetChoice | None,
     workspace: SegmentationConfig,
     cleaned: bool,
     reach: tuple[float, float] | None,

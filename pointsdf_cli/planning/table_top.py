@@ -22,7 +22,7 @@ from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
 from pointsdf_cli.planning.cloud_checks import require_pose
-from pointsdf_cli.planning.object_choice import NoObjectError, Target, Thing, choose, reach_of
+from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, Thing, choose, reach_of
 from pointsdf_cli.planning.scene import (
     VOXEL,
     WORKSPACE,
@@ -82,7 +82,7 @@ def look_at_table(
     robot: RobotDescription,
     start: Array,
     segment: str = "auto",
-    target: Target | Array | None = None,
+    target: TargetChoice | Array | None = None,
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
 ) -> TableTop:
@@ -104,7 +104,9 @@ def look_at_table(
         NoObjectError: No cloud shows an object, with the first one's reason.
     """
     _check_options(segment, target, workspace)
-    wanted = target if isinstance(target, Target) or target is None else Target(place=target)
+    wanted = (
+        target if isinstance(target, TargetChoice) or target is None else TargetChoice(place=target)
+    )
     if segment == "none":
         return _bare_objects(clouds, names, cleaned)
     own, reach = robot_points(robot, start), reach_of(robot)
@@ -122,7 +124,7 @@ def look_at_table(
 
 def _look(
     named_scenes: Iterable[tuple[Scene, str]],
-    wanted: Target | None,
+    wanted: TargetChoice | None,
     workspace: SegmentationConfig,
     cleaned: bool,
 ) -> TableTop:
@@ -151,7 +153,7 @@ def _look(
         scenes.append((scene, thing.label))
         if first is None:
             first = in_world, found.others_in_world
-            wanted = Target(place=np.median(in_world, axis=0))
+            wanted = TargetChoice(place=np.median(in_world, axis=0))
     if problem is not None and not seen:
         raise problem
     views = tuple(view_of(each) for each in seen)
@@ -266,7 +268,7 @@ def bare_object(cloud: Cloud, cleaned: bool = True) -> tuple[Array, str]:
 
 
 def chosen_thing(
-    scene: Scene, wanted: Target | None, workspace: SegmentationConfig, again: bool = False
+    scene: Scene, wanted: TargetChoice | None, workspace: SegmentationConfig, again: bool = False
 ) -> Thing:
     """The chosen object of a scene.
 
