@@ -11,7 +11,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "pointsdf_cli"
 FLOORS = [
-    {"errors", "deferred", "preload", "__init__"},
+    {"errors", "choices", "deferred", "preload", "__init__"},
     {"assets"},
     {"geometry"},
     {"io"},

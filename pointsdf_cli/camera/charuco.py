@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.choices import Dictionary
 from pointsdf_cli.errors import InputError
 
 BITS, SIZES = (4, 5, 6, 7), (50, 100, 250, 1000)
-DICTIONARIES = tuple(f"{bits}X{bits}_{size}" for bits in BITS for size in SIZES)
+DICTIONARIES = get_args(Dictionary)
 FEWEST_CORNERS = 6
 MOST_SQUARES = 40
 

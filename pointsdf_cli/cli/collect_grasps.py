@@ -29,9 +29,7 @@ def collect_grasps(
     ] = 9111,
     robot: common.Robot = None,
     sensor: common.Sensor = "structured-light",
-    shake: Annotated[
-        float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
-    ] = 0.0,
+    shake: common.Shake = 0.0,
     push: Annotated[
         float,
         typer.Option(
@@ -45,9 +43,7 @@ def collect_grasps(
     pictures: Annotated[
         bool, typer.Option(help="Draw six successes and six failures in report.html.")
     ] = True,
-    pattern: Annotated[
-        str, typer.Option(help="Only meshes whose names match this pattern, such as '*.ply'.")
-    ] = "*",
+    pattern: common.Pattern = "*",
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     shard: common.Shard = None,

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from pointsdf_cli import choices
 from pointsdf_cli.cli.reporter import Progress as Progress
 from pointsdf_cli.cli.reporter import Reporter as Reporter
 from pointsdf_cli.cli.reporter import finish_stage as finish_stage
@@ -46,12 +47,38 @@ Robot = Annotated[
     ),
 ]
 Device = Annotated[str, typer.Option(help="Compute device: cpu, cuda or cuda:N.")]
-Sensor = Annotated[
-    str,
-    typer.Option(
-        metavar="ideal|structured-light|stereo",
-        help="Depth camera to simulate.",
-    ),
+Sensor = Annotated[choices.Sensor, typer.Option(help="Depth camera to simulate.")]
+Solver = Annotated[choices.Solver, typer.Option(help="Solver; slsqp is the paper's, and slow.")]
+Checkpoint = Annotated[
+    Path | None,
+    typer.Option(help="Reconstruction weights [default: bundled].", show_default=False),
+]
+GraspCheckpoint = Annotated[
+    Path | None, typer.Option(help="Success weights [default: bundled].", show_default=False)
+]
+Precision = Annotated[
+    choices.Precision, typer.Option(help="Precision; auto takes bfloat16 where it is faster.")
+]
+Pattern = Annotated[
+    str, typer.Option(help="Only meshes whose names match this pattern, such as '*.ply'.")
+]
+Shake = Annotated[
+    float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
+]
+Views = Annotated[Path, typer.Option(help="Folder of views made by `rgrasp render`.")]
+Grasps = Annotated[Path, typer.Option(help="Folder of grasps made by `rgrasp collect-grasps`.")]
+Cache = Annotated[
+    Path | None,
+    typer.Option(help="Cache folder of the network's features.  [default: GRASPS-cache]"),
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Resume from OUT.")]
+Unit = Annotated[choices.Unit, typer.Option(help="Unit of the input files.")]
+Frame = Annotated[
+    choices.Frame | None,
+    typer.Option(help="Frame of the cloud [default: as the file says, else camera]."),
+]
+DropInvalid = Annotated[
+    bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
 ]
 Server = Annotated[
     str | None,

@@ -15,7 +15,7 @@ def eval_gs(
         list[Path],
         typer.Option(help="Checkpoint of train-gs; may be repeated, one row of the table each."),
     ],
-    grasps: Annotated[Path, typer.Option(help="Folder of grasps made by `rgrasp collect-grasps`.")],
+    grasps: common.Grasps,
     out: Annotated[
         Path, typer.Option(help="Output table; a .png of the same name is written beside it.")
     ] = Path("table.json"),
@@ -24,10 +24,7 @@ def eval_gs(
         typer.Option(help="New path of the frozen reconstruction network, if it has moved."),
     ] = None,
     robot: common.Robot = None,
-    cache: Annotated[
-        Path | None,
-        typer.Option(help="Cache folder of the network's features.  [default: GRASPS-cache]"),
-    ] = None,
+    cache: common.Cache = None,
     every: Annotated[
         bool,
         typer.Option(

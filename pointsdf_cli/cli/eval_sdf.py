@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -14,7 +14,7 @@ def eval_sdf(
     checkpoint: Annotated[
         list[Path], typer.Option(help="Checkpoint; may be repeated, one row of the table each.")
     ],
-    views: Annotated[Path, typer.Option(help="Folder of views made by `rgrasp render`.")],
+    views: common.Views,
     meshes: Annotated[Path, typer.Option(help="Folder of the true meshes.")],
     out: Annotated[
         Path,
@@ -31,16 +31,14 @@ def eval_sdf(
             "--exact", help="Evaluate the networks on the full grid, as in `rgrasp mesh --exact`."
         ),
     ] = False,
-    precision: Annotated[
-        str,
-        typer.Option(help="Precision: auto (bfloat16 where it is faster), bfloat16 or float32."),
-    ] = "auto",
+    precision: common.Precision = "auto",
     apart: Annotated[
         list[str] | None,
         typer.Option(help="Object to report separately, such as a poor scan; may be repeated."),
     ] = None,
     beside: Annotated[
-        str | None, typer.Option(help="Also print the published rows: ycb or graspdb.")
+        Literal["ycb", "graspdb"] | None,
+        typer.Option(help="Also print the published rows of this data set."),
     ] = None,
     gallery: Annotated[
         int, typer.Option(help="Number of best, median and worst views each in the picture.")
@@ -76,10 +74,6 @@ def eval_sdf(
 
     IsosurfaceConfig(resolution)
     common.check_table_name(out, (".csv", ".png"))
-    if beside not in (None, *PUBLISHED):
-        raise InputError(
-            f"no published table {beside!r}", where="--beside", allowed=", ".join(PUBLISHED)
-        )
     require_apart(
         [out, out.with_suffix(".csv"), out.with_suffix(".png")], [*checkpoint, views, meshes]
     )

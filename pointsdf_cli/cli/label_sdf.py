@@ -11,7 +11,7 @@ from pointsdf_cli.cli import common
 
 
 def label_sdf(
-    views: Annotated[Path, typer.Option(help="Folder of views made by `rgrasp render`.")],
+    views: common.Views,
     meshes: Annotated[Path, typer.Option(help="Folder of the rendered meshes.")],
     out: Annotated[Path, typer.Option(help="Output folder: one HDF5 of labelled points per mesh.")],
     points: Annotated[int, typer.Option(help="Number of labelled points per mesh.")] = 50_000,

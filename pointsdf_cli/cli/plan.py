@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pointsdf_cli import choices
 from pointsdf_cli.cli import common
 from pointsdf_cli.cli.plan_each import EachOptions, plan_each
 from pointsdf_cli.cli.plan_one import PlanOutputs, plan_one
@@ -27,14 +28,12 @@ def plan(
         Path | None, typer.Option(help="Output plan [default: plan.h5].", show_default=False)
     ] = None,
     method: Annotated[
-        str, typer.Option(help="Method: reconstruction or partial-view.")
+        choices.Method, typer.Option(help="Source of the object's shape.")
     ] = "reconstruction",
-    solver: Annotated[str, typer.Option(help="Solver: sqp, or slsqp (the paper's, slow).")] = "sqp",
+    solver: common.Solver = "sqp",
     kind: Annotated[
-        str,
-        typer.Option(
-            help="Kind of grasp: side, top, or auto (the better of both; below 3 cm top first)."
-        ),
+        choices.GraspKind,
+        typer.Option(help="Kind of grasp; auto takes the better one, below 3 cm top first."),
     ] = "auto",
     target: Annotated[
         str | None,
@@ -75,18 +74,11 @@ def plan(
         ),
     ] = None,
     no_clean: common.NoClean = False,
-    frame: Annotated[
-        str | None,
-        typer.Option(
-            help="Frame of the cloud: camera or world [default: as the file says, else camera]."
-        ),
-    ] = None,
-    unit: Annotated[str, typer.Option(help="Unit of the clouds: m, cm, mm or inch.")] = "m",
-    drop_invalid: Annotated[
-        bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
-    ] = False,
+    frame: common.Frame = None,
+    unit: common.Unit = "m",
+    drop_invalid: common.DropInvalid = False,
     segment: Annotated[
-        str, typer.Option(help="Segmentation: auto, or none for clouds of the object alone.")
+        choices.Segment, typer.Option(help="Segmentation; none for clouds of the object alone.")
     ] = "auto",
     environment: Annotated[
         Path | None, typer.Option(help="YAML of the table and known obstacles.", show_default=False)
@@ -99,7 +91,7 @@ def plan(
         ),
     ] = False,
     obstacles: Annotated[
-        str,
+        choices.Obstacles,
         typer.Option(
             help="Other observed objects: their reconstruction, or the hull of their seen points "
             "(faster, without a back; always with partial-view)."
@@ -146,13 +138,8 @@ def plan(
         ),
     ] = None,
     robot: common.Robot = None,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(help="Reconstruction weights [default: bundled].", show_default=False),
-    ] = None,
-    grasp_checkpoint: Annotated[
-        Path | None, typer.Option(help="Success weights [default: bundled].", show_default=False)
-    ] = None,
+    checkpoint: common.Checkpoint = None,
+    grasp_checkpoint: common.GraspCheckpoint = None,
     trajectory: Annotated[
         Path | None,
         typer.Option(help="Also write the motion as a ROS JointTrajectory in JSON."),
@@ -194,7 +181,7 @@ def plan(
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.poses import box
     from pointsdf_cli.planning.environment import Environment, read_environment
-    from pointsdf_cli.planning.option_checks import check_obstacles, check_segment
+    from pointsdf_cli.planning.option_checks import check_segment
     from pointsdf_cli.planning.plan_request import PlanChoices
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
@@ -215,11 +202,10 @@ def plan(
         outputs = PlanOutputs(out, drawn, trajectory)
         outputs.require_free(inputs, force)
     looked_at = None if workspace is None else box(workspace, "--workspace")
-    choices = PlanChoices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
+    search = PlanChoices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
     if server is not None:
         _check_server(server, threads, device)
     check_segment(segment, target is not None, workspace is not None)
-    check_obstacles(obstacles)
     common.check_device(device)
     around = Environment() if environment is None else read_environment(environment)
     start_at = start_configuration(start, load_robot(robot))
@@ -239,7 +225,7 @@ def plan(
         drop_invalid=drop_invalid,
     )
     settings = PlanSettings(
-        choices,
+        search,
         around,
         None if start is None else start_at,
         seed,

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from pointsdf_cli.cli import common
-
-SCENES = ("void", "table")
 
 
 def render(
@@ -49,7 +47,7 @@ def render(
         ),
     ] = None,
     scene: Annotated[
-        str,
+        Literal["void", "table"],
         typer.Option(
             help="Scene: void (the object alone), or table (resting on a table with "
             "neighbours, at 0.4 to 1.6 m, segmented with errors of a few pixels)."
@@ -64,10 +62,8 @@ def render(
     keep_depth: Annotated[
         bool, typer.Option("--keep-depth", help="Also store the depth images (large).")
     ] = False,
-    unit: Annotated[str, typer.Option(help="Unit of the mesh files: m, cm, mm or inch.")] = "m",
-    pattern: Annotated[
-        str, typer.Option(help="Only meshes whose names match this pattern, such as '*.ply'.")
-    ] = "*",
+    unit: common.Unit = "m",
+    pattern: common.Pattern = "*",
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     shard: common.Shard = None,
@@ -94,8 +90,6 @@ def render(
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.io.meshes import artifact_path, find_meshes
 
-    if scene not in SCENES:
-        raise InputError(f"no scene {scene!r}", where="--scene", allowed=", ".join(SCENES))
     if scene == "table" and (keep_depth or above):
         option = "--keep-depth" if keep_depth else "--above"
         raise InputError(f"{option} with --scene table", hint="leave one of the two out")

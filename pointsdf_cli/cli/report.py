@@ -37,7 +37,7 @@ def report(
         Path | None,
         typer.Option(help="Folder of the meshes of views and labels, if they have moved."),
     ] = None,
-    unit: Annotated[str, typer.Option(help="Unit of a cloud or mesh: m, cm, mm or inch.")] = "m",
+    unit: common.Unit = "m",
     robot: Annotated[
         Path | None,
         typer.Option(

@@ -25,16 +25,9 @@ def segment(
         Path | None, typer.Option(help="Colour image to draw on, registered to the depth image.")
     ] = None,
     mask: common.Mask = None,
-    frame: Annotated[
-        str | None,
-        typer.Option(
-            help="Frame of the cloud: camera or world [default: as the file says, else camera]."
-        ),
-    ] = None,
-    unit: Annotated[str, typer.Option(help="Unit of a cloud: m, cm, mm or inch.")] = "m",
-    drop_invalid: Annotated[
-        bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
-    ] = False,
+    frame: common.Frame = None,
+    unit: common.Unit = "m",
+    drop_invalid: common.DropInvalid = False,
     workspace: common.Workspace = None,
     robot: Annotated[
         Path | None,

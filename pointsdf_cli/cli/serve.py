@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -23,13 +22,8 @@ def serve(
     ] = 8,
     largest_body: Annotated[int, typer.Option(help="Largest body of a request [MiB].")] = 64,
     robot: common.Robot = None,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(help="Reconstruction weights [default: bundled].", show_default=False),
-    ] = None,
-    grasp_checkpoint: Annotated[
-        Path | None, typer.Option(help="Success weights [default: bundled].", show_default=False)
-    ] = None,
+    checkpoint: common.Checkpoint = None,
+    grasp_checkpoint: common.GraspCheckpoint = None,
     threads: common.Threads = 0,
     device: common.Device = "cpu",
     quiet: common.Quiet = False,

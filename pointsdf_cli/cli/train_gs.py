@@ -7,21 +7,22 @@ from typing import Annotated, Any
 
 import typer
 
+from pointsdf_cli import choices
 from pointsdf_cli.cli import common
 
 
 def train_gs(
-    grasps: Annotated[Path, typer.Option(help="Folder of grasps made by `rgrasp collect-grasps`.")],
+    grasps: common.Grasps,
     out: Annotated[Path, typer.Option(help="Output checkpoint directory.")],
     encoder: Annotated[
-        str,
+        choices.Encoder,
         typer.Option(
             help="Encoder: geometry (distances of the reconstruction at the grasp), or the "
             "published embeddings pointsdf or voxelcnn."
         ),
     ] = "geometry",
     mode: Annotated[
-        str,
+        choices.Mode,
         typer.Option(
             help="Training of the encoder: fixed, fine-tuned, or scratch (no reconstruction)."
         ),
@@ -48,12 +49,9 @@ def train_gs(
         ),
     ] = None,
     half: Annotated[bool, typer.Option("--half", help="Store the weights in float16.")] = False,
-    cache: Annotated[
-        Path | None,
-        typer.Option(help="Cache folder of the network's features.  [default: GRASPS-cache]"),
-    ] = None,
+    cache: common.Cache = None,
     threads: common.Threads = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Resume from OUT.")] = False,
+    resume: common.Resume = False,
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     force: common.Force = False,

@@ -7,18 +7,17 @@ from typing import Annotated, Any
 
 import typer
 
+from pointsdf_cli import choices
 from pointsdf_cli.cli import common
 
 
 def train_sdf(
-    views: Annotated[Path, typer.Option(help="Folder of views made by `rgrasp render`.")],
+    views: common.Views,
     labels: Annotated[Path, typer.Option(help="Folder of labels made by `rgrasp label-sdf`.")],
     out: Annotated[Path, typer.Option(help="Output checkpoint directory.")],
-    model: Annotated[
-        str, typer.Option(help="Architecture: pointsdf-ray, pointsdf or voxelcnn.")
-    ] = ("pointsdf-ray"),
+    model: Annotated[choices.Model, typer.Option(help="Architecture.")] = "pointsdf-ray",
     preset: Annotated[
-        str, typer.Option(help="Preset: small, or paper (the published recipe).")
+        choices.Preset, typer.Option(help="Preset; paper is the published recipe.")
     ] = "small",
     steps: Annotated[
         int | None,
@@ -64,13 +63,14 @@ def train_sdf(
         int | None, typer.Option(help="Number of steps between validations.")
     ] = None,
     precision: Annotated[
-        str | None, typer.Option(help="Precision: auto, bfloat16 or float32.")
+        choices.Precision | None,
+        typer.Option(help="Precision  [default: auto; with --preset paper float32]."),
     ] = None,
     pack: Annotated[
         Path | None, typer.Option(help="Folder of the packed data [default: OUT-pack].")
     ] = None,
     threads: common.Threads = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Resume from OUT.")] = False,
+    resume: common.Resume = False,
     seed: common.Seed = 0,
     device: common.Device = "cpu",
     force: common.Force = False,

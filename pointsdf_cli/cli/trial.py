@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -33,7 +33,8 @@ def trial(
         ),
     ] = "auto",
     method: Annotated[
-        str, typer.Option(help="Method: reconstruction, partial-view, or both.")
+        Literal["both", "reconstruction", "partial-view"],
+        typer.Option(help="Source of the object's shape."),
     ] = "both",
     ablation: Annotated[
         list[str] | None,
@@ -50,7 +51,7 @@ def trial(
     repeats: Annotated[
         int, typer.Option(help="Number of repetitions, each with its own yaws, place and noise.")
     ] = 1,
-    solver: Annotated[str, typer.Option(help="Solver: sqp, or slsqp (the paper's, slow).")] = "sqp",
+    solver: common.Solver = "sqp",
     rehearse: Annotated[
         int,
         typer.Option(
@@ -63,12 +64,8 @@ def trial(
     margin: Annotated[
         float, typer.Option(help="Preferred distance to the object in plans [m].")
     ] = 0.004,
-    checkpoint: Annotated[
-        Path | None, typer.Option(help="Reconstruction weights.", show_default="bundled")
-    ] = None,
-    grasp_checkpoint: Annotated[
-        Path | None, typer.Option(help="Success weights.", show_default="bundled")
-    ] = None,
+    checkpoint: common.Checkpoint = None,
+    grasp_checkpoint: common.GraspCheckpoint = None,
     robot: common.Robot = None,
     sensor: common.Sensor = "structured-light",
     clutter: Annotated[
@@ -78,9 +75,7 @@ def trial(
             "falls over or moves more than 2 cm fails."
         ),
     ] = 0,
-    shake: Annotated[
-        float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
-    ] = 0.0,
+    shake: common.Shake = 0.0,
     hold: Annotated[
         float, typer.Option(help="Time that the lifted object must be held [s]; 0 for none.")
     ] = 5.0,
@@ -91,9 +86,7 @@ def trial(
             "±x, ±y and ±z; 0 for none."
         ),
     ] = 2.5,
-    pattern: Annotated[
-        str, typer.Option(help="Only meshes whose names match this pattern, such as '*.ply'.")
-    ] = "*",
+    pattern: common.Pattern = "*",
     record: Annotated[int, typer.Option(help="Write this many trials as GIF films.")] = 0,
     pictures: Annotated[int, typer.Option(help="Number of failures to draw in the report.")] = 40,
     seed: common.Seed = 0,
@@ -237,10 +230,6 @@ def trial(
 def _variants(method: str, ablations: list[str]) -> list[PlannerVariant]:
     from pointsdf_cli.trials.protocol import ABLATIONS, METHODS, RECONSTRUCTION, PlannerVariant
 
-    if method not in ("both", *METHODS):
-        raise InputError(
-            f"no method {method!r}", where="--method", allowed="both, " + ", ".join(METHODS)
-        )
     variants = [PlannerVariant(one) for one in METHODS if method in ("both", one)]
     wanted = [one for name in ablations for one in (ABLATIONS if name == "all" else (name,))]
     return variants + [PlannerVariant(RECONSTRUCTION, one) for one in wanted]

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from pointsdf_cli.assets import asset_path, assets_folder
+from pointsdf_cli.choices import Mode
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import WEIGHTS, Checkpoint, read_checkpoint, write_checkpoint
 from pointsdf_cli.io.provenance import file_sha256
@@ -31,7 +32,7 @@ BUNDLED = "weights/grasp_geometry"
 BUNDLED_PREFIX = "bundled:"
 
 FIXED, FINE_TUNED, SCRATCH = "fixed", "fine-tuned", "scratch"
-MODES = (FIXED, FINE_TUNED, SCRATCH)
+MODES = get_args(Mode)
 
 
 class GraspParts(NamedTuple):

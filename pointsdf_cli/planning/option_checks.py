@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
+from pointsdf_cli import choices
 from pointsdf_cli.errors import InputError
 
 RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
-METHODS = (RECONSTRUCTION, PARTIAL_VIEW)
-SOLVERS = ("sqp", "slsqp")
+METHODS = get_args(choices.Method)
+SOLVERS = get_args(choices.Solver)
 KINDS = ("side", "top")
-SEGMENT = ("auto", "none")
+SEGMENT = get_args(choices.Segment)
 HULL = "hull"
-OBSTACLES = (RECONSTRUCTION, HULL)
+OBSTACLES = get_args(choices.Obstacles)
 
 LARGEST_CLEARANCE = 0.015
 """Largest clearance [m]: distances are exact up to 2 cm only, and a hand farther away than this
@@ -41,7 +44,7 @@ def check_kind(kind: str) -> None:
     Raises:
         InputError: It is none of them.
     """
-    _require_one_of(kind, ("auto", *KINDS), "kind of grasp", "--kind")
+    _require_one_of(kind, get_args(choices.GraspKind), "kind of grasp", "--kind")
 
 
 def check_obstacles(obstacles: str) -> None:

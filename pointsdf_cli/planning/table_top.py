@@ -23,6 +23,7 @@ from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
 from pointsdf_cli.planning.cloud_checks import require_pose
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, Thing, choose, reach_of
+from pointsdf_cli.planning.option_checks import check_segment
 from pointsdf_cli.planning.scene import (
     VOXEL,
     WORKSPACE,
@@ -34,8 +35,6 @@ from pointsdf_cli.planning.scene import (
 )
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
-
-SEGMENT = ("auto", "none")
 
 
 def workspace_of(corners: tuple[tuple[float, ...], tuple[float, ...]] | None) -> SegmentationConfig:
@@ -103,7 +102,7 @@ def look_at_table(
         InputError: A cloud has no pose or is not of an object, or the target does not exist.
         NoObjectError: No cloud shows an object, with the first one's reason.
     """
-    _check_options(segment, target, workspace)
+    check_segment(segment, target is not None, workspace is not WORKSPACE)
     wanted = (
         target if isinstance(target, TargetChoice) or target is None else TargetChoice(place=target)
     )
@@ -216,15 +215,6 @@ def _require_same(points: Array, first: tuple[Array, Array], name: str) -> None:
         raise NoObjectError(
             f"what is nearest to the object is {to_object:.2f} m away from it", where=name
         )
-
-
-def _check_options(segment: str, target: object, workspace: SegmentationConfig) -> None:
-    if segment not in SEGMENT:
-        raise InputError(f"no {segment!r}", where="--segment", allowed=", ".join(SEGMENT))
-    if segment == "none" and target is not None:
-        raise InputError("--target without --segment auto", hint="leave one of the two out")
-    if segment == "none" and workspace is not WORKSPACE:
-        raise InputError("--workspace without --segment auto", hint="leave one of the two out")
 
 
 def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) -> TableTop:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import time
 from functools import cache
 from pathlib import Path
+from typing import get_args
 
 import torch
 
+from pointsdf_cli.choices import Precision
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.processor import one_thread
 
@@ -54,9 +56,10 @@ def autocast_dtype(precision: str, device: torch.device) -> torch.dtype | None:
     Raises:
         InputError: No such precision.
     """
-    if precision not in ("auto", "bfloat16", "float32"):
+    known = get_args(Precision)
+    if precision not in known:
         raise InputError(
-            f"no precision {precision!r}", where="--precision", allowed="auto, bfloat16, float32"
+            f"no precision {precision!r}", where="--precision", allowed=", ".join(known)
         )
     if precision == "float32":
         return None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
+from pointsdf_cli.choices import Model, Preset
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.pointsdf import PRESETS as POINTSDF_PRESETS
 from pointsdf_cli.models.revolution import SIDEWAYS
@@ -13,8 +14,7 @@ from pointsdf_cli.training.sdf_loss import SdfLoss
 PAPER_EPOCHS = 100
 """Epochs of preset `paper`."""
 
-MODELS = ("pointsdf-ray", "pointsdf", "voxelcnn")
-PRESETS = ("small", "paper")
+MODELS, PRESETS = get_args(Model), get_args(Preset)
 
 
 def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:

@@ -10,15 +10,17 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
+from pointsdf_cli.choices import Method
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.meshes import find_meshes
 from pointsdf_cli.objects.stand_ins import STAND_INS
 
 RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
-METHODS = (RECONSTRUCTION, PARTIAL_VIEW)
+METHODS = get_args(Method)
 CAMERAS = {"high": 0.85, "low": 0.40}
 """Heights above the table [m], 0.45 m apart as in the paper; the low one sees less."""
 
