@@ -1,6 +1,8 @@
 """Names that options accept, each set in one place, importable without any library."""
 
-from typing import Literal
+from typing import Any, Literal, get_args
+
+from pointsdf_cli.errors import InputError
 
 Dictionary = Literal[
     "4X4_50", "4X4_100", "4X4_250", "4X4_1000", "5X5_50", "5X5_100", "5X5_250", "5X5_1000",
@@ -20,3 +22,15 @@ Segment = Literal["auto", "none"]
 Sensor = Literal["ideal", "structured-light", "stereo"]
 Solver = Literal["sqp", "slsqp"]
 Unit = Literal["m", "cm", "mm", "inch"]
+
+
+def require_choice(value: str | None, choices: Any, option: str) -> None:
+    """Require one of the names in a `Literal`, for values that no command line has checked.
+
+    Raises:
+        InputError: `value` is none of them; the message names the option.
+    """
+    known = get_args(choices)
+    if value not in known:
+        what = option.lstrip("-").replace("-", " ")
+        raise InputError(f"no {what} {value!r}", where=option, allowed=", ".join(known))

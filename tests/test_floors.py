@@ -11,8 +11,8 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "pointsdf_cli"
 FLOORS = [
-    {"errors", "choices", "deferred", "preload", "__init__"},
-    {"assets"},
+    {"errors", "deferred", "preload", "__init__"},
+    {"assets", "choices"},
     {"geometry"},
     {"io"},
     {"camera", "objects"},

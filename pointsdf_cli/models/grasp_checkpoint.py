@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from pointsdf_cli.assets import asset_path, assets_folder
-from pointsdf_cli.choices import Mode
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import WEIGHTS, Checkpoint, read_checkpoint, write_checkpoint
 from pointsdf_cli.io.provenance import file_sha256
@@ -32,7 +31,6 @@ BUNDLED = "weights/grasp_geometry"
 BUNDLED_PREFIX = "bundled:"
 
 FIXED, FINE_TUNED, SCRATCH = "fixed", "fine-tuned", "scratch"
-MODES = get_args(Mode)
 
 
 class GraspParts(NamedTuple):
@@ -74,7 +72,7 @@ def write_grasp_checkpoint(
         weights: `network.…`, and `encoder.…` if that was trained too; None keeps the stored ones.
         prior: The prior, stored in double precision.
         frozen_from: Checkpoint of a frozen encoder.
-        mode: One of `MODES`.
+        mode: One of `choices.Mode`.
         robot, sweep: Robot and closing hand of the training data.
         provenance: Further entries of config.json.
         train_state: State to resume from.

@@ -5,12 +5,10 @@ from __future__ import annotations
 import time
 from functools import cache
 from pathlib import Path
-from typing import get_args
 
 import torch
 
-from pointsdf_cli.choices import Precision
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.choices import Precision, require_choice
 from pointsdf_cli.models.processor import one_thread
 
 ROWS, WIDTH = 2048, 256
@@ -56,11 +54,7 @@ def autocast_dtype(precision: str, device: torch.device) -> torch.dtype | None:
     Raises:
         InputError: No such precision.
     """
-    known = get_args(Precision)
-    if precision not in known:
-        raise InputError(
-            f"no precision {precision!r}", where="--precision", allowed=", ".join(known)
-        )
+    require_choice(precision, Precision, "--precision")
     if precision == "float32":
         return None
     if precision == "bfloat16":
