@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -169,18 +170,30 @@ def check_seed(seed: int) -> int:
     return seed
 
 
-def check_table_name(out: Path, beside: tuple[str, ...]) -> None:
-    """Refuse a table path with one of these suffixes, which are written beside it.
+def table_files(
+    out: Path, beside: tuple[str, ...], inputs: Iterable[Path | None], force: bool
+) -> list[Path]:
+    """Check that a table and the files beside it can be written; returns their paths.
 
     Raises:
-        InputError: It has such a suffix.
+        InputError: The table's name ends like those beside it, a file exists or is an input, or
+            the folder cannot be written.
     """
+    from pointsdf_cli.io.apart import require_apart
+    from pointsdf_cli.io.atomic import require_folder, require_new
+
     if not out.name or out.suffix.lower() in beside:
         raise InputError(
             f"{out} is not a file name, or ends like the files written beside the table",
             where="--out",
             allowed="such as table.json",
         )
+    files = [out, *(out.with_suffix(suffix) for suffix in beside)]
+    require_apart(files, inputs)
+    for path in files:
+        require_new(path, force)
+    require_folder(out.parent)
+    return files
 
 
 def check_suffix(path: Path, option: str, suffixes: tuple[str, ...]) -> None:
