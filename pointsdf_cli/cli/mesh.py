@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
@@ -150,19 +150,9 @@ def mesh(
         one = {"--picture": picture is not None, "--mask": mask is not None}
         require_without(one, "leave one of the two out")
         mesh_each(
-            reporter,
-            clouds,
-            camera_pose,
-            files,
-            settings,
-            inputs,
-            out=out or Path("meshes"),
-            form=mesh_path(None, form).suffix[1:],
-            jobs=jobs,
-            threads=threads,
-            force=force,
-            skip_bad=skip_bad,
-        )
+            reporter, clouds, camera_pose, files, settings, inputs, out=out or Path("meshes"),
+            form=form or "ply", jobs=jobs, threads=threads, force=force, skip_bad=skip_bad,
+        )  # fmt: skip
         return
     if len(clouds) > 1:
         raise InputError(f"{len(clouds)} inputs", allowed="one", hint="add --each")
@@ -194,21 +184,11 @@ def _mesh_one(
     from pointsdf_cli.geometry.frames import apply_transform
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.meshes import UNITS, save_mesh
-    from pointsdf_cli.planning.object_view import object_view
     from pointsdf_cli.preload import preload
 
-    idle, unit, meshing = IdleProcessors(), files.unit, settings.choices
-    seen = object_view(
-        cloud,
-        files,
-        pose,
-        settings.segment,
-        settings.target,
-        settings.robot,
-        settings.workspace,
-        settings.cleaned,
-    )
-    points, T_frame_camera = seen.points, seen.T_frame_camera
+    idle = IdleProcessors()
+    seen = settings.view(cloud, files, pose)
+    points = seen.points
     for line in seen.said:
         reporter.say(line)
     if seen.alone and np.ptp(points, axis=0).max() > SCENE:
@@ -222,9 +202,9 @@ def _mesh_one(
     use_threads(threads or idle.count())
     weights = settings.checkpoint or completion_checkpoint()
     model = load_model(weights, common.torch_device(settings.device))
-    completed = complete_mesh(model, seen, meshing, str(cloud))
-    made, seconds = completed.mesh, completed.seconds
-    vertices = apply_transform(T_frame_camera, made.vertices) / UNITS[unit]
+    completed = complete_mesh(model, seen, settings.choices, str(cloud))
+    made = completed.mesh
+    vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[files.unit]
     save_mesh(out, vertices, made.faces)
     if picture:
         # Matplotlib and Open3D take longer to load than the mesh takes to make.
@@ -234,29 +214,32 @@ def _mesh_one(
             cloud.stem, points, (made.vertices, made.faces), None, completed.reconstruction.sdf
         )
         draw_gallery(picture, [row])
-    extent = np.ptp(vertices, axis=0)
-    reporter.result(
-        {
-            "out": out,
-            "picture": picture,
-            "vertices": len(vertices),
-            "faces": len(made.faces),
-            "extent": extent,
-            "unit": unit,
-            "frame": seen.frame,
-            "points": len(points),
-            "resolution": meshing.resolution,
-            "parts_dropped": made.parts_dropped,
-            "queries": made.queries,
-            "seconds": seconds,
-        },
-        [
-            f"{out}: {len(vertices)} vertices, {len(made.faces)} faces, "
-            f"{' × '.join(f'{side:.4g}' for side in extent)} {unit}, in the {seen.frame} frame",
-            f"{made.queries} queries, {seconds:.2f} s at {meshing.resolution}³"
-            + (f"; {made.parts_dropped} loose parts dropped" if made.parts_dropped else ""),
-        ],
-    )
+    values: dict[str, Any] = {
+        "out": out,
+        "picture": picture,
+        "vertices": len(vertices),
+        "faces": len(made.faces),
+        "extent": np.ptp(vertices, axis=0),
+        "unit": files.unit,
+        "frame": seen.frame,
+        "points": len(points),
+        "resolution": settings.choices.resolution,
+        "parts_dropped": made.parts_dropped,
+        "queries": made.queries,
+        "seconds": completed.seconds,
+    }
+    reporter.result(values, _lines(values))
+
+
+def _lines(made: dict[str, Any]) -> list[str]:
+    sides = " × ".join(f"{side:.4g}" for side in made["extent"])
+    dropped = made["parts_dropped"]
+    return [
+        f"{made['out']}: {made['vertices']} vertices, {made['faces']} faces, {sides} "
+        f"{made['unit']}, in the {made['frame']} frame",
+        f"{made['queries']} queries, {made['seconds']:.2f} s at {made['resolution']}³"
+        + (f"; {dropped} loose parts dropped" if dropped else ""),
+    ]
 
 
 def mesh_path(out: Path | None, form: str | None) -> Path:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -12,11 +13,9 @@ from pointsdf_cli.cli import common
 from pointsdf_cli.cli.plan_each import EachOptions, plan_each
 from pointsdf_cli.cli.plan_one import PlanOutputs, plan_one
 
-if TYPE_CHECKING:
-    from pointsdf_cli.camera.scene_file import SceneFileOptions
-
 
 def plan(
+    context: typer.Context,
     clouds: Annotated[
         list[Path],
         typer.Argument(
@@ -176,10 +175,10 @@ def plan(
 
     Example: rgrasp plan scenes/*.ply --each --out plans/
     """
-    from pointsdf_cli.io.checkpoints import read_config
     from pointsdf_cli.io.each_file import require_without
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.poses import box
+    from pointsdf_cli.io.present import require_present
     from pointsdf_cli.planning.environment import Environment, read_environment
     from pointsdf_cli.planning.option_checks import check_segment
     from pointsdf_cli.planning.plan_request import PlanChoices
@@ -193,15 +192,15 @@ def plan(
         *clouds, *(camera_pose or ()), *(intrinsics or ()), *(mask or ()), environment, robot,
         start, target, workspace, checkpoint, grasp_checkpoint,
     ]  # fmt: skip
+    out = out or Path("plans" if each else "plan.h5")
     if each:
         one = {"--trajectory": trajectory, "--picture": picture, "--server": server}
         require_without({k: v is not None for k, v in one.items()}, "leave one of the two out")
     else:
-        out = out or Path("plan.h5")
         drawn = None if no_picture else picture or out.with_suffix(".png")
         outputs = PlanOutputs(out, drawn, trajectory)
         outputs.require_free(inputs, force)
-    looked_at = None if workspace is None else box(workspace, "--workspace")
+    corners = None if workspace is None else box(workspace, "--workspace")
     search = PlanChoices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
     if server is not None:
         _check_server(server, threads, device)
@@ -209,99 +208,48 @@ def plan(
     common.check_device(device)
     around = Environment() if environment is None else read_environment(environment)
     start_at = start_configuration(start, load_robot(robot))
-    for weights in (checkpoint, grasp_checkpoint):
-        if weights is not None:
-            read_config(weights)
+    require_present(checkpoints=[checkpoint, grasp_checkpoint])
     # What reads clouds is loaded for options that can be used.
+    from pointsdf_cli.camera.scene_file import options_of_views
     from pointsdf_cli.service.plan_settings import PlanSettings
 
-    files = _file_options(
-        len(clouds),
-        intrinsics,
-        mask,
-        depth_scale=depth_scale,
-        unit=unit,
-        frame=frame,
-        drop_invalid=drop_invalid,
-    )
+    files = options_of_views(
+        len(clouds), intrinsics, mask,
+        depth_scale=depth_scale, unit=unit, frame=frame, drop_invalid=drop_invalid,
+    )  # fmt: skip
     settings = PlanSettings(
-        search,
-        around,
-        None if start is None else start_at,
-        seed,
-        segment,
-        target,
-        not ignore_others,
-        looked_at,
-        not no_clean,
-        obstacles,
-        robot,
-        checkpoint,
-        grasp_checkpoint,
+        search, around, None if start is None else start_at, seed, segment, target,
+        not ignore_others, corners, not no_clean, obstacles, robot, checkpoint, grasp_checkpoint,
         device,
-    )
+    )  # fmt: skip
     if each:
-        stage = EachOptions(
-            out or Path("plans"), not no_picture, jobs, threads, force, skip_bad, accept_unlikely
-        )
+        stage = EachOptions(out, not no_picture, jobs, threads, force, skip_bad, accept_unlikely)
         plan_each(reporter, clouds, camera_pose or [], files, settings, inputs, stage)
         return
     request, notes = settings.read(clouds, camera_pose or [], files)
     for note in notes:
         reporter.say(note)
-    asked: dict[str, Any] = {
-        "rehearse": rehearse,
-        "target": target,
-        "start": start,
-        "segment": segment,
-        "workspace": workspace,
-        "environment": environment and str(environment),
-        "ignore_others": ignore_others,
-        "unit": unit,
-        "frame": frame,
-        "camera_pose": camera_pose,
-        "intrinsics": intrinsics,
-        "depth_scale": depth_scale,
-        "mask": mask,
-        "clean": not no_clean,
-        "obstacles": obstacles,
-    }
     plan_one(
-        reporter,
-        request,
-        settings,
-        outputs,
-        asked,
-        idle,
-        server=server,
-        threads=threads,
-        accept_unlikely=accept_unlikely,
-    )
+        reporter, request, settings, outputs, _as_typed(context.params), idle,
+        server=server, threads=threads, accept_unlikely=accept_unlikely,
+    )  # fmt: skip
 
 
-def _file_options(
-    count: int, intrinsics: list[str] | None, masks: list[str] | None, **same: Any
-) -> list[SceneFileOptions]:
-    """Reading options of each file.
+_RECORDED = (
+    "rehearse", "target", "start", "segment", "workspace", "environment", "ignore_others", "unit",
+    "frame", "camera_pose", "intrinsics", "depth_scale", "mask",
+)  # fmt: skip
+"""Options that the plan's provenance holds as they were typed."""
 
-    Raises:
-        InputError: Neither one for all nor one for each.
-    """
-    from pointsdf_cli.camera.scene_file import SceneFileOptions
-    from pointsdf_cli.errors import InputError
 
-    cameras: list[str | None] = [*intrinsics] if intrinsics else [None]
-    if len(cameras) == 1:
-        cameras = cameras * count
-    on: list[str | None] = [*masks] if masks else [None] * count
-    for option, given in (("--intrinsics", cameras), ("--mask", on)):
-        if len(given) != count:
-            raise InputError(
-                f"{len(given)} for {count} views", where=option, allowed="one for each, in order"
-            )
-    return [
-        SceneFileOptions(intrinsics=k, mask=m, **same) for k, m in zip(cameras, on, strict=True)
-    ]
+def _as_typed(given: Mapping[str, Any]) -> dict[str, Any]:
+    environment = given["environment"]
+    return {
+        **{name: given[name] for name in _RECORDED},
+        "environment": environment and str(environment),
+        "clean": not given["no_clean"],
+        "obstacles": given["obstacles"],
+    }
 
 
 def _check_server(server: str, threads: int, device: str) -> None:

@@ -88,7 +88,7 @@ def render(
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder
     from pointsdf_cli.io.batch import run_stage, shard_of
-    from pointsdf_cli.io.meshes import artifact_path, find_meshes
+    from pointsdf_cli.io.meshes import find_meshes, named_artifacts
 
     if scene == "table" and (keep_depth or above):
         option = "--keep-depth" if keep_depth else "--above"
@@ -97,25 +97,17 @@ def render(
     if scene == "void" and (len(sensors) > 1 or exact):
         option = f"--sensor {sensor}" if len(sensors) > 1 else f"--exact {exact:g}"
         raise InputError("is for --scene table", where=option, hint="add --scene table")
+    depth_noise = DepthNoise() if noise is None else DepthNoise(noise)
+    table = SceneViewConfig(sensors, exact=exact) if scene == "table" else None
     config = ViewConfig(
-        views,
-        distance,
-        load_camera(camera),
-        DepthNoise() if noise is None else DepthNoise(noise),
-        keep_depth,
-        unit,
-        above,
-        scene=SceneViewConfig(sensors, exact=exact) if scene == "table" else None,
+        views, distance, load_camera(camera), depth_noise, keep_depth, unit, above, table,
         sensor=sensors[0],
-    )
+    )  # fmt: skip
     seed, jobs = common.check_seed(seed), common.job_count(jobs)
     found = shard_of(find_meshes(meshes, pattern), shard)
     out = require_folder(out)
-    tasks = []
-    for mesh in found:
-        path = artifact_path(mesh, meshes, out)
-        name = path.relative_to(out).with_suffix("").as_posix()
-        tasks.append((name, ViewTask(name, mesh, path, config, seed, force)))
+    named = named_artifacts(found, meshes, out)
+    tasks = [(n, ViewTask(n, mesh, path, config, seed, force)) for n, (mesh, path) in named.items()]
     require_apart((task.out for _, task in tasks), [*found, camera])
     reporter = common.Reporter(quiet, as_json)
     with reporter.progress("render", len(tasks)) as progress:

@@ -38,14 +38,7 @@ def report(
         typer.Option(help="Folder of the meshes of views and labels, if they have moved."),
     ] = None,
     unit: common.Unit = "m",
-    robot: Annotated[
-        Path | None,
-        typer.Option(
-            help="Robot YAML for a plan, or panda [default: LBR4 + Allegro].",
-            show_default=False,
-            callback=common.bundled_robot,
-        ),
-    ] = None,
+    robot: common.Robot = None,
     force: common.Force = False,
     quiet: common.Quiet = False,
     as_json: common.Json = False,

@@ -62,14 +62,9 @@ def segment(
     common.check_picture(picture, force)
     corners = None if workspace is None else box(workspace, "--workspace")
     files = SceneFileOptions(
-        intrinsics,
-        depth_scale,
-        colour=color,
-        mask=mask,
-        unit=unit,
-        frame=frame,
-        drop_invalid=drop_invalid,
-    )
+        intrinsics, depth_scale, colour=color, mask=mask,
+        unit=unit, frame=frame, drop_invalid=drop_invalid,
+    )  # fmt: skip
 
     from pointsdf_cli.planning.list_things import list_things
     from pointsdf_cli.planning.object_choice import NoObjectError

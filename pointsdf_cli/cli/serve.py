@@ -37,7 +37,7 @@ def serve(
     Example: rgrasp serve & rgrasp plan cloud.ply --server http://127.0.0.1:8765
     """
     from pointsdf_cli.errors import InputError, RgraspError
-    from pointsdf_cli.io.checkpoints import read_config
+    from pointsdf_cli.io.present import require_present
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.service.address import LOOPBACK, TOKEN
 
@@ -58,9 +58,7 @@ def serve(
         )
     common.check_device(device)
     load_robot(robot)
-    for weights in (checkpoint, grasp_checkpoint):
-        if weights is not None:
-            read_config(weights)
+    require_present(checkpoints=[checkpoint, grasp_checkpoint])
     try:
         import fastapi
         import uvicorn

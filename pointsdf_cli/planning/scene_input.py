@@ -3,13 +3,13 @@ table."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from pointsdf_cli.camera.scene_file import SceneFileOptions, read_view
+from pointsdf_cli.camera.scene_file import SceneFileOptions, cleaned_view, masked, read_view
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
 from pointsdf_cli.errors import InputError
@@ -223,3 +223,45 @@ def _moved(cloud: Cloud, centre: Array, place: tuple[float, float]) -> Cloud:
     pose = cloud.T_world_camera.copy()
     pose[:2, 3] += np.asarray(place) - centre[:2]
     return replace(cloud, T_world_camera=pose)
+
+
+def depth_view(
+    path: Path,
+    options: SceneFileOptions,
+    pose: str | None,
+    cleaned: bool,
+    say: Callable[[str], None],
+) -> tuple[Cloud, int, int]:
+    """Cloud of the depth image of a scene, or of what its mask shows.
+
+    Args:
+        path, options: Image, and how to read it.
+        pose: Camera pose as typed; None for none.
+        cleaned: Drop flying pixels, and outliers and specks under a mask.
+        say: Receives notes for the user.
+
+    Returns:
+        The cloud, the number of pixels, and that of the pixels without a valid depth.
+
+    Raises:
+        InputError: A file cannot be read, or no point is left.
+    """
+    place = None if pose is None else table_place(pose)
+    made = read_view(
+        path, options, None if pose is None or place is not None else camera_pose(pose)
+    )
+    for note in made.notes:
+        say(f"{path}: {note}")
+    if place is not None:
+        made, _ = stand_on_table(made, str(path), place, cleaned=cleaned)
+        say(table_note(made, place))
+    pixels = 0 if made.image is None else made.image.depth.size
+    unseen = pixels - len(made.points)
+    made = masked(made)
+    if cleaned:
+        made, said = cleaned_view(made, whole_scene=options.mask is None)
+        if said:
+            say(said)
+        if not len(made.points):
+            raise InputError("cleaning left no points", where=path, hint="add --no-clean")
+    return made, pixels, unseen
