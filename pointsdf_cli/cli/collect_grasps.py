@@ -65,7 +65,6 @@ def collect_grasps(
     from pointsdf_cli.io.meshes import find_meshes
     from pointsdf_cli.robot.description import load_robot
 
-    seed, jobs = common.check_seed(seed), common.job_count(jobs)
     machine, found = load_robot(robot), find_meshes(meshes, pattern)
 
     # Seconds of imports: only for what can be used.

@@ -15,11 +15,55 @@ from pointsdf_cli.cli.reporter import Reporter as Reporter
 from pointsdf_cli.cli.reporter import finish_stage as finish_stage
 from pointsdf_cli.errors import InputError
 
-Seed = Annotated[int, typer.Option(help="Random seed.")]
-Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Number of processes; 0 uses all cores.")]
+
+def job_count(jobs: int) -> int:
+    """The number of processes for `--jobs`.
+
+    Raises:
+        InputError: Negative, or absurdly many.
+    """
+    if not 0 <= jobs <= 1024:
+        raise InputError(f"{jobs} jobs", where="--jobs", allowed="0 (all cores) to 1024")
+    return jobs or len(os.sched_getaffinity(0))
+
+
+def check_seed(seed: int) -> int:
+    """Check that `seed` can seed a random generator, and return it.
+
+    Raises:
+        InputError: Negative or beyond 63 bits.
+    """
+    if not 0 <= seed < 2**63:
+        raise InputError(f"{seed} is no seed", where="--seed", allowed="0 to 2⁶³ − 1")
+    return seed
+
+
+def check_device(name: str) -> str:
+    """Refuse an unknown kind of device, without importing torch.
+
+    Raises:
+        InputError: Neither cpu nor cuda nor cuda:N.
+    """
+    kind, colon, number = name.partition(":")
+    numbered = not colon or number.isdecimal()
+    if kind not in ("cpu", "cuda") or not numbered:
+        raise InputError(f"no device {name!r}", where="--device", allowed="cpu, cuda, cuda:N")
+    return name
+
+
+Seed = Annotated[int, typer.Option(help="Random seed.", callback=check_seed)]
+Jobs = Annotated[
+    int,
+    typer.Option("--jobs", "-j", help="Number of processes; 0 uses all cores.", callback=job_count),
+]
 EachJobs = Annotated[
     int,
-    typer.Option("--jobs", "-j", help="With --each: number of processes; 0 uses all cores."),
+    typer.Option(
+        "--jobs",
+        "-j",
+        help="With --each: number of processes; 0 uses all cores.",
+        callback=job_count,
+    ),
 ]
 EachSkipBad = Annotated[
     bool,
@@ -47,7 +91,18 @@ Robot = Annotated[
         help="Robot YAML, or panda.  [default: LBR4 with Allegro hand]", callback=bundled_robot
     ),
 ]
-Device = Annotated[str, typer.Option(help="Compute device: cpu, cuda or cuda:N.")]
+RobotAtHome = Annotated[
+    Path | None,
+    typer.Option(
+        help="Robot at home, to remove its points from a scene: YAML, or panda "
+        "[default: LBR4 with Allegro hand].",
+        show_default=False,
+        callback=bundled_robot,
+    ),
+]
+Device = Annotated[
+    str, typer.Option(help="Compute device: cpu, cuda or cuda:N.", callback=check_device)
+]
 Sensor = Annotated[choices.Sensor, typer.Option(help="Depth camera to simulate.")]
 Solver = Annotated[choices.Solver, typer.Option(help="Solver; slsqp is the paper's, and slow.")]
 Checkpoint = Annotated[
@@ -146,28 +201,6 @@ Shard = Annotated[
 SkipBad = Annotated[
     bool, typer.Option("--skip-bad", help="Exit with 0 even if some inputs could not be used.")
 ]
-
-
-def job_count(jobs: int) -> int:
-    """The number of processes for `--jobs`.
-
-    Raises:
-        InputError: Negative, or absurdly many.
-    """
-    if not 0 <= jobs <= 1024:
-        raise InputError(f"{jobs} jobs", where="--jobs", allowed="0 (all cores) to 1024")
-    return jobs or len(os.sched_getaffinity(0))
-
-
-def check_seed(seed: int) -> int:
-    """Check that `seed` can seed a random generator, and return it.
-
-    Raises:
-        InputError: Negative or beyond 63 bits.
-    """
-    if not 0 <= seed < 2**63:
-        raise InputError(f"{seed} is no seed", where="--seed", allowed="0 to 2⁶³ − 1")
-    return seed
 
 
 def table_files(
@@ -270,25 +303,12 @@ def check_picture(path: Path | None, force: bool) -> Path | None:
     return path
 
 
-def check_device(name: str) -> None:
-    """Refuse an unknown kind of device, without importing torch.
-
-    Raises:
-        InputError: Neither cpu nor cuda nor cuda:N.
-    """
-    kind, colon, number = name.partition(":")
-    numbered = not colon or number.isdecimal()
-    if kind not in ("cpu", "cuda") or not numbered:
-        raise InputError(f"no device {name!r}", where="--device", allowed="cpu, cuda, cuda:N")
-
-
 def torch_device(name: str) -> str:
     """Check that torch can compute on the device `name`, and return it.
 
     Raises:
-        InputError: No such kind of device, or not on this machine.
+        InputError: It is not on this machine.
     """
-    check_device(name)
     import torch
 
     device = torch.device(name)

@@ -47,7 +47,6 @@ def eval_gs(
     from pointsdf_cli.io.present import require_present
     from pointsdf_cli.robot.description import load_robot
 
-    common.check_seed(seed)
     require_present(grasps, hint="rgrasp collect-grasps --meshes DIR --out DIR")
     require_present(checkpoints=[*checkpoint, sdf])
     machine = load_robot(robot)
@@ -72,7 +71,7 @@ def eval_gs(
     reporter = common.Reporter(quiet, as_json)
     cache = cache or common.cache_beside(grasps)
     with reporter.progress("eval-gs", len(data.names)) as bar:
-        sources = Sources(cache, sdf, robot, common.job_count(jobs), bar.advance)
+        sources = Sources(cache, sdf, robot, jobs, bar.advance)
         result = compare(labelled, data, sources, grasps, every, seed)
     write_text_atomic(table_path, to_json(result, indent=1) + "\n")
     draw_success_figure(picture, result["table"], evaluation.PUBLISHED)

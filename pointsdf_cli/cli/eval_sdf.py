@@ -56,7 +56,6 @@ def eval_sdf(
     """
     from pointsdf_cli.io.present import require_present
 
-    common.check_seed(seed)
     require_present(views, hint=f"rgrasp render --meshes {meshes} --out {views}")
     require_present(meshes, checkpoints=checkpoint)
 
@@ -86,7 +85,7 @@ def eval_sdf(
         report = run_stage(
             [(task.name, task) for task in tasks],
             evaluation.evaluate_object,
-            jobs=common.job_count(jobs),
+            jobs=jobs,
             on_done=progress.advance,
         )
     if not report.made:

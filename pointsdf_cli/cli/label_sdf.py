@@ -34,7 +34,6 @@ def label_sdf(
     from pointsdf_cli.objects.labelling import find_label_tasks, label_file
 
     config = SamplingConfig(points)
-    seed, jobs = common.check_seed(seed), common.job_count(jobs)
     found = shard_of(find_label_tasks(views, meshes, out, config, seed, force), shard)
     require_apart((t.out for t in found), [path for t in found for path in (t.views, t.mesh)])
     out = require_folder(out)

@@ -70,15 +70,7 @@ def mesh(
         ),
     ] = None,
     workspace: common.Workspace = None,
-    robot: Annotated[
-        Path | None,
-        typer.Option(
-            help="With --segment auto: YAML of the robot at home, to remove its points "
-            "[default: LBR4 + Allegro].",
-            show_default=False,
-            callback=common.bundled_robot,
-        ),
-    ] = None,
+    robot: common.RobotAtHome = None,
     all_parts: Annotated[
         bool, typer.Option("--all-parts", help="Keep small loose parts too.")
     ] = False,
@@ -136,8 +128,6 @@ def mesh(
     # A wrong resolution is known before anything is read.
     meshing = MeshChoices(resolution, smooth, all_parts, exact, precision, seed)
     inputs = [*clouds, camera_pose, intrinsics, mask, checkpoint, robot]
-    common.check_seed(seed)
-    common.check_device(device)
     if checkpoint is not None:
         read_config(checkpoint)
     files = SceneFileOptions(

@@ -46,7 +46,6 @@ def make(
     from pointsdf_cli.io.batch import shard_of
     from pointsdf_cli.objects.store import MANIFEST, check_count, make_objects
 
-    seed, jobs = common.check_seed(seed), common.job_count(jobs)
     chosen = None if families is None else [name.strip() for name in families.split(",")]
     sheet = common.check_picture(sheet, force)
     reporter = common.Reporter(quiet, as_json)

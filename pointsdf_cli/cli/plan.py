@@ -10,7 +10,7 @@ import typer
 
 from pointsdf_cli import choices
 from pointsdf_cli.cli import common
-from pointsdf_cli.cli.plan_each import EachOptions, plan_each
+from pointsdf_cli.cli.plan_each import plan_each
 from pointsdf_cli.cli.plan_one import PlanOutputs, plan_one
 
 
@@ -187,7 +187,6 @@ def plan(
 
     idle = IdleProcessors()
     reporter = common.Reporter(quiet, as_json)
-    common.check_seed(seed)
     inputs = [
         *clouds, *(camera_pose or ()), *(intrinsics or ()), *(mask or ()), environment, robot,
         start, target, workspace, checkpoint, grasp_checkpoint,
@@ -205,7 +204,6 @@ def plan(
     if server is not None:
         _check_server(server, threads, device)
     check_segment(segment, target is not None, workspace is not None)
-    common.check_device(device)
     around = Environment() if environment is None else read_environment(environment)
     start_at = start_configuration(start, load_robot(robot))
     require_present(checkpoints=[checkpoint, grasp_checkpoint])
@@ -223,8 +221,11 @@ def plan(
         device,
     )  # fmt: skip
     if each:
-        stage = EachOptions(out, not no_picture, jobs, threads, force, skip_bad, accept_unlikely)
-        plan_each(reporter, clouds, camera_pose or [], files, settings, inputs, stage)
+        plan_each(
+            reporter, clouds, camera_pose or [], files, settings, inputs, out=out,
+            pictures=not no_picture, jobs=jobs, threads=threads, force=force, skip_bad=skip_bad,
+            accept_unlikely=accept_unlikely,
+        )  # fmt: skip
         return
     request, notes = settings.read(clouds, camera_pose or [], files)
     for note in notes:

@@ -103,7 +103,6 @@ def render(
         views, distance, load_camera(camera), depth_noise, keep_depth, unit, above, table,
         sensor=sensors[0],
     )  # fmt: skip
-    seed, jobs = common.check_seed(seed), common.job_count(jobs)
     found = shard_of(find_meshes(meshes, pattern), shard)
     out = require_folder(out)
     named = named_artifacts(found, meshes, out)

@@ -44,7 +44,6 @@ def check(
     reporter = common.Reporter(quiet, as_json)
     require_apart([picture], [robot])
     common.check_picture(picture, force)
-    common.check_seed(seed)
     described = load_robot(robot)
 
     # Seconds of imports: only for a robot that can be read.

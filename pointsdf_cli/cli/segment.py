@@ -29,15 +29,7 @@ def segment(
     unit: common.Unit = "m",
     drop_invalid: common.DropInvalid = False,
     workspace: common.Workspace = None,
-    robot: Annotated[
-        Path | None,
-        typer.Option(
-            help="YAML of the robot at home, to remove its points and to rank by its reach "
-            "[default: LBR4 + Allegro].",
-            show_default=False,
-            callback=common.bundled_robot,
-        ),
-    ] = None,
+    robot: common.RobotAtHome = None,
     no_clean: common.NoClean = False,
     picture: Annotated[Path, typer.Option(help="Output picture of the numbered objects.")] = Path(
         "segment.png"

@@ -56,7 +56,6 @@ def serve(
             allowed="127.0.0.1, or any address with a token",
             hint=f"export {TOKEN}=$(openssl rand -hex 16), for the server and its clients",
         )
-    common.check_device(device)
     load_robot(robot)
     require_present(checkpoints=[checkpoint, grasp_checkpoint])
     try:

@@ -68,7 +68,6 @@ def train_gs(
     from pointsdf_cli.io.present import require_present
     from pointsdf_cli.robot.description import load_robot
 
-    common.check_seed(seed)
     require_present(grasps, hint="rgrasp collect-grasps --meshes DIR --out DIR")
     require_present(checkpoints=[sdf])
     machine = load_robot(robot)
@@ -97,7 +96,7 @@ def train_gs(
     split = split_for(data, variant, config.validation, seed)
     cache = cache or common.cache_beside(grasps)
     with reporter.progress("asking the reconstruction", len(data.names)) as bar:
-        sources = Sources(cache, sdf, robot, common.job_count(jobs), bar.advance)
+        sources = Sources(cache, sdf, robot, jobs, bar.advance)
         prepared = prepare(data, split, variant, sources, seed)
     if resume:
         check_hand(prepared.sweep, checkpoints.read_config(out), out)

@@ -84,8 +84,6 @@ def train_sdf(
     """
     from pointsdf_cli.io.present import require_present
 
-    common.check_seed(seed)
-    common.check_device(device)
     require_present(views, hint="rgrasp render --meshes DIR --out DIR")
     require_present(labels, hint="rgrasp label-sdf --views DIR --meshes DIR --out DIR")
     require_present(checkpoints=[start_from])

@@ -97,7 +97,6 @@ def trial(
 
     Example: rgrasp trial --out trials/ --meshes ycb/
     """
-    common.check_seed(seed)
     counts = {"--rehearse": rehearse, "--record": record, "--pictures": pictures}
     for name, value in (counts | {"--clutter": clutter}).items():
         if value < 0:
@@ -107,7 +106,6 @@ def trial(
 
     require_present(meshes, checkpoints=[checkpoint, grasp_checkpoint])
     load_robot(robot)  # before seconds of imports
-    jobs = common.job_count(jobs)
     reporter = common.Reporter(quiet, as_json)
 
     from pointsdf_cli.io.batch import run_stage, shard_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import has_train_state, read_config
@@ -16,6 +16,8 @@ from pointsdf_cli.training.presets import paper_steps, settings
 from pointsdf_cli.training.sdf_config import TrainConfig
 from pointsdf_cli.training.sdf_data import Split, held_out_names, split_views
 from pointsdf_cli.training.sdf_pack import Pack
+
+Start = tuple[ShapeModel, Split, TrainConfig, dict[str, Any], list[str]]
 
 
 @dataclass(frozen=True)
@@ -40,12 +42,16 @@ class SdfRun:
                 f"{self.held_out} is no share", where="--held-out", allowed="between 0 and 1"
             )
 
-    def begin(self, data: Pack, given: Mapping[str, Any]) -> SdfStart:
+    def begin(self, data: Pack, given: Mapping[str, Any]) -> Start:
         """Build the network, split the data and complete the settings.
 
         Args:
             data: Views and labels.
             given: As for `settings`.
+
+        Returns:
+            Network with its initial weights, split, settings, provenance for config.json, and
+            sentences for the user.
 
         Raises:
             InputError: The initial weights are of another architecture or size, or the resumed run
@@ -80,7 +86,7 @@ class SdfRun:
             },
             "git_commit": git_commit(),
         }
-        return SdfStart(network, split, config, provenance, notes)
+        return network, split, config, provenance, notes
 
     def _begin_with(
         self, checkpoint: Path, network: ShapeModel, known: int, objects: int
@@ -125,24 +131,6 @@ class SdfRun:
         if started is not None and started.get("architecture") != self.model:
             raise InputError(f"is a {started.get('architecture')}", where=where, allowed=self.model)
         return started
-
-
-class SdfStart(NamedTuple):
-    """A run ready for its first step.
-
-    Attributes:
-        network: Network with its initial weights.
-        split: Views for training and for validation.
-        config: Settings.
-        provenance: Description of the run for config.json.
-        notes: Sentences for the user.
-    """
-
-    network: ShapeModel
-    split: Split
-    config: TrainConfig
-    provenance: dict[str, Any]
-    notes: list[str]
 
 
 def view_limits(entries: Sequence[str]) -> dict[str, int]:
