@@ -246,7 +246,8 @@ _RECORDED = (
 def _as_typed(given: Mapping[str, Any]) -> dict[str, Any]:
     environment = given["environment"]
     return {
-        **{name: given[name] for name in _RECORDED},
+        # () stands there for an option that may be repeated and was not given.
+        **{name: None if given[name] == () else given[name] for name in _RECORDED},
         "environment": environment and str(environment),
         "clean": not given["no_clean"],
         "obstacles": given["obstacles"],
