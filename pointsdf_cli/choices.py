@@ -10,7 +10,7 @@ Dictionary = Literal[
 ]  # fmt: skip
 Encoder = Literal["geometry", "pointsdf", "voxelcnn"]
 Frame = Literal["camera", "world"]
-GraspKind = Literal["side", "top", "auto"]
+GraspKind = Literal["auto", "side", "top"]
 MeshFormat = Literal["ply", "obj", "stl", "glb"]
 Method = Literal["reconstruction", "partial-view"]
 Mode = Literal["fixed", "fine-tuned", "scratch"]
