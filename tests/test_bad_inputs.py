@@ -197,7 +197,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     "noise negative": (render_with("--noise", -0.001), "--noise"),
     "noise NaN": (render_with("--noise", "nan"), "--noise"),
     "noise in millimetres": (render_with("--noise", 1), "--noise"),
-    "unknown unit": (render_with("--unit", "furlong"), "--unit"),
+    "unknown unit": (render_with("--unit", "furlong"), "--unit: no unit 'furlong'"),
     "wrong unit": (render_with("--unit", "mm"), "across"),
     "jobs negative": (render_with("--jobs", -1), "--jobs"),
     "jobs absurd": (render_with("--jobs", 10**6), "--jobs"),

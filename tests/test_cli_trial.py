@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from pointsdf_cli.cli.trial import _variants
 from pointsdf_cli.io.trials import read_trial, read_trials
-from pointsdf_cli.trials.protocol import ABLATIONS
+from pointsdf_cli.trials.protocol import ABLATIONS, planner_variants
 
 pytest.importorskip("pybullet")
 
@@ -80,7 +79,7 @@ def same(one: Any, two: Any) -> None:
 
 
 def test_all_ablations_are_one_word() -> None:
-    named = _variants("reconstruction", ["all", "checkpoint=paper"])
+    named = planner_variants("reconstruction", ["all", "checkpoint=paper"])
     assert [one.ablation for one in named] == ["", *ABLATIONS, "checkpoint=paper"]
     assert {one.method for one in named} == {"reconstruction"}
 

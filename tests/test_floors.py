@@ -12,7 +12,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "pointsdf_cli"
 FLOORS = [
     {"errors", "deferred", "preload", "__init__"},
-    {"assets"},
+    {"assets", "choices"},
     {"geometry"},
     {"io"},
     {"camera", "objects"},

@@ -145,7 +145,7 @@ def test_what_else_lies_there_stays_and_a_link_stays_a_link(
     assert sorted(p.name for p in tmp_path.iterdir()) == [checkpoint.name, "link"]
     monkeypatch.chdir(checkpoint)
     with pytest.raises(InputError, match="where you are"):
-        require_checkpoint_place(Path("."))
+        require_checkpoint_place(Path("."), replace=True)
 
 
 def test_a_folder_that_cannot_be_moved_costs_nothing_else(
@@ -216,7 +216,7 @@ def test_what_killed_runs_were_writing_is_removed(checkpoint: Path) -> None:
     for folder in (killed, checkpoint.with_name(mine)):
         folder.mkdir()
         (folder / "model.safetensors").write_bytes(b"half")
-    require_checkpoint_place(checkpoint)
+    require_checkpoint_place(checkpoint, replace=True)
     assert not killed.exists()
     assert checkpoint.with_name(mine).exists()  # this process is alive
     assert load_model(checkpoint)

@@ -10,7 +10,7 @@ from scenes import box, cloud, seen, table
 from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.planning.environment import Environment, Obstacle
-from pointsdf_cli.planning.object_choice import Target
+from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.seen_obstacles import hulls, seen_obstacles
 from pointsdf_cli.planning.table_top import TableTop, look_at_table
 from pointsdf_cli.robot.description import load_robot
@@ -56,7 +56,7 @@ def two_boxes() -> TableTop:
     stands lower than its top, and the first box hides a part."""
     things = (table(), box((0.05, 0.06, 0.1), FRONT), box((0.08, 0.1, 0.14), BEHIND))
     view = cloud(seen(*things, pose=LOW_CAMERA, noise=0.0), LOW_CAMERA)
-    in_front = Target(place=np.array([*FRONT, 0.05]))
+    in_front = TargetChoice(place=np.array([*FRONT, 0.05]))
     return look_at_table([view], ["view"], ROBOT, ROBOT.home, target=in_front)
 
 

@@ -7,7 +7,7 @@ import pytest
 from scenes import POSE, box, cloud, seen, table
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.planning.object_choice import Target
+from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.scene import WORKSPACE, sort_scene
 from pointsdf_cli.planning.scene_input import parse_target
 from pointsdf_cli.planning.table_top import look_at_table
@@ -44,8 +44,8 @@ def test_what_stands_free_goes_before_what_is_enclosed_and_what_is_far() -> None
 
 
 def test_any_is_a_target_of_plans_only() -> None:
-    assert parse_target("any") == Target(any=True)
+    assert parse_target("any") == TargetChoice(any=True)
     robot = load_robot()
     view = cloud(seen(table(), box((0.06, 0.06, 0.12), (0.6, 0.0))), POSE)
     with pytest.raises(InputError, match="but one object is needed"):
-        look_at_table([view], ["view"], robot, robot.home, target=Target(any=True))
+        look_at_table([view], ["view"], robot, robot.home, target=TargetChoice(any=True))

@@ -11,7 +11,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.planning.object_choice import (
     NoObjectError,
-    Target,
+    TargetChoice,
     Thing,
     choose,
     numbered,
@@ -152,7 +152,7 @@ def _two() -> Scene:
     )
 
 
-def _chosen(scene: Scene, target: Target) -> Thing:
+def _chosen(scene: Scene, target: TargetChoice) -> Thing:
     return choose(scene.listed, target, scene.world, scene.things.label, scene.pixels, "a")
 
 
@@ -162,9 +162,9 @@ def test_a_number_a_pixel_and_a_place_name_the_same_thing() -> None:
     inside = np.linalg.inv(scenes.POSE) @ [0.6, -0.1, 0.09, 1.0]
     pixel = scenes.CAMERA.project(inside[:3])
     for target in (
-        Target(number=right.number),
-        Target(pixel=(float(pixel[0]), float(pixel[1]))),
-        Target(place=np.array([0.6, -0.12, 0.05])),
+        TargetChoice(number=right.number),
+        TargetChoice(pixel=(float(pixel[0]), float(pixel[1]))),
+        TargetChoice(place=np.array([0.6, -0.12, 0.05])),
     ):
         assert _chosen(scene, target) == right
 
@@ -172,13 +172,13 @@ def test_a_number_a_pixel_and_a_place_name_the_same_thing() -> None:
 def test_a_target_that_is_not_there_is_told() -> None:
     scene = _two()
     with pytest.raises(InputError, match="no object 3") as caught:
-        _chosen(scene, Target(number=3))
+        _chosen(scene, TargetChoice(number=3))
     assert "1 at" in str(caught.value)
     assert "2 at" in str(caught.value)
     with pytest.raises(NoObjectError, match="pixel"):
-        _chosen(scene, Target(pixel=(5.0, 400.0)))
+        _chosen(scene, TargetChoice(pixel=(5.0, 400.0)))
     with pytest.raises(InputError, match="has no image"):
-        choose(scene.listed, Target(pixel=(1, 1)), scene.world, scene.things.label, None, "a")
+        choose(scene.listed, TargetChoice(pixel=(1, 1)), scene.world, scene.things.label, None, "a")
 
 
 def test_thinning_keeps_one_point_a_voxel() -> None:

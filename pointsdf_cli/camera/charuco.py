@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.pinhole import Camera
+from pointsdf_cli.choices import Dictionary, require_choice
 from pointsdf_cli.errors import InputError
 
 BITS, SIZES = (4, 5, 6, 7), (50, 100, 250, 1000)
-DICTIONARIES = tuple(f"{bits}X{bits}_{size}" for bits in BITS for size in SIZES)
 FEWEST_CORNERS = 6
 MOST_SQUARES = 40
 
@@ -26,7 +26,7 @@ class CharucoBoard:
         columns, rows: Squares along x and along y.
         square: Side of a square [m].
         marker: Side of a marker [m].
-        dictionary: One of `DICTIONARIES`.
+        dictionary: One of `choices.Dictionary`.
         legacy: The pattern of OpenCV before 4.6, which differs for even numbers of rows.
 
     Raises:
@@ -57,12 +57,7 @@ class CharucoBoard:
                 where="--marker",
                 allowed="0.3 to 1 times the square's side [m]",
             )
-        if self.dictionary not in DICTIONARIES:
-            raise InputError(
-                f"no dictionary {self.dictionary!r}",
-                where="--dictionary",
-                allowed=", ".join(DICTIONARIES),
-            )
+        require_choice(self.dictionary, Dictionary, "--dictionary")
         size, markers = int(self.dictionary.split("_")[1]), self.columns * self.rows // 2
         if markers > size:
             raise InputError(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +46,34 @@ class SceneFileOptions:
     unit: str = "m"
     frame: str | None = None
     drop_invalid: bool = False
+
+
+def options_of_views(
+    count: int, intrinsics: Sequence[str] | None, masks: Sequence[str] | None, **same: Any
+) -> list[SceneFileOptions]:
+    """Reading options of each of `count` views.
+
+    Args:
+        count: Number of views.
+        intrinsics: Intrinsics of each, one for all, or None.
+        masks: Mask of each, or None.
+        same: Options that all views share.
+
+    Raises:
+        InputError: Another number of intrinsics or of masks.
+    """
+    cameras: list[str | None] = [*intrinsics] if intrinsics else [None]
+    if len(cameras) == 1:
+        cameras = cameras * count
+    on: list[str | None] = [*masks] if masks else [None] * count
+    for option, given in (("--intrinsics", cameras), ("--mask", on)):
+        if len(given) != count:
+            raise InputError(
+                f"{len(given)} for {count} views", where=option, allowed="one for each, in order"
+            )
+    return [
+        SceneFileOptions(intrinsics=k, mask=m, **same) for k, m in zip(cameras, on, strict=True)
+    ]
 
 
 def is_depth_image(path: Path, intrinsics: str | None) -> bool:

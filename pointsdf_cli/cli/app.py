@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from pointsdf_cli import __version__
 from pointsdf_cli.cli import (
@@ -29,9 +30,39 @@ from pointsdf_cli.cli import (
     trial,
     view,
 )
+from pointsdf_cli.errors import InputError
+
+
+class _Commands(TyperGroup):
+    """Commands that tell a wrong choice like any other bad input."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command.
+
+        Raises:
+            InputError: An option has a fixed set of values, and another one was given.
+        """
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            option, inner = error.param, error.ctx
+            if option is None or inner is None:
+                raise
+            # What completion offers is known to every version of Typer in the same way.
+            offered = [item.value for item in option.shell_complete(inner, "") if item.value]
+            if not offered:
+                raise
+            name, value = option.opts[0], error.message.partition(" is not one of ")[0]
+            raise InputError(
+                f"no {name.lstrip('-').replace('-', ' ')} {value.removeprefix('Value error, ')}",
+                where=name if name.startswith("-") else name.upper(),
+                allowed=", ".join(offered),
+            ) from error
+
 
 app = typer.Typer(
     name="rgrasp",
+    cls=_Commands,
     help="Grasp planning for unknown objects from one partial point cloud.",
     no_args_is_help=True,
     rich_markup_mode=None,

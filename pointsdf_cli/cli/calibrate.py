@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pointsdf_cli import choices
 from pointsdf_cli.cli import common
 
 if TYPE_CHECKING:
@@ -57,13 +58,14 @@ def calibrate(
     square: Annotated[float, typer.Option(help="Side of a square, as measured [m].")] = 0.035,
     marker: Annotated[float, typer.Option(help="Side of a marker [m].")] = 0.026,
     dictionary: Annotated[
-        str, typer.Option(help="ArUco dictionary of the markers: 4X4_50 to 7X7_1000.")
+        choices.Dictionary,
+        typer.Option(metavar="NAME", help="ArUco dictionary of the markers: 4X4_50 to 7X7_1000."),
     ] = "5X5_100",
     legacy_board: Annotated[
         bool, typer.Option("--legacy-board", help="Board layout of OpenCV before 4.6.")
     ] = False,
     pose_unit: Annotated[
-        str, typer.Option(help="Unit of the robot's translations: m, cm, mm or inch.")
+        choices.Unit, typer.Option(help="Unit of the robot's translations.")
     ] = "m",
     robot: common.Robot = None,
     out: Annotated[

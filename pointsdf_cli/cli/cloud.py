@@ -10,10 +10,9 @@ import typer
 from pointsdf_cli.cli import common
 
 if TYPE_CHECKING:
-    from numpy import float64
-    from numpy.typing import NDArray
-
     from pointsdf_cli.camera.bag_cloud import BagOptions
+    from pointsdf_cli.camera.scene_file import SceneFileOptions
+    from pointsdf_cli.io.clouds import Cloud
 
 
 def cloud(
@@ -36,13 +35,7 @@ def cloud(
     color: Annotated[
         Path | None, typer.Option(help="Colour image registered to the depth image.")
     ] = None,
-    depth_scale: Annotated[
-        float | None,
-        typer.Option(
-            help="Metres per unit [default: 0.001 for integers, 1 for floats].",
-            show_default=False,
-        ),
-    ] = None,
+    depth_scale: common.DepthScale = None,
     near: Annotated[float, typer.Option(help="Smallest depth to keep [m].")] = 0.1,
     far: Annotated[float, typer.Option(help="Largest depth to keep [m].")] = 2.5,
     mask: common.Mask = None,
@@ -82,19 +75,12 @@ def cloud(
 
     Example: rgrasp cloud bag/ --topic /camera/depth/image_rect_raw --world-frame base_link
     """
-    from dataclasses import replace
-
-    import numpy as np
-
     from pointsdf_cli.camera.bag_cloud import BagOptions
-    from pointsdf_cli.camera.scene_file import SceneFileOptions, cleaned_view, masked, read_view
+    from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new
-    from pointsdf_cli.io.clouds import write_cloud
     from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES
-    from pointsdf_cli.io.poses import camera_pose as parse_pose
-    from pointsdf_cli.io.poses import table_place
     from pointsdf_cli.io.rosbag import is_bag
 
     out = out or Path("cloud.ply")
@@ -103,15 +89,14 @@ def cloud(
     if out.suffix.lower() != ".ply":
         raise InputError(f"{out.suffix!r} is not written", where="--out", allowed=".ply")
     bag = BagOptions(topic, info_topic, world_frame, index, time, frames)
+    options = SceneFileOptions(intrinsics, depth_scale, near, far, color, mask)
+    reporter = common.Reporter(quiet, as_json)
     if is_bag(depth):
         options_of_images = {"--color": color, "--depth-scale": depth_scale, "--mask": mask}
         for option, given in options_of_images.items():
             if given is not None:
                 raise InputError(f"{option} with a bag", where=depth, hint="leave it out")
-        fixed = None if camera_pose is None else parse_pose(camera_pose)
-        _cloud_of_bag(
-            common.Reporter(quiet, as_json), depth, bag, intrinsics, fixed, near, far, out
-        )
+        _cloud_of_bag(reporter, depth, bag, options, camera_pose, out)
         return
     if bag != BagOptions():
         raise InputError("is not a bag, but an option for bags is given", where=depth)
@@ -120,102 +105,82 @@ def cloud(
             "a depth image needs its intrinsics", where=depth, hint="add --intrinsics K.json"
         )
     if depth.suffix.lower() not in DEPTH_SUFFIXES:
-        raise InputError(
-            f"{depth.suffix!r} is no depth image",
-            where=depth,
-            allowed=", ".join(DEPTH_SUFFIXES),
-        )
-    reporter = common.Reporter(quiet, as_json)
-    place = None if camera_pose is None else table_place(camera_pose)
-    placed = None if camera_pose is None or place is not None else parse_pose(camera_pose)
-    options = SceneFileOptions(intrinsics, depth_scale, near, far, color, mask)
-    made = read_view(depth, options, placed)
-    for note in made.notes:
-        reporter.say(f"{depth}: {note}")
-    if place is not None:
-        from pointsdf_cli.planning.scene_input import stand_on_table, table_note
+        allowed = ", ".join(DEPTH_SUFFIXES)
+        raise InputError(f"{depth.suffix!r} is no depth image", where=depth, allowed=allowed)
+    _cloud_of_image(reporter, depth, options, camera_pose, not no_clean, out)
 
-        made, _ = stand_on_table(made, str(depth), place, cleaned=not no_clean)
-        reporter.say(table_note(made, place))
-    pixels = 0 if made.image is None else made.image.depth.size
-    unseen = pixels - len(made.points)
-    made = masked(made)
-    if not no_clean:
-        made, said = cleaned_view(made, whole_scene=mask is None)
-        if said:
-            reporter.say(said)
-        if not len(made.points):
-            raise InputError("cleaning left no points", where=depth, hint="add --no-clean")
+
+def _cloud_of_image(
+    reporter: common.Reporter,
+    depth: Path,
+    options: SceneFileOptions,
+    pose: str | None,
+    cleaned: bool,
+    out: Path,
+) -> None:
+    """Write the cloud of a depth image."""
+    from dataclasses import replace
+
+    from pointsdf_cli.io.clouds import write_cloud
+    from pointsdf_cli.planning.scene_input import depth_view
+
+    made, pixels, unseen = depth_view(depth, options, pose, cleaned, reporter.say)
     write_cloud(out, replace(made, pixels=None, image=None))
-    middle = float(np.median(made.points[:, 2]))
+    values, line = _told(out, made)
     lines = [
-        f"{out}: {len(made.points)} points in the camera frame, median depth {middle:.3f} m; "
-        f"{unseen} pixels without a depth between {near:g} and {far:g} m dropped"
+        f"{line}; {unseen} pixels without a depth between {options.near:g} and {options.far:g} m "
+        "dropped"
     ]
     if made.T_world_camera is None:
         lines.append(
             "no --camera-pose: rgrasp mesh needs none, rgrasp plan will ask for --camera-pose"
         )
-    reporter.result(
-        {
-            "out": out,
-            "points": len(made.points),
-            "dropped": pixels - len(made.points),
-            "median_depth": middle,
-            "has_pose": made.T_world_camera is not None,
-            "has_colours": made.colours is not None,
-        },
-        lines,
-    )
+    dropped = pixels - len(made.points)
+    reporter.result({**values, "dropped": dropped, "has_colours": made.colours is not None}, lines)
 
 
 def _cloud_of_bag(
     reporter: common.Reporter,
     path: Path,
-    options: BagOptions,
-    intrinsics: str | None,
-    pose: NDArray[float64] | None,
-    near: float,
-    far: float,
+    bag: BagOptions,
+    options: SceneFileOptions,
+    pose: str | None,
     out: Path,
 ) -> None:
     """Write the cloud of a bag's depth images and report its sources."""
     from dataclasses import replace
 
-    import numpy as np
-
     from pointsdf_cli.camera.bag_cloud import cloud_of_bag
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.clouds import write_cloud
+    from pointsdf_cli.io.poses import camera_pose
 
-    if pose is not None and options.world_frame is not None:
+    fixed = None if pose is None else camera_pose(pose)
+    if fixed is not None and bag.world_frame is not None:
         raise InputError(
             "two poses: --world-frame and --camera-pose", where=path, hint="leave one out"
         )
-    made, frames, said = cloud_of_bag(path, options, intrinsics, near, far)
-    if pose is not None:
-        made = replace(made, T_world_camera=pose)
+    made, frames, said = cloud_of_bag(path, bag, options.intrinsics, options.near, options.far)
+    if fixed is not None:
+        made = replace(made, T_world_camera=fixed)
     elif made.T_world_camera is None:
         said.append("rgrasp mesh needs no pose, rgrasp plan will ask for --camera-pose")
     write_cloud(out, made)
-    middle = float(np.median(made.points[:, 2]))
-    place = f"image {frames.number}" if frames.number >= 0 else f"the image at {options.time:g} s"
-    if options.frames > 1:
-        place = f"{options.frames} images from {place}"
+    place = f"image {frames.number}" if frames.number >= 0 else f"the image at {bag.time:g} s"
+    if bag.frames > 1:
+        place = f"{bag.frames} images from {place}"
+    values, line = _told(out, made)
+    about = {"topic": frames.topic, "frame_id": frames.frame, "stamps": frames.stamps}
     reporter.result(
-        {
-            "out": out,
-            "points": len(made.points),
-            "median_depth": middle,
-            "has_pose": made.T_world_camera is not None,
-            "topic": frames.topic,
-            "frame_id": frames.frame,
-            "stamps": frames.stamps,
-            "said": said,
-        },
-        [
-            f"{out}: {len(made.points)} points in the camera frame, median depth {middle:.3f} m, "
-            f"from {place} on {frames.topic} ({frames.frame})",
-            *said,
-        ],
+        {**values, **about, "said": said},
+        [f"{line}, from {place} on {frames.topic} ({frames.frame})", *said],
     )
+
+
+def _told(out: Path, made: Cloud) -> tuple[dict[str, object], str]:
+    import numpy as np
+
+    middle = float(np.median(made.points[:, 2]))
+    values: dict[str, object] = {"out": out, "points": len(made.points), "median_depth": middle}
+    line = f"{out}: {len(made.points)} points in the camera frame, median depth {middle:.3f} m"
+    return {**values, "has_pose": made.T_world_camera is not None}, line

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import functools
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -29,9 +30,7 @@ def collect_grasps(
     ] = 9111,
     robot: common.Robot = None,
     sensor: common.Sensor = "structured-light",
-    shake: Annotated[
-        float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
-    ] = 0.0,
+    shake: common.Shake = 0.0,
     push: Annotated[
         float,
         typer.Option(
@@ -45,9 +44,7 @@ def collect_grasps(
     pictures: Annotated[
         bool, typer.Option(help="Draw six successes and six failures in report.html.")
     ] = True,
-    pattern: Annotated[
-        str, typer.Option(help="Only meshes whose names match this pattern, such as '*.ply'.")
-    ] = "*",
+    pattern: common.Pattern = "*",
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     shard: common.Shard = None,
@@ -61,55 +58,34 @@ def collect_grasps(
 
     Example: rgrasp collect-grasps --meshes train/ --out grasps/ --count 9111
     """
-    from dataclasses import replace
-
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder, write_text_atomic
     from pointsdf_cli.io.batch import shard_of
     from pointsdf_cli.io.grasps import read_grasps
-    from pointsdf_cli.io.meshes import artifact_path, find_meshes
+    from pointsdf_cli.io.meshes import find_meshes
     from pointsdf_cli.robot.description import load_robot
 
-    seed, jobs = common.check_seed(seed), common.job_count(jobs)
     machine, found = load_robot(robot), find_meshes(meshes, pattern)
 
     # Seconds of imports: only for what can be used.
     from pointsdf_cli.simulation.attempt import AttemptConfig
-    from pointsdf_cli.simulation.collect import (
-        CollectTask,
-        first_quotas,
-        require_same_options,
-        split_of,
-    )
+    from pointsdf_cli.simulation.collect import make_tasks, require_same_options
     from pointsdf_cli.simulation.observe import CameraPlacement
     from pointsdf_cli.simulation.world import try_robot
-    from pointsdf_cli.viz.grasp_report import grasp_report, share
+    from pointsdf_cli.viz.grasp_report import grasp_report
 
     config = AttemptConfig(placement=CameraPlacement(sensor=sensor))
     config = replace(config, execution=replace(config.execution, shake=shake, push=push))
     try_robot(machine)  # a wrong robot is said once and first, not by every worker
     out = require_folder(out)
-    paths = {}
-    for mesh in found:
-        path = artifact_path(mesh, meshes, out)
-        paths[path.relative_to(out).with_suffix("").as_posix()] = (mesh, path)
-    require_apart((path for _, path in paths.values()), [*found, robot])
-    splits = split_of(list(paths), seed)
-    quotas = first_quotas(splits, count)
-    mine = set(shard_of(sorted(paths), shard))
+    every = make_tasks(found, meshes, out, count, config, seed, robot, force)
+    mine = set(shard_of(sorted(every), shard))
+    tasks = {name: task for name, task in every.items() if name in mine}
     reporter = common.Reporter(quiet, as_json)
-    tasks = {
-        name: CollectTask(
-            name, mesh, path, quotas[name], splits[name], config, seed, robot, force=force
-        )
-        for name, (mesh, path) in paths.items()
-        if name in mine
-    }
     started = time.monotonic()
     # Otherwise another run's grasps of objects that this count does not reach would count, too.
     require_same_options(task for task in tasks.values() if not task.quota)
-    refused = _collect(tasks, quotas, splits, jobs, reporter, whole=shard is None)
+    refused = _collect(tasks, every, jobs, reporter, whole=shard is None)
     items = [
         (name, *read_grasps(task.out))
         for name, task in tasks.items()
@@ -118,55 +94,56 @@ def collect_grasps(
     if refused and not items and shard is None:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in sorted(refused.items())[:5])
         raise InputError(f"no mesh could be used: {reasons}", where=meshes)
-    strips = _films(items, tasks, out, record, pictures)
-    write_text_atomic(
-        out / "report.html",
-        grasp_report(items, sorted(refused.items()), strips, f"rgrasp grasps: {out.name}"),
-    )
-    executed = sum(int(grasps.executed.sum()) for _, grasps, _ in items)
-    held = sum(int((grasps.label == 1).sum()) for _, grasps, _ in items)
-    unshaken = sum(int((grasps.unshaken == 1).sum()) for _, grasps, _ in items)
-    attempts = sum(len(grasps) for _, grasps, _ in items)
-    values = {
-        "out": out,
-        "objects": len(items),
-        "refused": refused,
-        "attempts": attempts,
-        "executed": executed,
-        "held": held,
-        **({"unshaken": unshaken} if push else {}),
-        "report": out / "report.html",
-        "seconds": round(time.monotonic() - started, 3),
+    strips, page = _films(items, tasks, out, record, pictures), out / "report.html"
+    title = f"rgrasp grasps: {out.name}"
+    write_text_atomic(page, grasp_report(items, sorted(refused.items()), strips, title))
+    values = {"out": out, "objects": len(items), "refused": refused, **_counts(items, push > 0)}
+    seconds = round(time.monotonic() - started, 3)
+    reporter.result({**values, "report": page, "seconds": seconds}, [_line(values), f"{page}"])
+
+
+def _counts(items: list[tuple[str, Grasps, GraspsMeta]], pushed: bool) -> dict[str, int]:
+    every = [grasps for _, grasps, _ in items]
+    counts = {
+        "attempts": sum(len(grasps) for grasps in every),
+        "executed": sum(int(grasps.executed.sum()) for grasps in every),
+        "held": sum(int((grasps.label == 1).sum()) for grasps in every),
     }
-    reporter.result(
-        values,
-        [
-            f"{out}: {executed} executed grasps of {len(items)} objects, {share(held, executed)} "
-            f"held{f', {share(unshaken, executed)} unshaken' if push else ''}; "
-            f"{attempts} attempts; {len(refused)} meshes skipped",
-            f"{out / 'report.html'}",
-        ],
+    if pushed:
+        counts["unshaken"] = sum(int((grasps.unshaken == 1).sum()) for grasps in every)
+    return counts
+
+
+def _line(made: dict[str, Any]) -> str:
+    from pointsdf_cli.viz.grasp_report import share
+
+    executed = made["executed"]
+    unshaken = f", {share(made['unshaken'], executed)} unshaken" if "unshaken" in made else ""
+    return (
+        f"{made['out']}: {executed} executed grasps of {made['objects']} objects, "
+        f"{share(made['held'], executed)} held{unshaken}; "
+        f"{made['attempts']} attempts; {len(made['refused'])} meshes skipped"
     )
 
 
 def _collect(
     tasks: dict[str, CollectTask],
-    quotas: dict[str, int],
-    splits: dict[str, str],
+    every: dict[str, CollectTask],
     jobs: int,
     reporter: common.Reporter,
     whole: bool,
 ) -> dict[str, str]:
     """Run rounds until every quota is met or exhausted; returns the reasons of refused files.
 
-    A shard makes only its first quotas: making up for other objects takes a run over all of them.
+    `tasks`, a shard of `every`, get the last quotas. A shard makes only its first ones: making up
+    for other objects takes a run over all of them.
     """
-    from dataclasses import replace
-
     from pointsdf_cli.io.batch import run_stage
     from pointsdf_cli.io.grasps import read_grasps
     from pointsdf_cli.simulation.collect import collect_object, next_quotas, wanted_of
 
+    splits = {name: task.split for name, task in every.items()}
+    quotas = {name: task.quota for name, task in every.items()}
     wanted = wanted_of(splits, quotas)
     refused: dict[str, str] = {}
     while True:

@@ -3,21 +3,67 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from pointsdf_cli import choices
 from pointsdf_cli.cli.reporter import Progress as Progress
 from pointsdf_cli.cli.reporter import Reporter as Reporter
 from pointsdf_cli.cli.reporter import finish_stage as finish_stage
 from pointsdf_cli.errors import InputError
 
-Seed = Annotated[int, typer.Option(help="Random seed.")]
-Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Number of processes; 0 uses all cores.")]
+
+def job_count(jobs: int) -> int:
+    """The number of processes for `--jobs`.
+
+    Raises:
+        InputError: Negative, or absurdly many.
+    """
+    if not 0 <= jobs <= 1024:
+        raise InputError(f"{jobs} jobs", where="--jobs", allowed="0 (all cores) to 1024")
+    return jobs or len(os.sched_getaffinity(0))
+
+
+def check_seed(seed: int) -> int:
+    """Check that `seed` can seed a random generator, and return it.
+
+    Raises:
+        InputError: Negative or beyond 63 bits.
+    """
+    if not 0 <= seed < 2**63:
+        raise InputError(f"{seed} is no seed", where="--seed", allowed="0 to 2⁶³ − 1")
+    return seed
+
+
+def check_device(name: str) -> str:
+    """Refuse an unknown kind of device, without importing torch.
+
+    Raises:
+        InputError: Neither cpu nor cuda nor cuda:N.
+    """
+    kind, colon, number = name.partition(":")
+    numbered = not colon or number.isdecimal()
+    if kind not in ("cpu", "cuda") or not numbered:
+        raise InputError(f"no device {name!r}", where="--device", allowed="cpu, cuda, cuda:N")
+    return name
+
+
+Seed = Annotated[int, typer.Option(help="Random seed.", callback=check_seed)]
+Jobs = Annotated[
+    int,
+    typer.Option("--jobs", "-j", help="Number of processes; 0 uses all cores.", callback=job_count),
+]
 EachJobs = Annotated[
     int,
-    typer.Option("--jobs", "-j", help="With --each: number of processes; 0 uses all cores."),
+    typer.Option(
+        "--jobs",
+        "-j",
+        help="With --each: number of processes; 0 uses all cores.",
+        callback=job_count,
+    ),
 ]
 EachSkipBad = Annotated[
     bool,
@@ -45,13 +91,50 @@ Robot = Annotated[
         help="Robot YAML, or panda.  [default: LBR4 with Allegro hand]", callback=bundled_robot
     ),
 ]
-Device = Annotated[str, typer.Option(help="Compute device: cpu, cuda or cuda:N.")]
-Sensor = Annotated[
-    str,
+RobotAtHome = Annotated[
+    Path | None,
     typer.Option(
-        metavar="ideal|structured-light|stereo",
-        help="Depth camera to simulate.",
+        help="Robot at home, to remove its points from a scene: YAML, or panda "
+        "[default: LBR4 with Allegro hand].",
+        show_default=False,
+        callback=bundled_robot,
     ),
+]
+Device = Annotated[
+    str, typer.Option(help="Compute device: cpu, cuda or cuda:N.", callback=check_device)
+]
+Sensor = Annotated[choices.Sensor, typer.Option(help="Depth camera to simulate.")]
+Solver = Annotated[choices.Solver, typer.Option(help="Solver; slsqp is the paper's, and slow.")]
+Checkpoint = Annotated[
+    Path | None,
+    typer.Option(help="Reconstruction weights [default: bundled].", show_default=False),
+]
+GraspCheckpoint = Annotated[
+    Path | None, typer.Option(help="Success weights [default: bundled].", show_default=False)
+]
+Precision = Annotated[
+    choices.Precision, typer.Option(help="Precision; auto takes bfloat16 where it is faster.")
+]
+Pattern = Annotated[
+    str, typer.Option(help="Only meshes whose names match this pattern, such as '*.ply'.")
+]
+Shake = Annotated[
+    float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
+]
+Views = Annotated[Path, typer.Option(help="Folder of views made by `rgrasp render`.")]
+Grasps = Annotated[Path, typer.Option(help="Folder of grasps made by `rgrasp collect-grasps`.")]
+Cache = Annotated[
+    Path | None,
+    typer.Option(help="Cache folder of the network's features.  [default: GRASPS-cache]"),
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Resume from OUT.")]
+Unit = Annotated[choices.Unit, typer.Option(help="Unit of the input files.")]
+Frame = Annotated[
+    choices.Frame | None,
+    typer.Option(help="Frame of the cloud [default: as the file says, else camera]."),
+]
+DropInvalid = Annotated[
+    bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
 ]
 Server = Annotated[
     str | None,
@@ -120,40 +203,30 @@ SkipBad = Annotated[
 ]
 
 
-def job_count(jobs: int) -> int:
-    """The number of processes for `--jobs`.
+def table_files(
+    out: Path, beside: tuple[str, ...], inputs: Iterable[Path | None], force: bool
+) -> list[Path]:
+    """Check that a table and the files beside it can be written; returns their paths.
 
     Raises:
-        InputError: Negative, or absurdly many.
+        InputError: The table's name ends like those beside it, a file exists or is an input, or
+            the folder cannot be written.
     """
-    if not 0 <= jobs <= 1024:
-        raise InputError(f"{jobs} jobs", where="--jobs", allowed="0 (all cores) to 1024")
-    return jobs or len(os.sched_getaffinity(0))
+    from pointsdf_cli.io.apart import require_apart
+    from pointsdf_cli.io.atomic import require_folder, require_new
 
-
-def check_seed(seed: int) -> int:
-    """Check that `seed` can seed a random generator, and return it.
-
-    Raises:
-        InputError: Negative or beyond 63 bits.
-    """
-    if not 0 <= seed < 2**63:
-        raise InputError(f"{seed} is no seed", where="--seed", allowed="0 to 2⁶³ − 1")
-    return seed
-
-
-def check_table_name(out: Path, beside: tuple[str, ...]) -> None:
-    """Refuse a table path with one of these suffixes, which are written beside it.
-
-    Raises:
-        InputError: It has such a suffix.
-    """
     if not out.name or out.suffix.lower() in beside:
         raise InputError(
             f"{out} is not a file name, or ends like the files written beside the table",
             where="--out",
             allowed="such as table.json",
         )
+    files = [out, *(out.with_suffix(suffix) for suffix in beside)]
+    require_apart(files, inputs)
+    for path in files:
+        require_new(path, force)
+    require_folder(out.parent)
+    return files
 
 
 def check_suffix(path: Path, option: str, suffixes: tuple[str, ...]) -> None:
@@ -230,25 +303,12 @@ def check_picture(path: Path | None, force: bool) -> Path | None:
     return path
 
 
-def check_device(name: str) -> None:
-    """Refuse an unknown kind of device, without importing torch.
-
-    Raises:
-        InputError: Neither cpu nor cuda nor cuda:N.
-    """
-    kind, colon, number = name.partition(":")
-    numbered = not colon or number.isdecimal()
-    if kind not in ("cpu", "cuda") or not numbered:
-        raise InputError(f"no device {name!r}", where="--device", allowed="cpu, cuda, cuda:N")
-
-
 def torch_device(name: str) -> str:
     """Check that torch can compute on the device `name`, and return it.
 
     Raises:
-        InputError: No such kind of device, or not on this machine.
+        InputError: It is not on this machine.
     """
-    check_device(name)
     import torch
 
     device = torch.device(name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -15,7 +15,7 @@ def eval_gs(
         list[Path],
         typer.Option(help="Checkpoint of train-gs; may be repeated, one row of the table each."),
     ],
-    grasps: Annotated[Path, typer.Option(help="Folder of grasps made by `rgrasp collect-grasps`.")],
+    grasps: common.Grasps,
     out: Annotated[
         Path, typer.Option(help="Output table; a .png of the same name is written beside it.")
     ] = Path("table.json"),
@@ -24,10 +24,7 @@ def eval_gs(
         typer.Option(help="New path of the frozen reconstruction network, if it has moved."),
     ] = None,
     robot: common.Robot = None,
-    cache: Annotated[
-        Path | None,
-        typer.Option(help="Cache folder of the network's features.  [default: GRASPS-cache]"),
-    ] = None,
+    cache: common.Cache = None,
     every: Annotated[
         bool,
         typer.Option(
@@ -50,92 +47,39 @@ def eval_gs(
     from pointsdf_cli.io.present import require_present
     from pointsdf_cli.robot.description import load_robot
 
-    common.check_seed(seed)
     require_present(grasps, hint="rgrasp collect-grasps --meshes DIR --out DIR")
     require_present(checkpoints=[*checkpoint, sdf])
     machine = load_robot(robot)
 
-    import numpy as np
-
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
-    from pointsdf_cli.io.atomic import require_folder, require_new, write_text_atomic
+    from pointsdf_cli.io.atomic import write_text_atomic
     from pointsdf_cli.io.idle_processors import idle_processors
-    from pointsdf_cli.io.provenance import git_commit
     from pointsdf_cli.io.strict_json import to_json
     from pointsdf_cli.models.registry import use_threads
-    from pointsdf_cli.training import gs_baselines
     from pointsdf_cli.training import gs_evaluation as evaluation
     from pointsdf_cli.training.gs_data import read_grasp_data
-    from pointsdf_cli.training.gs_variants import Sources, prepare_trained, title_of
+    from pointsdf_cli.training.gs_table import compare
+    from pointsdf_cli.training.gs_variants import Sources
     from pointsdf_cli.viz.success_figure import draw_success_figure
 
-    seed = common.check_seed(seed)
-    common.check_table_name(out, (".png",))
-    require_apart([out, out.with_suffix(".png"), cache], [*checkpoint, grasps, sdf, robot])
-    table_path, picture = (require_new(path, force) for path in (out, out.with_suffix(".png")))
-    require_folder(out.parent)
-    labels = common.labels_of(checkpoint)
+    inputs = [*checkpoint, grasps, sdf, robot]
+    table_path, picture = common.table_files(out, (".png",), inputs, force)
+    require_apart([cache], inputs)
+    labelled = dict(zip(common.labels_of(checkpoint), checkpoint, strict=True))
     use_threads(threads or idle_processors())
     data = read_grasp_data(grasps, machine)
-    held_out = data.held_out[data.object_of]
-    rows, known = np.flatnonzero(held_out), np.flatnonzero(~held_out)
-    if every:
-        rows = known = np.arange(len(data))
-    for part, what in ((rows, "held-out objects"), (known, "objects to train on")):
-        if len(np.unique(data.label[part])) < 2:
-            raise InputError(
-                f"the grasps of {what} are not both held and lost",
-                where=f"--grasps {grasps}",
-                hint="collect more grasps, or of more objects",
-            )
     reporter = common.Reporter(quiet, as_json)
     cache = cache or common.cache_beside(grasps)
-    methods: list[evaluation.Scored] = []
-    prior = None
     with reporter.progress("eval-gs", len(data.names)) as bar:
-        sources = Sources(cache, sdf, robot, common.job_count(jobs), bar.advance)
-        for path, label in zip(checkpoint, labels, strict=True):
-            learner, prior, config = prepare_trained(path, data, sources)
-            name = title_of(config)
-            if name in [method.name for method in methods]:
-                name = f"{name} ({label})"
-            methods.append(
-                evaluation.scored_network(
-                    name,
-                    learner.logits(rows),
-                    **config["calibration"],
-                    threshold=config["validation"]["threshold"],
-                )
-            )
-    assert prior is not None
-    baselines = [
-        ("always success", gs_baselines.always(data, known)),
-        ("prior only", gs_baselines.prior_score(data, prior, machine)),
-    ]
-    if not every:  # else each grasp would be its own neighbour
-        baselines.append(("10 nearest neighbours", gs_baselines.nearest_neighbours(data, known)))
-    for name, score in baselines:
-        baseline = evaluation.scored_baseline(name, score, data.label[known], score[known])
-        methods.append(baseline.at(rows))
-    table = {method.name: evaluation.measure(data, rows, method, seed) for method in methods}
-    result: dict[str, Any] = {
-        "table": table,
-        "published_f1": evaluation.PUBLISHED,
-        "held_out": evaluation.describe_grasps(data, rows),
-        "known": evaluation.describe_grasps(data, known),
-        "checkpoints": [str(path) for path in checkpoint],
-        "grasps": str(grasps),
-        "seed": seed,
-        "git_commit": git_commit(),
-    }
+        sources = Sources(cache, sdf, robot, jobs, bar.advance)
+        result = compare(labelled, data, sources, grasps, every, seed)
     write_text_atomic(table_path, to_json(result, indent=1) + "\n")
-    draw_success_figure(picture, table, evaluation.PUBLISHED)
+    draw_success_figure(picture, result["table"], evaluation.PUBLISHED)
     about = result["held_out"]
     lines = [
         f"{about['grasps']} grasps of {about['objects']} {'' if every else 'held-out '}objects, "
         f"{about['base_rate']:.1%} held",
-        *evaluation.table_lines(table),
+        *evaluation.table_lines(result["table"]),
         "",
         f"{table_path}, {picture.name}",
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -14,7 +14,7 @@ def eval_sdf(
     checkpoint: Annotated[
         list[Path], typer.Option(help="Checkpoint; may be repeated, one row of the table each.")
     ],
-    views: Annotated[Path, typer.Option(help="Folder of views made by `rgrasp render`.")],
+    views: common.Views,
     meshes: Annotated[Path, typer.Option(help="Folder of the true meshes.")],
     out: Annotated[
         Path,
@@ -31,16 +31,14 @@ def eval_sdf(
             "--exact", help="Evaluate the networks on the full grid, as in `rgrasp mesh --exact`."
         ),
     ] = False,
-    precision: Annotated[
-        str,
-        typer.Option(help="Precision: auto (bfloat16 where it is faster), bfloat16 or float32."),
-    ] = "auto",
+    precision: common.Precision = "auto",
     apart: Annotated[
         list[str] | None,
         typer.Option(help="Object to report separately, such as a poor scan; may be repeated."),
     ] = None,
     beside: Annotated[
-        str | None, typer.Option(help="Also print the published rows: ycb or graspdb.")
+        Literal["graspdb", "ycb"] | None,
+        typer.Option(help="Also print the published rows of this data set."),
     ] = None,
     gallery: Annotated[
         int, typer.Option(help="Number of best, median and worst views each in the picture.")
@@ -58,100 +56,44 @@ def eval_sdf(
     """
     from pointsdf_cli.io.present import require_present
 
-    common.check_seed(seed)
     require_present(views, hint=f"rgrasp render --meshes {meshes} --out {views}")
     require_present(meshes, checkpoints=checkpoint)
 
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.geometry.isosurface import IsosurfaceConfig
-    from pointsdf_cli.io.apart import require_apart
-    from pointsdf_cli.io.atomic import require_folder, require_new, write_text_atomic
+    from pointsdf_cli.io.atomic import write_text_atomic
     from pointsdf_cli.io.batch import run_stage
-    from pointsdf_cli.io.provenance import git_commit
     from pointsdf_cli.io.strict_json import to_json
     from pointsdf_cli.models.registry import load_model
     from pointsdf_cli.training import evaluate_sdf as evaluation
-    from pointsdf_cli.training.sdf_table import PUBLISHED, objects_csv, summarise, table_lines
-    from pointsdf_cli.viz.reconstruction_gallery import draw_gallery
+    from pointsdf_cli.training.sdf_table import objects_csv
 
     IsosurfaceConfig(resolution)
-    common.check_table_name(out, (".csv", ".png"))
-    if beside not in (None, *PUBLISHED):
-        raise InputError(
-            f"no published table {beside!r}", where="--beside", allowed=", ".join(PUBLISHED)
-        )
-    require_apart(
-        [out, out.with_suffix(".csv"), out.with_suffix(".png")], [*checkpoint, views, meshes]
+    table_path, csv_path, picture = common.table_files(
+        out, (".csv", ".png"), [*checkpoint, views, meshes], force
     )
-    table_path, csv_path, picture = (
-        require_new(path, force) for path in (out, out.with_suffix(".csv"), out.with_suffix(".png"))
-    )
-    require_folder(out.parent)
     if gallery < 0:
         raise InputError(f"{gallery} views", where="--gallery", allowed="0 or more")
     for path in checkpoint:
         load_model(path)  # a bad checkpoint is known before the processes start
-    config = evaluation.EvalConfig(
-        checkpoints=tuple(zip(common.labels_of(checkpoint), checkpoint, strict=True)),
-        resolution=resolution,
-        views=count,
-        samples=samples,
-        precision=precision,
-        exact=exact,
-        seed=common.check_seed(seed),
-    )
-    tasks = evaluation.make_tasks(views, meshes, config)
-    aside = set(apart or [])
-    if unknown := aside - {Path(task.name).name for task in tasks}:
-        raise InputError(
-            f"no object {', '.join(sorted(unknown))}",
-            where="--apart",
-            allowed=", ".join(Path(task.name).name for task in tasks[:60]),
-        )
+    labelled = tuple(zip(common.labels_of(checkpoint), checkpoint, strict=True))
+    config = evaluation.EvalConfig(labelled, resolution, count, samples, precision, exact, seed)
+    aside = sorted({*(apart or [])})
+    tasks = evaluation.make_tasks(views, meshes, config, aside)
     reporter = common.Reporter(quiet, as_json)
     with reporter.progress("eval-sdf", len(tasks)) as progress:
         report = run_stage(
             [(task.name, task) for task in tasks],
             evaluation.evaluate_object,
-            jobs=common.job_count(jobs),
+            jobs=jobs,
             on_done=progress.advance,
         )
     if not report.made:
         report.raise_if_refused()
-    scored = [row for rows in report.made.values() for row in rows]
-    main = [row for row in scored if Path(row.object_name).name not in aside]
-    poor = [row for row in scored if Path(row.object_name).name in aside]
-    tables = {"table": summarise(main, seed), "apart": summarise(poor, seed)}
-    result = {
-        **tables,
-        "published": PUBLISHED.get(beside or "", {}),
-        "checkpoints": {label: str(path) for label, path in config.checkpoints},
-        "views_folder": str(views),
-        "meshes_folder": str(meshes),
-        "apart_objects": sorted(aside),
-        "refused": {name: error.what for name, error in report.refused},
-        "resolution": resolution,
-        "samples": samples,
-        "precision": precision,
-        "exact": exact,
-        "seed": seed,
-        "git_commit": git_commit(),
-        "seconds": round(report.seconds, 1),
-    }
+    result, lines = evaluation.results(report, config, (views, meshes), aside, beside)
     write_text_atomic(table_path, to_json(result, indent=1) + "\n")
-    write_text_atomic(csv_path, objects_csv(scored))
-    picture.unlink(missing_ok=True)  # an older table's would stay where no gallery is asked for
-    if gallery and main:
-        by_name = {task.name: task for task in tasks}
-        first = [row for row in main if row.method == config.checkpoints[0][0]]
-        chosen = evaluation.best_median_worst(first, gallery)
-        draw_gallery(
-            picture,
-            [evaluation.gallery_row(by_name[v.object_name], v, note) for note, v in chosen],
-        )
-    lines = table_lines(tables["table"], beside)
-    if poor:
-        lines += ["", f"apart: {', '.join(sorted(aside))}", *table_lines(tables["apart"])]
+    write_text_atomic(csv_path, objects_csv([v for rows in report.made.values() for v in rows]))
+    evaluation.draw_extremes(picture, tasks, report, aside, gallery)
     reporter.result(result, [*lines, "", f"{table_path}, {csv_path.name}; {report.seconds:.0f} s"])
     if not skip_bad:
         report.raise_if_refused()

@@ -19,7 +19,7 @@ def info(
             metavar="ARTIFACT...",
         ),
     ],
-    unit: Annotated[str, typer.Option(help="Unit of clouds and meshes: m, cm, mm or inch.")] = "m",
+    unit: common.Unit = "m",
     quiet: common.Quiet = False,
     as_json: common.Json = False,
 ) -> None:

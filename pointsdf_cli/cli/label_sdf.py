@@ -11,7 +11,7 @@ from pointsdf_cli.cli import common
 
 
 def label_sdf(
-    views: Annotated[Path, typer.Option(help="Folder of views made by `rgrasp render`.")],
+    views: common.Views,
     meshes: Annotated[Path, typer.Option(help="Folder of the rendered meshes.")],
     out: Annotated[Path, typer.Option(help="Output folder: one HDF5 of labelled points per mesh.")],
     points: Annotated[int, typer.Option(help="Number of labelled points per mesh.")] = 50_000,
@@ -34,7 +34,6 @@ def label_sdf(
     from pointsdf_cli.objects.labelling import find_label_tasks, label_file
 
     config = SamplingConfig(points)
-    seed, jobs = common.check_seed(seed), common.job_count(jobs)
     found = shard_of(find_label_tasks(views, meshes, out, config, seed, force), shard)
     require_apart((t.out for t in found), [path for t in found for path in (t.views, t.mesh)])
     out = require_folder(out)

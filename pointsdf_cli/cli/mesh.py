@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
+from pointsdf_cli import choices
 from pointsdf_cli.cli import common
 from pointsdf_cli.cli.mesh_each import mesh_each
 
@@ -14,7 +15,6 @@ if TYPE_CHECKING:
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.service.each_mesh import MeshSettings
 
-FORMATS = ("ply", "obj", "stl", "glb")
 SCENE = 0.7
 """A cloud wider than this [m] is more often of a whole table than of one object."""
 
@@ -34,33 +34,26 @@ def mesh(
         int, typer.Option(help="Cells along the box: 32, 64, 128, 256 or 512.")
     ] = 128,
     form: Annotated[
-        str | None,
+        choices.MeshFormat | None,
         typer.Option(
-            "--format", help="Format: ply, obj, stl or glb [default: by the name of --out]."
+            "--format", case_sensitive=False, help="Format [default: by the name of --out]."
         ),
     ] = None,
     checkpoint: Annotated[
         Path | None, typer.Option(help="Checkpoint [default: the bundled one].", show_default=False)
     ] = None,
     unit: Annotated[
-        str, typer.Option(help="Unit of the cloud, and so of the mesh: m, cm, mm or inch.")
+        choices.Unit, typer.Option(help="Unit of the cloud, and so of the mesh.")
     ] = "m",
-    frame: Annotated[
-        str | None,
-        typer.Option(
-            help="Frame of the cloud: camera or world [default: as the file says, else camera]."
-        ),
-    ] = None,
+    frame: common.Frame = None,
     camera_pose: common.CameraPose = None,
     intrinsics: common.Intrinsics = None,
     depth_scale: common.DepthScale = None,
     mask: common.Mask = None,
     no_clean: common.NoClean = False,
-    drop_invalid: Annotated[
-        bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
-    ] = False,
+    drop_invalid: common.DropInvalid = False,
     segment: Annotated[
-        str | None,
+        choices.Segment | None,
         typer.Option(
             help="auto: segment the object in a view of a table, which needs the camera pose; "
             "none: the object is alone [default: auto for a depth image without --mask, "
@@ -77,15 +70,7 @@ def mesh(
         ),
     ] = None,
     workspace: common.Workspace = None,
-    robot: Annotated[
-        Path | None,
-        typer.Option(
-            help="With --segment auto: YAML of the robot at home, to remove its points "
-            "[default: LBR4 + Allegro].",
-            show_default=False,
-            callback=common.bundled_robot,
-        ),
-    ] = None,
+    robot: common.RobotAtHome = None,
     all_parts: Annotated[
         bool, typer.Option("--all-parts", help="Keep small loose parts too.")
     ] = False,
@@ -114,10 +99,7 @@ def mesh(
     ] = False,
     jobs: common.EachJobs = 0,
     skip_bad: common.EachSkipBad = False,
-    precision: Annotated[
-        str,
-        typer.Option(help="Precision: auto (bfloat16 where it is faster), bfloat16 or float32."),
-    ] = "auto",
+    precision: common.Precision = "auto",
     threads: common.Threads = 0,
     seed: common.Seed = 0,
     device: common.Device = "cpu",
@@ -144,35 +126,23 @@ def mesh(
 
     reporter = common.Reporter(quiet, as_json)
     # A wrong resolution is known before anything is read.
-    choices = MeshChoices(resolution, smooth, all_parts, exact, precision, seed)
+    meshing = MeshChoices(resolution, smooth, all_parts, exact, precision, seed)
     inputs = [*clouds, camera_pose, intrinsics, mask, checkpoint, robot]
-    common.check_seed(seed)
-    common.check_device(device)
     if checkpoint is not None:
         read_config(checkpoint)
     files = SceneFileOptions(
         intrinsics, depth_scale, mask=mask, unit=unit, frame=frame, drop_invalid=drop_invalid
     )
     settings = MeshSettings(
-        choices, segment, target, workspace, not no_clean, robot, checkpoint, device
+        meshing, segment, target, workspace, not no_clean, robot, checkpoint, device
     )
     if each:
         one = {"--picture": picture is not None, "--mask": mask is not None}
         require_without(one, "leave one of the two out")
         mesh_each(
-            reporter,
-            clouds,
-            camera_pose,
-            files,
-            settings,
-            inputs,
-            out=out or Path("meshes"),
-            form=mesh_path(None, form).suffix[1:],
-            jobs=jobs,
-            threads=threads,
-            force=force,
-            skip_bad=skip_bad,
-        )
+            reporter, clouds, camera_pose, files, settings, inputs, out=out or Path("meshes"),
+            form=form or "ply", jobs=jobs, threads=threads, force=force, skip_bad=skip_bad,
+        )  # fmt: skip
         return
     if len(clouds) > 1:
         raise InputError(f"{len(clouds)} inputs", allowed="one", hint="add --each")
@@ -204,21 +174,11 @@ def _mesh_one(
     from pointsdf_cli.geometry.frames import apply_transform
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.meshes import UNITS, save_mesh
-    from pointsdf_cli.planning.object_view import object_view
     from pointsdf_cli.preload import preload
 
-    idle, unit, choices = IdleProcessors(), files.unit, settings.choices
-    seen = object_view(
-        cloud,
-        files,
-        pose,
-        settings.segment,
-        settings.target,
-        settings.robot,
-        settings.workspace,
-        settings.cleaned,
-    )
-    points, T_frame_camera = seen.points, seen.T_frame_camera
+    idle = IdleProcessors()
+    seen = settings.view(cloud, files, pose)
+    points = seen.points
     for line in seen.said:
         reporter.say(line)
     if seen.alone and np.ptp(points, axis=0).max() > SCENE:
@@ -232,9 +192,9 @@ def _mesh_one(
     use_threads(threads or idle.count())
     weights = settings.checkpoint or default_checkpoint()
     model = load_model(weights, common.torch_device(settings.device))
-    completed = complete_mesh(model, seen, choices, str(cloud))
-    made, seconds = completed.mesh, completed.seconds
-    vertices = apply_transform(T_frame_camera, made.vertices) / UNITS[unit]
+    completed = complete_mesh(model, seen, settings.choices, str(cloud))
+    made = completed.mesh
+    vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[files.unit]
     save_mesh(out, vertices, made.faces)
     if picture:
         # Matplotlib and Open3D take longer to load than the mesh takes to make.
@@ -244,29 +204,32 @@ def _mesh_one(
             cloud.stem, points, (made.vertices, made.faces), None, completed.reconstruction.sdf
         )
         draw_gallery(picture, [row])
-    extent = np.ptp(vertices, axis=0)
-    reporter.result(
-        {
-            "out": out,
-            "picture": picture,
-            "vertices": len(vertices),
-            "faces": len(made.faces),
-            "extent": extent,
-            "unit": unit,
-            "frame": seen.frame,
-            "points": len(points),
-            "resolution": choices.resolution,
-            "parts_dropped": made.parts_dropped,
-            "queries": made.queries,
-            "seconds": seconds,
-        },
-        [
-            f"{out}: {len(vertices)} vertices, {len(made.faces)} faces, "
-            f"{' × '.join(f'{side:.4g}' for side in extent)} {unit}, in the {seen.frame} frame",
-            f"{made.queries} queries, {seconds:.2f} s at {choices.resolution}³"
-            + (f"; {made.parts_dropped} loose parts dropped" if made.parts_dropped else ""),
-        ],
-    )
+    values: dict[str, Any] = {
+        "out": out,
+        "picture": picture,
+        "vertices": len(vertices),
+        "faces": len(made.faces),
+        "extent": np.ptp(vertices, axis=0),
+        "unit": files.unit,
+        "frame": seen.frame,
+        "points": len(points),
+        "resolution": settings.choices.resolution,
+        "parts_dropped": made.parts_dropped,
+        "queries": made.queries,
+        "seconds": completed.seconds,
+    }
+    reporter.result(values, _lines(values))
+
+
+def _lines(made: dict[str, Any]) -> list[str]:
+    sides = " × ".join(f"{side:.4g}" for side in made["extent"])
+    dropped = made["parts_dropped"]
+    return [
+        f"{made['out']}: {made['vertices']} vertices, {made['faces']} faces, {sides} "
+        f"{made['unit']}, in the {made['frame']} frame",
+        f"{made['queries']} queries, {made['seconds']:.2f} s at {made['resolution']}³"
+        + (f"; {dropped} loose parts dropped" if dropped else ""),
+    ]
 
 
 def mesh_path(out: Path | None, form: str | None) -> Path:
@@ -279,13 +242,9 @@ def mesh_path(out: Path | None, form: str | None) -> Path:
 
     out = out or Path(f"mesh.{form or 'ply'}")
     suffix = out.suffix.lower().lstrip(".")
-    form = (form or suffix).lower()
-    if form not in FORMATS:
-        raise InputError(
-            f"no mesh format {form!r}",
-            where="--format" if suffix != form else "--out",
-            allowed=", ".join(FORMATS),
-        )
+    form, known = form or suffix, get_args(choices.MeshFormat)
+    if form not in known:
+        raise InputError(f"no mesh format {form!r}", where="--out", allowed=", ".join(known))
     if not out.name:
         raise InputError(f"{out} is a folder", where="--out", allowed=f"such as mesh.{form}")
     if not suffix:

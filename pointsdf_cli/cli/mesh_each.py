@@ -40,7 +40,7 @@ def mesh_each(
         inputs: Everything that is read, which no output may replace.
         out: Folder of the meshes.
         form: Their format.
-        jobs: Processes; 0 takes all cores.
+        jobs: Processes.
         threads: Threads of each process; 0 takes one.
         force, skip_bad: The command's options of these names.
 
@@ -53,7 +53,6 @@ def mesh_each(
     from pointsdf_cli.io.each_file import require_one_name_each
     from pointsdf_cli.service.each_mesh import MeshTask, mesh_cloud
 
-    jobs = common.job_count(jobs)
     require_one_name_each(clouds)
     out = require_folder(out)
     tasks = []

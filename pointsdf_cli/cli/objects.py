@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -46,7 +46,6 @@ def make(
     from pointsdf_cli.io.batch import shard_of
     from pointsdf_cli.objects.store import MANIFEST, check_count, make_objects
 
-    seed, jobs = common.check_seed(seed), common.job_count(jobs)
     chosen = None if families is None else [name.strip() for name in families.split(",")]
     sheet = common.check_picture(sheet, force)
     reporter = common.Reporter(quiet, as_json)
@@ -72,7 +71,9 @@ def make(
 
 @app.command("fetch")
 def fetch(
-    collection: Annotated[str, typer.Argument(help="ycb: the YCB object set, 600 MB in all.")],
+    collection: Annotated[
+        Literal["ycb"], typer.Argument(help="ycb: the YCB object set, 600 MB in all.")
+    ],
     out: Out = Path("ycb"),
     objects: Annotated[
         str | None,
@@ -97,8 +98,6 @@ def fetch(
     from pointsdf_cli.objects.fetch import YCB_BASE_URL, fetch_ycb
     from pointsdf_cli.objects.ycb_names import choose_ycb
 
-    if collection != "ycb":
-        raise InputError(f"no collection {collection!r}", where="COLLECTION", allowed="ycb")
     wanted = None if objects is None else [name.strip() for name in objects.split(",")]
     sheet = common.check_picture(sheet, force)
     reporter = common.Reporter(quiet, as_json)

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from pointsdf_cli import choices
 from pointsdf_cli.cli import common
-from pointsdf_cli.cli.plan_each import EachOptions, plan_each
+from pointsdf_cli.cli.plan_each import plan_each
 from pointsdf_cli.cli.plan_one import PlanOutputs, plan_one
-
-if TYPE_CHECKING:
-    from pointsdf_cli.camera.scene_file import SceneFileOptions
 
 
 def plan(
+    context: typer.Context,
     clouds: Annotated[
         list[Path],
         typer.Argument(
@@ -27,14 +27,12 @@ def plan(
         Path | None, typer.Option(help="Output plan [default: plan.h5].", show_default=False)
     ] = None,
     method: Annotated[
-        str, typer.Option(help="Method: reconstruction or partial-view.")
+        choices.Method, typer.Option(help="Source of the object's shape.")
     ] = "reconstruction",
-    solver: Annotated[str, typer.Option(help="Solver: sqp, or slsqp (the paper's, slow).")] = "sqp",
+    solver: common.Solver = "sqp",
     kind: Annotated[
-        str,
-        typer.Option(
-            help="Kind of grasp: side, top, or auto (the better of both; below 3 cm top first)."
-        ),
+        choices.GraspKind,
+        typer.Option(help="Kind of grasp; auto takes the better one, below 3 cm top first."),
     ] = "auto",
     target: Annotated[
         str | None,
@@ -75,18 +73,11 @@ def plan(
         ),
     ] = None,
     no_clean: common.NoClean = False,
-    frame: Annotated[
-        str | None,
-        typer.Option(
-            help="Frame of the cloud: camera or world [default: as the file says, else camera]."
-        ),
-    ] = None,
-    unit: Annotated[str, typer.Option(help="Unit of the clouds: m, cm, mm or inch.")] = "m",
-    drop_invalid: Annotated[
-        bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
-    ] = False,
+    frame: common.Frame = None,
+    unit: common.Unit = "m",
+    drop_invalid: common.DropInvalid = False,
     segment: Annotated[
-        str, typer.Option(help="Segmentation: auto, or none for clouds of the object alone.")
+        choices.Segment, typer.Option(help="Segmentation; none for clouds of the object alone.")
     ] = "auto",
     environment: Annotated[
         Path | None, typer.Option(help="YAML of the table and known obstacles.", show_default=False)
@@ -99,7 +90,7 @@ def plan(
         ),
     ] = False,
     obstacles: Annotated[
-        str,
+        choices.Obstacles,
         typer.Option(
             help="Other observed objects: their reconstruction, or the hull of their seen points "
             "(faster, without a back; always with partial-view)."
@@ -146,13 +137,8 @@ def plan(
         ),
     ] = None,
     robot: common.Robot = None,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(help="Reconstruction weights [default: bundled].", show_default=False),
-    ] = None,
-    grasp_checkpoint: Annotated[
-        Path | None, typer.Option(help="Success weights [default: bundled].", show_default=False)
-    ] = None,
+    checkpoint: common.Checkpoint = None,
+    grasp_checkpoint: common.GraspCheckpoint = None,
     trajectory: Annotated[
         Path | None,
         typer.Option(help="Also write the motion as a ROS JointTrajectory in JSON."),
@@ -189,133 +175,83 @@ def plan(
 
     Example: rgrasp plan scenes/*.ply --each --out plans/
     """
-    from pointsdf_cli.io.checkpoints import read_config
     from pointsdf_cli.io.each_file import require_without
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.poses import box
+    from pointsdf_cli.io.present import require_present
     from pointsdf_cli.planning.environment import Environment, read_environment
-    from pointsdf_cli.planning.option_checks import check_obstacles, check_segment
+    from pointsdf_cli.planning.option_checks import check_segment
     from pointsdf_cli.planning.plan_request import PlanChoices
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
 
     idle = IdleProcessors()
     reporter = common.Reporter(quiet, as_json)
-    common.check_seed(seed)
     inputs = [
         *clouds, *(camera_pose or ()), *(intrinsics or ()), *(mask or ()), environment, robot,
         start, target, workspace, checkpoint, grasp_checkpoint,
     ]  # fmt: skip
+    out = out or Path("plans" if each else "plan.h5")
     if each:
         one = {"--trajectory": trajectory, "--picture": picture, "--server": server}
         require_without({k: v is not None for k, v in one.items()}, "leave one of the two out")
     else:
-        out = out or Path("plan.h5")
         drawn = None if no_picture else picture or out.with_suffix(".png")
         outputs = PlanOutputs(out, drawn, trajectory)
         outputs.require_free(inputs, force)
-    looked_at = None if workspace is None else box(workspace, "--workspace")
-    choices = PlanChoices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
+    corners = None if workspace is None else box(workspace, "--workspace")
+    search = PlanChoices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
     if server is not None:
         _check_server(server, threads, device)
     check_segment(segment, target is not None, workspace is not None)
-    check_obstacles(obstacles)
-    common.check_device(device)
     around = Environment() if environment is None else read_environment(environment)
     start_at = start_configuration(start, load_robot(robot))
-    for weights in (checkpoint, grasp_checkpoint):
-        if weights is not None:
-            read_config(weights)
+    require_present(checkpoints=[checkpoint, grasp_checkpoint])
     # What reads clouds is loaded for options that can be used.
+    from pointsdf_cli.camera.scene_file import options_of_views
     from pointsdf_cli.service.plan_settings import PlanSettings
 
-    files = _file_options(
-        len(clouds),
-        intrinsics,
-        mask,
-        depth_scale=depth_scale,
-        unit=unit,
-        frame=frame,
-        drop_invalid=drop_invalid,
-    )
+    files = options_of_views(
+        len(clouds), intrinsics, mask,
+        depth_scale=depth_scale, unit=unit, frame=frame, drop_invalid=drop_invalid,
+    )  # fmt: skip
     settings = PlanSettings(
-        choices,
-        around,
-        None if start is None else start_at,
-        seed,
-        segment,
-        target,
-        not ignore_others,
-        looked_at,
-        not no_clean,
-        obstacles,
-        robot,
-        checkpoint,
-        grasp_checkpoint,
+        search, around, None if start is None else start_at, seed, segment, target,
+        not ignore_others, corners, not no_clean, obstacles, robot, checkpoint, grasp_checkpoint,
         device,
-    )
+    )  # fmt: skip
     if each:
-        stage = EachOptions(
-            out or Path("plans"), not no_picture, jobs, threads, force, skip_bad, accept_unlikely
-        )
-        plan_each(reporter, clouds, camera_pose or [], files, settings, inputs, stage)
+        plan_each(
+            reporter, clouds, camera_pose or [], files, settings, inputs, out=out,
+            pictures=not no_picture, jobs=jobs, threads=threads, force=force, skip_bad=skip_bad,
+            accept_unlikely=accept_unlikely,
+        )  # fmt: skip
         return
     request, notes = settings.read(clouds, camera_pose or [], files)
     for note in notes:
         reporter.say(note)
-    asked: dict[str, Any] = {
-        "rehearse": rehearse,
-        "target": target,
-        "start": start,
-        "segment": segment,
-        "workspace": workspace,
-        "environment": environment and str(environment),
-        "ignore_others": ignore_others,
-        "unit": unit,
-        "frame": frame,
-        "camera_pose": camera_pose,
-        "intrinsics": intrinsics,
-        "depth_scale": depth_scale,
-        "mask": mask,
-        "clean": not no_clean,
-        "obstacles": obstacles,
-    }
     plan_one(
-        reporter,
-        request,
-        settings,
-        outputs,
-        asked,
-        idle,
-        server=server,
-        threads=threads,
-        accept_unlikely=accept_unlikely,
-    )
+        reporter, request, settings, outputs, _as_typed(context.params), idle,
+        server=server, threads=threads, accept_unlikely=accept_unlikely,
+    )  # fmt: skip
 
 
-def _file_options(
-    count: int, intrinsics: list[str] | None, masks: list[str] | None, **same: Any
-) -> list[SceneFileOptions]:
-    """Reading options of each file.
+_RECORDED = (
+    "rehearse", "target", "start", "segment", "workspace", "environment", "ignore_others", "unit",
+    "frame", "camera_pose", "intrinsics", "depth_scale", "mask",
+)  # fmt: skip
+"""Options that the plan's provenance holds as they were typed."""
 
-    Raises:
-        InputError: Neither one for all nor one for each.
-    """
-    from pointsdf_cli.camera.scene_file import SceneFileOptions
-    from pointsdf_cli.errors import InputError
 
-    cameras: list[str | None] = [*intrinsics] if intrinsics else [None]
-    if len(cameras) == 1:
-        cameras = cameras * count
-    on: list[str | None] = [*masks] if masks else [None] * count
-    for option, given in (("--intrinsics", cameras), ("--mask", on)):
-        if len(given) != count:
-            raise InputError(
-                f"{len(given)} for {count} views", where=option, allowed="one for each, in order"
-            )
-    return [
-        SceneFileOptions(intrinsics=k, mask=m, **same) for k, m in zip(cameras, on, strict=True)
-    ]
+def _as_typed(given: Mapping[str, Any]) -> dict[str, Any]:
+    environment = given["environment"]
+    return {
+        # () stands there for an option that may be repeated and was not given.
+        **{name: None if given[name] == () else given[name] for name in _RECORDED},
+        "environment": environment and str(environment),
+        "clean": not given["no_clean"],
+        "obstacles": given["obstacles"],
+    }
 
 
 def _check_server(server: str, threads: int, device: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,27 +15,6 @@ if TYPE_CHECKING:
     from pointsdf_cli.service.plan_settings import PlanSettings
 
 
-@dataclass(frozen=True)
-class EachOptions:
-    """Options of the stage.
-
-    Attributes:
-        out: Folder of the plans.
-        pictures: Draw a picture beside each.
-        jobs: Processes; 0 takes all cores.
-        threads: Threads of each process; 0 takes one.
-        force, skip_bad, accept_unlikely: The command's options of these names.
-    """
-
-    out: Path
-    pictures: bool
-    jobs: int
-    threads: int
-    force: bool
-    skip_bad: bool
-    accept_unlikely: bool
-
-
 def plan_each(
     reporter: common.Reporter,
     clouds: Sequence[Path],
@@ -43,7 +22,14 @@ def plan_each(
     files: Sequence[SceneFileOptions],
     settings: PlanSettings,
     inputs: Sequence[Path | str | None],
-    options: EachOptions,
+    *,
+    out: Path,
+    pictures: bool,
+    jobs: int,
+    threads: int,
+    force: bool,
+    skip_bad: bool,
+    accept_unlikely: bool,
 ) -> None:
     """Plan every scene into `out`, keeping what is there.
 
@@ -54,7 +40,11 @@ def plan_each(
         files: Reading options of each view.
         settings: The same for all scenes.
         inputs: Everything that is read, which no output may replace.
-        options: Options of the stage.
+        out: Folder of the plans.
+        pictures: Draw a picture beside each.
+        jobs: Processes.
+        threads: Threads of each process; 0 takes one.
+        force, skip_bad, accept_unlikely: The command's options of these names.
 
     Raises:
         InputError: Inputs that cannot be used; the others are done.
@@ -67,16 +57,14 @@ def plan_each(
     from pointsdf_cli.io.each_file import one_for_each, require_one_name_each
     from pointsdf_cli.service.each_plan import PlanTask, plan_scene, summary_of
 
-    jobs = common.job_count(options.jobs)
     require_one_name_each(clouds)
     typed = one_for_each(poses, len(clouds), "--camera-pose")
-    out = require_folder(options.out)
+    out = require_folder(out)
     tasks = []
     for cloud, pose, file in zip(clouds, typed, files, strict=True):
         path = out / f"{cloud.stem}.h5"
-        picture = path.with_suffix(".png") if options.pictures else None
-        threads = options.threads or 1
-        task = PlanTask(cloud, file, pose, path, picture, settings, threads, options.force)
+        picture = path.with_suffix(".png") if pictures else None
+        task = PlanTask(cloud, file, pose, path, picture, settings, threads or 1, force)
         tasks.append((cloud.stem, task))
     require_apart((p for _, task in tasks for p in (task.out, task.picture)), inputs)
     with reporter.progress("plan", len(tasks)) as progress:
@@ -87,11 +75,12 @@ def plan_each(
         reporter,
         report,
         out,
-        options.skip_bad,
+        skip_bad,
         {"plans": {name: asdict(summary) for name, summary in found.items()}},
         [f"{out / name}.h5: {_told(summary)}" for name, summary in found.items()],
     )
-    _require_plans(found, settings, out, options)
+    least = settings.choices.acceptance().least
+    _require_plans(found, out, 0.0 if accept_unlikely else least, skip_bad)
 
 
 def _told(summary: PlanSummary) -> str:
@@ -103,26 +92,23 @@ def _told(summary: PlanSummary) -> str:
     )
 
 
-def _require_plans(
-    found: dict[str, PlanSummary], settings: PlanSettings, out: Path, options: EachOptions
-) -> None:
+def _require_plans(found: dict[str, PlanSummary], out: Path, least: float, skip_bad: bool) -> None:
     """Raise the error of the worst outcome, which sets the exit code."""
     from pointsdf_cli.errors import NoPlanError, UnlikelyPlanError
 
     without = [name for name, summary in found.items() if summary.reason]
-    if without and not options.skip_bad:
+    if without and not skip_bad:
         raise NoPlanError(
             f"{len(without)} of {len(found)} scenes have no plan: {_names(without)}",
             where=out,
             hint="each file holds its reason; --skip-bad exits with 0 all the same",
         )
-    least = settings.choices.acceptance().least
     unlikely = [
         name
         for name, summary in found.items()
         if not summary.reason and summary.success_probability < least
     ]
-    if unlikely and not options.accept_unlikely:
+    if unlikely:
         raise UnlikelyPlanError(
             f"{len(unlikely)} of {len(found)} plans are not likely to hold: {_names(unlikely)}",
             where=out,

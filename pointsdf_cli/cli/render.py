@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from pointsdf_cli.cli import common
-
-SCENES = ("void", "table")
 
 
 def render(
@@ -49,7 +47,7 @@ def render(
         ),
     ] = None,
     scene: Annotated[
-        str,
+        Literal["void", "table"],
         typer.Option(
             help="Scene: void (the object alone), or table (resting on a table with "
             "neighbours, at 0.4 to 1.6 m, segmented with errors of a few pixels)."
@@ -64,10 +62,8 @@ def render(
     keep_depth: Annotated[
         bool, typer.Option("--keep-depth", help="Also store the depth images (large).")
     ] = False,
-    unit: Annotated[str, typer.Option(help="Unit of the mesh files: m, cm, mm or inch.")] = "m",
-    pattern: Annotated[
-        str, typer.Option(help="Only meshes whose names match this pattern, such as '*.ply'.")
-    ] = "*",
+    unit: common.Unit = "m",
+    pattern: common.Pattern = "*",
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     shard: common.Shard = None,
@@ -92,10 +88,8 @@ def render(
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder
     from pointsdf_cli.io.batch import run_stage, shard_of
-    from pointsdf_cli.io.meshes import artifact_path, find_meshes
+    from pointsdf_cli.io.meshes import find_meshes, named_artifacts
 
-    if scene not in SCENES:
-        raise InputError(f"no scene {scene!r}", where="--scene", allowed=", ".join(SCENES))
     if scene == "table" and (keep_depth or above):
         option = "--keep-depth" if keep_depth else "--above"
         raise InputError(f"{option} with --scene table", hint="leave one of the two out")
@@ -103,25 +97,16 @@ def render(
     if scene == "void" and (len(sensors) > 1 or exact):
         option = f"--sensor {sensor}" if len(sensors) > 1 else f"--exact {exact:g}"
         raise InputError("is for --scene table", where=option, hint="add --scene table")
+    depth_noise = DepthNoise() if noise is None else DepthNoise(noise)
+    table = SceneViewConfig(sensors, exact=exact) if scene == "table" else None
     config = ViewConfig(
-        views,
-        distance,
-        load_camera(camera),
-        DepthNoise() if noise is None else DepthNoise(noise),
-        keep_depth,
-        unit,
-        above,
-        scene=SceneViewConfig(sensors, exact=exact) if scene == "table" else None,
+        views, distance, load_camera(camera), depth_noise, keep_depth, unit, above, table,
         sensor=sensors[0],
-    )
-    seed, jobs = common.check_seed(seed), common.job_count(jobs)
+    )  # fmt: skip
     found = shard_of(find_meshes(meshes, pattern), shard)
     out = require_folder(out)
-    tasks = []
-    for mesh in found:
-        path = artifact_path(mesh, meshes, out)
-        name = path.relative_to(out).with_suffix("").as_posix()
-        tasks.append((name, ViewTask(name, mesh, path, config, seed, force)))
+    named = named_artifacts(found, meshes, out)
+    tasks = [(n, ViewTask(n, mesh, path, config, seed, force)) for n, (mesh, path) in named.items()]
     require_apart((task.out for _, task in tasks), [*found, camera])
     reporter = common.Reporter(quiet, as_json)
     with reporter.progress("render", len(tasks)) as progress:

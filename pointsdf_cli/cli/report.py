@@ -37,15 +37,8 @@ def report(
         Path | None,
         typer.Option(help="Folder of the meshes of views and labels, if they have moved."),
     ] = None,
-    unit: Annotated[str, typer.Option(help="Unit of a cloud or mesh: m, cm, mm or inch.")] = "m",
-    robot: Annotated[
-        Path | None,
-        typer.Option(
-            help="Robot YAML for a plan, or panda [default: LBR4 + Allegro].",
-            show_default=False,
-            callback=common.bundled_robot,
-        ),
-    ] = None,
+    unit: common.Unit = "m",
+    robot: common.Robot = None,
     force: common.Force = False,
     quiet: common.Quiet = False,
     as_json: common.Json = False,

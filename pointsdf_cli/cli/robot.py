@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pointsdf_cli.cli import common
+
+if TYPE_CHECKING:
+    from pointsdf_cli.robot.check import RobotCheck
+    from pointsdf_cli.robot.description import RobotDescription
 
 app = typer.Typer(help="Check a robot's description, or start one.", no_args_is_help=True)
 
@@ -31,8 +36,6 @@ def check(
 
     Example: rgrasp robot check my_robot.yaml --picture my_robot.png
     """
-    from dataclasses import asdict
-
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import atomic_path
@@ -41,7 +44,6 @@ def check(
     reporter = common.Reporter(quiet, as_json)
     require_apart([picture], [robot])
     common.check_picture(picture, force)
-    common.check_seed(seed)
     described = load_robot(robot)
 
     # Seconds of imports: only for a robot that can be read.
@@ -56,45 +58,7 @@ def check(
         image = check_picture(described)
         with atomic_path(picture) as temporary:
             Image.fromarray(image).save(temporary, format="png")
-    start, end = found.closing.paths[0], found.closing.paths[-1]
-    reporter.result(
-        {
-            "robot": described.name,
-            "passed": found.passed,
-            "arm_joints": list(described.arm_joints),
-            "hand_joints": list(described.hand_joints),
-            "fingertips": {
-                tip: {"open": start[k], "closed": end[k]}
-                for k, tip in enumerate(found.closing.tips)
-            },
-            "nearer": found.closing.nearer,
-            "samples": found.samples,
-            "farthest": found.farthest,
-            "reached": found.reached,
-            "self_distance": found.self_distance,
-            "table_distance": found.table_distance,
-            "findings": [asdict(finding) for finding in found.findings],
-            "picture": picture,
-        },
-        [
-            f"{described.name}: {len(described.arm_joints)} arm joints, "
-            f"{len(described.hand_joints)} hand joints, {len(described.preshape_joints)} of them "
-            "chosen by a grasp",
-            f"fingertips: {', '.join(found.closing.tips)}; from open to closed, in the palm's "
-            "frame [m]:",
-            *(
-                f"  {tip}: ({_numbers(start[k])}) to ({_numbers(end[k])})"
-                for k, tip in enumerate(found.closing.tips)
-            ),
-            f"at home: {_length(found.self_distance)} between links, "
-            f"{_length(found.table_distance)} above the table",
-            f"inverse kinematics: {found.reached:.0%} of palm poses that the arm can take",
-            f"surface: {found.samples} samples, no point farther than "
-            f"{found.farthest * 1e3:.1f} mm from one",
-            *(f"{f.level}: {f.what}\n  try: {f.fix}" for f in found.findings),
-            *([f"{picture}: written"] if picture else []),
-        ],
-    )
+    reporter.result(_values(described, found, picture), _lines(described, found, picture))
     errors = sum(finding.level == "error" for finding in found.findings)
     if errors:
         raise InputError(
@@ -146,6 +110,49 @@ def init(
         "check what is marked GUESSED there:\n"
         f"  rgrasp robot check {out} --picture {out.with_suffix('.png')}"
     )
+
+
+def _values(robot: RobotDescription, found: RobotCheck, picture: Path | None) -> dict[str, object]:
+    start, end = found.closing.paths[0], found.closing.paths[-1]
+    return {
+        "robot": robot.name,
+        "passed": found.passed,
+        "arm_joints": list(robot.arm_joints),
+        "hand_joints": list(robot.hand_joints),
+        "fingertips": {
+            tip: {"open": start[k], "closed": end[k]} for k, tip in enumerate(found.closing.tips)
+        },
+        "nearer": found.closing.nearer,
+        "samples": found.samples,
+        "farthest": found.farthest,
+        "reached": found.reached,
+        "self_distance": found.self_distance,
+        "table_distance": found.table_distance,
+        "findings": [asdict(finding) for finding in found.findings],
+        "picture": picture,
+    }
+
+
+def _lines(robot: RobotDescription, found: RobotCheck, picture: Path | None) -> list[str]:
+    start, end = found.closing.paths[0], found.closing.paths[-1]
+    return [
+        f"{robot.name}: {len(robot.arm_joints)} arm joints, "
+        f"{len(robot.hand_joints)} hand joints, {len(robot.preshape_joints)} of them "
+        "chosen by a grasp",
+        f"fingertips: {', '.join(found.closing.tips)}; from open to closed, in the palm's "
+        "frame [m]:",
+        *(
+            f"  {tip}: ({_numbers(start[k])}) to ({_numbers(end[k])})"
+            for k, tip in enumerate(found.closing.tips)
+        ),
+        f"at home: {_length(found.self_distance)} between links, "
+        f"{_length(found.table_distance)} above the table",
+        f"inverse kinematics: {found.reached:.0%} of palm poses that the arm can take",
+        f"surface: {found.samples} samples, no point farther than "
+        f"{found.farthest * 1e3:.1f} mm from one",
+        *(f"{f.level}: {f.what}\n  try: {f.fix}" for f in found.findings),
+        *([f"{picture}: written"] if picture else []),
+    ]
 
 
 def _numbers(values: object) -> str:

@@ -25,26 +25,11 @@ def segment(
         Path | None, typer.Option(help="Colour image to draw on, registered to the depth image.")
     ] = None,
     mask: common.Mask = None,
-    frame: Annotated[
-        str | None,
-        typer.Option(
-            help="Frame of the cloud: camera or world [default: as the file says, else camera]."
-        ),
-    ] = None,
-    unit: Annotated[str, typer.Option(help="Unit of a cloud: m, cm, mm or inch.")] = "m",
-    drop_invalid: Annotated[
-        bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
-    ] = False,
+    frame: common.Frame = None,
+    unit: common.Unit = "m",
+    drop_invalid: common.DropInvalid = False,
     workspace: common.Workspace = None,
-    robot: Annotated[
-        Path | None,
-        typer.Option(
-            help="YAML of the robot at home, to remove its points and to rank by its reach "
-            "[default: LBR4 + Allegro].",
-            show_default=False,
-            callback=common.bundled_robot,
-        ),
-    ] = None,
+    robot: common.RobotAtHome = None,
     no_clean: common.NoClean = False,
     picture: Annotated[Path, typer.Option(help="Output picture of the numbered objects.")] = Path(
         "segment.png"
@@ -69,14 +54,9 @@ def segment(
     common.check_picture(picture, force)
     corners = None if workspace is None else box(workspace, "--workspace")
     files = SceneFileOptions(
-        intrinsics,
-        depth_scale,
-        colour=color,
-        mask=mask,
-        unit=unit,
-        frame=frame,
-        drop_invalid=drop_invalid,
-    )
+        intrinsics, depth_scale, colour=color, mask=mask,
+        unit=unit, frame=frame, drop_invalid=drop_invalid,
+    )  # fmt: skip
 
     from pointsdf_cli.planning.list_things import list_things
     from pointsdf_cli.planning.object_choice import NoObjectError

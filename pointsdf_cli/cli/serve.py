@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -23,13 +22,8 @@ def serve(
     ] = 8,
     largest_body: Annotated[int, typer.Option(help="Largest body of a request [MiB].")] = 64,
     robot: common.Robot = None,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(help="Reconstruction weights [default: bundled].", show_default=False),
-    ] = None,
-    grasp_checkpoint: Annotated[
-        Path | None, typer.Option(help="Success weights [default: bundled].", show_default=False)
-    ] = None,
+    checkpoint: common.Checkpoint = None,
+    grasp_checkpoint: common.GraspCheckpoint = None,
     threads: common.Threads = 0,
     device: common.Device = "cpu",
     quiet: common.Quiet = False,
@@ -43,7 +37,7 @@ def serve(
     Example: rgrasp serve & rgrasp plan cloud.ply --server http://127.0.0.1:8765
     """
     from pointsdf_cli.errors import InputError, RgraspError
-    from pointsdf_cli.io.checkpoints import read_config
+    from pointsdf_cli.io.present import require_present
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.service.address import LOOPBACK, TOKEN
 
@@ -62,11 +56,8 @@ def serve(
             allowed="127.0.0.1, or any address with a token",
             hint=f"export {TOKEN}=$(openssl rand -hex 16), for the server and its clients",
         )
-    common.check_device(device)
     load_robot(robot)
-    for weights in (checkpoint, grasp_checkpoint):
-        if weights is not None:
-            read_config(weights)
+    require_present(checkpoints=[checkpoint, grasp_checkpoint])
     try:
         import fastapi
         import uvicorn

@@ -7,21 +7,23 @@ from typing import Annotated, Any
 
 import typer
 
+from pointsdf_cli import choices
 from pointsdf_cli.cli import common
 
 
 def train_gs(
-    grasps: Annotated[Path, typer.Option(help="Folder of grasps made by `rgrasp collect-grasps`.")],
+    context: typer.Context,
+    grasps: common.Grasps,
     out: Annotated[Path, typer.Option(help="Output checkpoint directory.")],
     encoder: Annotated[
-        str,
+        choices.Encoder,
         typer.Option(
             help="Encoder: geometry (distances of the reconstruction at the grasp), or the "
             "published embeddings pointsdf or voxelcnn."
         ),
     ] = "geometry",
     mode: Annotated[
-        str,
+        choices.Mode,
         typer.Option(
             help="Training of the encoder: fixed, fine-tuned, or scratch (no reconstruction)."
         ),
@@ -48,12 +50,9 @@ def train_gs(
         ),
     ] = None,
     half: Annotated[bool, typer.Option("--half", help="Store the weights in float16.")] = False,
-    cache: Annotated[
-        Path | None,
-        typer.Option(help="Cache folder of the network's features.  [default: GRASPS-cache]"),
-    ] = None,
+    cache: common.Cache = None,
     threads: common.Threads = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Resume from OUT.")] = False,
+    resume: common.Resume = False,
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     force: common.Force = False,
@@ -69,19 +68,13 @@ def train_gs(
     from pointsdf_cli.io.present import require_present
     from pointsdf_cli.robot.description import load_robot
 
-    common.check_seed(seed)
     require_present(grasps, hint="rgrasp collect-grasps --meshes DIR --out DIR")
     require_present(checkpoints=[sdf])
     machine = load_robot(robot)
 
     from pointsdf_cli.cli.signals import stop_requests
+    from pointsdf_cli.io import checkpoints
     from pointsdf_cli.io.apart import require_apart
-    from pointsdf_cli.io.checkpoints import (
-        forget_train_state,
-        read_config,
-        require_checkpoint_place,
-        require_no_run,
-    )
     from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.models.grasp_checkpoint import check_hand
     from pointsdf_cli.models.registry import use_threads
@@ -89,22 +82,13 @@ def train_gs(
     from pointsdf_cli.training.gs_loop import Fitted, SuccessTraining, train_success
     from pointsdf_cli.training.gs_outcome import Checkpointer, resumable_state
     from pointsdf_cli.training.gs_variants import Sources, Variant, prepare, prior_of, split_for
+    from pointsdf_cli.training.presets import settings_of
 
     variant = Variant(encoder, mode)
-    chosen: dict[str, Any] = {
-        "epochs": variant.epochs if epochs is None else epochs,
-        "batch_size": batch_size,
-        "learning_rate": learning_rate,
-        "patience": patience,
-        "validation": validation,
-    }
-    config = SuccessTraining(
-        seed=common.check_seed(seed), **{k: v for k, v in chosen.items() if v is not None}
-    )
+    given = settings_of(SuccessTraining, context.params)
+    config = SuccessTraining(**{"epochs": variant.epochs, **given})
     require_apart([out, cache], [grasps, sdf, robot])
-    require_checkpoint_place(out)
-    if not resume and not force:
-        require_no_run(out)
+    checkpoints.require_checkpoint_place(out, replace=resume or force)
     use_threads(threads or idle_processors())
     state = resumable_state(out, variant, sdf) if resume else None
     reporter = common.Reporter(quiet, as_json)
@@ -112,45 +96,30 @@ def train_gs(
     split = split_for(data, variant, config.validation, seed)
     cache = cache or common.cache_beside(grasps)
     with reporter.progress("asking the reconstruction", len(data.names)) as bar:
-        sources = Sources(cache, sdf, robot, common.job_count(jobs), bar.advance)
+        sources = Sources(cache, sdf, robot, jobs, bar.advance)
         prepared = prepare(data, split, variant, sources, seed)
     if resume:
-        check_hand(prepared.sweep, read_config(out), out)
-    if force and not resume:
-        forget_train_state(out)
+        check_hand(prepared.sweep, checkpoints.read_config(out), out)
+    elif force:
+        checkpoints.forget_train_state(out)
     checkpointer = Checkpointer(
         out, prepared, variant, machine, data, split, config, prior_of(data, machine), half
     )
-    reporter.say(
-        f"{variant.title}: {len(split.train)} grasps to train on, {len(split.validation)} to "
-        f"validate on{', in folds of objects' if split.folds is not None else ', of other objects'}"
-        f"; {data.base_rate:.1%} of all held"
-    )
+    reporter.say(f"{variant.title}: {split.describe()}; {data.base_rate:.1%} of all held")
 
     def on_epoch(fitted: Fitted, now: dict[str, Any]) -> None:
         checkpointer.save_now_and_then(fitted, now)
-        entry = fitted.history[-1]
-        reporter.say(
-            f"epoch {entry['epoch']:.0f}: loss {entry['train_loss']:.4f}, validation "
-            f"{entry['loss']:.4f}, average precision {entry['average_precision']:.3f}, "
-            f"AUC {entry['roc_auc']:.3f}; {fitted.seconds:.0f} s"
-        )
+        reporter.say(fitted.describe())
 
     with stop_requests() as should_stop:
         fitted = train_success(
-            data,
-            split,
-            prepared.learner,
-            config,
-            resume=state,
-            on_epoch=on_epoch,
-            should_stop=should_stop,
-        )
+            data, split, prepared.learner, config,
+            resume=state, on_epoch=on_epoch, should_stop=should_stop,
+        )  # fmt: skip
     result = checkpointer.finish(fitted)
     reporter.result({"out": out, "variant": variant.title, **result})
     if not fitted.finished:
-        if fitted.history:
-            reporter.say("stopped; the same command with --resume continues")
-        else:
-            reporter.say("stopped before the first epoch ended: nothing was saved")
+        saved = "stopped; the same command with --resume continues"
+        lost = "stopped before the first epoch ended: nothing was saved"
+        reporter.say(saved if fitted.history else lost)
         raise typer.Exit(should_stop.exit_code)

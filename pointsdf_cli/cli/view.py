@@ -31,7 +31,7 @@ def view(
     most: Annotated[
         int, typer.Option(help="Number of views or attempts to show, spread over all.")
     ] = 200,
-    unit: Annotated[str, typer.Option(help="Unit of clouds and meshes: m, cm, mm or inch.")] = "m",
+    unit: common.Unit = "m",
     port: Annotated[
         int, typer.Option(help="Port to serve at; the next free one if it is taken.")
     ] = 8080,

@@ -137,13 +137,17 @@ def _remove_ours(folder: Path, path: Path) -> None:
         folder.rmdir()
 
 
-def require_checkpoint_place(path: Path | str) -> None:
+def require_checkpoint_place(path: Path | str, replace: bool) -> None:
     """Refuse a place where no checkpoint can be written, before the training begins.
 
+    Args:
+        path: Checkpoint directory.
+        replace: Whether a run in it may be resumed or overwritten.
+
     Raises:
-        InputError: It is a file or the working directory, or cannot be written.
+        InputError: It is a file or the working directory, cannot be written, or holds a run.
     """
-    path = Path(path).resolve()
+    named, path = path, Path(path).resolve()
     if path == Path.cwd():
         raise InputError(
             "is where you are, and a checkpoint replaces its directory",
@@ -160,6 +164,8 @@ def require_checkpoint_place(path: Path | str) -> None:
     for leftover in abandoned_beside(path):
         if leftover.is_dir():
             _remove_ours(leftover, path)
+    if not replace:
+        _require_no_run(named)
 
 
 def _put_back(path: Path) -> None:
@@ -260,7 +266,7 @@ def forget_train_state(path: Path | str) -> None:
     (Path(path) / TRAIN_STATE).unlink(missing_ok=True)
 
 
-def require_no_run(path: Path | str) -> None:
+def _require_no_run(path: Path | str) -> None:
     """Refuse a directory that holds a run, or the remains of one, to be overwritten.
 
     Raises:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.choices import Frame, Unit, require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.atomic import atomic_path
@@ -28,7 +29,6 @@ from pointsdf_cli.io.meshes import UNITS
 from pointsdf_cli.io.pcd import read_pcd
 from pointsdf_cli.io.ply import read_ply, write_ply
 from pointsdf_cli.io.raw_cloud import (
-    FRAMES,
     finite_points,
     frame_of_header,
     pose_of_header,
@@ -157,10 +157,9 @@ def read_cloud(
             that are not finite.
     """
     path = Path(path)
-    if unit not in UNITS:
-        raise InputError(f"unknown unit {unit!r}", where="--unit", allowed=", ".join(UNITS))
-    if frame not in (None, *FRAMES):
-        raise InputError(f"no frame {frame!r}", where="--frame", allowed=", ".join(FRAMES))
+    require_choice(unit, Unit, "--unit")
+    if frame is not None:
+        require_choice(frame, Frame, "--frame")
     check_input(path, "cloud")
     reader = _READERS.get(path.suffix.lower())
     if reader is None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 import logging
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pointsdf_cli.choices import Unit, require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.repair import close_mesh
 from pointsdf_cli.io.atomic import atomic_path
@@ -115,6 +117,12 @@ def artifact_path(mesh: Path, meshes: Path | str, out: Path | str) -> Path:
     return Path(out) / relative.with_suffix(".h5")
 
 
+def named_artifacts(found: Iterable[Path], meshes: Path, out: Path) -> dict[str, tuple[Path, Path]]:
+    """Each mesh and the path of its artifact, by the artifact's name below `out`."""
+    paths = {mesh: artifact_path(mesh, meshes, out) for mesh in found}
+    return {p.relative_to(out).with_suffix("").as_posix(): (m, p) for m, p in paths.items()}
+
+
 def load_mesh(path: Path | str, unit: str = "m") -> LoadedMesh:
     """Read one mesh file; scenes are joined, the surface is closed, the scale is checked.
 
@@ -127,8 +135,7 @@ def load_mesh(path: Path | str, unit: str = "m") -> LoadedMesh:
             an unlikely size (a wrong unit), or cannot be closed.
     """
     path = Path(path)
-    if unit not in UNITS:
-        raise InputError(f"unknown unit {unit!r}", where="--unit", allowed=", ".join(UNITS))
+    require_choice(unit, Unit, "--unit")
     try:
         path.name.encode("utf-8")
     except UnicodeEncodeError as error:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.choices import Frame
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import is_rigid
 from pointsdf_cli.io.ply import RawCloud
 
-FRAMES = ("camera", "world")
+FRAMES = get_args(Frame)
 
 
 def finite_points(raw: RawCloud, path: Path, drop: bool) -> RawCloud:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pointsdf_cli.choices import Unit, require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import is_rigid, rotation_from_wxyz, transform
@@ -47,8 +48,7 @@ def read_robot_poses(path: Path, unit: str = "m") -> RobotPoses:
         InputError: No such file or form, a pose is no rotation and translation, or the unit is
             wrong.
     """
-    if unit not in UNITS:
-        raise InputError(f"unknown unit {unit!r}", where="--pose-unit", allowed=", ".join(UNITS))
+    require_choice(unit, Unit, "--pose-unit")
     if not path.is_file():
         raise InputError("no such file of robot poses", where=path, allowed=FORMS)
     names, values = _of_csv(path) if path.suffix.lower() in (".csv", ".txt") else _of_json(path)

@@ -31,7 +31,6 @@ BUNDLED = "weights/grasp_geometry"
 BUNDLED_PREFIX = "bundled:"
 
 FIXED, FINE_TUNED, SCRATCH = "fixed", "fine-tuned", "scratch"
-MODES = (FIXED, FINE_TUNED, SCRATCH)
 
 
 class GraspParts(NamedTuple):
@@ -73,7 +72,7 @@ def write_grasp_checkpoint(
         weights: `network.…`, and `encoder.…` if that was trained too; None keeps the stored ones.
         prior: The prior, stored in double precision.
         frozen_from: Checkpoint of a frozen encoder.
-        mode: One of `MODES`.
+        mode: One of `choices.Mode`.
         robot, sweep: Robot and closing hand of the training data.
         provenance: Further entries of config.json.
         train_state: State to resume from.

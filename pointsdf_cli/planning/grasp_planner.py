@@ -20,7 +20,9 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from pointsdf_cli import choices
 from pointsdf_cli.camera.view import View
+from pointsdf_cli.choices import require_choice
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.models.bundled_success import bundled_success
@@ -39,8 +41,6 @@ from pointsdf_cli.planning.option_checks import METHODS as METHODS
 from pointsdf_cli.planning.option_checks import (
     PARTIAL_VIEW,
     RECONSTRUCTION,
-    check_kind,
-    check_method,
     check_speed,
 )
 from pointsdf_cli.planning.plan_artifact import no_plan
@@ -119,8 +119,8 @@ class PlanOptions:
     resampled_views: int = 0
 
     def __post_init__(self) -> None:
-        check_method(self.method)
-        check_kind(self.kind)
+        require_choice(self.method, choices.Method, "--method")
+        require_choice(self.kind, choices.GraspKind, "--kind")
         check_speed(self.speed)
 
 

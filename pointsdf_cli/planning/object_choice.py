@@ -33,7 +33,7 @@ class NoObjectError(RgraspError):
 
 
 @dataclass(frozen=True)
-class Target:
+class TargetChoice:
     """The user's choice of an object; exactly one attribute is set.
 
     Attributes:
@@ -143,7 +143,7 @@ def numbered(
 
 def choose(
     things: list[Thing],
-    target: Target | None,
+    target: TargetChoice | None,
     points: Array,
     label: NDArray[np.int64],
     pixels: Array | None,

@@ -16,7 +16,7 @@ from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 
 if TYPE_CHECKING:
     from pointsdf_cli.camera.segmentation import SegmentationConfig
-    from pointsdf_cli.planning.object_choice import Target
+    from pointsdf_cli.planning.object_choice import TargetChoice
     from pointsdf_cli.robot.description import RobotDescription
 
 
@@ -158,7 +158,7 @@ def segmented_cloud(
     name: str,
     robot: RobotDescription,
     segment: str,
-    target: Target | None,
+    target: TargetChoice | None,
     workspace: SegmentationConfig,
     cleaned: bool = True,
 ) -> ObjectView:

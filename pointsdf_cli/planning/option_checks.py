@@ -2,55 +2,20 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
+from pointsdf_cli import choices
+from pointsdf_cli.choices import require_choice
 from pointsdf_cli.errors import InputError
 
 RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
-METHODS = (RECONSTRUCTION, PARTIAL_VIEW)
-SOLVERS = ("sqp", "slsqp")
+METHODS = get_args(choices.Method)
 KINDS = ("side", "top")
-SEGMENT = ("auto", "none")
 HULL = "hull"
-OBSTACLES = (RECONSTRUCTION, HULL)
 
 LARGEST_CLEARANCE = 0.015
 """Largest clearance [m]: distances are exact up to 2 cm only, and a hand farther away than this
 holds nothing."""
-
-
-def check_method(method: str) -> None:
-    """Require one of `METHODS`.
-
-    Raises:
-        InputError: It is none of them.
-    """
-    _require_one_of(method, METHODS, "method", "--method")
-
-
-def check_solver(solver: str) -> None:
-    """Require one of `SOLVERS`.
-
-    Raises:
-        InputError: It is none of them.
-    """
-    _require_one_of(solver, SOLVERS, "solver", "--solver")
-
-
-def check_kind(kind: str) -> None:
-    """Require `auto` or one of `KINDS`.
-
-    Raises:
-        InputError: It is none of them.
-    """
-    _require_one_of(kind, ("auto", *KINDS), "kind of grasp", "--kind")
-
-
-def check_obstacles(obstacles: str) -> None:
-    """Require one of `OBSTACLES`.
-
-    Raises:
-        InputError: It is none of them.
-    """
-    _require_one_of(obstacles, OBSTACLES, "shape of obstacles", "--obstacles")
 
 
 def check_speed(speed: float) -> None:
@@ -93,19 +58,13 @@ def check_segment(segment: str, target: bool, workspace: bool) -> None:
     """Check the options of segmentation.
 
     Args:
-        segment: One of `SEGMENT`.
+        segment: One of `choices.Segment`.
         target, workspace: Whether these options were given; both need `auto`.
 
     Raises:
         InputError: `segment` is none of them, or excludes an option that was given.
     """
-    if segment not in SEGMENT:
-        raise InputError(f"no {segment!r}", where="--segment", allowed=", ".join(SEGMENT))
+    require_choice(segment, choices.Segment, "--segment")
     for name, given in (("target", target), ("workspace", workspace)):
         if given and segment == "none":
             raise InputError(f"--{name} without --segment auto", hint="leave one of the two out")
-
-
-def _require_one_of(value: str, allowed: tuple[str, ...], what: str, option: str) -> None:
-    if value not in allowed:
-        raise InputError(f"no {what} {value!r}", where=option, allowed=", ".join(allowed))

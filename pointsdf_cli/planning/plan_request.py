@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from pointsdf_cli import choices
+from pointsdf_cli.choices import require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
@@ -13,7 +15,7 @@ from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.planning import option_checks
 from pointsdf_cli.planning.cloud_checks import check_scene_inputs
 from pointsdf_cli.planning.environment import Environment, Obstacle
-from pointsdf_cli.planning.object_choice import Target
+from pointsdf_cli.planning.object_choice import TargetChoice
 
 if TYPE_CHECKING:
     from pointsdf_cli.planning.acceptance import AcceptanceConfig
@@ -47,9 +49,9 @@ class PlanChoices:
     min_success: float | None = None
 
     def __post_init__(self) -> None:
-        option_checks.check_method(self.method)
-        option_checks.check_solver(self.solver)
-        option_checks.check_kind(self.kind)
+        require_choice(self.method, choices.Method, "--method")
+        require_choice(self.solver, choices.Solver, "--solver")
+        require_choice(self.kind, choices.GraspKind, "--kind")
         option_checks.check_speed(self.speed)
         option_checks.check_distance("margin", self.margin)
         if self.clearance is not None:
@@ -94,7 +96,7 @@ class PlanRequest:
     start: Array | None = None
     seed: int = 0
     segment: str = "auto"
-    target: Target | None = None
+    target: TargetChoice | None = None
     others: bool = True
     workspace: Corners | None = None
     cleaned: bool = True
@@ -110,7 +112,7 @@ class PlanRequest:
         option_checks.check_segment(
             self.segment, self.target is not None, self.workspace is not None
         )
-        option_checks.check_obstacles(self.obstacles)
+        require_choice(self.obstacles, choices.Obstacles, "--obstacles")
         check_scene_inputs(self.clouds, self.names, self.segment)
 
 

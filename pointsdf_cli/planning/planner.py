@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pointsdf_cli import choices
+from pointsdf_cli.choices import require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.plans import Plan
@@ -20,7 +22,7 @@ from pointsdf_cli.planning.grid import GridConfig, GridField
 from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion
 from pointsdf_cli.planning.nonlinear import Solver
 from pointsdf_cli.planning.objective import ObjectiveConfig
-from pointsdf_cli.planning.option_checks import check_distance, check_solver
+from pointsdf_cli.planning.option_checks import check_distance
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.plan_artifact import plan_of
 from pointsdf_cli.planning.reasons import explain, warning
@@ -69,7 +71,7 @@ class PlannerConfig:
     """Options of a planner, independent of the object.
 
     Attributes:
-        solver: One of `option_checks.SOLVERS`. `slsqp` always evaluates the exact field, as in the
+        solver: One of `choices.Solver`. `slsqp` always evaluates the exact field, as in the
             paper.
         clearances: Least distances.
         margin: Preferred distance to the object [m] for solver and motion; distances down to the
@@ -95,7 +97,7 @@ class PlannerConfig:
     motion: MotionConfig = field(default_factory=MotionConfig)
 
     def __post_init__(self) -> None:
-        check_solver(self.solver)
+        require_choice(self.solver, choices.Solver, "--solver")
         check_distance("clearance", max(vars(self.clearances).values()))
         check_distance("margin", self.margin)
 

@@ -3,13 +3,13 @@ table."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from pointsdf_cli.camera.scene_file import SceneFileOptions, read_view
+from pointsdf_cli.camera.scene_file import SceneFileOptions, cleaned_view, masked, read_view
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
 from pointsdf_cli.camera.things import VOXEL
@@ -18,7 +18,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
-from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
+from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
 from pointsdf_cli.planning.pose_mistakes import require_no_mistaken_pose
 from pointsdf_cli.planning.scene import ANYWHERE, WORKSPACE, sort_scene
 from pointsdf_cli.planning.table_top import chosen_thing
@@ -42,11 +42,11 @@ class SceneInput:
     """
 
     clouds: tuple[Cloud, ...]
-    target: Target | None
+    target: TargetChoice | None
     notes: tuple[str, ...]
 
 
-def parse_target(text: str | None) -> Target | None:
+def parse_target(text: str | None) -> TargetChoice | None:
     """The object that `--target` names: a number, a pixel U,V, a place X,Y,Z, or any.
 
     Raises:
@@ -55,13 +55,13 @@ def parse_target(text: str | None) -> Target | None:
     if text is None:
         return None
     if text == ANY:
-        return Target(any=True)
+        return TargetChoice(any=True)
     numbers = target_numbers(text)
     if len(numbers) == 1:
-        return Target(number=int(numbers[0]))
+        return TargetChoice(number=int(numbers[0]))
     if len(numbers) == 2:
-        return Target(pixel=(float(numbers[0]), float(numbers[1])))
-    return Target(place=numbers)
+        return TargetChoice(pixel=(float(numbers[0]), float(numbers[1])))
+    return TargetChoice(place=numbers)
 
 
 def read_scene(
@@ -125,7 +125,7 @@ def read_scene(
     return SceneInput(tuple(clouds), wanted, tuple(notes))
 
 
-def _require_pixel_within(target: Target | None, cloud: Cloud) -> None:
+def _require_pixel_within(target: TargetChoice | None, cloud: Cloud) -> None:
     """Refuse a pixel that lies outside of the first view's image."""
     if target is None or target.pixel is None or cloud.image is None:
         return
@@ -154,11 +154,11 @@ def stand_on_table(
     cloud: Cloud,
     name: str,
     place: tuple[float, float],
-    target: Target | None = None,
+    target: TargetChoice | None = None,
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
     reach: tuple[float, float] | None = None,
-) -> tuple[Cloud, Target | None]:
+) -> tuple[Cloud, TargetChoice | None]:
     """Give a cloud the pose in which z = 0 is its table and the object stands at `place`.
 
     Args:
@@ -196,7 +196,7 @@ def stand_on_table(
         if target is not None and not target.any:
             chosen = _centre(cloud, name, target, workspace, cleaned, reach)
             cloud = _moved(cloud, chosen, place)
-            target = Target(place=np.array([*place, chosen[2]]))
+            target = TargetChoice(place=np.array([*place, chosen[2]]))
     except NoObjectError:
         if target is not None:
             raise
@@ -209,7 +209,7 @@ def stand_on_table(
 def _centre(
     cloud: Cloud,
     name: str,
-    target: Target | None,
+    target: TargetChoice | None,
     workspace: SegmentationConfig,
     cleaned: bool,
     reach: tuple[float, float] | None,
@@ -224,3 +224,45 @@ def _moved(cloud: Cloud, centre: Array, place: tuple[float, float]) -> Cloud:
     pose = cloud.T_world_camera.copy()
     pose[:2, 3] += np.asarray(place) - centre[:2]
     return replace(cloud, T_world_camera=pose)
+
+
+def depth_view(
+    path: Path,
+    options: SceneFileOptions,
+    pose: str | None,
+    cleaned: bool,
+    say: Callable[[str], None],
+) -> tuple[Cloud, int, int]:
+    """Cloud of the depth image of a scene, or of what its mask shows.
+
+    Args:
+        path, options: Image, and how to read it.
+        pose: Camera pose as typed; None for none.
+        cleaned: Drop flying pixels, and outliers and specks under a mask.
+        say: Receives notes for the user.
+
+    Returns:
+        The cloud, the number of pixels, and that of the pixels without a valid depth.
+
+    Raises:
+        InputError: A file cannot be read, or no point is left.
+    """
+    place = None if pose is None else table_place(pose)
+    made = read_view(
+        path, options, None if pose is None or place is not None else camera_pose(pose)
+    )
+    for note in made.notes:
+        say(f"{path}: {note}")
+    if place is not None:
+        made, _ = stand_on_table(made, str(path), place, cleaned=cleaned)
+        say(table_note(made, place))
+    pixels = 0 if made.image is None else made.image.depth.size
+    unseen = pixels - len(made.points)
+    made = masked(made)
+    if cleaned:
+        made, said = cleaned_view(made, whole_scene=options.mask is None)
+        if said:
+            say(said)
+        if not len(made.points):
+            raise InputError("cleaning left no points", where=path, hint="add --no-clean")
+    return made, pixels, unseen

@@ -18,7 +18,7 @@ from pointsdf_cli.planning.answer import Answer
 from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
-from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
+from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
 from pointsdf_cli.planning.option_checks import RECONSTRUCTION
 from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult, as_sentences
 from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
@@ -106,7 +106,7 @@ def plan_on_table(
     start: str | None = None,
     seed: int = 0,
     segment: str = "auto",
-    target: Target | Array | None = None,
+    target: TargetChoice | Array | None = None,
     others: bool = True,
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
@@ -143,7 +143,7 @@ def plan_on_table(
         _plan_for, planner, clouds, names, environment, q, seed, segment,
         others=others, workspace=workspace, cleaned=cleaned, obstacles=obstacles,
     )  # fmt: skip
-    if not (isinstance(target, Target) and target.any):
+    if not (isinstance(target, TargetChoice) and target.any):
         return attempt(target=target, warn=warn)
     turns = _turns(planner, clouds[0], names[0], q, workspace, cleaned)
     return _first_good(turns, attempt, planner.options.synthesis.acceptance.success, warn)
@@ -158,7 +158,7 @@ def _plan_for(
     seed: int,
     segment: str,
     *,
-    target: Target | Array | None,
+    target: TargetChoice | Array | None,
     others: bool,
     workspace: SegmentationConfig,
     cleaned: bool,
@@ -265,7 +265,7 @@ def _first_good(
         return attempt(target=None, warn=warn)
     said, best = [], None
     for turn in turns:
-        session = attempt(target=Target(number=turn.thing.number))
+        session = attempt(target=TargetChoice(number=turn.thing.number))
         plan = session.answer.plan
         success = plan.success_probability if plan.status == OK else -1.0
         found = f"success {success:.2f}" if plan.status == OK else f"no plan ({plan.reason})"

@@ -23,7 +23,8 @@ from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
 from pointsdf_cli.planning.cloud_checks import require_pose
-from pointsdf_cli.planning.object_choice import NoObjectError, Target, Thing, choose, reach_of
+from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, Thing, choose, reach_of
+from pointsdf_cli.planning.option_checks import check_segment
 from pointsdf_cli.planning.scene import (
     WORKSPACE,
     Scene,
@@ -34,8 +35,6 @@ from pointsdf_cli.planning.scene import (
 )
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
-
-SEGMENT = ("auto", "none")
 
 
 def workspace_of(corners: tuple[tuple[float, ...], tuple[float, ...]] | None) -> SegmentationConfig:
@@ -82,7 +81,7 @@ def look_at_table(
     robot: RobotDescription,
     start: Array,
     segment: str = "auto",
-    target: Target | Array | None = None,
+    target: TargetChoice | Array | None = None,
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
 ) -> TableTop:
@@ -103,8 +102,10 @@ def look_at_table(
         InputError: A cloud has no pose or is not of an object, or the target does not exist.
         NoObjectError: No cloud shows an object, with the first one's reason.
     """
-    _check_options(segment, target, workspace)
-    wanted = target if isinstance(target, Target) or target is None else Target(place=target)
+    check_segment(segment, target is not None, workspace is not WORKSPACE)
+    wanted = (
+        target if isinstance(target, TargetChoice) or target is None else TargetChoice(place=target)
+    )
     if segment == "none":
         return _bare_objects(clouds, names, cleaned)
     own, reach = robot_points(robot, start), reach_of(robot)
@@ -122,7 +123,7 @@ def look_at_table(
 
 def _look(
     named_scenes: Iterable[tuple[Scene, str]],
-    wanted: Target | None,
+    wanted: TargetChoice | None,
     workspace: SegmentationConfig,
     cleaned: bool,
 ) -> TableTop:
@@ -151,7 +152,7 @@ def _look(
         scenes.append((scene, thing.label))
         if first is None:
             first = in_world, found.others_in_world
-            wanted = Target(place=np.median(in_world, axis=0))
+            wanted = TargetChoice(place=np.median(in_world, axis=0))
     if problem is not None and not seen:
         raise problem
     views = tuple(view_of(each) for each in seen)
@@ -216,15 +217,6 @@ def _require_same(points: Array, first: tuple[Array, Array], name: str) -> None:
         )
 
 
-def _check_options(segment: str, target: object, workspace: SegmentationConfig) -> None:
-    if segment not in SEGMENT:
-        raise InputError(f"no {segment!r}", where="--segment", allowed=", ".join(SEGMENT))
-    if segment == "none" and target is not None:
-        raise InputError("--target without --segment auto", hint="leave one of the two out")
-    if segment == "none" and workspace is not WORKSPACE:
-        raise InputError("--workspace without --segment auto", hint="leave one of the two out")
-
-
 def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) -> TableTop:
     """Table top from clouds of the object alone."""
     views, report = [], []
@@ -266,7 +258,7 @@ def bare_object(cloud: Cloud, cleaned: bool = True) -> tuple[Array, str]:
 
 
 def chosen_thing(
-    scene: Scene, wanted: Target | None, workspace: SegmentationConfig, again: bool = False
+    scene: Scene, wanted: TargetChoice | None, workspace: SegmentationConfig, again: bool = False
 ) -> Thing:
     """The chosen object of a scene.
 

@@ -13,7 +13,7 @@ from pointsdf_cli.geometry.frames import is_rigid
 from pointsdf_cli.io.clouds import Cloud, DepthImage
 from pointsdf_cli.io.trees import tree_of_json, tree_of_npz
 from pointsdf_cli.planning.environment import Environment, Obstacle
-from pointsdf_cli.planning.object_choice import Target
+from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
 
 JSON, NPZ, HDF5 = "application/json", "application/x-npz", "application/x-hdf5"
@@ -170,7 +170,7 @@ class SceneBody(_Body):
         for each in self.clouds:
             each.cloud()
 
-    def wanted(self) -> Target | None:
+    def wanted(self) -> TargetChoice | None:
         """The object that is meant.
 
         Raises:
@@ -180,13 +180,13 @@ class SceneBody(_Body):
         if given is None:
             return None
         if isinstance(given, str):
-            return Target(any=True)
+            return TargetChoice(any=True)
         if isinstance(given, int):
-            return Target(number=given)
+            return TargetChoice(number=given)
         if len(given) == 2:
-            return Target(pixel=(given[0], given[1]))
+            return TargetChoice(pixel=(given[0], given[1]))
         if len(given) == 3:
-            return Target(place=np.array(given))
+            return TargetChoice(place=np.array(given))
         raise InputError(
             f"{given} is none of these", where="target", allowed="N, [u, v] or [x, y, z]"
         )

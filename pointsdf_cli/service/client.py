@@ -12,7 +12,7 @@ import httpx
 from pointsdf_cli.errors import InputError, NoPlanError, RgraspError
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.trees import tree_of_npz, tree_to_npz
-from pointsdf_cli.planning.object_choice import Target
+from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult
 from pointsdf_cli.service.address import TOKEN, server_address
 from pointsdf_cli.service.identity import identity
@@ -111,7 +111,7 @@ def _cloud_tree(cloud: Cloud, name: str) -> dict[str, Any]:
     }
 
 
-def _target(target: Target | None) -> int | list[float] | str | None:
+def _target(target: TargetChoice | None) -> int | list[float] | str | None:
     if target is None:
         return None
     if target.any:

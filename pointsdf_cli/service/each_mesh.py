@@ -16,7 +16,7 @@ from pointsdf_cli.io.meshes import UNITS, save_mesh
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.planning.mesh_choices import MeshChoices
-from pointsdf_cli.planning.object_view import object_view
+from pointsdf_cli.planning.object_view import ObjectView, object_view
 from pointsdf_cli.service.identity import bundled_digest, weights_digest
 
 if TYPE_CHECKING:
@@ -43,6 +43,12 @@ class MeshSettings:
     robot: Path | None = None
     checkpoint: Path | None = None
     device: str = "cpu"
+
+    def view(self, cloud: Path, files: SceneFileOptions, pose: str | None) -> ObjectView:
+        """The object in a cloud, as `object_view` finds it."""
+        return object_view(
+            cloud, files, pose, self.segment, self.target, self.robot, self.workspace, self.cleaned
+        )
 
 
 @dataclass(frozen=True)
@@ -111,16 +117,7 @@ def mesh_cloud(task: MeshTask) -> MeshSummary | None:
     config, settings = task.config(), task.settings
     if not task.force and is_done(task.out, task.record, config):
         return None
-    seen = object_view(
-        task.cloud,
-        task.files,
-        task.pose,
-        settings.segment,
-        settings.target,
-        settings.robot,
-        settings.workspace,
-        settings.cleaned,
-    )
+    seen = settings.view(task.cloud, task.files, task.pose)
     # Seconds of imports: only for a cloud that can be used.
     from pointsdf_cli.geometry.isosurface import EmptySurfaceError
     from pointsdf_cli.models.registry import use_threads

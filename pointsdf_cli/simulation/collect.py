@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.apart import require_apart
 from pointsdf_cli.io.grasps import (
     HELD,
     KINDS,
@@ -24,7 +25,7 @@ from pointsdf_cli.io.grasps import (
     write_grasps,
 )
 from pointsdf_cli.io.hdf5 import OptionsDifferError, is_complete
-from pointsdf_cli.io.meshes import load_mesh
+from pointsdf_cli.io.meshes import load_mesh, named_artifacts
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.robot.description import load_robot, robot_digest
 from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter, as_grasps
@@ -178,6 +179,39 @@ def split_of(names: Sequence[str], seed: int) -> dict[str, str]:
     order = np.random.default_rng([seed, 77]).permutation(len(names))
     held_out = {int(i) for i in order[: round(TEST_SHARE * len(names))]}
     return {name: TEST if i in held_out else TRAIN for i, name in enumerate(sorted(names))}
+
+
+def make_tasks(
+    found: Sequence[Path],
+    meshes: Path,
+    out: Path,
+    count: int,
+    config: AttemptConfig,
+    seed: int,
+    robot: Path | None,
+    force: bool,
+) -> dict[str, CollectTask]:
+    """Tasks of all objects by name, with their splits and first quotas.
+
+    Args:
+        found: Mesh files.
+        meshes, out: Folders of meshes and of artifacts.
+        count: Total number of executed grasps.
+        config, seed, robot, force: As in `CollectTask`.
+
+    Raises:
+        InputError: The count is below 1, or an artifact would replace an input.
+    """
+    paths = named_artifacts(found, meshes, out)
+    require_apart((path for _, path in paths.values()), [*found, robot])
+    splits = split_of(list(paths), seed)
+    quotas = first_quotas(splits, count)
+    return {
+        name: CollectTask(
+            name, mesh, path, quotas[name], splits[name], config, seed, robot, force=force
+        )
+        for name, (mesh, path) in paths.items()
+    }
 
 
 def first_quotas(splits: dict[str, str], count: int) -> dict[str, int]:

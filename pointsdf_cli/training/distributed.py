@@ -86,6 +86,15 @@ class Workers:
         """Wait until all workers have arrived."""
         self.most(0.0)
 
+    @contextmanager
+    def first_before_others(self) -> Iterator[None]:
+        """Let the first worker run a block alone, the others after it."""
+        if not self.is_first:
+            self.wait()
+        yield
+        if self.is_first:
+            self.wait()
+
     def _reduced(self, value: float, how: dist.ReduceOp.RedOpType) -> float:
         on_gpu = dist.get_backend() == "nccl"
         tensor = torch.tensor(value, dtype=torch.float64, device="cuda" if on_gpu else "cpu")

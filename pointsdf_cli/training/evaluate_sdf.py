@@ -8,11 +8,11 @@ score is that of the output of `rgrasp mesh`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -23,16 +23,17 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.metrics import SAMPLES, Score, Shape, compare, failure
-from pointsdf_cli.io.batch import task_seed
+from pointsdf_cli.io.batch import StageReport, task_seed
 from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
+from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.io.views import Views, read_views, read_views_header
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model, use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.training.precision import autocast_dtype
-from pointsdf_cli.training.sdf_table import ScoredView
-from pointsdf_cli.viz.reconstruction_gallery import GalleryRow
+from pointsdf_cli.training.sdf_table import PUBLISHED, ScoredView, summarise, table_lines
+from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
 PARTIAL_HULL = "convex hull of the partial cloud"
 TRUTH_HULL = "convex hull of the truth"
@@ -113,11 +114,14 @@ def evaluate_object(task: EvalTask) -> list[ScoredView]:
     return scored
 
 
-def make_tasks(views: Path, meshes: Path, config: EvalConfig) -> list[EvalTask]:
+def make_tasks(
+    views: Path, meshes: Path, config: EvalConfig, aside: Collection[str] = ()
+) -> list[EvalTask]:
     """One task for each mesh with views.
 
     Raises:
-        InputError: A folder does not exist or is empty, or no mesh has views.
+        InputError: A folder does not exist or is empty, no mesh has views, or none has a name in
+            `aside`.
     """
     if not views.is_dir():
         raise InputError(
@@ -135,7 +139,77 @@ def make_tasks(views: Path, meshes: Path, config: EvalConfig) -> list[EvalTask]:
             where=views,
             hint=f"rgrasp render --meshes {meshes} --out {views}",
         )
+    names = [Path(task.name).name for task in tasks]
+    if unknown := set(aside) - set(names):
+        what = f"no object {', '.join(sorted(unknown))}"
+        raise InputError(what, where="--apart", allowed=", ".join(names[:60]))
     return tasks
+
+
+def results(
+    report: StageReport[list[ScoredView]],
+    config: EvalConfig,
+    folders: tuple[Path, Path],
+    aside: Collection[str],
+    beside: str | None,
+) -> tuple[dict[str, Any], list[str]]:
+    """Table I in plain types, and as lines of text.
+
+    Args:
+        report: Scores by object.
+        config: Settings of the evaluation.
+        folders: Views and meshes.
+        aside: Names of the objects with a table of their own.
+        beside: Data set of the published rows; None for none.
+    """
+    main, poor = _apart(report, aside)
+    tables = {"table": summarise(main, config.seed), "apart": summarise(poor, config.seed)}
+    lines = table_lines(tables["table"], beside)
+    if poor:
+        lines += ["", f"apart: {', '.join(sorted(aside))}", *table_lines(tables["apart"])]
+    result = {
+        **tables,
+        "published": PUBLISHED.get(beside or "", {}),
+        "checkpoints": {label: str(path) for label, path in config.checkpoints},
+        "views_folder": str(folders[0]),
+        "meshes_folder": str(folders[1]),
+        "apart_objects": sorted(aside),
+        "refused": {name: error.what for name, error in report.refused},
+        "resolution": config.resolution,
+        "samples": config.samples,
+        "precision": config.precision,
+        "exact": config.exact,
+        "seed": config.seed,
+        "git_commit": git_commit(),
+        "seconds": round(report.seconds, 1),
+    }
+    return result, lines
+
+
+def draw_extremes(
+    path: Path,
+    tasks: Sequence[EvalTask],
+    report: StageReport[list[ScoredView]],
+    aside: Collection[str],
+    each: int,
+) -> None:
+    """Draw the `each` best, median and worst views of the first network, without those aside."""
+    path.unlink(missing_ok=True)  # an older table's would stay where nothing is drawn
+    main, _ = _apart(report, aside)
+    if not each or not main:
+        return
+    by_name = {task.name: task for task in tasks}
+    label = tasks[0].config.checkpoints[0][0]
+    chosen = best_median_worst([row for row in main if row.method == label], each)
+    draw_gallery(path, [gallery_row(by_name[v.object_name], v, note) for note, v in chosen])
+
+
+def _apart(
+    report: StageReport[list[ScoredView]], aside: Collection[str]
+) -> tuple[list[ScoredView], list[ScoredView]]:
+    scored = [row for rows in report.made.values() for row in rows]
+    poor = [row for row in scored if Path(row.object_name).name in aside]
+    return [row for row in scored if Path(row.object_name).name not in aside], poor
 
 
 def reconstruct(

@@ -76,6 +76,13 @@ class Split:
     test: NDArray[np.int64]
     folds: NDArray[np.int64] | None = None
 
+    def describe(self) -> str:
+        """Describe the numbers of grasps in words."""
+        apart = "in folds of objects" if self.folds is not None else "of other objects"
+        return (
+            f"{len(self.train)} grasps to train on, {len(self.validation)} to validate on, {apart}"
+        )
+
 
 def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     """Read a folder that `collect-grasps` wrote.

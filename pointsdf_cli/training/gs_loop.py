@@ -91,6 +91,15 @@ class Fitted(NamedTuple):
         """The entry of the best epoch."""
         return min(self.history, key=lambda entry: entry["loss"])
 
+    def describe(self) -> str:
+        """Describe the last epoch in one line."""
+        entry = self.history[-1]
+        return (
+            f"epoch {entry['epoch']:.0f}: loss {entry['train_loss']:.4f}, validation "
+            f"{entry['loss']:.4f}, average precision {entry['average_precision']:.3f}, "
+            f"AUC {entry['roc_auc']:.3f}; {self.seconds:.0f} s"
+        )
+
 
 def train_success(
     data: GraspData,

@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from pointsdf_cli.choices import Encoder, Mode, require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import read_checkpoint, read_config
 from pointsdf_cli.models.grasp_checkpoint import (
     FIXED,
-    MODES,
     SCRATCH,
     encoder_path,
     read_grasp_checkpoint,
@@ -75,12 +75,8 @@ class Variant:
     mode: str = FIXED
 
     def __post_init__(self) -> None:
-        if self.encoder not in ARCHITECTURES:
-            raise InputError(
-                f"no encoder {self.encoder!r}", where="--encoder", allowed=", ".join(ARCHITECTURES)
-            )
-        if self.mode not in MODES:
-            raise InputError(f"no mode {self.mode!r}", where="--mode", allowed=", ".join(MODES))
+        require_choice(self.encoder, Encoder, "--encoder")
+        require_choice(self.mode, Mode, "--mode")
         if self.encoder == GEOMETRY and self.mode != FIXED:
             raise InputError(
                 "features of geometry are read from a finished reconstruction",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.choices import Precision, require_choice
 from pointsdf_cli.models.processor import one_thread
 
 ROWS, WIDTH = 2048, 256
@@ -54,10 +54,7 @@ def autocast_dtype(precision: str, device: torch.device) -> torch.dtype | None:
     Raises:
         InputError: No such precision.
     """
-    if precision not in ("auto", "bfloat16", "float32"):
-        raise InputError(
-            f"no precision {precision!r}", where="--precision", allowed="auto, bfloat16, float32"
-        )
+    require_choice(precision, Precision, "--precision")
     if precision == "float32":
         return None
     if precision == "bfloat16":

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from typing import Any
 
+from pointsdf_cli.choices import Model, Preset, require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.pointsdf import PRESETS as POINTSDF_PRESETS
 from pointsdf_cli.models.revolution import SIDEWAYS
@@ -12,9 +15,6 @@ from pointsdf_cli.training.sdf_loss import SdfLoss
 
 PAPER_EPOCHS = 100
 """Epochs of preset `paper`."""
-
-MODELS = ("pointsdf-ray", "pointsdf", "voxelcnn")
-PRESETS = ("small", "paper")
 
 
 def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
@@ -27,10 +27,8 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
     Raises:
         InputError: No such model or preset.
     """
-    if model not in MODELS:
-        raise InputError(f"no model {model!r}", where="--model", allowed=", ".join(MODELS))
-    if name not in PRESETS:
-        raise InputError(f"no preset {name!r}", where="--preset", allowed=", ".join(PRESETS))
+    require_choice(model, Model, "--model")
+    require_choice(name, Preset, "--preset")
     if name == "paper":
         if model == "pointsdf-ray":
             raise InputError("pointsdf-ray is not in the paper", where="--preset", allowed="small")
@@ -52,6 +50,30 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
         return dict(POINTSDF_PRESETS["small"]), TrainConfig()
     evidence = {"revolution": True, "sideways": SIDEWAYS, "box": True, "surroundings": True}
     return evidence, TrainConfig()
+
+
+def settings(model: str, name: str, given: Mapping[str, Any]) -> tuple[dict[str, Any], TrainConfig]:
+    """A preset with other settings.
+
+    Args:
+        model, name: As for `preset`.
+        given: Settings of `TrainConfig` and `SdfLoss` by name; other names are passed over, None
+            keeps the preset's. With `minutes` alone the number of steps has no limit.
+
+    Raises:
+        InputError: No such model or preset, or a number is out of its range.
+    """
+    arguments, config = preset(model, name)
+    if given.get("minutes") and given.get("steps") is None:
+        given = {**given, "steps": 10_000_000}
+    loss = replace(config.loss, **settings_of(SdfLoss, given))
+    return arguments, replace(config, loss=loss, **settings_of(TrainConfig, given))
+
+
+def settings_of(kind: type, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of the fields of the dataclass `kind` that are given and not None."""
+    names = {field.name for field in fields(kind)}
+    return {k: v for k, v in given.items() if k in names and v is not None}
 
 
 def paper_steps(views: int, batch_size: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,20 @@ class Progress:
     seconds_left: float
     validation: dict[str, float] | None = None
 
+    def describe(self) -> str:
+        """Describe the progress in one line."""
+        found = self.validation
+        if found is not None:
+            return (
+                f"step {self.step}: held-out objects loss {found['object_loss']:.4f} "
+                f"IoU {found['object_iou']:.4f}, held-out views loss {found['view_loss']:.4f} "
+                f"IoU {found['view_iou']:.4f}"
+            )
+        return (
+            f"step {self.step} ({self.fraction:.1%}): loss {self.loss:.4f}, "
+            f"{self.clouds_per_second:.0f} clouds/s, {self.seconds_left / 60:.0f} min left"
+        )
+
 
 @dataclass(frozen=True)
 class TrainResult:
@@ -43,3 +58,12 @@ class TrainResult:
     seconds: float
     history: list[dict[str, float]]
     best: dict[str, float] | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Report for the user; without the history."""
+        return {
+            "finished": self.finished,
+            "steps": self.step,
+            "seconds": round(self.seconds, 1),
+            "best": self.best,
+        }

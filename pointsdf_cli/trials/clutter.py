@@ -19,7 +19,7 @@ from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.trials import TrialRow
-from pointsdf_cli.planning.object_choice import NoObjectError, Target, reach_of
+from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
 from pointsdf_cli.planning.scene import WORKSPACE, sort_scene
 from pointsdf_cli.planning.table_top import TableTop, look_at_table
 from pointsdf_cli.robot.description import RobotDescription
@@ -192,7 +192,7 @@ def look(
             number = target_number(cloud, standing, robot)
             if number is None:
                 return nothing, None
-            wanted = Target(number=number)
+            wanted = TargetChoice(number=number)
         seen = look_at_table([cloud], ["the view"], robot, robot.home, target=wanted)
     except (InputError, NoObjectError):
         return nothing, None

@@ -10,15 +10,17 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
+from pointsdf_cli.choices import Method, require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.meshes import find_meshes
 from pointsdf_cli.objects.stand_ins import STAND_INS
 
 RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
-METHODS = (RECONSTRUCTION, PARTIAL_VIEW)
+METHODS = get_args(Method)
 CAMERAS = {"high": 0.85, "low": 0.40}
 """Heights above the table [m], 0.45 m apart as in the paper; the low one sees less."""
 
@@ -70,10 +72,7 @@ class PlannerVariant:
     ablation: str = ""
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise InputError(
-                f"no method {self.method!r}", where="--method", allowed=", ".join(METHODS)
-            )
+        require_choice(self.method, Method, "--method")
         known = self.ablation in ("", *ABLATIONS) or self.ablation.startswith(CHECKPOINT)
         if not known:
             raise InputError(
@@ -195,6 +194,22 @@ def choose_objects(
             )
         chosen.append(known[name])
     return _distinct(chosen)
+
+
+def planner_variants(method: str, ablations: Sequence[str] = ()) -> list[PlannerVariant]:
+    """Planners to compare.
+
+    Args:
+        method: One of `METHODS`, or "both".
+        ablations: Ablations of the reconstruction method to add, as in `PlannerVariant`; "all" are
+            those in `ABLATIONS`.
+
+    Raises:
+        InputError: No such ablation.
+    """
+    variants = [PlannerVariant(one) for one in METHODS if method in ("both", one)]
+    wanted = [one for name in ablations for one in (ABLATIONS if name == "all" else (name,))]
+    return variants + [PlannerVariant(RECONSTRUCTION, one) for one in wanted]
 
 
 def make_trials(

@@ -1,0 +1,81 @@
+"""Table of `rgrasp eval-gs`: success networks beside baselines on the same grasps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.provenance import git_commit
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.training import gs_baselines
+from pointsdf_cli.training import gs_evaluation as evaluation
+from pointsdf_cli.training.gs_data import GraspData
+from pointsdf_cli.training.gs_variants import Sources, prepare_trained, title_of
+
+
+def compare(
+    checkpoints: Mapping[str, Path],
+    data: GraspData,
+    sources: Sources,
+    grasps: Path,
+    every: bool,
+    seed: int,
+) -> dict[str, Any]:
+    """Measure networks and baselines on the held-out objects.
+
+    Args:
+        checkpoints: Checkpoint of each network, by a short name.
+        data: Grasps.
+        sources: Sources of the networks' inputs.
+        grasps: Folder of the grasps.
+        every: Measure on all objects instead: none was used for training.
+        seed: Random seed of the intervals.
+
+    Raises:
+        InputError: The grasps to measure on, or those to train on, are not both held and lost.
+    """
+    held_out = data.held_out[data.object_of]
+    rows, known = np.flatnonzero(held_out), np.flatnonzero(~held_out)
+    if every:
+        rows = known = np.arange(len(data))
+    for part, what in ((rows, "held-out objects"), (known, "objects to train on")):
+        if len(np.unique(data.label[part])) < 2:
+            raise InputError(
+                f"the grasps of {what} are not both held and lost",
+                where=f"--grasps {grasps}",
+                hint="collect more grasps, or of more objects",
+            )
+    methods: list[evaluation.Scored] = []
+    for label, path in checkpoints.items():
+        learner, prior, config = prepare_trained(path, data, sources)
+        name = title_of(config)
+        if name in [method.name for method in methods]:
+            name = f"{name} ({label})"
+        threshold = config["validation"]["threshold"]
+        logits = learner.logits(rows)
+        methods.append(
+            evaluation.scored_network(name, logits, **config["calibration"], threshold=threshold)
+        )
+    scores = {
+        "always success": gs_baselines.always(data, known),
+        "prior only": gs_baselines.prior_score(data, prior, load_robot(sources.robot)),
+    }
+    if not every:  # else each grasp would be its own neighbour
+        scores["10 nearest neighbours"] = gs_baselines.nearest_neighbours(data, known)
+    for name, score in scores.items():
+        baseline = evaluation.scored_baseline(name, score, data.label[known], score[known])
+        methods.append(baseline.at(rows))
+    return {
+        "table": {method.name: evaluation.measure(data, rows, method, seed) for method in methods},
+        "published_f1": evaluation.PUBLISHED,
+        "held_out": evaluation.describe_grasps(data, rows),
+        "known": evaluation.describe_grasps(data, known),
+        "checkpoints": [str(path) for path in checkpoints.values()],
+        "grasps": str(grasps),
+        "seed": seed,
+        "git_commit": git_commit(),
+    }
