@@ -126,6 +126,9 @@ def trial(
     from pointsdf_cli.io.atomic import require_folder, write_text_atomic
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.io.trials import write_trials
+    from pointsdf_cli.planning.grasp_planner import PlanOptions
+    from pointsdf_cli.planning.grasp_problem import Clearances
+    from pointsdf_cli.planning.planner import PlannerConfig
     from pointsdf_cli.simulation.executor import ExecutorConfig
     from pointsdf_cli.simulation.world import try_robot
     from pointsdf_cli.trials.clutter import ClutterConfig
@@ -145,13 +148,13 @@ def trial(
     variants = _variants(method, ablation or [])
     config = TrialConfig(
         variants=VariantOptions(
-            solver,
-            robot,
-            checkpoint,
-            grasp_checkpoint,
-            rehearse=rehearse,
-            clearance=clearance,
-            margin=margin,
+            PlanOptions(
+                robot=robot,
+                checkpoint=checkpoint,
+                grasp_checkpoint=grasp_checkpoint,
+                planner=PlannerConfig(solver, Clearances(object=clearance), margin),
+            ),
+            rehearse,
         ),
         execution=ExecutorConfig(shake=shake, hold=hold, push=push),
         sensor=sensor,

@@ -25,7 +25,7 @@ from pointsdf_cli.io.trials import (
     read_trial,
     write_trial,
 )
-from pointsdf_cli.planning.answer import Answer
+from pointsdf_cli.planning.answer import Answer, Surface
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
@@ -53,11 +53,10 @@ from pointsdf_cli.trials.pictures import write_film
 from pointsdf_cli.trials.planner_variants import (
     TrialPlanner,
     VariantOptions,
-    rehearsal_of,
+    rehearsals_of,
     weights_of,
 )
 from pointsdf_cli.trials.protocol import PlannerVariant, Trial, TrialObject
-from pointsdf_cli.trials.rehearsed import RehearsedAnswer, Surface
 from pointsdf_cli.trials.scenes import (
     SceneConfig,
     load_object,
@@ -93,7 +92,7 @@ class TrialConfig:
     def as_dict(self) -> dict[str, Any]:
         """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
         plain: dict[str, Any] = without_ideal(asdict(self))
-        options = plain["variants"]
+        options = plain["variants"]["plan"]
         if plain["clutter"] is None:
             del plain["clutter"]
         for name in ("robot", "checkpoint", "grasp_checkpoint"):
@@ -130,7 +129,7 @@ class TrialRunner:
 
     def __init__(self, config: TrialConfig, grasps: SuccessModel | None = None) -> None:
         self.config = config
-        self.robot = load_robot(config.variants.robot)
+        self.robot = load_robot(config.variants.plan.robot)
         self._world = World(self.robot, config.physics)
         self._kinematics = Kinematics(self.robot)
         self._geometry = RobotGeometry(self._kinematics)
@@ -237,7 +236,7 @@ class TrialRunner:
         if executed is not None:
             cause = NO_LIFT if outcome is None else outcome.cause
         rehearsed = float("nan")
-        if isinstance(answer, RehearsedAnswer) and answer.rehearsed and answer.rehearsed.tries:
+        if answer is not None and answer.rehearsed and answer.rehearsed.tries:
             rehearsed = answer.rehearsed.share
         planned = plan is not None and plan.status == OK
         pushed = self.config.execution.push > 0
@@ -310,14 +309,13 @@ def _options_of(task: TrialTask) -> dict[str, Any]:
     trial = task.trial
     config = task.config.as_dict() | {"seed": trial.seed, "yaws": trial.yaws, "trial": trial.name}
     config["weights"] = weights_of(trial.variant, task.config.variants)
-    rehearsal = rehearsal_of(trial.variant, task.config.variants, task.config.execution)
-    config["rehearsal"] = None if rehearsal is None else rehearsal.as_dict()
+    config["rehearsals"] = rehearsals_of(trial.variant, task.config.variants)
     config["mesh"] = "" if trial.object.mesh is None else file_sha256(trial.object.mesh)
     if trial.others:
         config["others"] = {
             one.name: "" if one.mesh is None else file_sha256(one.mesh) for one in trial.others
         }
-    config["variants"] |= {"robot": robot_digest(task.config.variants.robot)}
+    config["variants"]["plan"]["robot"] = robot_digest(task.config.variants.plan.robot)
     return config
 
 
