@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.heuristic import (
     SIDE,
@@ -148,8 +147,3 @@ def test_equal_seeds_draw_equal_preshapes() -> None:
         for r in (np.random.default_rng(5), np.random.default_rng(5))
     )
     assert np.array_equal(first.T_world_palm, second.T_world_palm)
-
-
-def test_negative_noise_is_refused() -> None:
-    with pytest.raises(InputError):
-        HeuristicConfig(standoff_noise=-0.1)

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.pinhole import Camera
-from pointsdf_cli.camera.segmentation import SegmentationConfig, segment_object
+from pointsdf_cli.camera.segmentation import PLANE_BAND, segment_object
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import (
     apply_transform,
@@ -184,7 +184,7 @@ def test_segmentation_parts_the_points_and_finds_the_box(
     parts = np.stack([found.kept, found.outside, found.table, found.other])
     assert (parts.sum(axis=0) == 1).all()  # each point in one part
     assert not found.kept[:4000].any()
-    above = cloud[4000:, 2] > SegmentationConfig().plane_band + 0.004
+    above = cloud[4000:, 2] > PLANE_BAND + 0.004
     assert found.kept[4000:][above].mean() > 0.9
     order = np.random.default_rng(seed).permutation(len(cloud))
     again = segment_object(cloud[order])

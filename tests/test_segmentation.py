@@ -86,7 +86,7 @@ def test_target_chooses_among_several() -> None:
 def test_flat_top_of_a_low_object_is_not_taken_for_the_table() -> None:
     rng = np.random.default_rng(5)
     book = rng.uniform((0.5, -0.05, 0.03), (0.65, 0.05, 0.03), (5000, 3))
-    assert find_table(book, SegmentationConfig()) is None
+    assert find_table(book) is None
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,6 @@ def trial(
     from pointsdf_cli.planning.planner import PlannerConfig
     from pointsdf_cli.simulation.executor import ExecutorConfig
     from pointsdf_cli.simulation.world import try_robot
-    from pointsdf_cli.trials.clutter import ClutterConfig
     from pointsdf_cli.trials.planner_variants import VariantOptions, check_variant
     from pointsdf_cli.trials.protocol import choose_objects, clutter_pool, make_trials
     from pointsdf_cli.trials.report import html_report, markdown_report, percent
@@ -158,7 +157,6 @@ def trial(
         ),
         execution=ExecutorConfig(shake=shake, hold=hold, push=push),
         sensor=sensor,
-        clutter=ClutterConfig() if clutter else None,
     )
     common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
     chosen = choose_objects(meshes, objects, pattern)

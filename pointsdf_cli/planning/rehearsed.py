@@ -110,7 +110,7 @@ class GraspRehearsal:
     def __init__(
         self, robot: RobotDescription, count: int, execution: ExecutorConfig | None = None
     ) -> None:
-        self._count, self._rehearsal = count, Rehearsal(robot, execution=execution)
+        self._count, self._rehearsal = count, Rehearsal(robot, execution)
 
     def __call__(
         self,

@@ -42,7 +42,6 @@ from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.verdict import UNTRIED
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.clutter import (
-    ClutterConfig,
     look,
     place_neighbours,
     with_others,
@@ -58,7 +57,6 @@ from pointsdf_cli.trials.planner_variants import (
 )
 from pointsdf_cli.trials.protocol import PlannerVariant, Trial, TrialObject
 from pointsdf_cli.trials.scenes import (
-    SceneConfig,
     load_object,
     object_mesh,
     place_camera,
@@ -74,17 +72,14 @@ class TrialConfig:
     """Settings of all trials of an experiment.
 
     Attributes:
-        variants, scene, physics, execution: Settings of planners, scenes, simulation and execution.
+        variants, physics, execution: Settings of planners, simulation and execution.
         sensor: Name of the depth sensor in `SENSORS`.
-        clutter: Distribution of other objects; None for a target that stands alone.
     """
 
     variants: VariantOptions = field(default_factory=VariantOptions)
-    scene: SceneConfig = field(default_factory=SceneConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
     sensor: str = "ideal"
-    clutter: ClutterConfig | None = None
 
     def __post_init__(self) -> None:
         load_sensor(self.sensor)
@@ -93,8 +88,6 @@ class TrialConfig:
         """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
         plain: dict[str, Any] = without_ideal(asdict(self))
         options = plain["variants"]["plan"]
-        if plain["clutter"] is None:
-            del plain["clutter"]
         for name in ("robot", "checkpoint", "grasp_checkpoint"):
             options[name] = None if options[name] is None else str(options[name])
         return plain
@@ -149,10 +142,9 @@ class TrialRunner:
             InputError: The mesh cannot be used, or the object never rests.
         """
         item = self._item(trial.object)
-        item, T_world_object, yaw = place_object(self._world, item, trial, self.config.scene)
-        around_it = self.config.clutter or ClutterConfig()
-        others = place_neighbours(self._world, (item, T_world_object), trial, self._item, around_it)
-        T_world_camera = place_camera(item, T_world_object, trial, self.config.scene)
+        item, T_world_object, yaw = place_object(self._world, item, trial)
+        others = place_neighbours(self._world, (item, T_world_object), trial, self._item)
+        T_world_camera = place_camera(item, T_world_object, trial)
         rng = trial.rng("view")
         vertices = apply_transform(T_world_object, item.mesh.vertices)
         truth = vertices, item.mesh.faces
@@ -183,7 +175,7 @@ class TrialRunner:
         row = self._row(trial, yaw, plan, answer, executed, spent, truth)
         if others:
             ends = [] if executed is None else [one.pose() for one in self._world.others]
-            row = with_others(row, others, ends, around_it)
+            row = with_others(row, others, ends)
         world_cloud = view.in_world
         believed = None
         if answer is not None and answer.target is not None:
@@ -209,7 +201,7 @@ class TrialRunner:
 
     def _item(self, item: TrialObject) -> SimObject:
         if item not in self._objects:
-            self._objects[item] = load_object(item, self.config.scene)
+            self._objects[item] = load_object(item)
             while len(self._objects) > KEPT_OBJECTS:
                 self._objects.popitem(last=False)
         return self._objects[item]
