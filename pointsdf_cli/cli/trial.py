@@ -266,7 +266,7 @@ def _failures(tasks: list[TrialTask], most: int) -> list[tuple[str, bytes]]:
     robot = None
     strips = []
     for _, task, row, evidence in failed[:most]:
-        robot = robot or RobotMeshes(load_robot(task.config.variants.robot), sections=20)
+        robot = robot or RobotMeshes(load_robot(task.config.variants.plan.robot), sections=20)
         mesh, *others = (object_mesh(o) for o in (task.trial.object, *task.trial.others))
         strip = trial_strip(robot, mesh, evidence, others)
         strips.append((caption(row), png_bytes(strip)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.target import Target
 
 if TYPE_CHECKING:
@@ -35,6 +36,32 @@ class PlanNotes:
     warnings: Sequence[str] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
     surface: bool = False
+
+
+NO_NOTES = PlanNotes()
+
+
+class Choice(Protocol):
+    """Choice among the accepted grasps of one object (rehearsed.py).
+
+    Attributes:
+        surface: The surface on which it is made.
+        timings: Seconds by stage so far.
+    """
+
+    surface: Surface
+
+    @property
+    def timings(self) -> dict[str, float]: ...
+
+    def stop(self, new: list[Candidate]) -> bool:
+        """Whether the candidates of a round end the search."""
+
+    def ranked(self, accepted: list[Candidate]) -> list[Candidate]:
+        """The candidates to search motions for, in this order."""
+
+    def of(self, chosen: Candidate | None) -> Rehearsed | None:
+        """Rehearsal of the chosen candidate; None without one."""
 
 
 @dataclass(frozen=True)

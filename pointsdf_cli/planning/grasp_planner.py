@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -28,8 +28,14 @@ from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.planning.answer import Answer, PerceivedObject, PlanNotes, Surface
+from pointsdf_cli.planning.answer import (
+    NO_NOTES,
+    Answer,
+    Choice,
+    PerceivedObject,
+    PlanNotes,
+    Surface,
+)
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed, given_constraint, unseen_support
 from pointsdf_cli.planning.environment import Environment
@@ -61,9 +67,6 @@ from pointsdf_cli.planning.target import (
 )
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 
-if TYPE_CHECKING:
-    from pointsdf_cli.simulation.rehearsal import Rehearsed
-
 LOW_OBJECT = 0.03
 """An object lower than this [m] is grasped from the top first, as the paper's heuristic does."""
 
@@ -82,36 +85,11 @@ class SuccessModel(Protocol):
         the object's field in the world for features of its geometry."""
 
 
-class Choice(Protocol):
-    """Choice among the accepted grasps of one object (rehearsed.py).
-
-    Attributes:
-        surface: The surface on which it is made.
-        timings: Seconds by stage so far.
-    """
-
-    surface: Surface
-
-    @property
-    def timings(self) -> dict[str, float]: ...
-
-    def stop(self, new: list[Candidate]) -> bool:
-        """Whether the candidates of a round end the search."""
-
-    def ranked(self, accepted: list[Candidate]) -> list[Candidate]:
-        """The candidates to search motions for, in this order."""
-
-    def of(self, chosen: Candidate | None) -> Rehearsed | None:
-        """Rehearsal of the chosen candidate; None without one."""
-
-
 Choose = Callable[
     [Planner, PerceivedObject, Environment | None, int, Surface | None], Choice | None
 ]
 """Function from planner, object, environment, seed and surface (None for the reconstruction's) to
 the choice for this object; None for the planner's own choice."""
-
-NO_NOTES = PlanNotes()
 
 
 @dataclass(frozen=True)

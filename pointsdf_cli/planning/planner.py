@@ -63,10 +63,6 @@ BRIEFLY = 3
 """Number of candidates that get a brief motion search before any gets a thorough one."""
 
 
-LIFT_HEIGHT = 0.15
-"""Height [m] to which the arm should be able to raise the hand, as in trials: such grasps are
-preferred."""
-
 BEYOND = 0.0025
 """The exact field is evaluated wherever the sampled field minus its bound exceeds the clearance by
 less than this [m]."""
@@ -285,7 +281,7 @@ class Planner:
         def free(path: Array) -> bool:
             return beside.is_free(whole(path))
 
-        path = lift_path(self.inverse.chain, robot, candidate.q, LIFT_HEIGHT, free)
+        path = lift_path(self.inverse.chain, robot, candidate.q, free=free)
         return None if path is None else whole(path)
 
 

@@ -12,6 +12,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import invert_transform, rotation_vector
 from pointsdf_cli.robot.arm_chain import ArmChain
+from pointsdf_cli.robot.lift import LIFT_HEIGHT
 from pointsdf_cli.simulation.physics import GRAVITY
 from pointsdf_cli.simulation.verdict import (
     HOLD,
@@ -34,8 +35,6 @@ LONGEST_CLOSING = 1.5
 """Largest duration of the closing [s]; longer for a slower hand."""
 GRIP_TIME = 0.2
 """Time to build up the grip [s]."""
-LIFT_HEIGHT = 0.15
-"""Height of the lift along the world's z [m]."""
 LIFT_TIME = 0.8
 """Duration of the lift [s]."""
 SETTLE_TIME = 0.5

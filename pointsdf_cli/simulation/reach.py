@@ -18,6 +18,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.grasps import NO_CONFIGURATION, NO_MOTION
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.robot.lift import LIFT_HEIGHT
 from pointsdf_cli.simulation.world import World
 
 CANDIDATES = 6
@@ -30,8 +31,6 @@ RESOLUTION = 0.05
 """Largest motion of a revolute joint between two checked configurations [rad]."""
 SLIDING = 0.01
 """Largest motion of a prismatic joint between them [m]."""
-LIFT_HEIGHT = 0.15
-"""Height of the lift that the arm must be able to make [m]."""
 WAYPOINTS = 8
 """Number of waypoints of the straight stretches."""
 

@@ -21,7 +21,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.lift import lift_path
+from pointsdf_cli.robot.lift import LIFT_HEIGHT, lift_path
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
 from pointsdf_cli.simulation.mass import estimated_mass
 from pointsdf_cli.simulation.physics import PhysicsConfig
@@ -140,7 +140,7 @@ class Rehearsal:
         if lift is None:
             return UNTRIED
         rises: list[float] = []
-        most, held = self._execution.lift_height, 0
+        held = 0
         for disturbance in disturbances:
             if len(rises) - held >= FAILURES or (rises and not held):
                 break  # it fails even when all is as believed, or too often
@@ -152,12 +152,14 @@ class Rehearsal:
             world.reset(item, np.eye(4), q)
             outcome = Executor(world, self._execution).run(q, lift)
             held += outcome.held
-            rises.append(float(np.clip(outcome.lift_height, 0.0, most)) if outcome.valid else 0.0)
+            rises.append(
+                float(np.clip(outcome.lift_height, 0.0, LIFT_HEIGHT)) if outcome.valid else 0.0
+            )
         return Rehearsed(len(rises), held, float(np.mean(rises)))
 
     def _lift(self, q: Array) -> Array | None:
         world = self._world
-        return lift_path(world.chain, world.robot, q, self._execution.lift_height)
+        return lift_path(world.chain, world.robot, q)
 
 
 def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -> list[int]:
