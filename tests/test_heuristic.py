@@ -7,6 +7,7 @@ import pytest
 
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.heuristic import (
+    LOW_OBJECT,
     SIDE,
     TOP,
     Hand,
@@ -45,7 +46,7 @@ def test_box_is_found_whatever_its_yaw(yaw: float) -> None:
 
 
 def test_top_and_two_sides_remain_between_camera_and_robot() -> None:
-    faces = graspable_faces(upright_box(box_cloud()), CAMERA, BASE, QUIET.low_object)
+    faces = graspable_faces(upright_box(box_cloud()), CAMERA, BASE, LOW_OBJECT)
     assert [face.kind for face in faces] == [TOP, SIDE, SIDE]
     normals = sorted(tuple(np.round(face.normal, 6) + 0.0) for face in faces[1:])
     assert normals == [(0.0, -1.0, 0.0), (0.0, 1.0, 0.0)]
@@ -53,7 +54,7 @@ def test_top_and_two_sides_remain_between_camera_and_robot() -> None:
 
 def test_low_object_is_grasped_from_the_top_only() -> None:
     flat = box_cloud(size=(0.06, 0.1, 0.025))
-    faces = graspable_faces(upright_box(flat), CAMERA, BASE, QUIET.low_object)
+    faces = graspable_faces(upright_box(flat), CAMERA, BASE, LOW_OBJECT)
     assert [face.kind for face in faces] == [TOP]
 
 
