@@ -31,6 +31,7 @@ from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import RefinedField
 from pointsdf_cli.planning.grasp_planner import METHODS, GraspPlanner, PlanOptions
 from pointsdf_cli.planning.path_check import PathChecker
+from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
@@ -72,7 +73,7 @@ class Judge:
 def least_slack(planner: GraspPlanner, answer: Answer) -> float:
     """The least distance less clearance [m] on the trajectory, at steps of 1 mm, by a field that is
     exact wherever anything is near; no proof is used, every step is looked at."""
-    target, clearances = answer.target, planner.options.clearances
+    target, clearances = answer.target, planner.options.planner.clearances
     assert target is not None
     assert target.kept is not None
     field = RefinedField(target.kept, target.field, 0.004)
@@ -95,7 +96,7 @@ def run(
     """A row for each scene, or for those of the chosen indices."""
     judge, rows = Judge(planner.robot), []
     first = scenes[0]
-    if planner.options.solver == "sqp":  # compile the step's program, load libraries
+    if planner.options.planner.solver == "sqp":  # compile the step's program, load libraries
         planner.plan([View(first.points, first.T_world_camera)])
     for k in range(len(scenes)) if chosen is None else chosen:
         scene = scenes[k]
@@ -122,7 +123,7 @@ def run(
         words = " ".join(f"{v:.4f}" if isinstance(v, float) else str(v) for v in row.values())
         print("  " + words, flush=True)
         if out is not None:
-            name = f"{planner.options.method}_{planner.options.solver}_{k:02d}.h5"
+            name = f"{planner.options.method}_{planner.options.planner.solver}_{k:02d}.h5"
             write_plan(out / name, plan, seed=k)
     return rows
 
@@ -188,7 +189,7 @@ def main() -> None:
         if options.out:
             (options.out / f"rows_{method}.json").write_text(json.dumps(results[method], indent=1))
     if options.slsqp and "reconstruction" in results:
-        paper = GraspPlanner(PlanOptions(solver="slsqp"))
+        paper = GraspPlanner(PlanOptions(planner=PlannerConfig(solver="slsqp")))
         # Scenes that took one round of seeds, so that both solve as much.
         rows = results["reconstruction"]
         chosen = [k for k, row in enumerate(rows) if row["seeds"] == 8][: options.slsqp]

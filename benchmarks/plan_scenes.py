@@ -13,7 +13,7 @@ from pointsdf_cli.camera.things import nearest_thing
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, transform
-from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose, stable_poses
+from pointsdf_cli.geometry.stable_poses import STANDING, draw_pose, stable_poses
 from pointsdf_cli.io.meshes import load_mesh
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.simulation.observe import Observer
@@ -87,7 +87,7 @@ def table_scene(
     if min(trimesh.bounds.oriented_bounds(solid)[1]) > WIDEST:
         raise InputError("is too large for the hand", where=path)
     poses = stable_poses(mesh.vertices, np.asarray(solid.center_mass))
-    which, _ = draw_pose(poses, StandingConfig(), rng)
+    which, _ = draw_pose(poses, STANDING, rng)
     yaw, place = rng.uniform(-np.pi, np.pi), rng.uniform((0.52, -0.15), (0.68, 0.15))
     c, s = np.cos(yaw), np.sin(yaw)
     pose = transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [0, 0, 0]) @ poses[which].T_table_object

@@ -36,7 +36,7 @@ from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, LOST, read_grasps
 from pointsdf_cli.io.hdf5 import artifacts_below, open_hdf5, options_of
 from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
+from pointsdf_cli.simulation.attempt import SCENE_ATTEMPTS, AttemptConfig, Attempter
 from pointsdf_cli.simulation.sim_object import prepare_object
 from pointsdf_cli.simulation.verdict import Outcome
 
@@ -207,7 +207,7 @@ def anew(
             print(error.message, file=sys.stderr)
             continue
         objects += 1
-        for index in range(min(base.scene_attempts, count - tried)):
+        for index in range(min(SCENE_ATTEMPTS, count - tried)):
             for name, attempter in attempters.items():
                 labels[name].append(attempter.attempt(item, index).label)
             tried += 1

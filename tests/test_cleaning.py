@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from pointsdf_cli.camera.cleaning import CleaningConfig, clean, flying_pixels
+from pointsdf_cli.camera.cleaning import clean, flying_pixels
 from pointsdf_cli.camera.pinhole import CAMERAS
 from pointsdf_cli.camera.raycast import MeshCaster, depth_image
 from pointsdf_cli.errors import InputError
@@ -185,5 +185,3 @@ def test_repeats_and_order_do_not_matter() -> None:
 def test_wrong_input_is_refused() -> None:
     with pytest.raises(InputError, match="shape"):
         clean(np.zeros((5, 2)))
-    with pytest.raises(InputError, match="neighbours"):
-        CleaningConfig(neighbours=0)

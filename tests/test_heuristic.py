@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.heuristic import (
+    LOW_OBJECT,
     SIDE,
+    TABLE_GAP,
     TOP,
+    TOP_STANDOFF,
     Hand,
     HeuristicConfig,
     draw_preshape,
@@ -46,7 +48,7 @@ def test_box_is_found_whatever_its_yaw(yaw: float) -> None:
 
 
 def test_top_and_two_sides_remain_between_camera_and_robot() -> None:
-    faces = graspable_faces(upright_box(box_cloud()), CAMERA, BASE, QUIET.low_object)
+    faces = graspable_faces(upright_box(box_cloud()), CAMERA, BASE, LOW_OBJECT)
     assert [face.kind for face in faces] == [TOP, SIDE, SIDE]
     normals = sorted(tuple(np.round(face.normal, 6) + 0.0) for face in faces[1:])
     assert normals == [(0.0, -1.0, 0.0), (0.0, 1.0, 0.0)]
@@ -54,7 +56,7 @@ def test_top_and_two_sides_remain_between_camera_and_robot() -> None:
 
 def test_low_object_is_grasped_from_the_top_only() -> None:
     flat = box_cloud(size=(0.06, 0.1, 0.025))
-    faces = graspable_faces(upright_box(flat), CAMERA, BASE, QUIET.low_object)
+    faces = graspable_faces(upright_box(flat), CAMERA, BASE, LOW_OBJECT)
     assert [face.kind for face in faces] == [TOP]
 
 
@@ -79,7 +81,7 @@ def test_top_palm_looks_down_with_fingers_along_a_diagonal_away_from_the_robot()
         preshape = draw_preshape(box_cloud(), CAMERA, BASE, point_hand(), QUIET, rng, TOP)
         palm = preshape.T_world_palm
         assert palm[:3, 0] == pytest.approx([0, 0, -1], abs=1e-9)
-        assert palm[2, 3] == pytest.approx(0.2 + QUIET.top_standoff, abs=1e-9)
+        assert palm[2, 3] == pytest.approx(0.2 + TOP_STANDOFF, abs=1e-9)
         fingers = palm[:3, 2]
         assert np.abs(fingers) == pytest.approx([0.5**0.5, 0.5**0.5, 0], abs=1e-9)
         assert fingers[0] > 0
@@ -94,7 +96,7 @@ def test_side_hand_stays_above_the_table() -> None:
         preshape = draw_preshape(low, CAMERA, BASE, hand, QUIET, rng, SIDE)
         outline = hand.outline(preshape.joints) @ preshape.T_world_palm[:3, :3].T
         lowest = (outline + preshape.T_world_palm[:3, 3])[:, 2].min()
-        assert lowest == pytest.approx(QUIET.table_gap, abs=1e-9)
+        assert lowest == pytest.approx(TABLE_GAP, abs=1e-9)
 
 
 def test_above_a_flat_object_a_hand_rises_over_it_but_not_beside_it() -> None:
@@ -106,12 +108,12 @@ def test_above_a_flat_object_a_hand_rises_over_it_but_not_beside_it() -> None:
         hand = Hand(np.zeros((8, 2)), lambda joints, points=points: points)
         palm = draw_preshape(flat, CAMERA, BASE, hand, QUIET, np.random.default_rng(0)).T_world_palm
         heights[name] = palm[2, 3]
-    assert heights["over"] == pytest.approx(0.1 + 0.025 + QUIET.table_gap)
-    assert heights["beside"] == pytest.approx(0.1 + QUIET.table_gap)
+    assert heights["over"] == pytest.approx(0.1 + 0.025 + TABLE_GAP)
+    assert heights["beside"] == pytest.approx(0.1 + TABLE_GAP)
     high = box_cloud(size=(0.06, 0.1, 0.05))
     hand = Hand(np.zeros((8, 2)), lambda joints: np.array([[0.1, 0.0, 0.0]]))
     palm = draw_preshape(high, CAMERA, BASE, hand, QUIET, np.random.default_rng(0), "top")
-    assert palm.T_world_palm[2, 3] == pytest.approx(0.05 + QUIET.top_standoff)
+    assert palm.T_world_palm[2, 3] == pytest.approx(0.05 + TOP_STANDOFF)
 
 
 def test_noise_has_the_deviations_that_it_says() -> None:
@@ -148,8 +150,3 @@ def test_equal_seeds_draw_equal_preshapes() -> None:
         for r in (np.random.default_rng(5), np.random.default_rng(5))
     )
     assert np.array_equal(first.T_world_palm, second.T_world_palm)
-
-
-def test_negative_noise_is_refused() -> None:
-    with pytest.raises(InputError):
-        HeuristicConfig(standoff_noise=-0.1)

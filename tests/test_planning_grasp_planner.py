@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,17 +26,19 @@ from pointsdf_cli.planning.fields import (
     UnionField,
 )
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
+from pointsdf_cli.planning.motion import MotionConfig
+from pointsdf_cli.planning.planner import PlannerConfig
+from pointsdf_cli.planning.rehearsed import believed_surface
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import EmptyFieldError, Target, given_object, surface_of
-from pointsdf_cli.trials.rehearsed import believed_surface
 from pointsdf_cli.viz.shading import look_at
 
 Array = np.ndarray
 RADIUS, HEIGHT = 0.035, 0.2
 CAN = (0.6, 0.0, HEIGHT / 2)
 REST = np.array([0.0] * 6 + [1.3, 0.5])
-SMALL = SynthesisConfig(rounds=1, seeds=SeedConfig(palms=12, seeds=4))
+SMALL = PlannerConfig(synthesis=SynthesisConfig(rounds=1, seeds=SeedConfig(palms=12, seeds=4)))
 
 
 class CanGrasps:
@@ -83,12 +86,12 @@ VIEW = can_view()
 
 @pytest.fixture(scope="module")
 def planner() -> GraspPlanner:
-    return GraspPlanner(PlanOptions(synthesis=SMALL), CanModel())
+    return GraspPlanner(PlanOptions(planner=SMALL), CanModel())
 
 
 @pytest.fixture(scope="module")
 def partial() -> GraspPlanner:
-    return GraspPlanner(PlanOptions(method="partial-view", synthesis=SMALL), CanModel())
+    return GraspPlanner(PlanOptions(method="partial-view", planner=SMALL), CanModel())
 
 
 def test_a_can_gets_a_plan_that_the_true_can_allows(planner: GraspPlanner) -> None:
@@ -106,7 +109,8 @@ def test_a_can_gets_a_plan_that_the_true_can_allows(planner: GraspPlanner) -> No
 def test_the_motion_uses_the_share_of_the_speed_limits_that_is_asked_for() -> None:
     plans = []
     for speed in (0.5, 0.1):
-        options = PlanOptions(method="partial-view", synthesis=SMALL, speed=speed)
+        config = replace(SMALL, motion=MotionConfig(speed=speed))
+        options = PlanOptions(method="partial-view", planner=config)
         asked = GraspPlanner(options, CanModel())
         plan = asked.plan([VIEW], seed=1).plan
         assert plan.status == OK
@@ -118,7 +122,7 @@ def test_the_motion_uses_the_share_of_the_speed_limits_that_is_asked_for() -> No
     np.testing.assert_array_equal(slow.q, usual.q)
     assert slow.times[-1] > 2 * usual.times[-1]
     with pytest.raises(InputError, match="at most 1"):
-        PlanOptions(speed=0.0)
+        MotionConfig(speed=0.0)
 
 
 def test_reconstruction_fills_the_can_and_the_partial_view_does_not(
@@ -224,9 +228,10 @@ def test_low_things_are_grasped_from_the_top_first(planner: GraspPlanner) -> Non
 
 
 def test_what_no_ranking_wants_is_no_plan(planner: GraspPlanner) -> None:
-    answer = planner.plan([VIEW], seed=1, rank=lambda candidates: [])
-    assert (answer.plan.status, answer.plan.reason) == ("no_plan", "low_success_probability")
-    assert not len(answer.candidates)
+    target = planner.see([VIEW], seed=1).target
+    plan = planner.planner.plan(target, seed=1, rank=lambda candidates: [])
+    assert (plan.status, plan.reason) == ("no_plan", "low_success_probability")
+    assert not len(plan.accepted.q)
 
 
 def test_the_surface_is_where_the_field_is_zero() -> None:

@@ -9,7 +9,6 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.nonlinear import Evaluation, Solver
 from pointsdf_cli.planning.slsqp import Slsqp
@@ -214,8 +213,3 @@ def test_the_steps_matrices_are_those_that_cvxpy_compiles() -> None:
     assert (matrix != stated["A"]).nnz == 0
     np.testing.assert_array_equal(linear, stated["c"])
     np.testing.assert_array_equal(bound, stated["b"])
-
-
-def test_senseless_options_are_refused() -> None:
-    with pytest.raises(InputError, match="radius"):
-        SqpConfig(radius=1.0)

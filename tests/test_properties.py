@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.pinhole import Camera
-from pointsdf_cli.camera.segmentation import SegmentationConfig
+from pointsdf_cli.camera.segmentation import PLANE_BAND
 from pointsdf_cli.camera.things import LOOSE, find_things
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import (
@@ -182,7 +182,7 @@ def test_segmentation_finds_the_box(offset: NDArray, size: NDArray, turn: float,
     camera = np.array([1.5, 0.0, 0.8])
     found = find_things(cloud, camera).label >= 0
     assert not found[:4000].any()
-    above = cloud[4000:, 2] > SegmentationConfig().plane_band + 0.004
+    above = cloud[4000:, 2] > PLANE_BAND + 0.004
     assert found[4000:][above].mean() > 0.9
     order = np.random.default_rng(seed).permutation(len(cloud))
     again = find_things(cloud[order], camera).label >= 0

@@ -13,10 +13,9 @@ from trial_worlds import CAN_AT, can_grasp, can_in_world
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.lift import lift_path
-from pointsdf_cli.simulation.mass import MassConfig
+from pointsdf_cli.simulation.mass import DENSITY
 from pointsdf_cli.simulation.rehearsal import (
     Rehearsal,
-    RehearsalConfig,
     Rehearsed,
     believed_object,
     best_first,
@@ -27,7 +26,7 @@ pytest.importorskip("pybullet")
 
 @pytest.fixture(scope="module")
 def rehearsal() -> Iterator[Rehearsal]:
-    made = Rehearsal(load_robot(), RehearsalConfig(repeats=3))
+    made = Rehearsal(load_robot(), repeats=3)
     yield made
     made.close()
 
@@ -39,8 +38,8 @@ def grasp() -> NDArray[np.float64]:
 
 def test_the_believed_can_weighs_and_turns_like_a_cylinder() -> None:
     can = can_in_world()
-    item = believed_object(can.vertices, can.faces, RehearsalConfig())
-    mass = MassConfig().density * np.pi * 0.03**2 * 0.15
+    item = believed_object(can.vertices, can.faces)
+    mass = DENSITY * np.pi * 0.03**2 * 0.15
     assert item.mass == pytest.approx(mass, rel=0.05)
     np.testing.assert_allclose(item.T_mesh_body[:3, 3], [*CAN_AT, 0.075], atol=2e-3)
     along, across = mass * 0.03**2 / 2, mass * (3 * 0.03**2 + 0.15**2) / 12
@@ -50,7 +49,7 @@ def test_the_believed_can_weighs_and_turns_like_a_cylinder() -> None:
 def test_what_hovers_over_the_table_is_put_down() -> None:
     can = can_in_world()
     can.apply_translation([0, 0, 0.006])
-    item = believed_object(can.vertices, can.faces, RehearsalConfig())
+    item = believed_object(can.vertices, can.faces)
     lowest = min((item.T_mesh_body[2, :3] @ corners.T).min() for corners, _ in item.pieces) + float(
         item.T_mesh_body[2, 3]
     )

@@ -113,7 +113,7 @@ def test_the_object_nearest_to_a_place_is_kept() -> None:
 def test_flat_top_of_a_low_object_is_not_taken_for_the_table() -> None:
     rng = np.random.default_rng(5)
     book = rng.uniform((0.5, -0.05, 0.03), (0.65, 0.05, 0.03), (5000, 3))
-    assert find_table(book, SegmentationConfig()) is None
+    assert find_table(book) is None
 
 
 @pytest.mark.parametrize(

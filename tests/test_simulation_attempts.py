@@ -79,7 +79,7 @@ def test_attempts_do_not_depend_on_what_came_before(can: SimObject) -> None:
         first.close()
         second.close()
     assert any(one.reach.label == 0 for one in run)
-    one, two = as_grasps(run[3:], 4), as_grasps([again], 4)
+    one, two = as_grasps(run[3:]), as_grasps([again])
     for name in ("cloud", "T_world_object", "T_world_palm", "q", "label", "lift_height", "slip"):
         assert np.array_equal(getattr(one, name), getattr(two, name), equal_nan=True), name
 
@@ -131,7 +131,7 @@ def test_stored_grasps_replay_with_the_same_label(
     attempter: Attempter, can: SimObject, tmp_path: Path
 ) -> None:
     attempts = [attempter.attempt(can, i) for i in range(8)]
-    grasps = as_grasps(attempts, 4)
+    grasps = as_grasps(attempts)
     joints = tuple(f"joint_{k}" for k in range(grasps.q.shape[1]))
     meta = GraspsMeta("can.ply", "hash", "train", "robot", joints, joints[:8])
     write_grasps(tmp_path / "can.h5", grasps, meta, seed=1)

@@ -16,6 +16,7 @@ from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.film import Recorder
+from pointsdf_cli.simulation.physics import GRAVITY
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.verdict import UNTRIED, Outcome
 from pointsdf_cli.simulation.world import World
@@ -99,7 +100,7 @@ def beside_the_palm(
 
 def float_till_closed(world: World, phase: str) -> None:
     """No weight while the hand closes."""
-    world.set_gravity([0.0, 0.0, 0.0 if phase == "close" else -world.physics.gravity])
+    world.set_gravity([0.0, 0.0, 0.0 if phase == "close" else -GRAVITY])
 
 
 def test_centred_side_grasps_of_balls_boxes_and_cylinders_hold(

@@ -11,7 +11,6 @@ from manifold3d import Manifold, Mesh64, OpType
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.stable_poses import (
-    StandingConfig,
     draw_pose,
     stable_poses,
     tilt_margin,
@@ -19,14 +18,14 @@ from pointsdf_cli.geometry.stable_poses import (
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.objects.generate import make_object
 from pointsdf_cli.simulation.decomposition import (
+    MOST_FACES,
     VOLUME_OFF,
-    DecompositionConfig,
     convex_pieces,
     with_few_faces,
     without_details,
 )
 from pointsdf_cli.simulation.feet import with_flat_foot
-from pointsdf_cli.simulation.mass import MassConfig
+from pointsdf_cli.simulation.mass import DENSITY
 from pointsdf_cli.simulation.sim_object import prepare_object
 
 
@@ -83,7 +82,7 @@ def test_pieces_of_a_mesh_that_quadrics_tear_are_not_swollen(tmp_path: Path) -> 
     pytest.importorskip("coacd")
     made = make_object(0, 0, ["teapot"])
     mesh = trimesh.Trimesh(made.vertices, made.faces)
-    most = DecompositionConfig().most_faces
+    most = MOST_FACES
     torn = mesh.simplify_quadric_decimation(face_count=most)
     assert not torn.is_watertight, "else this test shows nothing"
     simple = without_details(mesh, most)
@@ -121,7 +120,7 @@ def test_mass_and_inertia_are_those_of_a_solid_box(tmp_path: Path) -> None:
     box = trimesh.creation.box(sides)
     box.apply_translation([0.3, 0.0, 0.1])
     item = prepare_object(loaded("box", box), tmp_path)
-    mass = MassConfig().density * sides.prod()
+    mass = DENSITY * sides.prod()
     assert item.mass == pytest.approx(mass)
     expected = [(sides**2).sum() - s**2 for s in sides]
     assert sorted(item.inertia) == pytest.approx(sorted(np.array(expected) * mass / 12))
@@ -160,12 +159,12 @@ def test_a_centre_of_mass_outside_is_refused() -> None:
 def test_cans_are_drawn_standing_and_needles_lying() -> None:
     rng = np.random.default_rng(0)
     poses = stable_poses(np.asarray(can().vertices), np.zeros(3))
-    drawn = [draw_pose(poses, StandingConfig(standing=1.0), rng) for _ in range(50)]
+    drawn = [draw_pose(poses, 1.0, rng) for _ in range(50)]
     assert all(stands and poses[i].height == pytest.approx(0.12) for i, stands in drawn)
     # A pencil upright falls at a touch: it is never stood up.
     pencil = stable_poses(np.asarray(can(0.004, 0.15).vertices), np.zeros(3))
     for _ in range(50):
-        index, stands = draw_pose(pencil, StandingConfig(standing=1.0), rng)
+        index, stands = draw_pose(pencil, 1.0, rng)
         assert not stands or pencil[index].height < 0.02
 
 
@@ -173,14 +172,9 @@ def test_without_preference_poses_follow_their_probability() -> None:
     rng = np.random.default_rng(1)
     box = trimesh.creation.box([0.02, 0.06, 0.10])
     poses = stable_poses(np.asarray(box.vertices), np.zeros(3))
-    drawn = [draw_pose(poses, StandingConfig(standing=0.0), rng)[0] for _ in range(3000)]
+    drawn = [draw_pose(poses, 0.0, rng)[0] for _ in range(3000)]
     shares = np.bincount(drawn, minlength=len(poses)) / 3000
     assert shares == pytest.approx([pose.probability for pose in poses], abs=0.03)
-
-
-def test_impossible_standing_is_refused() -> None:
-    with pytest.raises(InputError):
-        StandingConfig(standing=1.5)
 
 
 def test_a_hull_that_lost_the_foot_of_its_can_stands_again() -> None:

@@ -18,7 +18,7 @@ from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.physics import PhysicsConfig
-from pointsdf_cli.simulation.settle import SettleConfig, settle
+from pointsdf_cli.simulation.settle import settle
 from pointsdf_cli.simulation.sim_object import prepare_object
 from pointsdf_cli.simulation.skin import drawn_in, drawn_in_cylinder
 from pointsdf_cli.simulation.world import World
@@ -169,7 +169,7 @@ def test_a_box_stands_on_the_table_and_not_above_it(tmp_path: Path) -> None:
     item = prepare_object(loaded(trimesh.creation.box((0.06, 0.08, 0.1))), tmp_path)
     with World(load_robot()) as world:
         for pose in item.poses:
-            rest = settle(world, item, pose, SettleConfig())
+            rest = settle(world, item, pose)
             assert rest is not None
             lowest = (item.mesh.vertices @ rest[2, :3]).min() + rest[2, 3]
             assert lowest == pytest.approx(0.0, abs=2e-4)

@@ -14,7 +14,7 @@ from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.physics import PhysicsConfig
-from pointsdf_cli.simulation.settle import SettleConfig, settle
+from pointsdf_cli.simulation.settle import settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.world import World
 
@@ -192,7 +192,7 @@ def test_arm_holds_its_own_weight(world: World) -> None:
 def test_can_that_is_stood_up_rests_standing(world: World, tmp_path: Path) -> None:
     item = item_of("can", trimesh.creation.cylinder(0.033, 0.1), tmp_path)
     standing = max(item.poses, key=lambda pose: pose.height if pose.margin > 0.17 else 0)
-    pose = settle(world, item, standing, SettleConfig())
+    pose = settle(world, item, standing)
     assert pose is not None
     assert abs(pose[2, 2]) == pytest.approx(1.0, abs=1e-3)
     assert pose[2, 3] == pytest.approx(0.05, abs=2e-3)

@@ -22,7 +22,8 @@ from pointsdf_cli.simulation.observe import Observer
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.clutter import (
-    ClutterConfig,
+    GAP,
+    MOVED,
     Standing,
     along,
     disturbance,
@@ -39,12 +40,10 @@ from pointsdf_cli.trials.protocol import (
     clutter_pool,
     make_trials,
 )
-from pointsdf_cli.trials.scenes import SceneConfig, load_object, place_camera, place_object
+from pointsdf_cli.trials.scenes import load_object, place_camera, place_object
 from pointsdf_cli.trials.summary import summarise
 
 pytest.importorskip("pybullet")
-
-CONFIG = ClutterConfig()
 
 
 @pytest.fixture(scope="module")
@@ -79,10 +78,10 @@ def standing(world: World, trial: Trial) -> list[Standing]:
     """The target and its neighbours."""
 
     def load(item: Any) -> SimObject:
-        return load_object(item, SceneConfig())
+        return load_object(item)
 
-    target = place_object(world, load(trial.object), trial, SceneConfig())[:2]
-    return [target, *place_neighbours(world, target, trial, load, CONFIG)]
+    target = place_object(world, load(trial.object), trial)[:2]
+    return [target, *place_neighbours(world, target, trial, load)]
 
 
 def test_others_are_drawn_by_scene_and_are_never_the_target(meshes: Path) -> None:
@@ -107,9 +106,9 @@ def test_neighbours_stand_near_the_target_and_apart_and_are_equal_by_seed(
     outlines = [along(level_corners(*one)) for one in made]
     for k, one in enumerate(outlines):
         for other in outlines[:k]:
-            assert level_gap(one, other) >= CONFIG.gap[0]
+            assert level_gap(one, other) >= GAP[0]
     for one in outlines[1:]:
-        assert level_gap(one, outlines[0]) <= CONFIG.gap[1]
+        assert level_gap(one, outlines[0]) <= GAP[1]
     for item, pose in made:
         low = (item.mesh.vertices @ pose[2, :3] + pose[2, 3]).min()
         assert low == pytest.approx(0.0, abs=0.002)
@@ -133,7 +132,7 @@ def test_the_target_is_numbered_as_it_is_listed(world: World, meshes: Path) -> N
     made = standing(world, trial)
     robot = load_robot()
     observer = Observer(robot)
-    pose = place_camera(*made[0], trial, SceneConfig())
+    pose = place_camera(*made[0], trial)
     depth = observer.depth(made, pose, np.random.default_rng(0))
     cloud = cloud_of_depth(depth, observer.placement.camera, pose)
     numbers = {target_number(cloud, made[k:] + made[:k], robot) for k in range(3)}
@@ -146,7 +145,7 @@ def test_the_target_is_numbered_as_it_is_listed(world: World, meshes: Path) -> N
 def test_a_neighbour_in_the_way_is_disturbed_and_one_aside_is_not(
     world: World, meshes: Path
 ) -> None:
-    can = load_object(choose_objects(meshes, "can")[0], SceneConfig())
+    can = load_object(choose_objects(meshes, "can")[0])
     there = transform(np.eye(3), [*CAN_AT, 0.0752])
     path = np.array([can_grasp(shift=(0, y, 0)) for y in (-0.06, -0.03, 0.0)])
     aside = can, transform(np.eye(3), [CAN_AT[0] + 0.2, 0.2, 0.0752])
@@ -155,23 +154,23 @@ def test_a_neighbour_in_the_way_is_disturbed_and_one_aside_is_not(
     found = []
     for other in (aside, in_the_way):
         done = execute_plan(world, can, there, path, np.linspace(0.0, 1.0, 3), others=[other])
-        found.append(disturbance([other], [one.pose() for one in world.others], CONFIG))
+        found.append(disturbance([other], [one.pose() for one in world.others]))
         assert done.moments[-1].T_world_others.shape == (1, 4, 4)
     assert not found[0].disturbed
     assert found[0].largest_move < 0.002
     assert found[1].disturbed
-    assert found[1].largest_move > CONFIG.moved
+    assert found[1].largest_move > MOVED
 
 
 def test_what_tips_over_in_its_place_is_disturbed(meshes: Path) -> None:
-    can = load_object(choose_objects(meshes, "can")[0], SceneConfig())
+    can = load_object(choose_objects(meshes, "can")[0])
     upright = transform(np.eye(3), [0.6, 0.0, 0.01])
     lying = transform([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [0.6, 0.0, 0.01])
-    found = disturbance([(can, upright)], [lying], CONFIG)
+    found = disturbance([(can, upright)], [lying])
     assert found.disturbed
     assert found.largest_move == pytest.approx(0.0, abs=1e-9)
     turned = transform([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.615, 0.0, 0.01])
-    found = disturbance([(can, upright)], [turned], CONFIG)
+    found = disturbance([(can, upright)], [turned])
     assert not found.disturbed
     assert found.largest_move == pytest.approx(0.015)
 

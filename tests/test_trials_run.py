@@ -12,6 +12,7 @@ import trimesh
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.planning.grasp_planner import PlanOptions
+from pointsdf_cli.planning.rehearsed import GraspRehearsal, rehearsed_planner
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.trials.protocol import (
@@ -23,7 +24,6 @@ from pointsdf_cli.trials.protocol import (
     TrialObject,
     make_trials,
 )
-from pointsdf_cli.trials.rehearsed import RehearsedPlanner
 from pointsdf_cli.trials.run import TrialConfig, TrialRunner
 
 pytest.importorskip("pybullet")
@@ -93,13 +93,13 @@ def test_grasps_that_will_be_shaken_are_rehearsed_so() -> None:
     shaken = TrialRunner(TrialConfig(execution=ExecutorConfig(shake=3.0)))
     planner = shaken._planner(PlannerVariant("reconstruction"))._planner
     shaken.close()
-    assert isinstance(planner, RehearsedPlanner)
-    assert planner._rehearsal._execution.shake == 3.0
+    assert isinstance(planner._choose, GraspRehearsal)
+    assert planner._choose._rehearsal._execution.shake == 3.0
 
 
 def test_partial_views_cannot_be_rehearsed_on() -> None:
     with pytest.raises(InputError, match="no closed surface"):
-        RehearsedPlanner(PlanOptions(method="partial-view"))
+        rehearsed_planner(PlanOptions(method="partial-view"))
 
 
 def test_a_mesh_that_is_none_is_refused(runner: TrialRunner, tmp_path: Path) -> None:

@@ -20,7 +20,13 @@ from pointsdf_cli.trials.protocol import (
     choose_objects,
     make_trials,
 )
-from pointsdf_cli.trials.scenes import SceneConfig, load_object, place_camera, place_object
+from pointsdf_cli.trials.scenes import (
+    CAMERA_DISTANCE,
+    LOOK_HEIGHT,
+    load_object,
+    place_camera,
+    place_object,
+)
 
 pytest.importorskip("pybullet")
 
@@ -39,7 +45,7 @@ def test_between_the_wings_of_a_biplane_there_is_room(tmp_path: Path) -> None:
     ]
     plane = trimesh.boolean.union([*wings, *struts], engine="manifold")
     plane.export(tmp_path / "biplane.ply")
-    item = load_object(TrialObject("biplane", tmp_path / "biplane.ply"), SceneConfig())
+    item = load_object(TrialObject("biplane", tmp_path / "biplane.ply"))
     # Where a finger goes: between the wings, beside the struts.
     finger = np.array([[x, y, 0.03] for x in (-0.09, 0.0, 0.09) for y in (-0.02, 0.0, 0.02)])
     inside = invert_transform(item.T_mesh_body)
@@ -56,20 +62,20 @@ def transform(place: list[float]) -> np.ndarray:
 @pytest.mark.parametrize(("name", "height"), [("pringles", 0.247), ("max_gel", 0.185)])
 def test_what_can_stand_stands_in_every_yaw(world: World, name: str, height: float) -> None:
     trials = make_trials(choose_objects(None, name), [PlannerVariant(METHODS[0])])
-    item = load_object(trials[0].object, SceneConfig())
+    item = load_object(trials[0].object)
     yaws, axes = [], []
     for trial in trials:
-        _, pose, yaw = place_object(world, item, trial, SceneConfig())
+        _, pose, yaw = place_object(world, item, trial)
         placed = apply_transform(pose, item.mesh.vertices)
         assert placed[:, 2].max() == pytest.approx(height, abs=0.003)
         assert placed[:, 2].min() == pytest.approx(0.0, abs=0.003)
         middle = (placed.min(axis=0) + placed.max(axis=0))[:2] / 2
         np.testing.assert_allclose(middle, [0.6, 0.0], atol=0.08)
-        camera = place_camera(item, pose, trial, SceneConfig())
+        camera = place_camera(item, pose, trial)
         # It looks at the object, from beyond it.
-        offset = np.array([*middle, SceneConfig().look_height]) - camera[:3, 3]
+        offset = np.array([*middle, LOOK_HEIGHT]) - camera[:3, 3]
         assert camera[:3, 2] @ offset / np.linalg.norm(offset) == pytest.approx(1.0, abs=1e-9)
-        assert np.linalg.norm(offset[:2]) == pytest.approx(SceneConfig().camera_distance)
+        assert np.linalg.norm(offset[:2]) == pytest.approx(CAMERA_DISTANCE)
         yaws.append(yaw)
         axes.append(np.arctan2(pose[1, 0], pose[0, 0]))
     # High and low share a yaw; the three yaws are a third of a turn apart, and the mesh turns so.
@@ -85,8 +91,8 @@ def test_a_ball_is_no_larger_for_having_a_foot(world: World, tmp_path: Path) -> 
     trial = make_trials([TrialObject("ball", tmp_path / "ball.ply")], [PlannerVariant(METHODS[0])])[
         0
     ]
-    item = load_object(trial.object, SceneConfig())
-    standing, pose, _ = place_object(world, item, trial, SceneConfig())
+    item = load_object(trial.object)
+    standing, pose, _ = place_object(world, item, trial)
     corners = np.concatenate([corners for corners, _ in standing.pieces])
     assert np.linalg.norm(corners, axis=1).max() < 0.042
     volume = sum(trimesh.convex.convex_hull(corners).volume for corners, _ in standing.pieces)
@@ -107,7 +113,7 @@ def test_a_can_whose_scanned_bottom_is_round_stands_upright(world: World, tmp_pa
     can.export(tmp_path / "can.ply")
     stands = TrialObject("pringles", tmp_path / "can.ply", upright=True)
     trials = make_trials([stands], [PlannerVariant(METHODS[0])])
-    item = load_object(stands, SceneConfig())
+    item = load_object(stands)
     for trial in trials[:2]:
-        _, pose, _ = place_object(world, item, trial, SceneConfig())
+        _, pose, _ = place_object(world, item, trial)
         assert pose[2, 2] > np.cos(np.radians(1))

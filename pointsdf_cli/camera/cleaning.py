@@ -26,33 +26,18 @@ ENOUGH = 8000
 """Points of a group that its distance to another one is measured by."""
 
 
-@dataclass(frozen=True)
-class CleaningConfig:
-    """Thresholds of points that are no surface.
-
-    Attributes:
-        neighbours: A point is judged by the distance to this neighbour.
-        isolation: It is isolated if that is more than this many times the median's.
-        part_share: A detached group with at least this share of all points is a part of the object
-            however far away it is.
-        part_gap: A smaller group is a speck if it is farther from what is kept than this share of
-            the object's size.
-        tiny_share, tiny_gap: A group with less than this share may be this far [m].
-    """
-
-    neighbours: int = 4
-    isolation: float = 4.0
-    part_share: float = 0.2
-    part_gap: float = 0.4
-    tiny_share: float = 0.005
-    tiny_gap: float = 0.015
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.neighbours <= 32 or self.isolation <= 1:
-            raise InputError(
-                f"{self.neighbours} neighbours and an isolation of {self.isolation}",
-                allowed="1 to 32 neighbours, an isolation above 1",
-            )
+NEIGHBOURS = 4
+"""A point is judged by the distance to this neighbour."""
+ISOLATION = 4.0
+"""It is isolated if that is more than this many times the median's."""
+PART_SHARE = 0.2
+"""A detached group with at least this share of all points is a part of the object however far away
+it is."""
+PART_GAP = 0.4
+"""A smaller group is a speck if it is farther from what is kept than this share of the object's
+size."""
+TINY_SHARE, TINY_GAP = 0.005, 0.015
+"""A group with less than this share may be this far [m]."""
 
 
 @dataclass(frozen=True)
@@ -87,39 +72,37 @@ class Cleaning:
         return f"cleaning dropped {self.dropped} of {len(self.kept)} points: {said}" if said else ""
 
 
-def clean(points: ArrayLike, config: CleaningConfig | None = None, specks: bool = True) -> Cleaning:
+def clean(points: ArrayLike, specks: bool = True) -> Cleaning:
     """Find the points of a cloud that no surface returned.
 
     Args:
         points: [N, 3], camera frame, m; finite. Where some lie behind the camera, the viewpoint
             is unknown and plain distances are used.
-        config: Thresholds.
         specks: Also drop small detached groups. Only for a cloud of one object: in a scene they
             may be objects.
 
     Raises:
         InputError: Not [N, 3].
     """
-    config = config or CleaningConfig()
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"a cloud of shape {points.shape}", allowed="[N, 3]")
-    if len(points) < 4 * config.neighbours:
+    if len(points) < 4 * NEIGHBOURS:
         return Cleaning(np.ones(len(points), dtype=bool))
     even, seen_from_camera = _evenly_sampled(points)
     tree = scipy.spatial.cKDTree(even, compact_nodes=False, balanced_tree=False)
-    distance, neighbour = tree.query(even, k=config.neighbours + 1)
+    distance, neighbour = tree.query(even, k=NEIGHBOURS + 1)
     pitch = _typical(distance[:, -1])
-    isolated = distance[:, -1] > config.isolation * pitch
+    isolated = distance[:, -1] > ISOLATION * pitch
     kept = ~isolated
     flying = 0
     if seen_from_camera:
-        flying = _count_flying(even, isolated, config.isolation * pitch)
+        flying = _count_flying(even, isolated, ISOLATION * pitch)
     outliers = int(isolated.sum()) - flying
     dropped = np.zeros(len(points), dtype=bool)
     if specks:
-        close = distance[:, 1:] <= config.isolation * pitch
-        dropped = _specks(points, neighbour[:, 1:], close, kept, config)
+        close = distance[:, 1:] <= ISOLATION * pitch
+        dropped = _specks(points, neighbour[:, 1:], close, kept)
     return Cleaning(kept & ~dropped, flying, outliers, int(dropped.sum()))
 
 
@@ -184,9 +167,7 @@ def _count_flying(even: Array, isolated: Mask, near: float) -> int:
     return int((image.query(lone)[0] <= near).sum())
 
 
-def _specks(
-    points: Array, neighbour: NDArray[np.intp], close: Mask, kept: Mask, config: CleaningConfig
-) -> Mask:
+def _specks(points: Array, neighbour: NDArray[np.intp], close: Mask, kept: Mask) -> Mask:
     """Kept points in small groups that are detached from the largest group and its surroundings."""
     count = len(points)
     rows = np.repeat(np.arange(count), neighbour.shape[1])
@@ -203,10 +184,10 @@ def _specks(
     total = int(kept.sum())
     # The largest first: a handle's far end may hang on its near end.
     order = np.argsort(-sizes, kind="stable")[1:]
-    for one in order[sizes[order] >= config.tiny_share * total]:
+    for one in order[sizes[order] >= TINY_SHARE * total]:
         group = kept & (label == one)
-        far = _gap(points[body], points[group]) > config.part_gap * extent
-        if far and sizes[one] < config.part_share * total:
+        far = _gap(points[body], points[group]) > PART_GAP * extent
+        if far and sizes[one] < PART_SHARE * total:
             dropped |= group
         else:
             body |= group
@@ -215,7 +196,7 @@ def _specks(
     np.minimum.at(
         gaps, label[tiny], scipy.spatial.cKDTree(_thinned(points[body])).query(points[tiny])[0]
     )
-    dropped |= tiny & (gaps[label] > config.tiny_gap)
+    dropped |= tiny & (gaps[label] > TINY_GAP)
     # What falls apart so far is no one body with specks around it.
     return dropped if 2 * dropped.sum() < total else np.zeros(count, dtype=bool)
 

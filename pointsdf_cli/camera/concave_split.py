@@ -2,47 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array
 
-
-@dataclass(frozen=True)
-class SplitConfig:
-    """Thresholds of the separation.
-
-    Attributes:
-        radius: Radius of the neighbourhood in which concavity is measured [m].
-        depth: Mean height [m] of the neighbours above the tangent plane, averaged over them, at a
-            concave edge: about 1 mm where two boxes touch. Noise reaches this too; the size and the
-            foot of the parts decide.
-        border: Width of the strip along a concave edge that belongs to neither part at first [m]:
-            noise leaves gaps in the edge.
-        gap: Largest gap between points of one part [m].
-        share: Least share of the points in a part.
-        foot: Largest height of the lowest point of a part that stands by itself [m].
-        rise: Least height of its highest point [m].
-        base: Its least width in both level directions [m].
-        most: Largest number of points; larger clouds are not split.
-    """
-
-    radius: float = 0.012
-    depth: float = 0.0002
-    border: float = 0.004
-    gap: float = 0.0045
-    share: float = 0.12
-    foot: float = 0.025
-    rise: float = 0.03
-    base: float = 0.025
-    most: int = 60_000
+RADIUS = 0.012
+"""Radius of the neighbourhood in which concavity is measured [m]."""
+DEPTH = 0.0002
+"""Mean height [m] of the neighbours above the tangent plane, averaged over them, at a concave edge:
+about 1 mm where two boxes touch. Noise reaches this too; the size and the foot of the parts
+decide."""
+BORDER = 0.004
+"""Width of the strip along a concave edge that belongs to neither part at first [m]: noise leaves
+gaps in the edge."""
+GAP = 0.0045
+"""Largest gap between points of one part [m]."""
+SHARE = 0.12
+"""Least share of the points in a part."""
+FOOT = 0.025
+"""Largest height of the lowest point of a part that stands by itself [m]."""
+RISE = 0.03
+"""Least height of its highest point [m]."""
+BASE = 0.025
+"""Its least width in both level directions [m]."""
+MOST = 60_000
+"""Largest number of points; larger clouds are not split."""
 
 
 def standing_parts(
-    points: Array, height: Array, camera: Array, config: SplitConfig | None = None
+    points: Array, height: Array, camera: Array
 ) -> tuple[NDArray[np.int64], frozenset[int]]:
     """Split a group of points at concave edges into parts that stand by themselves.
 
@@ -54,34 +44,32 @@ def standing_parts(
         points: [N, 3], world, m, one a voxel.
         height: [N], heights above the table, m.
         camera: [3], position of the camera, m.
-        config: Thresholds.
 
     Returns:
         The part [N] of each point, from 0, and the parts that hold a further large one, which was
         left with them because it does not stand by itself.
     """
-    config = config or SplitConfig()
     whole = np.zeros(len(points), dtype=np.int64)
-    if not 200 <= len(points) <= config.most:
+    if not 200 <= len(points) <= MOST:
         return whole, frozenset()
     tree = scipy.spatial.cKDTree(points)
-    concave = _valley(points, camera, tree, config)
+    concave = _valley(points, camera, tree)
     if not concave.any():
         return whole, frozenset()
-    smooth = np.flatnonzero(scipy.spatial.cKDTree(points[concave]).query(points)[0] > config.border)
+    smooth = np.flatnonzero(scipy.spatial.cKDTree(points[concave]).query(points)[0] > BORDER)
     if len(smooth) < 100:
         return whole, frozenset()
-    pairs = scipy.spatial.cKDTree(points[smooth]).query_pairs(config.gap, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(points[smooth]).query_pairs(GAP, output_type="ndarray")
     shape = (len(smooth), len(smooth))
     graph = scipy.sparse.coo_array((np.ones(len(pairs), dtype=np.int8), tuple(pairs.T)), shape)
     _, smooth_label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     _, nearest = scipy.spatial.cKDTree(points[smooth]).query(points)
     label = smooth_label[nearest]
     sizes = np.bincount(label)
-    large = np.flatnonzero(sizes >= max(60.0, config.share * len(points)))
+    large = np.flatnonzero(sizes >= max(60.0, SHARE * len(points)))
     if len(large) < 2:
         return whole, frozenset()
-    standing = [one for one in large if _stands(points[label == one], height[label == one], config)]
+    standing = [one for one in large if _stands(points[label == one], height[label == one])]
     if len(standing) < 2:
         return whole, frozenset({0})
     chosen = np.isin(label, standing)
@@ -94,11 +82,9 @@ def standing_parts(
     return owner[label], frozenset(int(owner[one]) for one in large if one not in standing)
 
 
-def _valley(
-    points: Array, camera: Array, tree: scipy.spatial.cKDTree, config: SplitConfig
-) -> NDArray[np.bool_]:
+def _valley(points: Array, camera: Array, tree: scipy.spatial.cKDTree) -> NDArray[np.bool_]:
     """Points [N] whose neighbours lie above the tangent plane."""
-    distance, neighbour = tree.query(points, k=48, distance_upper_bound=config.radius)
+    distance, neighbour = tree.query(points, k=48, distance_upper_bound=RADIUS)
     found = np.isfinite(distance)
     neighbour[~found] = 0
     weight = found.astype(float)
@@ -113,13 +99,13 @@ def _valley(
     rise = ((centre - points) * normal).sum(axis=1)
     # Smoothed over the neighbours, so that noise does not separate surfaces.
     mean = (rise[neighbour] * weight).sum(axis=1) / total[:, 0]
-    return (mean > config.depth) & (total[:, 0] >= 8)
+    return (mean > DEPTH) & (total[:, 0] >= 8)
 
 
-def _stands(points: Array, height: Array, config: SplitConfig) -> bool:
+def _stands(points: Array, height: Array) -> bool:
     """Whether a part [N, 3] would stand on the table without the others."""
     level = points[:, :2] - points[:, :2].mean(axis=0)
     _, axes = np.linalg.eigh(level.T @ level)
     width = np.ptp(level @ axes, axis=0).min()
     low, high = np.percentile(height, [1, 99])
-    return bool(low < config.foot and high > config.rise and width > config.base)
+    return bool(low < FOOT and high > RISE and width > BASE)

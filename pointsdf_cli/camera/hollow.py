@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -13,36 +11,27 @@ from pointsdf_cli.geometry.arrays import Array
 Labels = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class HollowConfig:
-    """Thresholds of the inside of a bowl.
-
-    Attributes:
-        cell: Width of the image's cells at the distance of the group [m].
-        edge: Width of an island's border in cells: edges return no depth.
-        own: Least share of a floor's border on one bowl.
-        both: Least share of the border on both walls of one bowl.
-        each: Least share of the border on each of the two walls.
-        gap: Largest distance between the two walls [m].
-        within: Least share of the floor within the walls, seen from above.
-        fewest: Least number of cells of a floor that joins two walls.
-        widest: Largest width of a group [m]; wider ones are skipped.
-    """
-
-    cell: float = 0.0035
-    edge: int = 5
-    own: float = 0.8
-    both: float = 0.9
-    each: float = 0.1
-    gap: float = 0.03
-    within: float = 0.7
-    fewest: int = 20
-    widest: float = 0.45
+CELL = 0.0035
+"""Width of the image's cells at the distance of the group [m]."""
+EDGE = 5
+"""Width of an island's border in cells: edges return no depth."""
+OWN = 0.8
+"""Least share of a floor's border on one bowl."""
+BOTH = 0.9
+"""Least share of the border on both walls of one bowl."""
+EACH = 0.1
+"""Least share of the border on each of the two walls."""
+GAP = 0.03
+"""Largest distance between the two walls [m]."""
+WITHIN = 0.7
+"""Least share of the floor within the walls, seen from above."""
+FEWEST = 20
+"""Least number of cells of a floor that joins two walls."""
+WIDEST = 0.45
+"""Largest width of a group [m]; wider ones are skipped."""
 
 
-def whole_bowls(
-    points: Array, group: Labels, flat: Array, camera: Array, config: HollowConfig | None = None
-) -> tuple[Labels, Labels]:
+def whole_bowls(points: Array, group: Labels, flat: Array, camera: Array) -> tuple[Labels, Labels]:
     """Join the walls of a bowl and its floor.
 
     In the image, the floor of a bowl is an island of points at table height, between the far wall
@@ -54,13 +43,11 @@ def whole_bowls(
         group: [N], cluster of each, from 0.
         flat: [M, 3], points at table height, world, m.
         camera: [3], position of the camera, m.
-        config: Thresholds.
 
     Returns:
         The group [N] of each point, with the walls of a bowl in one group, and the group [M] of
         each flat point: that of its bowl, or -1.
     """
-    config = config or HollowConfig()
     joined = group.copy()
     floor = np.full(len(flat), -1, dtype=np.int64)
     if not len(flat) or not len(points):
@@ -68,12 +55,12 @@ def whole_bowls(
     sight, flat_sight = _tangents(points, flat, camera)
     for one in np.argsort(-np.bincount(group), kind="stable"):
         mine = joined == one
-        if mine.sum() < 60 or np.ptp(points[mine, :2], axis=0).max() > config.widest:
+        if mine.sum() < 60 or np.ptp(points[mine, :2], axis=0).max() > WIDEST:
             continue
-        size = config.cell / float(np.linalg.norm(np.median(points[mine], axis=0) - camera))
-        islands = _islands(sight, joined, flat_sight, int(one), size, config)
+        size = CELL / float(np.linalg.norm(np.median(points[mine], axis=0) - camera))
+        islands = _islands(sight, joined, flat_sight, int(one), size)
         for on_island, border in islands:
-            _claim(points, joined, flat, floor, int(one), on_island, border, config)
+            _claim(points, joined, flat, floor, int(one), on_island, border)
     return joined, floor
 
 
@@ -85,30 +72,26 @@ def _claim(
     one: int,
     on_island: Labels,
     border: Labels,
-    config: HollowConfig,
 ) -> None:
     """Assign an island (indices of flat points) to group `one`, and join its other wall if any."""
     groups, counts = np.unique(border, return_counts=True)
     share = dict(zip(groups.tolist(), (counts / len(border)).tolist(), strict=True))
     mine = share.pop(one, 0.0)
-    if mine >= config.own:
-        if _within(flat[on_island], points[joined == one], config):
+    if mine >= OWN:
+        if _within(flat[on_island], points[joined == one]):
             floor[on_island] = one
         return
     other = max(share, key=lambda k: share[k], default=-1)
-    if other < 0 or len(on_island) < config.fewest:
+    if other < 0 or len(on_island) < FEWEST:
         return
-    if min(mine, share[other]) < config.each or mine + share[other] < config.both:
+    if min(mine, share[other]) < EACH or mine + share[other] < BOTH:
         return
     first, second = points[joined == one], points[joined == other]
     both = np.concatenate([first, second])
-    if np.ptp(both[:, :2], axis=0).max() > config.widest:
+    if np.ptp(both[:, :2], axis=0).max() > WIDEST:
         return
-    near = (
-        scipy.spatial.cKDTree(first).query(second, distance_upper_bound=config.gap)[0].min()
-        < config.gap
-    )
-    if near and _within(flat[on_island], both, config):
+    near = scipy.spatial.cKDTree(first).query(second, distance_upper_bound=GAP)[0].min() < GAP
+    if near and _within(flat[on_island], both):
         joined[joined == other] = one
         floor[floor == other] = one
         floor[on_island] = one
@@ -133,7 +116,7 @@ def _tangents(points: Array, flat: Array, camera: Array) -> tuple[Array, Array]:
 
 
 def _islands(
-    sight: Array, group: Labels, flat_sight: Array, one: int, size: float, config: HollowConfig
+    sight: Array, group: Labels, flat_sight: Array, one: int, size: float
 ) -> list[tuple[Labels, Labels]]:
     """Islands of flat points in the window of a group.
 
@@ -168,9 +151,9 @@ def _islands(
         touches = any(s.start == 0 or s.stop == n for s, n in zip(box, shape, strict=True))
         if touches:
             continue
-        wide = tuple(slice(max(0, s.start - config.edge), s.stop + config.edge) for s in box)
+        wide = tuple(slice(max(0, s.start - EDGE), s.stop + EDGE) for s in box)
         island = label[wide] == k
-        ring = scipy.ndimage.binary_dilation(island, square, config.edge) & ~island
+        ring = scipy.ndimage.binary_dilation(island, square, EDGE) & ~island
         border = things[wide][ring]
         # Other flat cells beside it are open ground: what they touch is no island.
         beside_it = scipy.ndimage.binary_dilation(island, square, 2) & ~island
@@ -181,11 +164,11 @@ def _islands(
     return found
 
 
-def _within(flat: Array, walls: Array, config: HollowConfig) -> bool:
+def _within(flat: Array, walls: Array) -> bool:
     """Whether most flat points [M, 3] are within the walls [N, 3], seen from above."""
     try:
         hull = scipy.spatial.ConvexHull(walls[:, :2])
         inside = scipy.spatial.Delaunay(walls[hull.vertices, :2]).find_simplex(flat[:, :2]) >= 0
     except scipy.spatial.QhullError:
         return False
-    return bool(inside.mean() >= config.within)
+    return bool(inside.mean() >= WITHIN)

@@ -11,29 +11,30 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 
+PLANE_SEARCH = 0.04
+"""Largest height [m] of the table's plane above or below z = 0."""
+PLANE_TILT = 0.15
+"""Largest tilt of the plane [rad]; poses calibrated by hand err by less."""
+PLANE_SHARE = 0.4
+"""Least share of the points near z = 0 on a plane that is a table."""
+PLANE_BAND = 0.006
+"""Points nearer to the plane than this [m] belong to the table."""
+GAP = 0.012
+"""Largest gap between points of one object [m]."""
+FEWEST = 50
+"""Least number of points of an object."""
+
 
 @dataclass(frozen=True)
 class SegmentationConfig:
-    """Workspace and thresholds of the segmentation.
+    """Workspace of the segmentation.
 
     Attributes:
         low, high: Corners of the workspace in the world [m]; the table top is near z = 0.
-        plane_search: Largest height [m] of the table's plane above or below z = 0.
-        plane_tilt: Largest tilt of the plane [rad]; poses calibrated by hand err by less.
-        plane_share: Least share of the points near z = 0 on a plane that is a table.
-        plane_band: Points nearer to the plane than this [m] belong to the table.
-        gap: Largest gap between points of one object [m].
-        fewest: Least number of points of an object.
     """
 
     low: tuple[float, float, float] = (0.25, -0.6, -0.05)
     high: tuple[float, float, float] = (1.1, 0.6, 0.5)
-    plane_search: float = 0.04
-    plane_tilt: float = 0.15
-    plane_share: float = 0.4
-    plane_band: float = 0.006
-    gap: float = 0.012
-    fewest: int = 50
 
     def __post_init__(self) -> None:
         corners = np.array([self.low, self.high])
@@ -46,19 +47,20 @@ class SegmentationConfig:
                 f"a workspace from {self.low} to {self.high}",
                 allowed="two corners of finite numbers [m], the lower one first",
             )
-        for name in ("plane_search", "plane_band", "gap"):
-            if not 0 < getattr(self, name) < 1:
-                raise InputError(f"{name} = {getattr(self, name)} m", allowed="above 0, below 1 m")
 
 
-def find_table(points: Array, config: SegmentationConfig) -> Array | None:
+def find_table(points: Array, share: float = PLANE_SHARE) -> Array | None:
     """The plane [4] through most points near z = 0; None if there is no such plane.
 
     Random sampling of triples, then two rounds of least squares. The seed is fixed: the same
     cloud gives the same plane.
+
+    Args:
+        points: [N, 3], world, m.
+        share: Least share of the points near z = 0 on the plane.
     """
     # `compress` copies rows several times as fast as an index of booleans.
-    near = np.compress(np.abs(points[:, 2]) < config.plane_search, points, axis=0)
+    near = np.compress(np.abs(points[:, 2]) < PLANE_SEARCH, points, axis=0)
     if len(near) < 100:
         return None
     rng = np.random.default_rng(0)
@@ -70,15 +72,15 @@ def find_table(points: Array, config: SegmentationConfig) -> Array | None:
     normals = normals[usable] / length[usable, None]
     normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
     offsets = (normals * triples[usable, 0]).sum(axis=1)
-    level = normals[:, 2] > np.cos(config.plane_tilt)
+    level = normals[:, 2] > np.cos(PLANE_TILT)
     normals, offsets = normals[level], offsets[level]
     if not len(normals):
         return None
     distance = np.abs(sample @ normals.T - offsets)
-    best = int((distance < config.plane_band).sum(axis=0).argmax())
+    best = int((distance < PLANE_BAND).sum(axis=0).argmax())
     normal, offset = normals[best], float(offsets[best])
     for _ in range(2):
-        on_plane = np.compress(np.abs(near @ normal - offset) < config.plane_band, near, axis=0)
+        on_plane = np.compress(np.abs(near @ normal - offset) < PLANE_BAND, near, axis=0)
         if len(on_plane) < 3:
             return None
         centre = on_plane.mean(axis=0)
@@ -86,8 +88,8 @@ def find_table(points: Array, config: SegmentationConfig) -> Array | None:
         _, axes = np.linalg.eigh(away.T @ away)
         normal = axes[:, 0] * np.sign(axes[2, 0])
         offset = float(normal @ centre)
-    fits = np.abs(near @ normal - offset) < config.plane_band
-    if float(fits.mean()) < config.plane_share or normal[2] < np.cos(config.plane_tilt):
+    fits = np.abs(near @ normal - offset) < PLANE_BAND
+    if float(fits.mean()) < share or normal[2] < np.cos(PLANE_TILT):
         return None
     # The top of a flat object can be a plane near z = 0 too, but a table reaches far.
     if max(np.ptp(near[fits, axis]) for axis in (0, 1)) < 0.3:

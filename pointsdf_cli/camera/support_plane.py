@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,42 +9,34 @@ from pointsdf_cli.camera.segmentation import clusters
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 
-
-@dataclass(frozen=True)
-class SupportPlaneConfig:
-    """Thresholds that separate the table from floors and walls.
-
-    Attributes:
-        sample: Number of points used.
-        planes: Number of candidates, the largest first.
-        iterations: Random triples for each.
-        band: Points nearer to a plane than this [m] at 1 m from the camera lie on it; it grows
-            with the square of the distance, as depth noise does.
-        least_share: Least share of the points on a candidate.
-        camera_height: Least height of the camera above the table [m].
-        roll: Usual largest angle between the table's normal and the image's upward direction [rad];
-            beyond it the camera is mounted upside down.
-        overhead: Weight of a candidate that only a camera mounted upside down would stand above:
-            ceilings look so, too.
-        tallest: Largest height of objects on the table [m].
-        flatness: Least ratio of the points within one band to those within three.
-        cell: Size of the cells whose connected region is the table [m].
-    """
-
-    sample: int = 30_000
-    planes: int = 6
-    iterations: int = 400
-    band: float = 0.008
-    least_share: float = 0.02
-    camera_height: float = 0.1
-    roll: float = 1.75
-    overhead: float = 0.25
-    tallest: float = 0.45
-    flatness: float = 0.5
-    cell: float = 0.03
+SAMPLE = 30_000
+"""Number of points used."""
+PLANES = 6
+"""Number of candidates, the largest first."""
+ITERATIONS = 400
+"""Random triples for each."""
+BAND = 0.008
+"""Points nearer to a plane than this [m] at 1 m from the camera lie on it; it grows with the square
+of the distance, as depth noise does."""
+LEAST_SHARE = 0.02
+"""Least share of the points on a candidate."""
+CAMERA_HEIGHT = 0.1
+"""Least height of the camera above the table [m]."""
+ROLL = 1.75
+"""Usual largest angle between the table's normal and the image's upward direction [rad]; beyond it
+the camera is mounted upside down."""
+OVERHEAD = 0.25
+"""Weight of a candidate that only a camera mounted upside down would stand above: ceilings look so,
+too."""
+TALLEST = 0.45
+"""Largest height of objects on the table [m]."""
+FLATNESS = 0.5
+"""Least ratio of the points within one band to those within three."""
+CELL = 0.03
+"""Size of the cells whose connected region is the table [m]."""
 
 
-def find_support_plane(points: Array, config: SupportPlaneConfig | None = None) -> Array:
+def find_support_plane(points: Array) -> Array:
     """The plane [4] on which objects stand, (unit normal, offset): n·x = offset, camera frame.
 
     Candidates are found one after another by RANSAC (Fischler and Bolles 1981; Open3D's
@@ -55,7 +45,6 @@ def find_support_plane(points: Array, config: SupportPlaneConfig | None = None) 
 
     Args:
         points: [N, 3], camera frame, m, one for each measured pixel.
-        config: Thresholds.
 
     Returns:
         The normal points from the table to the camera's side.
@@ -63,21 +52,20 @@ def find_support_plane(points: Array, config: SupportPlaneConfig | None = None) 
     Raises:
         InputError: No plane is seen from above.
     """
-    config = config or SupportPlaneConfig()
     rng = np.random.default_rng(0)
-    taken = rng.permutation(len(points))[: config.sample]
+    taken = rng.permutation(len(points))[:SAMPLE]
     sample = points[np.sort(taken)]
     best, plane = 0.0, None
     rest = sample
-    for _ in range(config.planes):
-        if len(rest) < max(50.0, config.least_share * len(sample)):
+    for _ in range(PLANES):
+        if len(rest) < max(50.0, LEAST_SHARE * len(sample)):
             break
-        found, on_plane = _largest_plane(rest, config)
-        if on_plane.sum() < config.least_share * len(sample):
+        found, on_plane = _largest_plane(rest)
+        if on_plane.sum() < LEAST_SHARE * len(sample):
             break
-        if -found[3] > config.camera_height:
-            found, score = _stood_on(found, sample, config)
-            score *= _upright(found, config)
+        if -found[3] > CAMERA_HEIGHT:
+            found, score = _stood_on(found, sample)
+            score *= _upright(found)
             if score > best:
                 best, plane = score, found
         rest = rest[~on_plane]
@@ -108,31 +96,31 @@ def pose_over_plane(plane: Array) -> Array:
     return T_world_camera
 
 
-def band_at(points: Array, config: SupportPlaneConfig) -> Array:
+def band_at(points: Array) -> Array:
     """Half the thickness [N] [m] of a plane at points [N, 3], camera frame."""
-    return config.band * np.clip(points[:, 2] ** 2, 0.6, 6.0)
+    return BAND * np.clip(points[:, 2] ** 2, 0.6, 6.0)
 
 
-def _largest_plane(points: Array, config: SupportPlaneConfig) -> tuple[Array, NDArray[np.bool_]]:
+def _largest_plane(points: Array) -> tuple[Array, NDArray[np.bool_]]:
     """The plane [4] through most points, its normal towards the camera, and a mask of these."""
     import open3d as o3d
 
     o3d.utility.random.seed(0)
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    equation, _ = cloud.segment_plane(config.band, 3, config.iterations)
+    equation, _ = cloud.segment_plane(BAND, 3, ITERATIONS)
     plane = np.array([*equation[:3], -equation[3]]) / np.linalg.norm(equation[:3])
     if plane[3] > 0:  # the camera, at the origin, is on the other side
         plane = -plane
-    return plane, np.abs(points @ plane[:3] - plane[3]) < band_at(points, config)
+    return plane, np.abs(points @ plane[:3] - plane[3]) < band_at(points)
 
 
-def _upright(plane: Array, config: SupportPlaneConfig) -> float:
+def _upright(plane: Array) -> float:
     """Weight of a plane by whether the top of the image shows what is up there."""
     upward = float(plane[:3] @ [0.0, -1.0, 0.0])
-    return 1.0 if upward > np.cos(config.roll) else config.overhead
+    return 1.0 if upward > np.cos(ROLL) else OVERHEAD
 
 
-def _stood_on(plane: Array, sample: Array, config: SupportPlaneConfig) -> tuple[Array, float]:
+def _stood_on(plane: Array, sample: Array) -> tuple[Array, float]:
     """The plane [4], fitted to its nearest region, and its score as a table.
 
     The score is the product of the points on the table and those of objects that touch it, both
@@ -141,27 +129,27 @@ def _stood_on(plane: Array, sample: Array, config: SupportPlaneConfig) -> tuple[
     """
     for _ in range(3):
         height = sample @ plane[:3] - plane[3]
-        flat = np.abs(height) < band_at(sample, config)
+        flat = np.abs(height) < band_at(sample)
         if flat.sum() < 50:
             return plane, 0.0
         plane = _fitted(sample[flat])
     height = sample @ plane[:3] - plane[3]
-    flat = np.abs(height) < band_at(sample, config)
-    about = np.abs(height) < 3 * band_at(sample, config)
-    if flat.sum() < config.flatness * about.sum():
+    flat = np.abs(height) < band_at(sample)
+    about = np.abs(height) < 3 * band_at(sample)
+    if flat.sum() < FLATNESS * about.sum():
         return plane, 0.0
     level = (pose_over_plane(plane)[:3, :3] @ sample.T).T[:, :2]
-    region = _main_region(level, flat, config.cell)
+    region = _main_region(level, flat, CELL)
     if region is None:
         return plane, 0.0
-    above = (height > 1.5 * band_at(sample, config)) & (height < config.tallest) & region(level)
+    above = (height > 1.5 * band_at(sample)) & (height < TALLEST) & region(level)
     table = float(_centrality(sample[flat]).sum())
     things = 0.001 * table
     if above.sum() >= 20:
         label, counts = clusters(sample[above], 0.03)
         lowest = np.full(len(counts), np.inf)
         np.minimum.at(lowest, label, height[above])
-        stands = lowest < 0.03 + config.band
+        stands = lowest < 0.03 + BAND
         things += float(_centrality(sample[above])[stands[label]].sum())
     return plane, table * min(things, table)
 

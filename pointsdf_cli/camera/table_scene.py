@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import DepthWindow, MeshCaster
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import (
     apply_transform,
@@ -22,9 +21,25 @@ from pointsdf_cli.geometry.frames import (
     random_rotation,
     transform,
 )
-from pointsdf_cli.geometry.stable_poses import StablePose, StandingConfig, draw_pose
+from pointsdf_cli.geometry.stable_poses import StablePose, draw_pose
 
 NOTHING, OBJECT, TABLE, OTHER = 0, 1, 2, 3
+
+
+DISTANCE = (0.4, 1.6)
+"""Distance from the camera to the object's centre [m]."""
+ELEVATION = (0.2, 1.3)
+"""Elevation of the camera above the table [rad]."""
+BESIDE = 0.3
+"""Share of the neighbours between the object and the camera."""
+GAP = 0.12
+"""Largest gap between a neighbour and the object [m]."""
+TABLE_RADIUS = (0.1, 1.0)
+"""Distance from the object to the table's edge [m]."""
+WALL_BEHIND = (0.3, 2.5)
+"""Distance of the wall behind the object [m]."""
+MARGIN = 0.45
+"""Margin around the object's box in the image, as a share of its longer side."""
 
 
 @dataclass(frozen=True)
@@ -32,40 +47,20 @@ class SceneConfig:
     """Distribution of scenes.
 
     Attributes:
-        resting: Share of scenes in which the object rests on a table; in the others it is turned
-            at random and stands in the void.
+        resting: Share of scenes in which the object rests on a table; in the others it is turned at
+            random and stands in the void.
         leaning: Share of the objects on a table that are tilted out of their stable pose, as if
             they leaned on something.
         lean: Angle of this tilt [rad].
-        distance: Distance from the camera to the object's centre [m].
-        elevation: Elevation of the camera above the table [rad].
         neighbours: Largest number of bodies around the object.
-        beside: Share of the neighbours between the object and the camera.
-        gap: Largest gap between a neighbour and the object [m].
-        table_radius: Distance from the object to the table's edge [m].
         wall: Share of scenes with a wall; without one, space beyond the table returns no depth.
-        wall_behind: Distance of the wall behind the object [m].
-        margin: Margin around the object's box in the image, as a share of its longer side.
     """
 
     resting: float = 0.85
     leaning: float = 0.35
     lean: tuple[float, float] = (0.1, 0.9)
-    distance: tuple[float, float] = (0.4, 1.6)
-    elevation: tuple[float, float] = (0.2, 1.3)
     neighbours: int = 3
-    beside: float = 0.3
-    gap: float = 0.12
-    table_radius: tuple[float, float] = (0.1, 1.0)
     wall: float = 0.6
-    wall_behind: tuple[float, float] = (0.3, 2.5)
-    margin: float = 0.45
-
-    def __post_init__(self) -> None:
-        for name in ("lean", "distance", "elevation", "table_radius", "wall_behind"):
-            low, high = getattr(self, name)
-            if not 0 < low <= high:
-                raise InputError(f"{name} from {low} to {high}", allowed="two numbers above 0")
 
 
 @dataclass(frozen=True)
@@ -107,7 +102,7 @@ def draw_scene(
         rng: Random generator.
     """
     centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    distance = rng.uniform(*config.distance)
+    distance = rng.uniform(*DISTANCE)
     # Off the image's centre by up to a quarter of its half width.
     aim = rng.uniform(-0.25, 0.25, 2) * [camera.width / camera.fx, camera.height / camera.fy] / 2
     place = distance * np.array([*aim, 1.0])
@@ -115,13 +110,13 @@ def draw_scene(
         rotation = random_rotation(rng)
         pose = transform(rotation, place - rotation @ centre)
         return _compose(caster, pose, None, [], camera, config, rng)
-    index, _ = draw_pose(poses, StandingConfig(standing=0.6), rng)
+    index, _ = draw_pose(poses, 0.6, rng)
     T_table_object = _turned(rng.uniform(0, 2 * np.pi)) @ poses[index].T_table_object
     if rng.random() < config.leaning:
         T_table_object = _leaning(T_table_object, vertices, rng.uniform(*config.lean))
     resting = apply_transform(T_table_object, vertices)
     middle = (resting.min(axis=0) + resting.max(axis=0)) / 2
-    T_camera_table = _camera_from_table(rng.uniform(*config.elevation), rng.normal(0, 0.05))
+    T_camera_table = _camera_from_table(rng.uniform(*ELEVATION), rng.normal(0, 0.05))
     T_camera_table[:3, 3] = place - T_camera_table[:3, :3] @ middle
     bodies = _neighbours(resting, T_camera_table, config, rng)
     return _compose(
@@ -170,11 +165,11 @@ def _neighbours(
             body = trimesh.creation.cylinder(size[0] / 2, size[2], sections=24)
         else:
             body = trimesh.creation.icosphere(2, size[0] / 2)
-        in_front = rng.random() < config.beside
+        in_front = rng.random() < BESIDE
         azimuth = towards + rng.normal(0, 0.5) if in_front else rng.uniform(0, 2 * np.pi)
         body.apply_transform(_turned(rng.uniform(0, 2 * np.pi)))
         own = float(np.linalg.norm(body.vertices[:, :2], axis=1).max())
-        away = reach + own + rng.uniform(0.003, config.gap)
+        away = reach + own + rng.uniform(0.003, GAP)
         foot = middle + away * np.array([np.cos(azimuth), np.sin(azimuth)])
         body.apply_translation([*foot, -body.vertices[:, 2].min()])
         bodies.append(body)
@@ -191,7 +186,7 @@ def _compose(
     rng: np.random.Generator,
 ) -> Scene:
     """The nearest of everything in each pixel."""
-    bounds = caster.window_around(T_camera_object, config.margin)
+    bounds = caster.window_around(T_camera_object, MARGIN)
     alone = caster.cast_window(T_camera_object, window=bounds)
     depth, cosine = alone.depth.copy(), alone.cosine.copy()
     label = np.where(np.isfinite(depth), OBJECT, NOTHING).astype(np.uint8)
@@ -211,7 +206,7 @@ def _compose(
             table = np.where(down < -1e-6, plane[3] / down, np.inf)
         foot = T_camera_object[:3, 3] - (normal @ T_camera_object[:3, 3] - plane[3]) * normal
         away = _length(rays * np.where(np.isfinite(table), table, 0)[..., None] - foot)
-        radius = rng.uniform(*config.table_radius)
+        radius = rng.uniform(*TABLE_RADIUS)
         table = np.where((table > 0) & (away < radius), table, np.inf)
         _put(depth, cosine, label, table, np.abs(down) / length, TABLE)
     if bodies:
@@ -221,7 +216,7 @@ def _compose(
         )
         _put(depth, cosine, label, others.depth, others.cosine, OTHER)
     if rng.random() < config.wall:
-        behind = float(T_camera_object[2, 3]) + rng.uniform(*config.wall_behind)
+        behind = float(T_camera_object[2, 3]) + rng.uniform(*WALL_BEHIND)
         _put(depth, cosine, label, np.full(depth.shape, behind), 1.0 / length, OTHER)
     window = DepthWindow(alone.origin, depth, cosine)
     return Scene(window, label, object_alone, T_camera_object, plane)

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from pointsdf_cli.camera.concave_split import SplitConfig, standing_parts
-from pointsdf_cli.camera.hollow import HollowConfig, whole_bowls
-from pointsdf_cli.camera.segmentation import SegmentationConfig, clusters, find_table
+from pointsdf_cli.camera.concave_split import standing_parts
+from pointsdf_cli.camera.hollow import whole_bowls
+from pointsdf_cli.camera.segmentation import (
+    FEWEST,
+    GAP,
+    PLANE_BAND,
+    SegmentationConfig,
+    clusters,
+    find_table,
+)
 from pointsdf_cli.camera.table_relief import table_relief
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -25,29 +32,16 @@ VOXEL = 0.0025
 """Side of the voxels to which clouds are thinned [m]: finer than a depth camera's noise."""
 
 
-@dataclass(frozen=True)
-class ThingsConfig:
-    """Thresholds of an object on the table.
-
-    Attributes:
-        segmentation: Workspace, table and gaps.
-        thickest_band: Largest thickness of the table's band [m]; from `segmentation.plane_band` at
-            1 m it grows with the square of the distance from the camera, as noise does.
-        floating: Height [m] of its lowest point above which a part floats.
-        bridge: Largest distance [m] from a floating part to the object that it is joined to: the
-            camera did not see their connection.
-        hollow: Settings for completing bowls.
-        flattest: Least height of an object [m]; lower groups are unevenness of the table.
-        split: Settings for separating objects that touch.
-    """
-
-    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
-    thickest_band: float = 0.015
-    floating: float = 0.03
-    bridge: float = 0.05
-    hollow: HollowConfig = field(default_factory=HollowConfig)
-    flattest: float = 0.008
-    split: SplitConfig = field(default_factory=SplitConfig)
+THICKEST_BAND = 0.015
+"""Largest thickness of the table's band [m]; from `PLANE_BAND` at 1 m it grows with
+the square of the distance from the camera, as noise does."""
+FLOATING = 0.03
+"""Height [m] of its lowest point above which a part floats."""
+BRIDGE = 0.05
+"""Largest distance [m] from a floating part to the object that it is joined to: the camera did not
+see their connection."""
+FLATTEST = 0.008
+"""Least height of an object [m]; lower groups are unevenness of the table."""
 
 
 @dataclass(frozen=True)
@@ -99,34 +93,35 @@ class Things:
         return int(self.label.max(initial=-1)) + 1
 
 
-def find_things(points: Array, camera: Array, config: ThingsConfig | None = None) -> Things:
+def find_things(
+    points: Array, camera: Array, workspace: SegmentationConfig | None = None
+) -> Things:
     """Crop to the workspace, remove the table, and group the remaining points.
 
     Args:
         points: [N, 3], world, m, one a voxel of a few millimetres; finite.
         camera: [3], position of the camera in the world, m.
-        config: Thresholds.
+        workspace: Corners of the workspace.
     """
-    config = config or ThingsConfig()
-    usual = config.segmentation
+    workspace = workspace or SegmentationConfig()
     label = np.full(len(points), OUTSIDE, dtype=np.int64)
-    index = np.flatnonzero(strictly_inside(points, usual.low, usual.high))
+    index = np.flatnonzero(strictly_inside(points, workspace.low, workspace.high))
     inside = points[index]
-    plane = find_table(inside, usual)
+    plane = find_table(inside)
     height = inside[:, 2] if plane is None else inside @ plane[:3] - plane[3]
     above = np.ones(len(index), dtype=bool)
     if plane is not None:
-        band = _band(inside, camera, config)
+        band = _band(inside, camera)
         height = height - table_relief(inside[:, :2], height, band)
         above = height > band
     label[index[~above]] = TABLE
     low, index, height = index[~above], index[above], height[above]
     if not len(index):
         return Things(label, plane)
-    own, counts = clusters(points[index], usual.gap)
+    own, counts = clusters(points[index], GAP)
     bowls: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
     if plane is not None:
-        own, floor = whole_bowls(points[index], own, points[low], camera, config.hollow)
+        own, floor = whole_bowls(points[index], own, points[low], camera)
         # From here on, floors take part in the grouping.
         is_floor = floor >= 0
         bowls = np.unique(floor[is_floor])
@@ -134,14 +129,14 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
         height = np.concatenate([height, points[low[is_floor]] @ plane[:3] - plane[3]])
         own = np.concatenate([own, floor[is_floor]])
         counts = np.bincount(own, minlength=len(counts))
-        flat = _flat(height, own, counts, config)
+        flat = _flat(height, own, counts)
         label[index[flat]] = TABLE
         index, height, own = index[~flat], height[~flat], own[~flat]
         counts = np.bincount(own, minlength=len(counts))
         if not len(index):
             return Things(label, plane)
-    own = _bridged(points[index], height, own, counts, config, plane is not None)
-    big = np.flatnonzero(np.bincount(own, minlength=len(counts)) >= usual.fewest)
+    own = _bridged(points[index], height, own, counts, plane is not None)
+    big = np.flatnonzero(np.bincount(own, minlength=len(counts)) >= FEWEST)
     label[index] = LOOSE
     unsplit: set[int] = set()
     count = 0
@@ -149,9 +144,7 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
         mine = np.flatnonzero(own == one)
         parts, doubtful = np.zeros(len(mine), dtype=np.int64), frozenset[int]()
         if one not in bowls:  # the valley between a bowl's walls parts nothing
-            parts, doubtful = standing_parts(
-                points[index[mine]], height[mine], camera, config.split
-            )
+            parts, doubtful = standing_parts(points[index[mine]], height[mine], camera)
         label[index[mine]] = count + parts
         unsplit |= {count + part for part in doubtful}
         count += int(parts.max()) + 1
@@ -159,20 +152,20 @@ def find_things(points: Array, camera: Array, config: ThingsConfig | None = None
 
 
 def nearest_thing(
-    points: Array, camera: Array, place: Array, config: ThingsConfig | None = None
+    points: Array, camera: Array, place: Array
 ) -> tuple[NDArray[np.bool_], Array | None]:
     """Mask [N] of the object nearest to a place, and the table's plane.
 
     Args:
         points: [N, 3], a dense cloud, world, m; finite.
-        camera, config: As for `find_things`.
+        camera: [3], position of the camera in the world, m.
         place: [3], world, m.
 
     Raises:
         InputError: Nothing stands on the table.
     """
     few = thin(points, VOXEL)
-    found = find_things(points[few.first], camera, config)
+    found = find_things(points[few.first], camera)
     things = found.label >= 0
     if not things.any():
         raise InputError("no object in the cloud", allowed="an object that stands on the table")
@@ -206,20 +199,17 @@ def masked_thing(mask: NDArray[np.bool_], found: Things) -> Things:
     return Things(label, found.plane)
 
 
-def _band(points: Array, camera: Array, config: ThingsConfig) -> Array:
+def _band(points: Array, camera: Array) -> Array:
     """Height above the plane [N] below which points belong to the table [m]."""
-    band = config.segmentation.plane_band
     distance = np.linalg.norm(points - camera, axis=1)
-    grown: Array = np.clip(band * distance**2, band, max(band, config.thickest_band))
+    grown: Array = np.clip(PLANE_BAND * distance**2, PLANE_BAND, THICKEST_BAND)
     return grown
 
 
-def _flat(
-    height: Array, group: NDArray[np.int64], counts: NDArray[np.int64], config: ThingsConfig
-) -> NDArray[np.bool_]:
+def _flat(height: Array, group: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Mask of the points [N] of groups no higher than the table's unevenness."""
     high = np.zeros(len(counts), dtype=np.int64)
-    np.add.at(high, group, height > config.flattest)
+    np.add.at(high, group, height > FLATTEST)
     return high[group] < 0.02 * counts[group]
 
 
@@ -228,7 +218,6 @@ def _bridged(
     height: Array,
     label: NDArray[np.int64],
     counts: NDArray[np.int64],
-    config: ThingsConfig,
     on_table: bool,
 ) -> NDArray[np.int64]:
     """Labels [N] with floating parts assigned to the nearest object, if it is near."""
@@ -236,9 +225,9 @@ def _bridged(
         return label
     lowest = np.full(len(counts), np.inf)
     np.minimum.at(lowest, label, height)
-    few = config.segmentation.fewest // 5
-    floats = (lowest > config.floating) & (counts >= few)
-    standing = (lowest <= config.floating) & (counts >= few)
+    few = FEWEST // 5
+    floats = (lowest > FLOATING) & (counts >= few)
+    standing = (lowest <= FLOATING) & (counts >= few)
     if not floats.any() or not standing.any():
         return label
     joined = label.copy()
@@ -246,6 +235,6 @@ def _bridged(
     tree, owner = scipy.spatial.cKDTree(points[base]), label[base]
     for one in np.flatnonzero(floats):
         distance, nearest = tree.query(points[label == one])
-        if distance.min() <= config.bridge:
+        if distance.min() <= BRIDGE:
             joined[label == one] = owner[nearest[distance.argmin()]]
     return joined

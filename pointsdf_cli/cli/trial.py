@@ -109,23 +109,24 @@ def trial(
     reporter = common.Reporter(quiet, as_json)
 
     from pointsdf_cli.io.batch import run_stage, shard_of
+    from pointsdf_cli.planning.grasp_planner import PlanOptions
+    from pointsdf_cli.planning.grasp_problem import Clearances
+    from pointsdf_cli.planning.planner import PlannerConfig
     from pointsdf_cli.simulation.executor import ExecutorConfig
     from pointsdf_cli.simulation.world import try_robot
     from pointsdf_cli.trials import protocol
-    from pointsdf_cli.trials.clutter import ClutterConfig
     from pointsdf_cli.trials.experiment import make_tasks, write_results
     from pointsdf_cli.trials.planner_variants import VariantOptions
     from pointsdf_cli.trials.run import TrialConfig, run_trial_task
 
     try_robot(load_robot(robot))  # a wrong robot is said once and first, not by every worker
     variants = protocol.planner_variants(method, ablation or [])
-    planning = VariantOptions(
-        solver, robot, checkpoint, grasp_checkpoint,
-        rehearse=rehearse, clearance=clearance, margin=margin,
-    )  # fmt: skip
+    planner = PlannerConfig(solver, Clearances(object=clearance), margin)
+    planning = PlanOptions(
+        robot=robot, checkpoint=checkpoint, grasp_checkpoint=grasp_checkpoint, planner=planner
+    )
     execution = ExecutorConfig(shake=shake, hold=hold, push=push)
-    around = ClutterConfig() if clutter else None
-    config = TrialConfig(planning, execution=execution, sensor=sensor, clutter=around)
+    config = TrialConfig(VariantOptions(planning, rehearse), execution=execution, sensor=sensor)
     common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
     chosen = protocol.choose_objects(meshes, objects, pattern)
     pool = protocol.clutter_pool(meshes, pattern) if clutter else []

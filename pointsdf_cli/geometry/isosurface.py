@@ -32,6 +32,10 @@ class EmptySurfaceError(RgraspError):
     """The field is nowhere negative inside the box, as far as the coarse grid shows."""
 
 
+BATCH = 1 << 16
+"""Number of points evaluated at once."""
+
+
 @dataclass(frozen=True)
 class IsosurfaceConfig:
     """Settings of the search for the zero level.
@@ -47,7 +51,6 @@ class IsosurfaceConfig:
             interpolated.
         smallest_part: Parts that enclose less than this share of the largest part's volume are
             dropped; 1 keeps only the largest, 0 all.
-        batch: Number of points evaluated at once.
     """
 
     resolution: int = 128
@@ -57,7 +60,6 @@ class IsosurfaceConfig:
     asked: int = MAX_RESOLUTION
     newton: bool = True
     smallest_part: float = 0.05
-    batch: int = 1 << 16
 
     def __post_init__(self) -> None:
         fine = [self.coarse << k for k in range(10) if 0 < self.coarse << k <= MAX_RESOLUTION]
@@ -111,7 +113,7 @@ def extract_isosurface(sdf: NetworkField, config: IsosurfaceConfig | None = None
     """
     config = config or IsosurfaceConfig()
     asked = min(config.resolution, config.asked)
-    grid = SampledGrid(sdf, asked, config.half_width, config.batch)
+    grid = SampledGrid(sdf, asked, config.half_width, BATCH)
     corners = find_surface_cells(grid, config.coarse, config.rules)
     if len(corners) == 0:
         raise EmptySurfaceError(

@@ -15,6 +15,12 @@ MARGIN = 1.03
 """Margin factor of the unit box over the object scaled into it (docs/method.md, "object frame")."""
 
 
+WIDE_VARIANCE, NEAR_VARIANCE = 0.0025, 0.00025
+"""Variances of the Gaussian jitter on surface points."""
+BOX = 0.6
+"""Uniform points lie in ±box about the centre of the bounding box."""
+
+
 @dataclass(frozen=True)
 class SamplingConfig:
     """Numbers and places of a mesh's labelled points.
@@ -23,20 +29,15 @@ class SamplingConfig:
 
     Attributes:
         points: All of them together.
-        wide_variance, near_variance: Variances of the Gaussian jitter on surface points.
         wide_share, near_share: Fractions of the points; the rest is uniform.
-        box: Uniform points lie in ±box about the centre of the bounding box.
 
     Raises:
         InputError: A value is out of its range.
     """
 
     points: int = 50_000
-    wide_variance: float = 0.0025
-    near_variance: float = 0.00025
     wide_share: float = 0.4
     near_share: float = 0.4
-    box: float = 0.6
 
     def __post_init__(self) -> None:
         if not 100 <= self.points <= 50_000_000:
@@ -90,19 +91,19 @@ def sample_sdf(
     uniform = config.points - wide - near
     points = np.empty((config.points, 3), dtype=np.float32)
     start = 0
-    for count, variance in ((wide, config.wide_variance), (near, config.near_variance)):
+    for count, variance in ((wide, WIDE_VARIANCE), (near, NEAR_VARIANCE)):
         surface, _ = sample_surface(vertices, faces, count, rng)
         jitter = rng.standard_normal((count, 3), dtype=np.float32)
         points[start : start + count] = surface + np.float32(unit * np.sqrt(variance)) * jitter
         start += count
-    points[start:] = centre + unit * rng.uniform(-config.box, config.box, (uniform, 3))
+    points[start:] = centre + unit * rng.uniform(-BOX, BOX, (uniform, 3))
     sdf = SignedDistance(vertices, faces, threads)(points)
     samples = SdfSamples(
         points=points,
         sdf=sdf,
         inside_fraction=float((sdf < 0).mean()),
         uniform_inside=float((sdf[wide + near :] < 0).mean()) if uniform else 0.0,
-        expected_inside=enclosed_volume(vertices, faces) / (2 * config.box * unit) ** 3,
+        expected_inside=enclosed_volume(vertices, faces) / (2 * BOX * unit) ** 3,
     )
     _refuse_nonsense(samples, uniform)
     return samples

@@ -16,27 +16,12 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
 
-
-@dataclass(frozen=True)
-class StandingConfig:
-    """Distribution of a pose.
-
-    Attributes:
-        firm: Least tilt [rad] at which an object in a firm pose falls over.
-        standing: Probability of the tallest firm pose; otherwise poses have their own probability.
-        equal_height: Relative height difference within which firm poses count as the tallest.
-    """
-
-    firm: float = 0.17
-    standing: float = 0.75
-    equal_height: float = 0.05
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.standing <= 1 or not 0 <= self.firm < np.pi / 2:
-            raise InputError(
-                f"standing = {self.standing}, firm = {self.firm}",
-                allowed="a probability and an angle below π/2",
-            )
+FIRM = 0.17
+"""Least tilt [rad] at which an object in a firm pose falls over."""
+EQUAL_HEIGHT = 0.05
+"""Relative height difference within which firm poses count as the tallest."""
+STANDING = 0.75
+"""Usual probability of the tallest firm pose; otherwise poses have their own probability."""
 
 
 @dataclass(frozen=True)
@@ -127,20 +112,19 @@ def tilt_margin(placed: NDArray[np.float64], mass: NDArray[np.float64]) -> float
 
 
 def draw_pose(
-    poses: list[StablePose], config: StandingConfig, rng: np.random.Generator
+    poses: list[StablePose], standing: float, rng: np.random.Generator
 ) -> tuple[int, bool]:
     """An index into `poses`, and whether it was drawn as standing."""
-    candidates = standing_poses(poses, config)
-    wants_standing = rng.random() < config.standing
+    candidates = standing_poses(poses)
+    wants_standing = rng.random() < standing
     if candidates and wants_standing:
         return int(rng.choice(candidates)), True
     weights = np.array([pose.probability for pose in poses])
     return int(rng.choice(len(poses), p=weights / weights.sum())), False
 
 
-def standing_poses(poses: list[StablePose], config: StandingConfig | None = None) -> list[int]:
-    """Indices of the firm poses that are, within `equal_height`, the tallest."""
-    config = config or StandingConfig()
-    firm = [i for i, pose in enumerate(poses) if pose.margin >= config.firm]
+def standing_poses(poses: list[StablePose]) -> list[int]:
+    """Indices of the firm poses that are, within `EQUAL_HEIGHT`, the tallest."""
+    firm = [i for i, pose in enumerate(poses) if pose.margin >= FIRM]
     tallest = max((poses[i].height for i in firm), default=0.0)
-    return [i for i in firm if poses[i].height >= (1 - config.equal_height) * tallest]
+    return [i for i in firm if poses[i].height >= (1 - EQUAL_HEIGHT) * tallest]

@@ -2,13 +2,66 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.target import Target
+
+if TYPE_CHECKING:
+    from pointsdf_cli.simulation.rehearsal import Rehearsed
+
+Surface = tuple[Array, NDArray[np.int32]]
+"""Vertices [V, 3] m and faces [F, 3]."""
+
+
+@dataclass(frozen=True)
+class PlanNotes:
+    """Content of a plan that the search does not know.
+
+    Attributes:
+        warnings: Sentences about implausible input, appended to the plan's sentence.
+        timings: Seconds by further stage; read after the search.
+        surface: Whether the plan holds the object's surface.
+    """
+
+    warnings: Sequence[str] = ()
+    timings: Mapping[str, float] = field(default_factory=dict)
+    surface: bool = False
+
+
+NO_NOTES = PlanNotes()
+
+
+class Choice(Protocol):
+    """Choice among the accepted grasps of one object (rehearsed.py).
+
+    Attributes:
+        surface: The surface on which it is made.
+        timings: Seconds by stage so far.
+    """
+
+    surface: Surface
+
+    @property
+    def timings(self) -> dict[str, float]: ...
+
+    def stop(self, new: list[Candidate]) -> bool:
+        """Whether the candidates of a round end the search."""
+
+    def ranked(self, accepted: list[Candidate]) -> list[Candidate]:
+        """The candidates to search motions for, in this order."""
+
+    def of(self, chosen: Candidate | None) -> Rehearsed | None:
+        """Rehearsal of the chosen candidate; None without one."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +94,15 @@ class Answer:
         target: The object as a constraint and a score; None without an object.
         reconstruction: Reconstruction of the cloud; None in partial-view grasping, or without an
             object.
+        rehearsed: Rehearsal of the chosen grasp; None without one.
+        surface: Surface on which grasps were rehearsed; None without rehearsals.
     """
 
     plan: Plan
     target: Target | None
     reconstruction: Reconstruction | None
+    rehearsed: Rehearsed | None = None
+    surface: Surface | None = None
 
     @property
     def candidates(self) -> Array:

@@ -2,43 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.robot.arm_chain import ArmChain
 
-
-@dataclass(frozen=True)
-class ApproachConfig:
-    """Settings of the straight approach.
-
-    Attributes:
-        length: Length of the straight stretch [m].
-        shortest: Least length of an approach [m].
-        step: Spacing of the inverse kinematics solutions along it [m].
-        deviation: Largest deviation of the palm from the straight line between them [m].
-    """
-
-    length: float = 0.08
-    shortest: float = 0.03
-    step: float = 0.01
-    deviation: float = 0.001
-
-    def __post_init__(self) -> None:
-        if not 0 < self.step <= self.shortest <= self.length or self.deviation <= 0:
-            raise InputError(f"{self}", allowed="0 < step ≤ shortest ≤ length, deviation > 0")
+LENGTH = 0.08
+"""Length of the straight stretch [m]: fingers then start outside of most objects."""
+SHORTEST = 0.03
+"""Least length of an approach [m]."""
+STEP = 0.01
+"""Spacing of the inverse kinematics solutions along it [m]."""
+DEVIATION = 0.001
+"""Largest deviation of the palm from the straight line between them [m]."""
 
 
-def retreat(
-    checker: PathChecker,
-    chain: ArmChain,
-    q: Array,
-    config: ApproachConfig | None = None,
-) -> Array | None:
+def retreat(checker: PathChecker, chain: ArmChain, q: Array) -> Array | None:
     """Straight retreat from a grasp: configurations [T, J], the grasp first.
 
     Directions are tried in turn until one is free for its full length: against the palm's normal,
@@ -48,9 +28,8 @@ def retreat(
         q: [J], the grasp.
 
     Returns:
-        None if no direction is free for `config.shortest`.
+        None if no direction is free for `SHORTEST`.
     """
-    config = config or ApproachConfig()
     robot = checker.kinematics.robot
     rotation, _, _ = chain.palm_and_jacobian(q[None, robot.arm])
     x, z = rotation[0, :, 0], rotation[0, :, 2]
@@ -60,30 +39,24 @@ def retreat(
         length = np.linalg.norm(way)
         if length < 0.3:  # the terms cancel: another direction says the same
             continue
-        path = _straight(checker, chain, q, way / length, config)
+        path = _straight(checker, chain, q, way / length)
         if best is None or len(path) > len(best):
             best = path
-        if len(path) > config.length / config.step:
+        if len(path) > LENGTH / STEP:
             break
-    if best is None or (len(best) - 1) * config.step < config.shortest - 1e-9:
+    if best is None or (len(best) - 1) * STEP < SHORTEST - 1e-9:
         return None
     return best
 
 
-def _straight(
-    checker: PathChecker,
-    chain: ArmChain,
-    q: Array,
-    way: Array,
-    config: ApproachConfig,
-) -> Array:
+def _straight(checker: PathChecker, chain: ArmChain, q: Array, way: Array) -> Array:
     """Collision-free beginning of a straight path [T, J], in steps of equal length."""
     robot = checker.kinematics.robot
     arm = q[robot.arm]
     rotation, position, _ = chain.palm_and_jacobian(arm[None])
     path = [arm]
-    for k in range(1, round(config.length / config.step) + 1):
-        goal = position[0] + k * config.step * way
+    for k in range(1, round(LENGTH / STEP) + 1):
+        goal = position[0] + k * STEP * way
         solved = _follow(chain, path[-1], rotation[0], goal)
         if (
             solved is None
@@ -91,7 +64,7 @@ def _straight(
         ):
             break
         _, middle, _ = chain.palm_and_jacobian((path[-1] + solved)[None] / 2)
-        if np.linalg.norm(middle[0] - (goal - config.step / 2 * way)) > config.deviation:
+        if np.linalg.norm(middle[0] - (goal - STEP / 2 * way)) > DEVIATION:
             break
         path.append(solved)
     whole = np.tile(q, (len(path), 1))

@@ -13,7 +13,7 @@ by the seen points alone, meshed at 32³, and judges by an encoder that learned 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, Protocol
@@ -30,26 +30,30 @@ from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.planning.answer import Answer, PerceivedObject
+from pointsdf_cli.planning.answer import (
+    NO_NOTES,
+    Answer,
+    Choice,
+    PerceivedObject,
+    PlanNotes,
+    Surface,
+)
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed, given_constraint, unseen_support
 from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.grasp_problem import Clearances
-from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.option_checks import METHODS as METHODS
 from pointsdf_cli.planning.option_checks import (
     PARTIAL_VIEW,
     RECONSTRUCTION,
-    check_speed,
 )
-from pointsdf_cli.planning.plan_artifact import no_plan
-from pointsdf_cli.planning.planner import MARGIN, SUCCESSIVE_HALVING, Planner, PlannerConfig, Rank
+from pointsdf_cli.planning.plan_artifact import no_plan, plan_of
+from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.reasons import few_grasps, too_large
 from pointsdf_cli.planning.resampled_views import redrawn
 from pointsdf_cli.planning.screen import narrowest
 from pointsdf_cli.planning.seeds import EITHER, GraspSampler
-from pointsdf_cli.planning.synthesis import StopCondition, SynthesisConfig
+from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import (
     EmptyFieldError,
     Target,
@@ -59,11 +63,9 @@ from pointsdf_cli.planning.target import (
     kept_off,
     reconstructed_object,
     seen_object,
+    surface_of,
 )
-from pointsdf_cli.planning.timing import TimingConfig
 from pointsdf_cli.robot.description import RobotDescription, load_robot
-
-"""PointSDF-Scratch, the success network of partial-view grasping, where it is bundled."""
 
 LOW_OBJECT = 0.03
 """An object lower than this [m] is grasped from the top first, as the paper's heuristic does."""
@@ -83,45 +85,41 @@ class SuccessModel(Protocol):
         the object's field in the world for features of its geometry."""
 
 
+Choose = Callable[
+    [Planner, PerceivedObject, Environment | None, int, Surface | None], Choice | None
+]
+"""Function from planner, object, environment, seed and surface (None for the reconstruction's) to
+the choice for this object; None for the planner's own choice."""
+
+
 @dataclass(frozen=True)
 class PlanOptions:
     """Options that are fixed before any cloud is read.
 
     Attributes:
         method: One of `METHODS`.
-        solver: "sqp" or "slsqp".
         kind: "side", "top", or "auto": the more promising; low objects from the top first.
         robot: YAML file of the robot; the bundled one if None.
         checkpoint: Reconstruction network; the bundled one if None.
         grasp_checkpoint: Success network; the method's bundled one if None.
-        clearances: Least distances.
-        margin: Preferred distance to the object [m].
-        successive_halving: Iterations after which the worse half of the seeds stops.
         device: Device of the networks.
-        synthesis: Effort of the search, and thresholds of a good grasp.
-        speed: Share of the joints' speed limits that the motion uses.
+        planner: Solver, distances, effort and speed.
         resampled_views: Further samples of the cloud's points to complete, for the resampled-view
             check.
     """
 
     method: str = RECONSTRUCTION
-    solver: str = "sqp"
     kind: str = "auto"
     robot: Path | None = None
     checkpoint: Path | None = None
     grasp_checkpoint: Path | None = None
-    clearances: Clearances = field(default_factory=Clearances)
-    margin: float = MARGIN
-    successive_halving: tuple[int, ...] = SUCCESSIVE_HALVING
     device: str = "cpu"
-    synthesis: SynthesisConfig = field(default_factory=SynthesisConfig)
-    speed: float = 0.5
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
     resampled_views: int = 0
 
     def __post_init__(self) -> None:
         require_choice(self.method, choices.Method, "--method")
         require_choice(self.kind, choices.GraspKind, "--kind")
-        check_speed(self.speed)
 
 
 class GraspPlanner:
@@ -130,30 +128,25 @@ class GraspPlanner:
     Args:
         options: Options; the defaults if None.
         grasps: The success network to use instead of a checkpoint's.
+        choose: Choice among accepted grasps; the best by the objective if None.
 
     Raises:
         InputError: The robot or a checkpoint cannot be used.
     """
 
     def __init__(
-        self, options: PlanOptions | None = None, grasps: SuccessModel | None = None
+        self,
+        options: PlanOptions | None = None,
+        grasps: SuccessModel | None = None,
+        choose: Choose | None = None,
     ) -> None:
         self.options = options = options or PlanOptions()
         self.robot = load_robot(options.robot)
-        self.planner = Planner(
-            self.robot,
-            PlannerConfig(
-                solver=options.solver,
-                clearances=options.clearances,
-                margin=options.margin,
-                successive_halving=options.successive_halving,
-                synthesis=options.synthesis,
-                motion=MotionConfig(timing=TimingConfig(speed=options.speed)),
-            ),
-        )
+        self.planner = Planner(self.robot, options.planner)
         self._reconstructs = options.method == RECONSTRUCTION
         self._shape = load_model(options.checkpoint, options.device) if self._reconstructs else None
         self._grasps = grasps or _success_network(options, self.robot)
+        self._choose = choose
 
     def doubts(self) -> list[str]:
         """Sentences about what makes all plans doubtful."""
@@ -231,7 +224,7 @@ class GraspPlanner:
         start: Array | None = None,
         seed: int = 0,
         field: Field | Literal["none"] | None = None,
-        rank: Rank | None = None,
+        notes: PlanNotes = NO_NOTES,
     ) -> Answer:
         """Plan configuration and motion, or find the reason why there is none.
 
@@ -241,7 +234,7 @@ class GraspPlanner:
             start: [J], the robot's present configuration; its home if None.
             seed: Random seed; equal seeds give equal plans.
             field: As in `see`.
-            rank: As in `Planner.plan`.
+            notes: Further content of the plan.
 
         Raises:
             InputError: The start is not a configuration within the joint limits.
@@ -250,8 +243,8 @@ class GraspPlanner:
             table = environment is None or environment.table
             perceived = self.see(views, seed, field, table)
         except EmptyFieldError as error:
-            return self.nothing(error.what)
-        return self.plan_seen(perceived, environment, start, seed, rank)
+            return self.nothing(error.what, notes)
+        return self.plan_seen(perceived, environment, start, seed, notes=notes)
 
     def plan_seen(
         self,
@@ -259,22 +252,48 @@ class GraspPlanner:
         environment: Environment | None = None,
         start: Array | None = None,
         seed: int = 0,
-        rank: Rank | None = None,
-        stop: StopCondition | None = None,
+        surface: Surface | None = None,
+        notes: PlanNotes = NO_NOTES,
     ) -> Answer:
-        """Plan as `plan` does, for a perceived object, so that `rank` and `stop` may use it."""
-        search = self.search(perceived.points)
-        plan = self.planner.plan(perceived.target, environment, start, seed, search, rank, stop)
-        timings = {**perceived.timings, **plan.timings}
+        """Plan as `plan` does, for a perceived object.
+
+        Args:
+            perceived: Result of `see`.
+            environment, start, seed, notes: As in `plan`.
+            surface: Surface to rehearse on instead of the reconstruction's, world frame.
+        """
+        points, choice = perceived.points, None
+        if self._choose is not None:
+            choice = self._choose(self.planner, perceived, environment, seed, surface)
+        outcome = self.planner.search(
+            perceived.target,
+            environment,
+            start,
+            seed,
+            self.search(points),
+            rank=None if choice is None else choice.ranked,
+            stop=None if choice is None else choice.stop,
+        )
+        found = outcome.found
+        if found.reason not in ("", "inverse_kinematics", "motion") and self.too_large(points):
+            reason, sentence = too_large(narrowest(points), self.planner.geometry.hand.span)
+            found = replace(found, reason=reason, sentence=sentence)
+        timings = {**perceived.timings, **outcome.timings}
         timings["configuration"] += sum(perceived.timings.values())
-        if plan.reason not in ("", "inverse_kinematics", "motion") and self.too_large(
-            perceived.points
-        ):
-            reason, sentence = too_large(
-                narrowest(perceived.points), self.planner.geometry.hand.span
-            )
-            plan = replace(plan, reason=reason, sentence=sentence)
-        return Answer(replace(plan, timings=timings), perceived.target, perceived.reconstruction)
+        timings |= ({} if choice is None else choice.timings) | dict(notes.timings)
+        drawn = None
+        if notes.surface:
+            began = time.perf_counter()
+            drawn = surface_of(perceived.target)
+            timings["surface"] = time.perf_counter() - began
+        outcome = replace(outcome, found=found, timings=timings)
+        return Answer(
+            plan_of(outcome, notes.warnings, drawn),
+            perceived.target,
+            perceived.reconstruction,
+            None if choice is None else choice.of(outcome.best),
+            None if choice is None else choice.surface,
+        )
 
     def too_large(self, points: Array) -> bool:
         """Whether an object seen at points [N, 3] is wider than the opened hand in all
@@ -283,7 +302,7 @@ class GraspPlanner:
 
     def search(self, points: Array) -> SynthesisConfig:
         """Search settings for an object seen at points [N, 3] of the world."""
-        search = replace(self.options.synthesis, kinds=self.kinds(points))
+        search = replace(self.options.planner.synthesis, kinds=self.kinds(points))
         if not self.too_large(points):
             return search
         # It may have a rim or a handle, but a long search seldom finds it, and a grasp that
@@ -299,9 +318,11 @@ class GraspPlanner:
             return ("top", EITHER)
         return (EITHER,)
 
-    def nothing(self, what: str) -> Answer:
+    def nothing(self, what: str, notes: PlanNotes = NO_NOTES) -> Answer:
         """Answer for a cloud that shows no object."""
-        return Answer(no_plan(self.robot, "no_object", f"{what[0].upper()}{what[1:]}."), None, None)
+        sentence = f"{what[0].upper()}{what[1:]}."
+        plan = no_plan(self.robot, "no_object", sentence, notes.warnings, notes.timings)
+        return Answer(plan, None, None)
 
 
 def _success_network(options: PlanOptions, robot: RobotDescription) -> SuccessModel:

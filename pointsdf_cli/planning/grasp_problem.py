@@ -25,7 +25,7 @@ from pointsdf_cli.planning.contacts import WORLD, ContactJacobian, Contacts, Pos
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.nonlinear import Evaluation
 from pointsdf_cli.planning.object_distance import ObjectDistances
-from pointsdf_cli.planning.objective import Cost, GraspScore, Objective, ObjectiveConfig
+from pointsdf_cli.planning.objective import Cost, GraspScore, Objective
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.variables import Variables
 
@@ -72,7 +72,6 @@ class GraspProblem:
         field: Field of the object for the solver: the network, or a grid of it.
         environment: Obstacles and table.
         clearances: Margins.
-        objective: α and β.
         critical: Number of constraints that `evaluate` reports for each configuration.
         slope: Largest slope of the field.
         reach: Distances to the object up to this [m] are computed; larger ones are bounded below.
@@ -85,7 +84,6 @@ class GraspProblem:
         field: Field,
         environment: Environment | None = None,
         clearances: Clearances | None = None,
-        objective: ObjectiveConfig | None = None,
         critical: int = 32,
         slope: float = 1.0,
         reach: float = 0.05,
@@ -95,7 +93,7 @@ class GraspProblem:
         self.lower, self.upper = self.variables.lower, self.variables.upper
         self.clearances = clearances or Clearances()
         self.geometry, self.environment = geometry, environment or Environment()
-        self.objective = Objective(kinematics, self.variables, score, objective)
+        self.objective = Objective(kinematics, self.variables, score)
         self.bodies = BodyDistances(geometry, self.environment)
         self.object = ObjectDistances(geometry, field, reach, slope)
         self._jacobian = ContactJacobian(kinematics)

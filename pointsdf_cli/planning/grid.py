@@ -28,6 +28,10 @@ from pointsdf_cli.planning.fields import SeenField
 _CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
+SLOPE = 1.0
+"""L, the largest slope of the field: 1 for a distance; measured for a network."""
+
+
 @dataclass(frozen=True)
 class GridConfig:
     """Resolution of the grid.
@@ -37,19 +41,15 @@ class GridConfig:
         levels: Number of levels; each halves the cells of the one before.
         band: The field is sampled on the finest level wherever its absolute value is below this
             [m].
-        slope: L, the largest slope of the field: 1 for a distance; measured for a network.
     """
 
     step: float = 0.004
     levels: int = 4
     band: float = 0.004
-    slope: float = 1.0
 
     def __post_init__(self) -> None:
-        if not (self.step > 0 and 1 <= self.levels <= 8 and self.band >= 0 and self.slope > 0):
-            raise InputError(
-                f"the grid {self}", allowed="step > 0, 1 to 8 levels, band ≥ 0, slope > 0"
-            )
+        if not (self.step > 0 and 1 <= self.levels <= 8 and self.band >= 0):
+            raise InputError(f"the grid {self}", allowed="step > 0, 1 to 8 levels, band ≥ 0")
 
 
 class GridField:
@@ -124,7 +124,7 @@ class GridField:
         return self._values, self._low
 
     def _build(self, field: Field, cells: NDArray[np.int64], step: float) -> None:
-        slope, band = self.config.slope, self.config.band
+        slope, band = SLOPE, self.config.band
         exact = np.ones(cells + 1, dtype=bool)
         values = self._ask(field, np.argwhere(exact), step).reshape(exact.shape)
         error = np.zeros(exact.shape)
@@ -185,7 +185,7 @@ class GridField:
             error = errors[:, 0] + (errors[:, 1] - errors[:, 0]) * x
             t = np.minimum(t, 1.0)  # rounding may carry the last cell's end beyond it
             spread = np.sqrt((t * (1 - t)).sum(axis=1))
-            error = error + spread * (self.config.step * self.config.slope)
+            error = error + spread * (self.config.step * SLOPE)
         beyond = points - inside
         gap = np.sqrt((beyond**2).sum(axis=1))
         out = gap > 0

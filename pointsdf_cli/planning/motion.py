@@ -6,7 +6,7 @@ all along (`path_check.py`), by one validator for planning, shortcutting and the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from ompl import base as ob
@@ -15,11 +15,17 @@ from ompl import util as ou
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.planning.approach import ApproachConfig, retreat
+from pointsdf_cli.planning.approach import retreat
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
+from pointsdf_cli.planning.option_checks import check_speed
 from pointsdf_cli.planning.path_check import PathChecker
-from pointsdf_cli.planning.timing import TimingConfig, Trajectory, time_path
+from pointsdf_cli.planning.timing import Trajectory, time_path
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+
+LONGEST_EDGE = 0.8
+"""Longest edge of the tree [rad]: longer ones are seldom free."""
+SHORTCUTS = 30
+"""Rounds of shortcutting: more shorten the path no further."""
 
 
 @dataclass(frozen=True)
@@ -30,22 +36,15 @@ class MotionConfig:
         attempts: Searches with another seed each (the paper: three).
         looks: Configurations that a search may look at. A limit in seconds, even of processor time,
             would make plans depend on the machine and on what else runs there.
-        range: Longest edge of the tree [rad].
-        shortcuts: Rounds of shortcutting.
-        approach: The last stretch.
-        timing: Speeds.
+        speed: Share of the joints' speed limits.
     """
 
     attempts: int = 3
     looks: int = 8000
-    range: float = 0.8
-    shortcuts: int = 30
-    approach: ApproachConfig = field(default_factory=ApproachConfig)
-    timing: TimingConfig = field(default_factory=TimingConfig)
+    speed: float = 0.5
 
     def __post_init__(self) -> None:
-        if min(self.attempts, self.looks) < 1 or self.range <= 0 or self.shortcuts < 0:
-            raise InputError(f"{self}", allowed="attempts and looks ≥ 1, range above 0")
+        check_speed(self.speed)
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ def plan_motion(
         raise InputError("the start is outside of the joint limits", where="--start")
     if checker.slack(start[None])[0] < 0:
         return _failed("the robot touches something where it starts", 0)
-    back = retreat(checker, kinematics.chain, goal, config.approach)
+    back = retreat(checker, kinematics.chain, goal)
     if back is None:
         return _failed("no straight way leads out of the grasp", 0)
     shaped = goal.copy()
@@ -102,7 +101,7 @@ def plan_motion(
             continue
         corners = np.concatenate([start[None], middle, back[::-1][1:]])
         return Motion(
-            trajectory=time_path(corners, robot.velocity, config.timing),
+            trajectory=time_path(corners, robot.velocity, config.speed),
             corners=corners,
             failure="",
             attempts=attempt + 1,
@@ -151,7 +150,7 @@ def _connect(
         first[j], last[j] = float(start[column]), float(goal[column])
     problem.setStartAndGoalStates(first, last)
     planner = og.RRTConnect(information)
-    planner.setRange(config.range)
+    planner.setRange(LONGEST_EDGE)
     planner.setProblemDefinition(problem)
     planner.setup()
     most = checker.looked_at + config.looks
@@ -161,9 +160,8 @@ def _connect(
         return None
     path = problem.getSolutionPath()
     simplifier = og.PathSimplifier(information)
-    if config.shortcuts:
-        simplifier.reduceVertices(path)
-        simplifier.partialShortcutPath(path, config.shortcuts, config.shortcuts, 0.33, 0.005)
+    simplifier.reduceVertices(path)
+    simplifier.partialShortcutPath(path, SHORTCUTS, SHORTCUTS, 0.33, 0.005)
     corners = np.array([whole(path.getState(i)) for i in range(path.getStateCount())])
     corners[0], corners[-1] = start, goal
     return corners if checker.is_free(corners) else None

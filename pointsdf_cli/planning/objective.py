@@ -8,14 +8,12 @@ paper prints max(β − s, 0)², which is zero for bad grasps; s is a cost: it m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.variables import Variables
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -34,23 +32,10 @@ class GraspScore(Protocol):
         """log g [B] of preshape joints [B, K] and palm poses [B, 4, 4] in the world."""
 
 
-@dataclass(frozen=True)
-class ObjectiveConfig:
-    """The two numbers of the objective.
-
-    Attributes:
-        alpha: Weight of the prior.
-        beta: The cost is zero for s below this: the grasp is good enough.
-    """
-
-    alpha: float = 0.5
-    beta: float = -2.0
-
-    def __post_init__(self) -> None:
-        if not (self.alpha >= 0 and np.isfinite(self.beta)):
-            raise InputError(
-                f"alpha = {self.alpha}, beta = {self.beta}", allowed="alpha ≥ 0, finite beta"
-            )
+ALPHA = 0.5
+"""Weight of the prior."""
+BETA = -2.0
+"""The cost is zero for s below this: the grasp is good enough."""
 
 
 class Cost(NamedTuple):
@@ -84,9 +69,7 @@ class Objective:
         kinematics: Kinematics,
         variables: Variables,
         score: GraspScore,
-        config: ObjectiveConfig | None = None,
     ) -> None:
-        self.config = config or ObjectiveConfig()
         self._kinematics, self._variables, self._score = kinematics, variables, score
 
     def __call__(self, x: Array) -> Cost:
@@ -97,7 +80,7 @@ class Objective:
             preshape = self._variables.preshape(leaf)
             success = self._score.log_success(preshape, palm).to(leaf.dtype)
             prior = self._score.log_prior(preshape, palm).to(leaf.dtype)
-            residual = (-success - self.config.alpha * prior - self.config.beta).clamp(min=0)
+            residual = (-success - ALPHA * prior - BETA).clamp(min=0)
             (gradient,) = torch.autograd.grad(residual.sum(), leaf)
         r = residual.detach().numpy()
         return Cost(r**2, r, gradient.numpy(), success.detach().numpy(), prior.detach().numpy())
@@ -108,5 +91,5 @@ class Objective:
         with torch.no_grad():
             success = self._score.log_success(hand, palm).double()
             prior = self._score.log_prior(hand, palm).double()
-        residual = (-success - self.config.alpha * prior - self.config.beta).clamp(min=0)
+        residual = (-success - ALPHA * prior - BETA).clamp(min=0)
         return np.asarray(residual.square().numpy())

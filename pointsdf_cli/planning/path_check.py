@@ -10,13 +10,11 @@ for all pairs are halved, down to a resolution finer than the thinnest link.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.bodies import BodyDistances
@@ -33,21 +31,10 @@ KEPT = 512
 """Configurations whose distances are kept: those of the trees of one search; 14 kB each."""
 
 
-@dataclass(frozen=True)
-class PathCheckConfig:
-    """Resolution of the check.
-
-    Attributes:
-        resolution: Ways on which nothing moves farther than this [m] are not halved any more.
-        batch: Configurations looked at together.
-    """
-
-    resolution: float = 0.001
-    batch: int = 64
-
-    def __post_init__(self) -> None:
-        if not 0 < self.resolution <= 0.01 or self.batch < 1:
-            raise InputError(f"{self}", allowed="resolution above 0 and at most 0.01 m, batch ≥ 1")
+RESOLUTION = 0.001
+"""Ways on which nothing moves farther than this [m] are not halved any more."""
+BATCH = 64
+"""Configurations looked at together."""
 
 
 class PathChecker:
@@ -59,7 +46,6 @@ class PathChecker:
             object's clearance.
         environment: Obstacles and table.
         clearances: Least distances.
-        config: Resolution.
         bodies: Distances to this environment, where they are made already.
 
     Attributes:
@@ -72,10 +58,8 @@ class PathChecker:
         field: Field,
         environment: Environment | None = None,
         clearances: Clearances | None = None,
-        config: PathCheckConfig | None = None,
         bodies: BodyDistances | None = None,
     ) -> None:
-        self.config = config or PathCheckConfig()
         kinematics = self.kinematics = geometry.kinematics
         clearances = clearances or Clearances()
         self._object = ObjectDistances(geometry, field)
@@ -141,8 +125,8 @@ class PathChecker:
         keys = [(row.tobytes(), asked) for row in np.ascontiguousarray(q)]
         new = {key: b for b, key in enumerate(keys) if key not in self._kept}
         fresh = list(new.values())
-        for begin in range(0, len(fresh), self.config.batch):
-            some = fresh[begin : begin + self.config.batch]
+        for begin in range(0, len(fresh), BATCH):
+            some = fresh[begin : begin + BATCH]
             rows = np.repeat(np.arange(len(some)), len(columns))
             poses = Poses(*self.kinematics.poses(q[some]))
             found = self._distances(poses, rows, np.tile(columns, len(some)))
@@ -208,7 +192,7 @@ class PathChecker:
 
     def _in_doubt(self, a: Array, b: Array, motion: Array) -> NDArray[np.bool_]:
         """Mask of the pairs that slacks at both ends and the motion between do not prove free."""
-        return np.asarray((a + b < motion) & (motion > self.config.resolution))
+        return np.asarray((a + b < motion) & (motion > RESOLUTION))
 
     def _halved(self, doubt: _Doubt, ways: int, slack: Array) -> _Doubt:
         """Remaining doubt on the first and, `ways` rows later, on the second halves.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,30 +11,44 @@ from numpy.typing import NDArray
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.plans import NO_PLAN, OK, AcceptedGrasps, Plan, RejectedSeeds
 from pointsdf_cli.planning.acceptance import Candidate
+from pointsdf_cli.planning.answer import Surface
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.motion import Motion
+from pointsdf_cli.planning.plan_request import as_sentences
 from pointsdf_cli.planning.synthesis import Synthesis
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
 
 
-def plan_of(
-    problem: GraspProblem,
-    chain: ArmChain,
-    found: Synthesis,
-    best: Candidate | None,
-    motion: Motion | None,
-    timings: Mapping[str, float],
-) -> Plan:
-    """Make the plan: the best candidate with its motion, or the reason in `found`.
+@dataclass(frozen=True)
+class Outcome:
+    """Result of a search with motions.
 
-    Args:
+    Attributes:
         problem: Problem with the exact field and the requested clearances.
         chain: Kinematics of the arm, for the palm's pose.
         found: Result of the search.
         best, motion: Chosen grasp and its motion; both None without a plan.
         timings: Seconds by stage.
     """
+
+    problem: GraspProblem
+    chain: ArmChain
+    found: Synthesis
+    best: Candidate | None
+    motion: Motion | None
+    timings: Mapping[str, float] = field(default_factory=dict)
+
+
+def plan_of(outcome: Outcome, warnings: Sequence[str] = (), surface: Surface | None = None) -> Plan:
+    """Make the plan: the chosen grasp with its motion, or the reason for none.
+
+    Args:
+        outcome: Result of the search.
+        warnings: Sentences to append to its sentence.
+        surface: The object's surface, world frame; None for none.
+    """
+    problem, found, best, motion = outcome.problem, outcome.found, outcome.best, outcome.motion
     robot = problem.kinematics.robot
     joints, links = len(robot.joint_names), shaped_links(robot)
     q, T_world_palm = np.full(joints, np.nan), np.full((4, 4), np.nan)
@@ -41,17 +56,18 @@ def plan_of(
     trajectory, times, lift = np.zeros((0, joints)), np.zeros(0), np.zeros((0, joints))
     if best is not None and motion is not None and motion.trajectory is not None:
         q = best.q
-        T_world_palm = chain.palm(q)
+        T_world_palm = outcome.chain.palm(q)
         _, contacts = problem.measuring().contacts(best.x[None], gradients=False)
         distance = contacts.distance[0]
         to_object = link_clearance(problem, distance, links, problem.is_object)
         to_table = link_clearance(problem, distance, links, problem.is_table)
         trajectory, times = motion.trajectory.positions, motion.trajectory.times
         lift = lift if motion.lift is None else motion.lift
+    vertices, faces = (np.zeros((0, 3)), np.zeros((0, 3))) if surface is None else surface
     return Plan(
         status=OK if best is not None else NO_PLAN,
         reason=found.reason,
-        sentence=found.sentence,
+        sentence=with_warnings(found.sentence, warnings),
         joint_names=robot.joint_names,
         q=q,
         trajectory=trajectory,
@@ -61,24 +77,32 @@ def plan_of(
         success_probability=best.success if best is not None else float("nan"),
         objective=best.objective if best is not None else float("nan"),
         seeds_tried=found.seeds_tried,
-        timings=timings,
+        timings=outcome.timings,
         link_names=links,
         link_clearance_object=to_object,
         link_clearance_table=to_table,
         accepted=_accepted(joints, found.accepted),
         rejected=_rejected(joints, found.rejected),
         lift=lift,
+        object_vertices=np.asarray(vertices, dtype=np.float32),
+        object_faces=np.asarray(faces, dtype=np.int32),
     )
 
 
-def no_plan(robot: RobotDescription, reason: str, sentence: str) -> Plan:
+def no_plan(
+    robot: RobotDescription,
+    reason: str,
+    sentence: str,
+    warnings: Sequence[str] = (),
+    timings: Mapping[str, float] | None = None,
+) -> Plan:
     """Make a plan artifact with a reason only: nothing could be tried."""
     joints, links = len(robot.joint_names), shaped_links(robot)
     nothing = np.full(len(links), np.nan)
     return Plan(
         status=NO_PLAN,
         reason=reason,
-        sentence=sentence,
+        sentence=with_warnings(sentence, warnings),
         joint_names=robot.joint_names,
         q=np.full(joints, np.nan),
         trajectory=np.zeros((0, joints)),
@@ -88,13 +112,18 @@ def no_plan(robot: RobotDescription, reason: str, sentence: str) -> Plan:
         success_probability=float("nan"),
         objective=float("nan"),
         seeds_tried=0,
-        timings={},
+        timings=timings or {},
         link_names=links,
         link_clearance_object=nothing,
         link_clearance_table=nothing,
         accepted=AcceptedGrasps.none(joints),
         rejected=RejectedSeeds.none(joints),
     )
+
+
+def with_warnings(sentence: str, warnings: Sequence[str]) -> str:
+    """A plan's sentence followed by warnings."""
+    return f"{sentence} {as_sentences(warnings)}".strip()
 
 
 def shaped_links(robot: RobotDescription) -> tuple[str, ...]:

@@ -18,13 +18,12 @@ from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
-from pointsdf_cli.planning.grid import GridConfig, GridField
+from pointsdf_cli.planning.grid import GridField
 from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion
 from pointsdf_cli.planning.nonlinear import Solver
-from pointsdf_cli.planning.objective import ObjectiveConfig
 from pointsdf_cli.planning.option_checks import check_distance
 from pointsdf_cli.planning.path_check import PathChecker
-from pointsdf_cli.planning.plan_artifact import plan_of
+from pointsdf_cli.planning.plan_artifact import Outcome, plan_of
 from pointsdf_cli.planning.reasons import explain, warning
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.slsqp import Slsqp
@@ -66,6 +65,11 @@ BRIEFLY = 3
 """Number of candidates that get a brief motion search before any gets a thorough one."""
 
 
+BEYOND = 0.0025
+"""The exact field is evaluated wherever the sampled field minus its bound exceeds the clearance by
+less than this [m]."""
+
+
 @dataclass(frozen=True)
 class PlannerConfig:
     """Options of a planner, independent of the object.
@@ -76,23 +80,14 @@ class PlannerConfig:
         clearances: Least distances.
         margin: Preferred distance to the object [m] for solver and motion; distances down to the
             clearance are accepted.
-        grid: Grid of the object's field for `sqp`.
         successive_halving: Iterations of `sqp` after which the worse half of the seeds stops.
-        lift_height: Height [m] to which the arm should be able to raise the hand: such grasps are
-            preferred. 0 asks for no lift.
-        beyond: The exact field is evaluated wherever the sampled field minus its bound exceeds the
-            clearance by less than this [m].
-        objective, synthesis, motion: Options of the stages.
+        synthesis, motion: Options of the stages.
     """
 
     solver: str = "sqp"
     clearances: Clearances = field(default_factory=Clearances)
     margin: float = MARGIN
-    grid: GridConfig = KEPT_GRID
     successive_halving: tuple[int, ...] = SUCCESSIVE_HALVING
-    lift_height: float = 0.15
-    beyond: float = 0.0025
-    objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
     synthesis: SynthesisConfig = field(default_factory=SynthesisConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
 
@@ -125,15 +120,13 @@ class Planner:
         inside = Clearances(*(value + SOLVER_MARGIN for value in vars(wanted).values()))
         quick, polish = target.field, target.field
         if config.solver == "sqp":
-            grid = target.kept or GridField(target.field, target.low, target.high, config.grid)
-            beyond = inside.object + config.beyond
+            grid = target.kept or GridField(target.field, target.low, target.high, KEPT_GRID)
+            beyond = inside.object + BEYOND
             quick, polish = grid, RefinedField(grid, target.field, beyond)
 
         # Only what is too near decides; a network need not be asked about the rest.
         reach = max(asked.object + 0.005, config.margin, PREFERRED_SLACK)
-        searched = GraspProblem(
-            self.geometry, target.score, quick, environment, inside, config.objective
-        )
+        searched = GraspProblem(self.geometry, target.score, quick, environment, inside)
         exact = searched.asking(target.field, asked, reach)
         if polish is quick:
             return Problems(searched, exact, searched)
@@ -149,6 +142,19 @@ class Planner:
         rank: Rank | None = None,
         stop: StopCondition | None = None,
     ) -> Plan:
+        """Plan with the result of `search`, which describes the arguments and errors."""
+        return plan_of(self.search(target, environment, start, seed, search, rank, stop))
+
+    def search(
+        self,
+        target: Target,
+        environment: Environment | None = None,
+        start: Array | None = None,
+        seed: int = 0,
+        search: SynthesisConfig | None = None,
+        rank: Rank | None = None,
+        stop: StopCondition | None = None,
+    ) -> Outcome:
         """Configuration and motion, or the reason why there is none.
 
         Args:
@@ -195,7 +201,7 @@ class Planner:
         with one_thread():  # a few configurations at a time: nothing to share out
             best, motion, found = self._with_motion(checker, found, start, seed)
         timings["motion"] = time.perf_counter() - began
-        return plan_of(problems.exact, self.inverse.chain, found, best, motion, timings)
+        return Outcome(problems.exact, self.inverse.chain, found, best, motion, timings)
 
     def _motion_to(
         self, checker: PathChecker, candidate: Candidate, start: Array, seed: int, thorough: bool
@@ -239,7 +245,7 @@ class Planner:
             if motion.trajectory is None:
                 continue
             lift = self._lift(checker, candidate)
-            if lift is not None or not self.config.lift_height:
+            if lift is not None:
                 return candidate, replace(motion, lift=lift), _taken(found, best, k, stuck)
             stuck[k] = motion
         if stuck:
@@ -265,8 +271,8 @@ class Planner:
 
     def _lift(self, checker: PathChecker, candidate: Candidate) -> Array | None:
         """Joint path [K, J] by which the arm raises the hand from a grasp, touching nothing but the
-        object; None if it cannot, or need not."""
-        height, chain, robot = self.config.lift_height, self.inverse.chain, self.robot
+        object; None if it cannot."""
+        robot = self.robot
         beside = checker.beside_object()  # the object comes along
 
         def whole(path: Array) -> Array:
@@ -277,7 +283,7 @@ class Planner:
         def free(path: Array) -> bool:
             return beside.is_free(whole(path))
 
-        path = lift_path(chain, robot, candidate.q, height, free) if height else None
+        path = lift_path(self.inverse.chain, robot, candidate.q, free=free)
         return None if path is None else whole(path)
 
 

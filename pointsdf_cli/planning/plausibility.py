@@ -7,11 +7,10 @@ table, an object in the air. The planner would plan for it without complaint.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from pointsdf_cli.camera.segmentation import SegmentationConfig, clusters, find_table
+from pointsdf_cli.camera.segmentation import clusters, find_table
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -62,15 +61,14 @@ def require_table_at_zero(
 def table_elsewhere(world: Array) -> float | None:
     """Height [m] of a table seen away from z = 0; None without one, or if one is near z = 0."""
     world = world[:: max(1, len(world) // 20_000)]
-    config = SegmentationConfig()
     near = np.abs(world[:, 2]) < OTHER_TABLE
-    if not near.any() or find_table(world, config) is not None:
+    if not near.any() or find_table(world) is not None:
         return None
     counts, edges = np.histogram(world[near, 2], np.arange(-OTHER_TABLE, OTHER_TABLE, 0.01))
     for k in np.argsort(-counts)[:5]:
         middle = (edges[k] + edges[k + 1]) / 2
         # The share of what is near it that lies on it: an object's side does not.
-        plane = find_table(world - [0, 0, middle], replace(config, plane_share=0.6))
+        plane = find_table(world - [0, 0, middle], share=0.6)
         if plane is not None and not _is_top_of_a_body(world, float(middle + plane[3])):
             return float(middle + plane[3])
     return None

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pointsdf_cli.camera.segmentation import SegmentationConfig, find_table
+from pointsdf_cli.camera.segmentation import find_table
 from pointsdf_cli.camera.support_plane import find_support_plane
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -60,7 +60,7 @@ def require_no_mistaken_pose(cloud: Cloud, name: str) -> None:
     points = points[:: max(1, len(points) // SAMPLE)]
     if len(points) < FEWEST or float(np.median(points[:, 2])) > FARTHEST:
         return  # too few points for a table, or another unit: told by the checks that follow
-    if find_table(apply_transform(pose, points), SegmentationConfig()) is not None:
+    if find_table(apply_transform(pose, points)) is not None:
         return
     try:
         plane = find_support_plane(points)

@@ -16,7 +16,6 @@ from pointsdf_cli.camera.things import (
     TABLE,
     VOXEL,
     Things,
-    ThingsConfig,
     find_things,
     masked_thing,
 )
@@ -146,7 +145,7 @@ def sort_scene(
     camera = cloud.T_world_camera[:3, 3]
     own = np.zeros(len(world), dtype=bool) if on_robot is None else on_robot(world)
     label = np.full(len(world), ROBOT, dtype=np.int64)
-    found = find_things(world[~own], camera, ThingsConfig(workspace))
+    found = find_things(world[~own], camera, workspace)
     label[~own] = found.label
     things = Things(label, found.plane, found.unsplit)
     if cloud.mask is not None:

@@ -33,6 +33,17 @@ class GraspSampler(Protocol):
         kind without a component."""
 
 
+SHARE = 0.75
+"""Share of the palms chosen by the hand-only screening; the rest are random, so that the arm is
+not asked for one place only."""
+ELBOWS = 3
+"""Largest number of elbow positions evaluated for each palm."""
+LOWEST_PALM = 0.02
+"""Least height of a palm's origin above the table [m]."""
+VIOLATION_WEIGHT = 300.0
+"""Cost per metre of violation when seeds are ranked."""
+
+
 @dataclass(frozen=True)
 class SeedConfig:
     """Numbers of samples.
@@ -40,28 +51,12 @@ class SeedConfig:
     Attributes:
         drawn: Grasps drawn from the prior in a round.
         palms: Number of them handed to inverse kinematics.
-        share: Share of those palms chosen by the hand-only screening; the rest are random, so that
-            the arm is not asked for one place only.
         seeds: Number of configurations passed to the solver.
-        elbows: Largest number of elbow positions evaluated for each palm.
-        lowest_palm: Least height of a palm's origin above the table [m].
-        violation_weight: Cost per metre of violation when seeds are ranked.
     """
 
     drawn: int = 192
     palms: int = 32
-    share: float = 0.75
     seeds: int = 8
-    elbows: int = 3
-    lowest_palm: float = 0.02
-    violation_weight: float = 300.0
-
-    def __post_init__(self) -> None:
-        counts = (self.palms, self.seeds, self.elbows)
-        if min(counts) < 1 or self.violation_weight <= 0 or not 0 <= self.share <= 1:
-            raise InputError(
-                f"{self}", allowed="counts ≥ 1, share from 0 to 1, violation_weight > 0"
-            )
 
 
 @dataclass(frozen=True)
@@ -100,7 +95,7 @@ def draw_seeds(
     draws = [prior.sample(one, each, rng) for one in wanted]
     preshape, palm = (np.concatenate(part) for part in zip(*draws, strict=True))
     kinds = np.repeat(wanted, [len(one) for one, _ in draws])
-    above = (palm[:, 2, 3] >= config.lowest_palm) | (not problem.environment.table)
+    above = (palm[:, 2, 3] >= LOWEST_PALM) | (not problem.environment.table)
     preshape, palm, kinds = preshape[above], palm[above], kinds[above]
     n = problem.variables.count
     if not len(palm):
@@ -111,14 +106,14 @@ def draw_seeds(
     rows, elbows = np.nonzero(found.reached)
     keep = np.zeros(len(rows), dtype=bool)
     for row in np.unique(rows):
-        keep[np.flatnonzero(rows == row)[: config.elbows]] = True
+        keep[np.flatnonzero(rows == row)[:ELBOWS]] = True
     rows, elbows = rows[keep], elbows[keep]
     x = np.hstack([found.arm[rows, elbows], preshape[rows]])
     x = np.clip(x, problem.lower, problem.upper)
     if not len(x):
         return Seeds(x, (), SeedStatistics(len(above), int(above.sum())))
     slack = np.minimum(0.0, np.stack(list(problem.residuals(x))))
-    rank = problem.cost(x).value - config.violation_weight * slack.sum(axis=0)
+    rank = problem.cost(x).value - VIOLATION_WEIGHT * slack.sum(axis=0)
     # One seed a palm while there are palms: two elbows of one palm converge to similar solutions.
     order = np.argsort(rank, kind="stable")
     first = np.unique(rows[order], return_index=True)[1]
@@ -142,9 +137,9 @@ def _promising(
     if len(palm) <= config.palms:
         return palm, np.arange(len(palm))
     depth = depth_in(problem.object.field, outline, palm)
-    rank = problem.objective.of_palms(preshape, palm) + config.violation_weight * depth
+    rank = problem.objective.of_palms(preshape, palm) + VIOLATION_WEIGHT * depth
     order = np.argsort(rank, kind="stable")
-    best = round(config.share * config.palms)
+    best = round(SHARE * config.palms)
     others = rng.permutation(order[best:])[: config.palms - best]
     return palm, np.concatenate([order[:best], others])
 

@@ -15,7 +15,7 @@ import scipy
 import trimesh
 from numpy.typing import NDArray
 
-from pointsdf_cli.camera.segmentation import clusters
+from pointsdf_cli.camera.segmentation import FEWEST, GAP, clusters
 from pointsdf_cli.camera.things import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
@@ -27,7 +27,7 @@ from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.environment import Obstacle
-from pointsdf_cli.planning.scene import WORKSPACE, Scene, sighting
+from pointsdf_cli.planning.scene import Scene, sighting
 from pointsdf_cli.planning.table_top import WIDEST, TableTop, level_width, view_of
 
 RESOLUTION = 32
@@ -117,7 +117,7 @@ def completed(network: ShapeModel, view: View, seed: int = 0) -> list[Surface]:
     return [(vertices, faces), *hulls(missed, FEWEST_MISSED, to_table=False)]
 
 
-def hulls(points: Array, fewest: int = WORKSPACE.fewest, to_table: bool = True) -> list[Surface]:
+def hulls(points: Array, fewest: int = FEWEST, to_table: bool = True) -> list[Surface]:
     """The convex hull of each cluster of points.
 
     Args:
@@ -128,7 +128,7 @@ def hulls(points: Array, fewest: int = WORKSPACE.fewest, to_table: bool = True) 
     found: list[Surface] = []
     if not len(points):
         return found
-    label, counts = clusters(points, WORKSPACE.gap)
+    label, counts = clusters(points, GAP)
     for k in np.flatnonzero(counts >= fewest):
         cluster = points[label == k]
         foot = cluster[: len(cluster) * to_table] * [1.0, 1.0, 0.0]

@@ -2,44 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.nonlinear import Evaluation, Problem, Solutions
 
-
-@dataclass(frozen=True)
-class SlsqpConfig:
-    """Limits of the solver.
-
-    Attributes:
-        iterations: Largest number of iterations of one start.
-        tolerance: SciPy's `ftol`.
-        feasible: Largest violation that counts as none.
-    """
-
-    iterations: int = 100
-    tolerance: float = 1e-6
-    feasible: float = 1e-4
-
-    def __post_init__(self) -> None:
-        if self.iterations < 1 or self.tolerance <= 0 or self.feasible < 0:
-            raise InputError(f"{self}", allowed="iterations ≥ 1, tolerance > 0, feasible ≥ 0")
+ITERATIONS = 100
+"""Largest number of iterations of one start."""
+TOLERANCE = 1e-6
+"""SciPy's `ftol`."""
+FEASIBLE = 1e-4
+"""Largest violation that counts as none."""
 
 
 class Slsqp:
     """SLSQP with the constraints' minimum over each link (the paper's way)."""
 
-    def __init__(self, config: SlsqpConfig | None = None) -> None:
-        self.config = config or SlsqpConfig()
-
     def solve(self, problem: Problem, starts: Array, iterations: int | None = None) -> Solutions:
         """See `nonlinear.Solver`."""
-        most = iterations or self.config.iterations
+        most = iterations or ITERATIONS
         results = [self._one(problem, start, most) for start in starts]
         x = np.array([r[0] for r in results]).reshape(starts.shape)
         final = problem.evaluate_grouped(x)
@@ -47,7 +29,7 @@ class Slsqp:
             x=x,
             objective=final.objective,
             violation=final.violation,
-            converged=np.array([r[1] for r in results]) & (final.violation <= self.config.feasible),
+            converged=np.array([r[1] for r in results]) & (final.violation <= FEASIBLE),
             evaluations=sum(r[2] for r in results),
         )
 
@@ -64,7 +46,7 @@ class Slsqp:
                 "jac": lambda x: memory(x).jacobian[0],
             },
             method="SLSQP",
-            options={"maxiter": iterations, "ftol": self.config.tolerance},
+            options={"maxiter": iterations, "ftol": TOLERANCE},
         )
         x = np.clip(result.x, problem.lower, problem.upper)
         return x, bool(result.success), memory.count

@@ -16,11 +16,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.nonlinear import Evaluation, Problem, Solutions
 from pointsdf_cli.planning.step_qp import StepQp
+
+LARGEST_RADIUS = 0.5
+"""Largest trust region."""
+PENALTY = 1e3
+"""μ, cost per unit of violation; raised tenfold (twice at most) if a start converges to an
+infeasible point."""
+LEAST_KEPT = 2
+"""Smallest number of starts that always continue."""
+FEASIBLE = 1e-4
+"""Largest violation that counts as none."""
+DAMPING = 1e-3
+"""Constant added to the Hessian model's diagonal."""
 
 
 @dataclass(frozen=True)
@@ -32,38 +43,18 @@ class SqpConfig:
         radius: First trust region: largest change of a variable in one step. Near the object larger
             steps are rejected, each after a wasted iteration.
         smallest_radius: Trust region below which a start has converged.
-        largest_radius: Largest trust region.
-        penalty: μ, cost per unit of violation; raised tenfold (twice at most) if a start converges
-            to an infeasible point.
         tolerance: Predicted improvement of φ below which a start has converged; a share of the
             objective if that is above 1. Plans are accepted below an objective of 5, so hundredths
             do not matter.
         successive_halving: Iterations after which the worse half of the starts stops. The result of
             a start then depends on the others.
-        least_kept: Smallest number of starts that always continue.
-        feasible: Largest violation that counts as none.
-        damping: Constant added to the Hessian model's diagonal.
     """
 
     iterations: int = 20
     radius: float = 0.05
     smallest_radius: float = 1e-4
-    largest_radius: float = 0.5
-    penalty: float = 1e3
     tolerance: float = 1e-2
-    feasible: float = 1e-4
-    damping: float = 1e-3
     successive_halving: tuple[int, ...] = ()
-    least_kept: int = 2
-
-    def __post_init__(self) -> None:
-        radii = 0 < self.smallest_radius < self.radius <= self.largest_radius
-        positive = min(self.penalty, self.tolerance, self.damping) > 0 and self.feasible >= 0
-        if self.iterations < 1 or not radii or not positive:
-            raise InputError(
-                f"{self}",
-                allowed="iterations ≥ 1, 0 < smallest_radius < radius ≤ largest_radius, others > 0",
-            )
 
 
 class Sqp:
@@ -80,9 +71,9 @@ class Sqp:
         count, n = x.shape
         now = _copy(problem.evaluate(x))
         evaluations = count
-        rest = np.tile(config.damping * np.eye(n), (count, 1, 1))
+        rest = np.tile(DAMPING * np.eye(n), (count, 1, 1))
         radius = np.full(count, config.radius)
-        penalty = np.full(count, config.penalty)
+        penalty = np.full(count, PENALTY)
         done, ended = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
         for turn in range(iterations or config.iterations):
             stop_if_cancelled()
@@ -106,7 +97,7 @@ class Sqp:
             gain = (before - after) / np.maximum(promised, 1e-300)
             better = (gain > 1e-3) & (after < before)
             length = np.abs(trial - x[live]).max(axis=1)
-            grown = np.minimum(2 * radius[live], config.largest_radius)
+            grown = np.minimum(2 * radius[live], LARGEST_RADIUS)
             radius[live] = np.where(
                 gain < 0.25,
                 0.4 * np.minimum(radius[live], np.maximum(length, config.smallest_radius)),
@@ -123,15 +114,15 @@ class Sqp:
             x=x,
             objective=now.objective,
             violation=now.violation,
-            converged=done & (now.violation <= config.feasible),
+            converged=done & (now.violation <= FEASIBLE),
             evaluations=evaluations,
         )
 
     def _worse(self, now: Evaluation, times: int) -> np.ndarray:
         """Mask [B] of the starts that stop after `times` halvings: all but the best."""
         count = len(now.objective)
-        kept = max(self.config.least_kept, -(-count // 2**times))
-        phi = _penalised(now, np.full(count, self.config.penalty))
+        kept = max(LEAST_KEPT, -(-count // 2**times))
+        phi = _penalised(now, np.full(count, PENALTY))
         worse = np.zeros(count, dtype=bool)
         worse[np.argsort(phi, kind="stable")[kept:]] = True
         return worse
@@ -146,8 +137,8 @@ class Sqp:
     ) -> None:
         """Stop starts that can improve no more, or continue them with a higher penalty."""
         config = self.config
-        violated = now.violation[rows] > config.feasible
-        raise_more = violated & (penalty[rows] < 50 * config.penalty)
+        violated = now.violation[rows] > FEASIBLE
+        raise_more = violated & (penalty[rows] < 50 * PENALTY)
         again = rows[raise_more]
         penalty[again] *= 10
         radius[again] = config.radius
@@ -246,9 +237,9 @@ class Sqp:
         y = y - (new.curvature @ s[..., None])[..., 0]
         # The first estimate takes its scale from the first change of slope (Nocedal & Wright 6.20).
         sy, yy = (s * y).sum(axis=1), (y * y).sum(axis=1)
-        fresh = (rest[live] == self.config.damping * np.eye(x.shape[1])).all(axis=(1, 2)) & (sy > 0)
-        scale = np.clip(yy[fresh] / sy[fresh], self.config.damping, 1e6)
-        rest[live[fresh]] *= scale[:, None, None] / self.config.damping
+        fresh = (rest[live] == DAMPING * np.eye(x.shape[1])).all(axis=(1, 2)) & (sy > 0)
+        scale = np.clip(yy[fresh] / sy[fresh], DAMPING, 1e6)
+        rest[live[fresh]] *= scale[:, None, None] / DAMPING
         B = rest[live]
         Bs = (B @ s[..., None])[..., 0]
         sBs = (s * Bs).sum(axis=1)

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.acceptance import (
     AcceptanceConfig,
     Candidate,
@@ -43,32 +42,30 @@ STALLED = 0.8
 """Ratio of a round's best free cost to the best before, above which the round has gained little."""
 
 
+ENOUGH = 2
+"""Number of rounds after which any accepted grasp ends the search, as does a round that gains
+little while all free grasps are poor. Before, only a good grasp does."""
+POLISHED = 3
+"""Largest number of solutions of a round that are solved again with the exact field."""
+POLISH_ITERATIONS = 12
+"""Iterations of that second solution, which starts near its end."""
+
+
 @dataclass(frozen=True)
 class SynthesisConfig:
     """Effort of the search.
 
     Attributes:
         rounds: Rounds of seeds (the paper: up to five).
-        enough: Number of rounds after which any accepted grasp ends the search, as does a round
-            that gains little while all free grasps are poor. Before, only a good grasp does.
-        polished: Largest number of solutions of a round that are solved again with the exact field.
-        polish_iterations: Iterations of that second solution, which starts near its end.
         seeds: Sampling of seeds.
         acceptance: Thresholds of a good grasp.
         kinds: "side", "top" or "either", one a round, in turn.
     """
 
     rounds: int = 5
-    enough: int = 2
-    polished: int = 3
-    polish_iterations: int = 12
     seeds: SeedConfig = field(default_factory=SeedConfig)
     acceptance: AcceptanceConfig = field(default_factory=AcceptanceConfig)
     kinds: tuple[str, ...] = ("side",)
-
-    def __post_init__(self) -> None:
-        if self.rounds < 1 or self.polished < 1 or not self.kinds:
-            raise InputError(f"{self}", allowed="rounds ≥ 1, polished ≥ 1, at least one kind")
 
 
 @dataclass(frozen=True)
@@ -182,9 +179,9 @@ def synthesise(
         if stop is not None:
             if new and stop(new):
                 break
-        elif accepted and (turn + 1 >= config.enough or _any_good(accepted, config)):
+        elif accepted and (turn + 1 >= ENOUGH or _any_good(accepted, config)):
             break
-        if not accepted and turn + 1 >= config.enough and after > STALLED * before:
+        if not accepted and turn + 1 >= ENOUGH and after > STALLED * before:
             break
     return _outcome(accepted, rejected, tried, statistics, config, timings)
 
@@ -208,12 +205,12 @@ def _polish(
         k
         for k, candidate in enumerate(candidates)
         if candidate.object_slack < 0 and candidate.objective < limit
-    ][: config.polished]
+    ][:POLISHED]
     if not again or problems.polish is problems.quick:
         return
     start = time.perf_counter()
     near = np.stack([candidates[k].x for k in again])
-    polished = solver.solve(problems.polish, near, config.polish_iterations).x
+    polished = solver.solve(problems.polish, near, POLISH_ITERATIONS).x
     start = _lap(timings, "polish", start)
     better = judge(problems.exact, polished, config.acceptance, [kinds[k] for k in again])
     for k, candidate in zip(again, better, strict=True):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -13,20 +12,19 @@ import numpy as np
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
-from pointsdf_cli.io.plans import OK, Plan
-from pointsdf_cli.planning.answer import Answer
+from pointsdf_cli.io.plans import OK
+from pointsdf_cli.planning.answer import Answer, PlanNotes
 from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
 from pointsdf_cli.planning.option_checks import RECONSTRUCTION
-from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult, as_sentences
+from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult
 from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
 from pointsdf_cli.planning.scene import WORKSPACE, sort_scene
 from pointsdf_cli.planning.seen_obstacles import seen_obstacles
 from pointsdf_cli.planning.table_top import TableTop, look_at_table, workspace_of
 from pointsdf_cli.planning.take_order import Turn, take_order
-from pointsdf_cli.planning.target import surface_of
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 from pointsdf_cli.robot.start import start_configuration
 
@@ -71,7 +69,7 @@ class TableSession:
             self.camera,
             self.obstacles,
             plain,
-            options.synthesis.acceptance.least,
+            options.planner.synthesis.acceptance.least,
         )
 
 
@@ -146,7 +144,7 @@ def plan_on_table(
     if not (isinstance(target, TargetChoice) and target.any):
         return attempt(target=target, warn=warn)
     turns = _turns(planner, clouds[0], names[0], q, workspace, cleaned)
-    return _first_good(turns, attempt, planner.options.synthesis.acceptance.success, warn)
+    return _first_good(turns, attempt, planner.options.planner.synthesis.acceptance.success, warn)
 
 
 def _plan_for(
@@ -182,8 +180,8 @@ def _plan_for(
         beside, seconds = seen_obstacles(seen, network, [k.name for k in known], seed, cleaned)
         report += _said_of(beside, network is not None, seconds)
         environment = replace(environment, obstacles=(*known, *beside))
-    answer = planner.plan(seen.views, environment, q, seed)
-    answer = replace(answer, plan=_with_remarks(_with_surface(answer, seconds), warnings))
+    notes = PlanNotes(warnings, {"obstacles": seconds}, surface=True)
+    answer = planner.plan(seen.views, environment, q, seed, notes=notes)
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
     return TableSession(
@@ -204,13 +202,6 @@ def _without_object(
     answer = planner.nothing(f"{error.what}; {error.hint or error.allowed}")
     said = (f"{error.where}: {error.what}",)
     return TableSession(answer, said, q, world, camera, environment.obstacles)
-
-
-def _with_remarks(plan: Plan, warnings: Sequence[str]) -> Plan:
-    """A plan whose sentence ends with the warnings."""
-    if not warnings:
-        return plan
-    return replace(plan, sentence=f"{plan.sentence} {as_sentences(warnings)}".strip())
 
 
 def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: bool) -> list[str]:
@@ -282,22 +273,6 @@ def _first_good(
         for sentence in session.warnings:
             warn(sentence)
     return replace(session, report=(*said, *session.report))
-
-
-def _with_surface(answer: Answer, obstacles: float) -> Plan:
-    """The plan with the reconstructed surface, and the time [s] that the obstacles took."""
-    began = time.perf_counter()
-    surface = None if answer.target is None else surface_of(answer.target)
-    timings = {**answer.plan.timings, "obstacles": obstacles}
-    if surface is None:
-        return replace(answer.plan, timings=timings)
-    timings = {**timings, "surface": time.perf_counter() - began}
-    return replace(
-        answer.plan,
-        timings=timings,
-        object_vertices=surface[0].astype(np.float32),
-        object_faces=surface[1],
-    )
 
 
 def table_doubt(height: float | None, clouds: Sequence[Cloud]) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from pointsdf_cli.camera.cleaning import clean
-from pointsdf_cli.camera.segmentation import SegmentationConfig
+from pointsdf_cli.camera.segmentation import FEWEST, SegmentationConfig
 from pointsdf_cli.camera.things import VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
@@ -284,7 +284,7 @@ def chosen_thing(
             f"workspace, {count[2]} on the table, {count[3]} in groups too small, {count[4]} on "
             "the robot",
             where=scene.name,
-            allowed=f"at least {workspace.fewest} points of an object above the table, between "
+            allowed=f"at least {FEWEST} points of an object above the table, between "
             f"{workspace.low} and {workspace.high} m in the world",
             hint="check the camera's pose (--camera-pose), the cloud's unit, or --workspace",
         )

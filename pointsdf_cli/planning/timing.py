@@ -12,30 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 
-
-@dataclass(frozen=True)
-class TimingConfig:
-    """Speed and smoothness of a motion.
-
-    Attributes:
-        speed: Share of the joints' speed limits.
-        ramp: Time from rest to full speed [s].
-        jump: Largest jump of a joint's speed at a corner, as a share of its limit.
-        step: Longest piece of the path between two points of the result, as time at full
-            speed [s].
-    """
-
-    speed: float = 0.5
-    ramp: float = 0.5
-    jump: float = 0.1
-    step: float = 0.05
-
-    def __post_init__(self) -> None:
-        if not (0 < self.speed <= 1 and self.ramp > 0 and 0 < self.jump <= 1 and self.step > 0):
-            raise InputError(f"{self}", allowed="speed and jump in (0, 1], ramp and step above 0 s")
+RAMP = 0.5
+"""Time from rest to full speed [s]."""
+JUMP = 0.1
+"""Largest jump of a joint's speed at a corner, as a share of its limit."""
+STEP = 0.05
+"""Longest piece of the path between two points of the result, as time at full speed [s]."""
 
 
 @dataclass(frozen=True)
@@ -56,23 +40,23 @@ class Trajectory:
         return np.stack(columns, axis=-1)
 
 
-def time_path(path: Array, velocity: Array, config: TimingConfig | None = None) -> Trajectory:
+def time_path(path: Array, velocity: Array, speed: float = 0.5) -> Trajectory:
     """Compute the times of a path that begins and ends at rest.
 
     Args:
         path: [T, J], corners in joint space.
         velocity: [J], speed limits.
+        speed: Share of the limits to use.
     """
-    config = config or TimingConfig()
     path = np.asarray(path, dtype=np.float64)
-    limit = velocity * config.speed
+    limit = velocity * speed
     moves = (np.abs(np.diff(path, axis=0)) > 1e-12).any(axis=1)
     path = path[np.concatenate([[True], moves])]
     if len(path) == 1:
         return Trajectory(np.zeros(1), path)
     legs = np.diff(path, axis=0)
     full = (np.abs(legs) / limit).max(axis=1)
-    pieces = np.maximum(2, np.ceil(full / config.step)).astype(int)
+    pieces = np.maximum(2, np.ceil(full / STEP)).astype(int)
     points, tau, top = [path[:1]], [np.zeros(1)], [np.zeros(1)]
     for i, (leg, count) in enumerate(zip(legs, pieces, strict=True)):
         share = np.arange(1, count + 1)[:, None] / count
@@ -81,14 +65,14 @@ def time_path(path: Array, velocity: Array, config: TimingConfig | None = None) 
         corner = 0.0
         if i + 1 < len(legs):
             change = np.abs(legs[i + 1] / full[i + 1] - leg / full[i]) / limit
-            corner = min(1.0, config.jump / max(float(change.max()), 1e-12))
+            corner = min(1.0, JUMP / max(float(change.max()), 1e-12))
         top.append(np.concatenate([np.ones(count - 1), [corner]]))
     positions, gap = np.concatenate(points), np.concatenate(tau)[1:]
     positions[-1] = path[-1]
-    speed = np.concatenate(top)
+    rate = np.concatenate(top)
     for k in range(len(gap)):
-        speed[k + 1] = min(speed[k + 1], np.sqrt(speed[k] ** 2 + 2 * gap[k] / config.ramp))
+        rate[k + 1] = min(rate[k + 1], np.sqrt(rate[k] ** 2 + 2 * gap[k] / RAMP))
     for k in reversed(range(len(gap))):
-        speed[k] = min(speed[k], np.sqrt(speed[k + 1] ** 2 + 2 * gap[k] / config.ramp))
-    duration = 2 * gap / np.maximum(speed[:-1] + speed[1:], 1e-9)
+        rate[k] = min(rate[k], np.sqrt(rate[k + 1] ** 2 + 2 * gap[k] / RAMP))
+    duration = 2 * gap / np.maximum(rate[:-1] + rate[1:], 1e-9)
     return Trajectory(np.concatenate([[0.0], np.cumsum(duration)]), positions)

@@ -8,11 +8,15 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import rotation_vector
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
+
+STARTS = 12
+"""Start configurations for each palm pose; a redundant arm ends in as many elbow positions."""
+POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-4, 1e-3
+"""Largest errors [m] and [rad] of a palm pose that counts as reached: below those of real arms."""
 
 
 @dataclass(frozen=True)
@@ -20,26 +24,12 @@ class IkConfig:
     """Effort of the search.
 
     Attributes:
-        starts: Start configurations for each palm pose; a redundant arm ends in as many elbow
-            positions.
         iterations: Levenberg-Marquardt steps.
-        position_tolerance: [m].
-        rotation_tolerance: [rad].
         pool: Random configurations among which starts near the goal are looked up.
     """
 
-    starts: int = 12
     iterations: int = 25
-    position_tolerance: float = 1e-4
-    rotation_tolerance: float = 1e-3
     pool: int = 20_000
-
-    def __post_init__(self) -> None:
-        for name in ("starts", "iterations", "pool"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} = {getattr(self, name)}", allowed="1 or more")
-        if self.starts > self.pool:
-            raise InputError(f"{self.starts} starts from {self.pool}", allowed="fewer starts")
 
 
 @dataclass(frozen=True)
@@ -95,7 +85,7 @@ class InverseKinematics:
     def solve(self, T_world_palm: Array) -> IkSolutions:
         """Solve B palm poses [B, 4, 4] (or one [4, 4], as B = 1) from `starts` starts each."""
         goals = np.asarray(T_world_palm, dtype=np.float64).reshape(-1, 4, 4)
-        count, starts = len(goals), self.config.starts
+        count, starts = len(goals), STARTS
         features = self._features(goals[:, :3, :3], goals[:, :3, 3])
         _, nearest = self._tree.query(features, k=starts)
         q = self._pool[np.asarray(nearest).reshape(count * starts)]
@@ -151,8 +141,8 @@ class InverseKinematics:
         rotation, position, jacobian = self.chain.palm_and_jacobian(q)
         turn = rotation_vector(goal_rotation[active] @ np.swapaxes(rotation, 1, 2))
         way = goal_position[active] - position
-        done = (np.linalg.norm(way, axis=1) < self.config.position_tolerance) & (
-            np.linalg.norm(turn, axis=1) < self.config.rotation_tolerance
+        done = (np.linalg.norm(way, axis=1) < POSITION_TOLERANCE) & (
+            np.linalg.norm(turn, axis=1) < ROTATION_TOLERANCE
         )
         weight = self._turn_weight
         jacobian[:, 3:] *= weight

@@ -15,6 +15,8 @@ from pointsdf_cli.geometry.frames import rotation_vector
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
 
+LIFT_HEIGHT = 0.15
+"""Height [m] of every lift, planned and executed: an object is then clear of what is beside it."""
 STEPS = 15
 """Number of steps of the path."""
 WAYS = ((0.0, 1.0), (0.05, 1.0), (0.1, 1.0), (0.0, 0.1), (0.05, 0.02), (0.1, 0.02))
@@ -30,7 +32,7 @@ def lift_path(
     chain: ArmChain,
     robot: RobotDescription,
     q: Array,
-    height: float = 0.15,
+    height: float = LIFT_HEIGHT,
     free: Callable[[Array], bool] | None = None,
 ) -> Array | None:
     """Arm joints [K + 1, A] from configuration q [J] to one with the palm `height` [m] above.

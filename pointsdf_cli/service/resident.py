@@ -16,8 +16,10 @@ from pointsdf_cli.planning.complete_mesh import CompletedMesh, complete_mesh
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.mesh_choices import MeshChoices
+from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.object_view import ObjectView
 from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest, PlanResult
+from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.table_session import answer_request
 from pointsdf_cli.planning.table_top import look_at_table, workspace_of
@@ -134,20 +136,21 @@ class Resident:
         clearance = choices.clearance
         options = PlanOptions(
             method=choices.method,
-            solver=choices.solver,
             kind=choices.kind,
             robot=self.robot,
             checkpoint=self.checkpoint,
             grasp_checkpoint=self.grasp_checkpoint,
-            clearances=Clearances() if clearance is None else Clearances(*[clearance] * 3),
             device=self.device,
-            margin=choices.margin,
-            speed=choices.speed,
-            synthesis=SynthesisConfig(acceptance=choices.acceptance()),
+            planner=PlannerConfig(
+                solver=choices.solver,
+                clearances=Clearances() if clearance is None else Clearances(*[clearance] * 3),
+                margin=choices.margin,
+                synthesis=SynthesisConfig(acceptance=choices.acceptance()),
+                motion=MotionConfig(speed=choices.speed),
+            ),
         )
         if not choices.rehearse:
             return GraspPlanner(options)
-        from pointsdf_cli.trials.rehearsed import RehearsedPlanner, RehearsedPlannerConfig
+        from pointsdf_cli.planning.rehearsed import rehearsed_planner
 
-        config = RehearsedPlannerConfig(count=choices.rehearse)
-        return RehearsedPlanner(options, config=config)
+        return rehearsed_planner(options, count=choices.rehearse)

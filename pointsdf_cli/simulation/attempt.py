@@ -14,7 +14,7 @@ from pointsdf_cli.camera.sensor_presets import without_ideal
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
-from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose
+from pointsdf_cli.geometry.stable_poses import STANDING, draw_pose
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, KINDS, LOST, Grasps
 from pointsdf_cli.robot.description import RobotDescription
@@ -22,12 +22,11 @@ from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
 from pointsdf_cli.simulation.feet import nearest_pose, on_its_foot
 from pointsdf_cli.simulation.heuristic import HeuristicConfig, draw_preshape, hand_of
-from pointsdf_cli.simulation.mass import MassConfig
 from pointsdf_cli.simulation.observe import CameraPlacement, Observer, resample
 from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.places import placed, shows
-from pointsdf_cli.simulation.reach import Reach, ReachConfig, Reacher
-from pointsdf_cli.simulation.settle import SettleConfig, settle
+from pointsdf_cli.simulation.reach import Reach, Reacher
+from pointsdf_cli.simulation.settle import settle
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.verdict import UNTRIED, Outcome
 from pointsdf_cli.simulation.world import World
@@ -36,38 +35,32 @@ CLOUD_SIZE = 1000
 SCENE_TRIES = 12
 
 
+SCENE_ATTEMPTS = 4
+"""Number of attempts that share one pose of the object and one view of it."""
+LOW, HIGH = (0.60, -0.15), (0.74, 0.15)
+"""Corners of the region for the object on the table [m], where the arm reaches most preshapes."""
+WIDEST = 0.14
+"""Largest narrowest side of an object that fits the hand [m]."""
+INVERSE = IkConfig(iterations=12)
+"""Inverse kinematics, with half the iterations of a plan: few more are reached later."""
+
+
 @dataclass(frozen=True)
 class AttemptConfig:
     """Settings that determine the outcome of an attempt.
 
     Attributes:
-        scene_attempts: Number of attempts that share one pose of the object and one view of it.
-        low, high: Corners of the region for the object on the table [m], where the arm reaches most
-            preshapes.
-        widest: Largest narrowest side of an object that fits the hand [m].
         hand_alone: Simulate only the hand, as on a rigid arm; with the arm it takes several times
             as long.
-        standing, settling, placement, heuristic: Settings of pose, rest, camera and preshape.
-        masses: Estimate of the object's mass if none is published.
-        inverse: Inverse kinematics, with half the iterations of a plan: few more are reached later.
-        reach, execution: Settings of the path and of the execution.
+        placement, heuristic, execution: Settings of camera, preshape and execution.
         physics: Twice the step of a trial, which changes slightly more labels than chance, and
             fewer iterations, which lose 0.8% of grasps (docs/notebook.md); for the whole arm see
             `with_the_whole_arm`.
     """
 
-    scene_attempts: int = 4
-    low: tuple[float, float] = (0.60, -0.15)
-    high: tuple[float, float] = (0.74, 0.15)
-    widest: float = 0.14
     hand_alone: bool = True
-    standing: StandingConfig = field(default_factory=StandingConfig)
-    settling: SettleConfig = field(default_factory=SettleConfig)
     placement: CameraPlacement = field(default_factory=CameraPlacement)
     heuristic: HeuristicConfig = field(default_factory=HeuristicConfig)
-    masses: MassConfig = field(default_factory=MassConfig)
-    inverse: IkConfig = field(default_factory=lambda: IkConfig(iterations=12))
-    reach: ReachConfig = field(default_factory=ReachConfig)
     physics: PhysicsConfig = field(
         default_factory=lambda: PhysicsConfig(step=1 / 240, iterations=140)
     )
@@ -157,8 +150,7 @@ class Attempter:
         # Never stepped, so it is not rebuilt for each attempt.
         self.checks = World(robot, self.config.physics)
         self._observer = Observer(robot, self.config.placement)
-        solver = InverseKinematics(robot, self.config.inverse)
-        self._reacher = Reacher(self.checks, solver, self.config.reach)
+        self._reacher = Reacher(self.checks, InverseKinematics(robot, INVERSE))
         self._hand = hand_of(robot)
         self._settled: dict[tuple[str, int], Array | None] = {}
         self._feet: tuple[SimObject, dict[int, SimObject]] | None = None
@@ -179,7 +171,7 @@ class Attempter:
 
         _, sides = oriented_bounds(item.mesh.vertices)
         jaws = self._hand.jaws
-        widest = self.config.widest if jaws is None else min(self.config.widest, jaws.room)
+        widest = WIDEST if jaws is None else min(WIDEST, jaws.room)
         if min(sides) > widest:
             raise InputError(
                 f"is too large for the hand: {min(sides):.3f} m at its narrowest",
@@ -198,8 +190,7 @@ class Attempter:
         Raises:
             InputError: The object never comes to rest, or no view shows it.
         """
-        config = self.config
-        scene = self.scene(item, index // config.scene_attempts)
+        scene = self.scene(item, index // SCENE_ATTEMPTS)
         rng = self._rng(item, 2, index)
         points = apply_transform(scene.T_world_camera, scene.cloud)
         preshape = draw_preshape(
@@ -207,7 +198,7 @@ class Attempter:
             scene.T_world_camera[:3, 3],
             self.robot.T_world_base[:3, 3],
             self._hand,
-            config.heuristic,
+            self.config.heuristic,
             rng,
         )
         cloud = resample(scene.cloud, CLOUD_SIZE, rng)
@@ -271,9 +262,9 @@ class Attempter:
     def _draw_scene(self, item: SimObject, rng: np.random.Generator) -> Scene:
         problem = InputError("never comes to rest on a table", where=item.mesh.name)
         for _ in range(SCENE_TRIES):
-            which, _ = draw_pose(item.poses, self.config.standing, rng)
+            which, _ = draw_pose(item.poses, STANDING, rng)
             resting = self._resting(item, which)
-            yaw, place = rng.uniform(-np.pi, np.pi), rng.uniform(self.config.low, self.config.high)
+            yaw, place = rng.uniform(-np.pi, np.pi), rng.uniform(LOW, HIGH)
             T_world_camera = self.config.placement.draw(np.array([*place, 0.08]), rng)
             if resting is None:
                 continue
@@ -301,7 +292,7 @@ class Attempter:
                 self._settled.clear()  # objects come one after the other
             pose = item.poses[which]
             standing = self._standing(item, pose.T_table_object)
-            self._settled[key] = settle(self.world, standing, pose, self.config.settling)
+            self._settled[key] = settle(self.world, standing, pose)
         return self._settled[key]
 
     def _standing(self, item: SimObject, T_world_object: Array) -> SimObject:
@@ -318,7 +309,7 @@ class Attempter:
         return np.random.default_rng([self.seed, name, stream, index])
 
 
-def as_grasps(attempts: list[Attempt], scene_attempts: int) -> Grasps:
+def as_grasps(attempts: list[Attempt]) -> Grasps:
     """Arrays of attempts with one object, for storage."""
 
     def column(values: list[Any], dtype: type) -> NDArray[Any]:
@@ -340,7 +331,7 @@ def as_grasps(attempts: list[Attempt], scene_attempts: int) -> Grasps:
         lift_height=measured("lift_height"),
         slip=measured("slip"),
         attempt=column([a.index for a in attempts], np.int32),
-        scene=column([a.index // scene_attempts for a in attempts], np.int32),
+        scene=column([a.index // SCENE_ATTEMPTS for a in attempts], np.int32),
         evidence=tuple(a.scene.evidence for a in attempts),
         unshaken=column([a.unshaken for a in attempts], np.int8),
     )

@@ -18,7 +18,7 @@ from pointsdf_cli.geometry.frames import (
 )
 from pointsdf_cli.io.scratch import temporary_files
 from pointsdf_cli.simulation.decomposition import Pieces
-from pointsdf_cli.simulation.physics import PhysicsConfig
+from pointsdf_cli.simulation.physics import ROLLING_FRICTION, SPINNING_FRICTION, PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.skin import drawn_in
 
@@ -72,8 +72,8 @@ class BulletObject:
             -1,
             localInertiaDiagonal=item.inertia.tolist(),
             lateralFriction=physics.object_friction,
-            rollingFriction=physics.rolling_friction,
-            spinningFriction=physics.spinning_friction,
+            rollingFriction=ROLLING_FRICTION,
+            spinningFriction=SPINNING_FRICTION,
             linearDamping=0.02,
             angularDamping=0.02,
             physicsClientId=client,

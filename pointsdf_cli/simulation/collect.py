@@ -105,7 +105,7 @@ def collect_object(task: CollectTask) -> CollectSummary | None:
         if _finished(done, task):
             return None
     mesh = load_mesh(task.mesh)
-    item = prepare_object(replace(mesh, name=task.name), masses=task.config.masses)
+    item = prepare_object(replace(mesh, name=task.name))
     attempter = _attempter(task.robot, task.config, task.seed)
     attempter.check(item)
     attempts = []
@@ -123,7 +123,7 @@ def collect_object(task: CollectTask) -> CollectSummary | None:
         index += 1
     if not attempts:
         return None
-    made = as_grasps(attempts, task.config.scene_attempts)
+    made = as_grasps(attempts)
     grasps = made if done is None else join_grasps([done, made])
     robot = attempter.robot
     meta = GraspsMeta(

@@ -6,7 +6,6 @@ import hashlib
 import os
 import zipfile
 import zlib
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,28 +23,22 @@ VOLUME_OFF = 0.15
 """Largest relative change of volume by simplification."""
 SHARES = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016)
 """Sizes of removable details, as shares of a mesh's longest side, tried in turn."""
-VERSION = 3
-"""Version of the pieces; cached pieces of other versions are ignored."""
+VERSION = 4
+"""Version of the pieces, to raise when a constant below changes; cached pieces of other versions
+are ignored."""
 Pieces = list[tuple[NDArray[np.float64], NDArray[np.int64]]]
 
 
-@dataclass(frozen=True)
-class DecompositionConfig:
-    """Settings of the decomposition.
-
-    Attributes:
-        convex_enough: Share of its convex hull from which a mesh is replaced by the hull.
-        concavity: CoACD's threshold: largest concavity of a piece.
-        most_pieces: Largest number of pieces.
-        most_corners: Largest number of corners of a piece.
-        most_faces: Number of faces to which the mesh is simplified first.
-    """
-
-    convex_enough: float = 0.93
-    concavity: float = 0.06
-    most_pieces: int = 16
-    most_corners: int = 48
-    most_faces: int = 2000
+CONVEX_ENOUGH = 0.93
+"""Share of its convex hull from which a mesh is replaced by the hull."""
+CONCAVITY = 0.06
+"""CoACD's threshold: largest concavity of a piece."""
+MOST_PIECES = 16
+"""Largest number of pieces."""
+MOST_CORNERS = 48
+"""Largest number of corners of a piece."""
+MOST_FACES = 2000
+"""Number of faces to which the mesh is simplified first."""
 
 
 def cache_folder() -> Path:
@@ -56,14 +49,11 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "rgrasp"
 
 
-def convex_pieces(
-    mesh: LoadedMesh, config: DecompositionConfig | None = None, cache: Path | None = None
-) -> Pieces:
+def convex_pieces(mesh: LoadedMesh, cache: Path | None = None) -> Pieces:
     """Decompose a mesh into convex pieces, mesh frame.
 
     Args:
         mesh: A closed mesh.
-        config: Settings of the decomposition.
         cache: Folder of earlier results; `cache_folder()` if None.
 
     Returns:
@@ -72,8 +62,7 @@ def convex_pieces(
     Raises:
         InputError: The mesh encloses no volume.
     """
-    config = config or DecompositionConfig()
-    settings = f"{mesh.sha256} {sorted(asdict(config).items())} {VERSION}"
+    settings = f"{mesh.sha256} {VERSION}"
     key = hashlib.sha256(settings.encode()).hexdigest()
     path = (cache or cache_folder()) / "decompositions" / f"{key[:32]}.npz"
     if path.is_file():
@@ -81,7 +70,7 @@ def convex_pieces(
             return _read(path)
         except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error):
             path.unlink(missing_ok=True)  # cut short by a crash of the machine: make it again
-    pieces = decompose(mesh.vertices, mesh.faces, config)
+    pieces = decompose(mesh.vertices, mesh.faces)
     with atomic_path(path) as temporary:
         arrays: dict[str, NDArray[Any]] = {f"v{i}": v for i, (v, _) in enumerate(pieces)}
         arrays |= {f"f{i}": f for i, (_, f) in enumerate(pieces)}
@@ -89,9 +78,7 @@ def convex_pieces(
     return _read(path)
 
 
-def decompose(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], config: DecompositionConfig
-) -> Pieces:
+def decompose(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Pieces:
     """Cut a closed mesh into convex pieces (Wei et al. 2022, "CoACD"); the same every time.
 
     Raises:
@@ -101,19 +88,19 @@ def decompose(
     hull = trimesh.convex.convex_hull(solid.vertices)
     if solid.volume <= 0.0 or hull.volume <= 0.0:
         raise InputError("encloses no volume", allowed="a closed mesh that faces outwards")
-    if solid.volume >= config.convex_enough * hull.volume:
-        return [with_few_corners(hull, config.most_corners)]
+    if solid.volume >= CONVEX_ENOUGH * hull.volume:
+        return [with_few_corners(hull, MOST_CORNERS)]
     import coacd
 
     # Quadric simplification may open a mesh. CoACD would then rebuild it from voxels, up to a few
     # millimetres too thick, and take several times as long.
-    closed = without_details(solid, config.most_faces)
-    solid = with_few_faces(solid, config.most_faces) if closed is None else closed
+    closed = without_details(solid, MOST_FACES)
+    solid = with_few_faces(solid, MOST_FACES) if closed is None else closed
     coacd.set_log_level("error")
     parts = coacd.run_coacd(
         coacd.Mesh(solid.vertices, solid.faces),
-        threshold=config.concavity,
-        max_convex_hull=config.most_pieces,
+        threshold=CONCAVITY,
+        max_convex_hull=MOST_PIECES,
         preprocess_mode="auto" if closed is None else "off",
         preprocess_resolution=40,
         resolution=1000,
@@ -121,7 +108,7 @@ def decompose(
         mcts_iterations=20,
         mcts_max_depth=2,
         decimate=True,
-        max_ch_vertex=config.most_corners,
+        max_ch_vertex=MOST_CORNERS,
         seed=1,
     )
     pieces = []

@@ -12,6 +12,8 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import invert_transform, rotation_vector
 from pointsdf_cli.robot.arm_chain import ArmChain
+from pointsdf_cli.robot.lift import LIFT_HEIGHT
+from pointsdf_cli.simulation.physics import GRAVITY
 from pointsdf_cli.simulation.verdict import (
     HOLD,
     LIFT,
@@ -23,52 +25,48 @@ from pointsdf_cli.simulation.verdict import (
 )
 from pointsdf_cli.simulation.world import World
 
+SPEED_UP = 8.0
+"""Ratio of the closing speed to the real robot's."""
+STALL_SPEED = 0.1
+"""Fraction of its commanded speed below which a joint has stalled."""
+STALL_TIME = 0.05
+"""Time below that speed until it counts as stalled [s]."""
+LONGEST_CLOSING = 1.5
+"""Largest duration of the closing [s]; longer for a slower hand."""
+GRIP_TIME = 0.2
+"""Time to build up the grip [s]."""
+LIFT_TIME = 0.8
+"""Duration of the lift [s]."""
+SETTLE_TIME = 0.5
+"""Time to hold still after the lift [s]."""
+SHAKE_TIME = 1.0
+"""Duration of the shake [s]."""
+PUSH_TIME = 1.0
+"""Duration of each push [s]."""
+
 
 @dataclass(frozen=True)
 class ExecutorConfig:
     """Execution of a grasp (as the paper's robot does).
 
     Attributes:
-        speed_up: Ratio of the closing speed to the real robot's.
         closing_effort: Fraction of a joint's effort while it closes.
         grip_effort: Fraction of a joint's effort while it holds.
-        stall_speed: Fraction of its commanded speed below which a joint has stalled.
-        stall_time: Time below that speed until it counts as stalled [s].
-        longest_closing: Largest duration of the closing [s]; longer for a slower hand.
-        grip_time: Time to build up the grip [s].
-        lift_height: Height of the lift along the world's z [m].
-        lift_time: Duration of the lift [s].
-        settle_time: Time to hold still after the lift [s].
         longest_settling: Largest time to wait for a moving object to rest in the hand or fall [s].
         shake: Amplitude of a lateral shake after the lift [m/s²]; 0 for none.
-        shake_time: Duration of the shake [s].
         hold: Time that a lifted object is then held [s]; 0 for none.
-        push: Force on a held object's centre of mass [N], in each direction of `PUSHES` in turn;
-            0 for none.
-        push_time: Duration of each push [s].
+        push: Force on a held object's centre of mass [N], in each direction of `PUSHES` in turn; 0
+            for none.
     """
 
-    speed_up: float = 8.0
     closing_effort: float = 0.3
     grip_effort: float = 1.0
-    stall_speed: float = 0.1
-    stall_time: float = 0.05
-    longest_closing: float = 1.5
-    grip_time: float = 0.2
-    lift_height: float = 0.15
-    lift_time: float = 0.8
-    settle_time: float = 0.5
     longest_settling: float = 2.0
     shake: float = 0.0
-    shake_time: float = 1.0
     hold: float = 0.0
     push: float = 0.0
-    push_time: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("speed_up", "closing_effort", "grip_effort", "lift_height", "lift_time"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"{name} = {getattr(self, name)}", allowed="above 0")
         if not 0 <= self.shake <= 100:
             raise InputError(f"{self.shake:g} m/s²", where="--shake", allowed="0 to 100 m/s²")
         if not 0 <= self.hold <= 600:
@@ -158,7 +156,7 @@ class Executor:
     def _judged(self, step: str) -> Outcome:
         """Verdict on the object where it is now, after the lift or the hold."""
         seen = self._seen()
-        cause = cause_of(seen, self._config.lift_height, self._touched)
+        cause = cause_of(seen, LIFT_HEIGHT, self._touched)
         held = cause == "held"
         return Outcome(
             lifted=held or step == HOLD,
@@ -186,7 +184,7 @@ class Executor:
     def _close(self) -> None:
         """Move all closing joints; each freezes when it stalls or reaches its limit."""
         world, config, robot = self._world, self._config, self._world.robot
-        speeds = robot.closing_speeds * config.speed_up
+        speeds = robot.closing_speeds * SPEED_UP
         efforts = robot.effort[self._closing] * config.closing_effort
         ends = np.where(
             speeds > 0, robot.hard_upper[self._closing], robot.hard_lower[self._closing]
@@ -194,7 +192,7 @@ class Executor:
         # 0.02 rad of a finger; of a jaw that slides a few centimetres, as small a part.
         travel = (robot.hard_upper - robot.hard_lower)[self._closing]
         at_end = np.minimum(0.02, 0.02 * travel)
-        longest = max(config.longest_closing, 1.25 * float((travel / np.abs(speeds)).max()))
+        longest = max(LONGEST_CLOSING, 1.25 * float((travel / np.abs(speeds)).max()))
         moving = np.ones(len(speeds), dtype=bool)
         slow = np.zeros(len(speeds))
         check = max(1, round(0.0125 / world.physics.step))
@@ -204,9 +202,9 @@ class Executor:
         while moving.any() and world.time - began < longest:
             self._advance(check, "close")
             position, velocity = (values[self._closing] for values in world.joint_state())
-            stalled = velocity * np.sign(speeds) < config.stall_speed * np.abs(speeds)
+            stalled = velocity * np.sign(speeds) < STALL_SPEED * np.abs(speeds)
             slow = np.where(stalled, slow + check * world.physics.step, 0.0)
-            stop = moving & ((slow >= config.stall_time) | (np.abs(position - ends) < at_end))
+            stop = moving & ((slow >= STALL_TIME) | (np.abs(position - ends) < at_end))
             if stop.any():
                 moving &= ~stop
                 q = np.zeros(len(robot.joint_names))
@@ -216,18 +214,18 @@ class Executor:
     def _grip(self, q: Array) -> None:
         """Press with the full effort of every closing joint."""
         world, config, robot = self._world, self._config, self._world.robot
-        speeds = robot.closing_speeds * config.speed_up * 0.25
+        speeds = robot.closing_speeds * SPEED_UP * 0.25
         efforts = robot.effort[self._closing] * config.grip_effort
         world.drive_at(speeds, self._closing, efforts)
-        self._hold(config.grip_time, "grip")
+        self._hold(GRIP_TIME, "grip")
 
     def _lift(self, path: Array) -> None:
         """Move the arm along a path in joint space, slowly at both ends.
 
         The lift ends early once the object is on the table and out of the hand's reach.
         """
-        world, config = self._world, self._config
-        steps = max(1, round(config.lift_time / world.physics.step))
+        world = self._world
+        steps = max(1, round(LIFT_TIME / world.physics.step))
         s = np.arange(1, steps + 1) / steps
         s = s * s * (3 - 2 * s)
         knots = np.linspace(0.0, 1.0, len(path))
@@ -235,7 +233,7 @@ class Executor:
         aside = CLEAR_ASIDE + _sideways(world.chain, path)
         for k, _ in enumerate(world.follow(arm)):
             if k % self._look_every == 0 and self._left_behind():
-                risen = s[k] * config.lift_height >= CLEAR_HEIGHT
+                risen = s[k] * LIFT_HEIGHT >= CLEAR_HEIGHT
                 if risen or (self._at_rest() and not world.rises_into_object(aside)):
                     return
             self._advance(1, "lift")
@@ -254,7 +252,7 @@ class Executor:
         """Hold still until the object rests in the hand or has left it."""
         world, config = self._world, self._config
         began = world.time
-        self._hold(config.settle_time, "settle")
+        self._hold(SETTLE_TIME, "settle")
         while world.time - began < config.longest_settling:
             if self._at_rest() or not world.robot_contact().links:
                 return
@@ -263,9 +261,9 @@ class Executor:
     def _shake(self) -> None:
         """Lateral accelerations back and forth, first along x, then along y, at 4 Hz."""
         world, config = self._world, self._config
-        down = -world.physics.gravity
+        down = -GRAVITY
         for axis in (0, 1):
-            steps = round(config.shake_time / 2 / world.physics.step)
+            steps = round(SHAKE_TIME / 2 / world.physics.step)
             for k in range(steps):
                 pull = config.shake * np.sin(2 * np.pi * 4.0 * k * world.physics.step)
                 gravity = [0.0, 0.0, down]
@@ -290,14 +288,14 @@ class Executor:
             That one's key in `PUSHES`; empty if none does.
         """
         world, config = self._world, self._config
-        steps = round(config.push_time / world.physics.step)
+        steps = round(PUSH_TIME / world.physics.step)
         for name, direction in PUSHES.items():
             for begun in range(0, steps, self._look_every):
                 some = min(self._look_every, steps - begun)
                 self._advance(some, name, config.push * direction)
                 if not world.robot_contact().hand_links:
                     return name
-            if cause_of(self._seen(), config.lift_height, self._touched) != "held":
+            if cause_of(self._seen(), LIFT_HEIGHT, self._touched) != "held":
                 return name
         return ""
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
 from pointsdf_cli.robot.arm_chain import ArmChain
@@ -22,39 +21,36 @@ from pointsdf_cli.robot.surface import robot_surface
 from pointsdf_cli.simulation.faces import SIDE, TOP, Box, Face, graspable_faces, upright_box
 from pointsdf_cli.simulation.jaw_palms import jaw_palm, small_rotation, snug_box
 
+TOP_STANDOFF = 0.035
+"""Distance from the face to the palm [m]."""
+LOW_OBJECT = 0.03
+"""Height [m] below which an object is grasped from the top only, by a hand raised until it clears
+the table and the object: otherwise a thumb of 0.145 m that points down would be in the table in
+every attempt."""
+TABLE_GAP = 0.005
+"""Clearance [m] below the opened hand whenever the palm is raised (side grasps, and low
+objects)."""
+
 
 @dataclass(frozen=True)
 class HeuristicConfig:
     """Numbers of the heuristic planner.
 
     Attributes:
-        top_standoff, side_standoff: Distance from the face to the palm [m].
+        side_standoff: Distance from the face to the palm [m].
         standoff_noise: Standard deviation of that distance [m].
         position_noise: Standard deviation of the position along the face [m].
         turn_noise: Standard deviation of the orientation, about each axis [rad].
-        low_object: Height [m] below which an object is grasped from the top only, by a hand raised
-            until it clears the table and the object: otherwise a thumb of 0.145 m that points down
-            would be in the table in every attempt.
         finger_reach: Distance along the fingers from the palm's origin to the object's centre [m]:
             between fingers and thumb, not at the fingers' roots. A hand's own `palm: {reach: …}`
             takes precedence.
-        table_gap: Clearance [m] below the opened hand whenever the palm is raised (side grasps, and
-            low objects).
     """
 
-    top_standoff: float = 0.035
     side_standoff: float = 0.03
     standoff_noise: float = 0.03
     position_noise: float = 0.005
     turn_noise: float = 0.005
-    low_object: float = 0.03
     finger_reach: float = 0.02
-    table_gap: float = 0.005
-
-    def __post_init__(self) -> None:
-        for name in ("standoff_noise", "position_noise", "turn_noise", "low_object"):
-            if not 0 <= getattr(self, name) < 1:
-                raise InputError(f"{name} = {getattr(self, name)}", allowed="0 to 1")
 
 
 @dataclass(frozen=True)
@@ -129,7 +125,7 @@ def draw_preshape(
     if hand.reach is not None:
         config = replace(config, finger_reach=hand.reach)
     box = upright_box(points) if hand.jaws is None else snug_box(points)
-    faces = graspable_faces(box, camera, base, config.low_object)
+    faces = graspable_faces(box, camera, base, LOW_OBJECT)
     wanted = [face for face in faces if kind in (None, face.kind)] or faces
     if hand.jaws is not None:
         face, palm = jaw_palm(box, wanted, hand.jaws, hand.reach or 0.0, _away(box, camera), rng)
@@ -142,9 +138,9 @@ def draw_preshape(
     joints = rng.uniform(hand.ranges[:, 0], hand.ranges[:, 1])
     outline = apply_transform(palm, hand.outline(joints))
     if face.kind == SIDE or hand.jaws is not None:
-        palm[2, 3] += max(0.0, config.table_gap - float(outline[:, 2].min()))
-    elif 2 * box.half[2] < config.low_object:
-        palm[2, 3] += _to_clear(outline, box, config.table_gap)
+        palm[2, 3] += max(0.0, TABLE_GAP - float(outline[:, 2].min()))
+    elif 2 * box.half[2] < LOW_OBJECT:
+        palm[2, 3] += _to_clear(outline, box, TABLE_GAP)
     return Preshape(face.kind, palm, joints)
 
 
@@ -172,7 +168,7 @@ def _top_palm(
     fingers = outward[int(rng.integers(2))] / np.sqrt(2)
     inward = -face.normal
     rotation = np.stack([inward, np.cross(fingers, inward), fingers], axis=1)
-    return _noisy(face, rotation, config.top_standoff, config, rng)
+    return _noisy(face, rotation, TOP_STANDOFF, config, rng)
 
 
 def _side_palm(face: Face, config: HeuristicConfig, rng: np.random.Generator) -> Array:

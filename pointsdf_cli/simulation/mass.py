@@ -7,37 +7,19 @@ shells, but never as heavier than filled ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import trimesh
 
-from pointsdf_cli.errors import InputError
-
-
-@dataclass(frozen=True)
-class MassConfig:
-    """Estimate of a mass from a mesh.
-
-    Attributes:
-        density: Mean density of a filled object [kg/m³]: between a full bottle and a toy.
-        lightest, heaviest: Bounds of the estimate [kg]; published masses are not bounded.
-        fullness: Share of the convex hull below which a mesh is hollow or thin.
-        wall: Thickness of a shell [m].
-        wall_density: Density of a shell [kg/m³]: plastics have 900 to 1400.
-    """
-
-    density: float = 400.0
-    lightest: float = 0.05
-    heaviest: float = 0.6
-    fullness: float = 0.5
-    wall: float = 0.002
-    wall_density: float = 1100.0
-
-    def __post_init__(self) -> None:
-        if not 0 < self.lightest <= self.heaviest or min(self.density, self.wall) <= 0:
-            raise InputError(f"{self}", allowed="0 < lightest ≤ heaviest, density and wall above 0")
-
+DENSITY = 400.0
+"""Mean density of a filled object [kg/m³]: between a full bottle and a toy."""
+LIGHTEST, HEAVIEST = 0.05, 0.6
+"""Bounds of the estimate [kg]; published masses are not bounded."""
+FULLNESS = 0.5
+"""Share of the convex hull below which a mesh is hollow or thin."""
+WALL = 0.002
+"""Thickness of a shell [m]."""
+WALL_DENSITY = 1100.0
+"""Density of a shell [kg/m³]: plastics have 900 to 1400."""
 
 YCB_MASSES = {
     "001_chips_can": 0.205,
@@ -97,27 +79,28 @@ the table differ (031, 038, 055, 059, 063, 065, 070, 076).
 """
 
 
-def mass_of(name: str, solid: trimesh.Trimesh, config: MassConfig | None = None) -> float:
+def mass_of(name: str, solid: trimesh.Trimesh) -> float:
     """Mass [kg] of an object: published for YCB names, else estimated from the closed mesh.
 
     Args:
         name: Name of the mesh, with or without folders.
         solid: The mesh, closed and facing outwards [m].
-        config: Settings of the estimate.
     """
     known = YCB_MASSES.get(name.rpartition("/")[2])
     if known is not None:
         return known
     hull = float(solid.convex_hull.volume)
-    return estimated_mass(float(solid.volume), float(solid.area), hull, config)
+    return estimated_mass(float(solid.volume), float(solid.area), hull)
 
 
-def estimated_mass(
-    volume: float, area: float, hull_volume: float, config: MassConfig | None = None
-) -> float:
+def estimated_mass(volume: float, area: float, hull_volume: float) -> float:
     """Mass [kg] of a closed surface by its volume [m³], area [m²] and convex hull's volume [m³]."""
-    config = config or MassConfig()
-    mass = config.density * volume
-    if volume < config.fullness * hull_volume:
-        mass = min(mass, config.wall_density * config.wall * area)
-    return float(np.clip(mass, config.lightest, config.heaviest))
+    return float(np.clip(unbounded_mass(volume, area, hull_volume), LIGHTEST, HEAVIEST))
+
+
+def unbounded_mass(volume: float, area: float, hull_volume: float) -> float:
+    """The estimate of `estimated_mass` without bounds [kg]."""
+    mass = DENSITY * volume
+    if volume < FULLNESS * hull_volume:
+        mass = min(mass, WALL_DENSITY * WALL * area)
+    return mass

@@ -14,6 +14,14 @@ would make half the step a stiffer model, and a convergence study would compare 
 """
 
 
+HAND_FRICTION, TABLE_FRICTION = 1.0, 0.8
+"""Coefficients of lateral friction; those of two bodies multiply."""
+ROLLING_FRICTION, SPINNING_FRICTION = 1e-4, 1e-3
+"""Small coefficients of the object, for soft contacts."""
+GRAVITY = 9.81
+"""Gravity [m/s²]."""
+
+
 @dataclass(frozen=True)
 class PhysicsConfig:
     """Parameters of the contact simulation, chosen by the convergence study in docs/notebook.md.
@@ -23,22 +31,14 @@ class PhysicsConfig:
         iterations: Iterations of the contact solver in each step. For the whole arm with 40, half
             the step changes 9% of labels, and objects of many pieces slip that hold with 200; with
             200, half the step changes 4%, and moving the object by 0.1 mm 3%.
-        hand_friction, object_friction, table_friction: Coefficients of lateral friction; those of
-            two bodies multiply.
-        rolling_friction, spinning_friction: Small coefficients of the object, for soft contacts.
-        gravity: Gravity [m/s²].
+        object_friction: Coefficient of lateral friction of the object.
         skin: Measured thickness [m] by which PyBullet inflates convex hulls and a URDF's cylinders;
             they are shrunk by it (`skin.py`). With 0 they stay inflated.
     """
 
     step: float = 1 / 480
     iterations: int = 200
-    hand_friction: float = 1.0
     object_friction: float = 0.6
-    table_friction: float = 0.8
-    rolling_friction: float = 1e-4
-    spinning_friction: float = 1e-3
-    gravity: float = 9.81
     skin: float = 1e-3
 
     def __post_init__(self) -> None:

@@ -18,39 +18,21 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.grasps import NO_CONFIGURATION, NO_MOTION
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.robot.lift import LIFT_HEIGHT
 from pointsdf_cli.simulation.world import World
 
-
-@dataclass(frozen=True)
-class ReachConfig:
-    """Settings of the way to a preshape.
-
-    Attributes:
-        candidates: Number of arm configurations tried for a palm pose, the nearest to home first.
-        retreat: Length of the straight last stretch along the palm's normal [m].
-        over: Height [m] above the retreat of the point to pass if the direct path is blocked.
-        resolution: Largest motion of a revolute joint between two checked configurations [rad].
-        sliding: Largest motion of a prismatic joint between them [m].
-        lift_height: Height of the lift that the arm must be able to make [m].
-        waypoints: Number of waypoints of the straight stretches.
-    """
-
-    candidates: int = 6
-    retreat: float = 0.12
-    over: float = 0.2
-    resolution: float = 0.05
-    sliding: float = 0.01
-    lift_height: float = 0.15
-    waypoints: int = 8
-
-    def __post_init__(self) -> None:
-        steps = (self.resolution, self.sliding)
-        if self.candidates < 1 or self.waypoints < 2 or not all(0 < one < 1 for one in steps):
-            raise InputError(
-                f"{self.candidates} candidates, {self.waypoints} waypoints, a resolution of "
-                f"{self.resolution} rad and {self.sliding} m",
-                allowed="1 or more, 2 or more, 0 to 1",
-            )
+CANDIDATES = 6
+"""Number of arm configurations tried for a palm pose, the nearest to home first."""
+RETREAT = 0.12
+"""Length of the straight last stretch along the palm's normal [m]."""
+OVER = 0.2
+"""Height [m] above the retreat of the point to pass if the direct path is blocked."""
+RESOLUTION = 0.05
+"""Largest motion of a revolute joint between two checked configurations [rad]."""
+SLIDING = 0.01
+"""Largest motion of a prismatic joint between them [m]."""
+WAYPOINTS = 8
+"""Number of waypoints of the straight stretches."""
 
 
 @dataclass(frozen=True)
@@ -80,22 +62,15 @@ class Reacher:
     Args:
         world: World with the scene for collision checks.
         solver: Inverse kinematics of the world's robot.
-        config: Settings.
     """
 
-    def __init__(
-        self, world: World, solver: InverseKinematics, config: ReachConfig | None = None
-    ) -> None:
+    def __init__(self, world: World, solver: InverseKinematics) -> None:
         self._world = world
         self._solver = solver
         self._robot = world.robot
-        self.config = config or ReachConfig()
         slides = {joint.name for joint in self._robot.tree.joints if joint.kind == "prismatic"}
         self._resolution = np.array(
-            [
-                self.config.sliding if name in slides else self.config.resolution
-                for name in self._robot.joint_names
-            ]
+            [SLIDING if name in slides else RESOLUTION for name in self._robot.joint_names]
         )
 
     def arms(self, T_world_palm: Array) -> Array:
@@ -107,7 +82,7 @@ class Reacher:
         arms = solutions.arm[0][solutions.reached[0]]
         home = self._robot.home[self._robot.arm]
         order = np.argsort(np.abs(arms - home).max(axis=1), kind="stable")
-        return _different(arms[order])[: self.config.candidates]
+        return _different(arms[order])[:CANDIDATES]
 
     def __call__(self, T_world_palm: Array, joints: Array, arms: Array | None = None) -> Reach:
         """Find a path to a palm pose in the world's scene; moves the world's robot.
@@ -141,17 +116,17 @@ class Reacher:
             InputError: The arm has no room to lift.
         """
         arm = q[None, self._robot.arm]
-        paths, fine = self._straight(arm, T_world_palm, [[0, 0, self.config.lift_height]])
+        paths, fine = self._straight(arm, T_world_palm, [[0, 0, LIFT_HEIGHT]])
         if not fine[0]:
             raise InputError("the arm has no room to lift from this configuration")
         return paths[0]
 
     def _way(self, T_world_palm: Array, arms: Array, joints: Array) -> Reach:
         """Path to the first of the arm configurations [B, A] that is reachable and can lift."""
-        robot, config = self._robot, self.config
-        back = -config.retreat * T_world_palm[:3, 0]
+        robot = self._robot
+        back = -RETREAT * T_world_palm[:3, 0]
         # All at once: many paths take hardly longer than one.
-        ways = np.repeat([[0, 0, config.lift_height], back], len(arms), axis=0)
+        ways = np.repeat([[0, 0, LIFT_HEIGHT], back], len(arms), axis=0)
         paths, fine = self._straight(np.tile(arms, (2, 1)), T_world_palm, ways)
         (lifts, retreats), (can_lift, can_retreat) = np.split(paths, 2), np.split(fine, 2)
         cause = "no_lift"
@@ -169,7 +144,7 @@ class Reacher:
         self, retreat: Array, T_world_palm: Array, back: Array, joints: Array
     ) -> Array | None:
         """Path [T, J] from home to the preshape through a retreat path [K, A], reversed."""
-        robot, config = self._robot, self.config
+        robot = self._robot
         last = robot.configuration(retreat[::-1], joints)
         home = robot.configuration(robot.home[robot.arm], joints)
         if not self._free(last):
@@ -179,7 +154,7 @@ class Reacher:
             return np.concatenate([direct[:1], last])
         start = T_world_palm.copy()
         start[:3, 3] += back
-        over, fine = self._straight(retreat[-1:], start, [[0, 0, config.over]])
+        over, fine = self._straight(retreat[-1:], start, [[0, 0, OVER]])
         if not fine[0]:
             return None
         descent = robot.configuration(over[0][::-1], joints)
@@ -192,8 +167,8 @@ class Reacher:
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Paths [B, K + 1, A] from `arms` [B, A] that move the palm straight along `ways` [B, 3],
         and a mask [B] of those that the arm can follow."""
-        poses = np.tile(T_world_palm, (len(arms), self.config.waypoints, 1, 1))
-        share = np.linspace(0, 1, self.config.waypoints + 1)[1:, None]
+        poses = np.tile(T_world_palm, (len(arms), WAYPOINTS, 1, 1))
+        share = np.linspace(0, 1, WAYPOINTS + 1)[1:, None]
         poses[..., :3, 3] += share * np.asarray(ways, dtype=float)[:, None]
         paths, fine = self._solver.track(arms, poses)
         return np.concatenate([arms[:, None], paths], axis=1), fine

@@ -8,7 +8,7 @@ holds most often is preferred. The true object is not used.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,48 +21,32 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.lift import lift_path
+from pointsdf_cli.robot.lift import LIFT_HEIGHT, lift_path
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
-from pointsdf_cli.simulation.mass import MassConfig, estimated_mass
+from pointsdf_cli.simulation.mass import estimated_mass
 from pointsdf_cli.simulation.physics import PhysicsConfig
-from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
+from pointsdf_cli.simulation.quick_pieces import quick_pieces
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
 
-
-@dataclass(frozen=True)
-class RehearsalConfig:
-    """Disturbances of the reconstruction in rehearsals.
-
-    Attributes:
-        repeats: Number of tries of a grasp; the first is undisturbed.
-        failures: Number of failures after which a grasp is not tried again.
-        place: Standard deviation of the object's position on the table [m].
-        turn: Standard deviation of its yaw [rad].
-        scale: Standard deviation of its relative size, horizontally and vertically.
-        friction: Range of the friction of the object.
-        mass: Range of the ratio of its mass to the estimate (`masses`).
-        foot: Height [m] above the table below which the lowest points are moved onto it.
-        physics: Contact simulation, coarser than that of trials: only the ranking matters.
-        cut: Settings of the convex decomposition.
-        masses: Estimate of the mass.
-    """
-
-    repeats: int = 8
-    failures: int = 2
-    place: float = 0.005
-    turn: float = 0.05
-    scale: float = 0.04
-    friction: tuple[float, float] = (0.45, 0.7)
-    mass: tuple[float, float] = (0.7, 1.5)
-    foot: float = 0.012
-    physics: PhysicsConfig = field(default_factory=lambda: PhysicsConfig(step=1 / 240))
-    cut: QuickCutConfig = field(default_factory=QuickCutConfig)
-    masses: MassConfig = field(default_factory=MassConfig)
-
-    def __post_init__(self) -> None:
-        if min(self.repeats, self.failures) < 1 or min(self.place, self.turn, self.scale) < 0:
-            raise InputError(f"{self}", allowed="repeats, failures ≥ 1, deviations ≥ 0")
+REPEATS = 8
+"""Number of tries of a grasp; the first is undisturbed."""
+FAILURES = 2
+"""Number of failures after which a grasp is not tried again."""
+PLACE = 0.005
+"""Standard deviation of the object's position on the table [m]."""
+TURN = 0.05
+"""Standard deviation of its yaw [rad]."""
+SCALE = 0.04
+"""Standard deviation of its relative size, horizontally and vertically."""
+FRICTION = (0.45, 0.7)
+"""Range of the friction of the object."""
+MASS = (0.7, 1.5)
+"""Range of the ratio of its mass to the estimate."""
+FOOT = 0.012
+"""Height [m] above the table below which the lowest points are moved onto it."""
+PHYSICS = PhysicsConfig(step=1 / 240)
+"""Contact simulation, coarser than that of trials: only the ranking matters."""
 
 
 class Rehearsed(NamedTuple):
@@ -103,22 +87,22 @@ class Rehearsal:
 
     Args:
         robot: The robot.
-        config: Disturbances to try.
         execution: Execution of grasps, as in trials but without hold and pushes.
+        repeats: Number of tries of a grasp; the first is undisturbed.
     """
 
     def __init__(
         self,
         robot: RobotDescription,
-        config: RehearsalConfig | None = None,
         execution: ExecutorConfig | None = None,
+        repeats: int = REPEATS,
     ) -> None:
-        self.config = config or RehearsalConfig()
+        self._repeats = repeats
         # An object at rest in the hand after half a second mostly stays there, and hold and pushes
         # take several times as long as the rest.
         execution = (execution or ExecutorConfig()).without_tests()
         self._execution = replace(execution, longest_settling=0.6)
-        self._world = World(robot, self.config.physics)
+        self._world = World(robot, PHYSICS)
         self._tries = 0
 
     def close(self) -> None:
@@ -139,9 +123,8 @@ class Rehearsal:
         Raises:
             InputError: The surface is flat.
         """
-        config = self.config
-        believed = believed_object(vertices, faces, config)
-        disturbances = _disturbances(config, np.random.default_rng(seed))
+        believed = believed_object(vertices, faces)
+        disturbances = _disturbances(self._repeats, np.random.default_rng(seed))
         tried: list[Rehearsed] = []
         for grasp in np.atleast_2d(q):
             if any(one.held == len(disturbances) for one in tried):
@@ -157,24 +140,26 @@ class Rehearsal:
         if lift is None:
             return UNTRIED
         rises: list[float] = []
-        most, held = self._execution.lift_height, 0
+        held = 0
         for disturbance in disturbances:
-            if len(rises) - held >= self.config.failures or (rises and not held):
+            if len(rises) - held >= FAILURES or (rises and not held):
                 break  # it fails even when all is as believed, or too often
             self._tries += 1
             # A name of its own, because the physics client caches surfaces by name.
             item = _disturbed(believed, disturbance, f"rehearsal {self._tries}")
             world = self._world
-            world.physics = replace(self.config.physics, object_friction=disturbance.friction)
+            world.physics = replace(PHYSICS, object_friction=disturbance.friction)
             world.reset(item, np.eye(4), q)
             outcome = Executor(world, self._execution).run(q, lift)
             held += outcome.held
-            rises.append(float(np.clip(outcome.lift_height, 0.0, most)) if outcome.valid else 0.0)
+            rises.append(
+                float(np.clip(outcome.lift_height, 0.0, LIFT_HEIGHT)) if outcome.valid else 0.0
+            )
         return Rehearsed(len(rises), held, float(np.mean(rises)))
 
     def _lift(self, q: Array) -> Array | None:
         world = self._world
-        return lift_path(world.chain, world.robot, q, self._execution.lift_height)
+        return lift_path(world.chain, world.robot, q)
 
 
 def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -> list[int]:
@@ -198,16 +183,14 @@ def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -
     return sorted(range(len(tried)), key=cost)
 
 
-def believed_object(
-    vertices: Array, faces: NDArray[np.integer], config: RehearsalConfig
-) -> SimObject:
+def believed_object(vertices: Array, faces: NDArray[np.integer]) -> SimObject:
     """Object to simulate from a reconstructed surface; its mesh frame is the world's.
 
     Raises:
         InputError: The surface is flat.
     """
-    pieces = quick_pieces(vertices, faces, config.cut)
-    standing = [_put_down(corners, config.foot) for corners, _ in pieces]
+    pieces = quick_pieces(vertices, faces)
+    standing = [_put_down(corners) for corners, _ in pieces]
     hulls = [hull for hull in standing if hull is not None]
     if not hulls:
         raise InputError("the surface encloses nothing above the table")
@@ -215,7 +198,7 @@ def believed_object(
     whole = float(volumes.sum())
     surface = trimesh.Trimesh(vertices, faces, process=False)
     hull_volume = float(surface.convex_hull.volume)
-    mass = estimated_mass(whole, float(surface.area), hull_volume, config.masses)
+    mass = estimated_mass(whole, float(surface.area), hull_volume)
     centre = np.sum([hull.volume * hull.center_mass for hull in hulls], axis=0) / whole
     inertia = np.zeros((3, 3))
     for hull in hulls:
@@ -238,10 +221,10 @@ def believed_object(
     )
 
 
-def _put_down(corners: Array, foot: float) -> trimesh.Trimesh | None:
+def _put_down(corners: Array) -> trimesh.Trimesh | None:
     """Hull clipped at the table, with its lowest points moved onto it; None if nothing is left."""
     corners = np.array(corners)
-    corners[corners[:, 2] < foot, 2] = 0.0
+    corners[corners[:, 2] < FOOT, 2] = 0.0
     if not corners[:, 2].any():  # all of it is foot, or was below
         return None
     try:
@@ -251,19 +234,19 @@ def _put_down(corners: Array, foot: float) -> trimesh.Trimesh | None:
     return hull if hull.volume > 1e-9 else None
 
 
-def _disturbances(config: RehearsalConfig, rng: np.random.Generator) -> list[_Disturbance]:
+def _disturbances(repeats: int, rng: np.random.Generator) -> list[_Disturbance]:
     """Disturbances of the tries: the first is zero, the others are random."""
-    middle = float(np.mean(config.friction))
+    middle = float(np.mean(FRICTION))
     drawn = [_Disturbance(np.zeros(2), 0.0, np.ones(3), middle, 1.0)]
-    for _ in range(config.repeats - 1):
-        level, upright = 1 + config.scale * rng.standard_normal(2)
+    for _ in range(repeats - 1):
+        level, upright = 1 + SCALE * rng.standard_normal(2)
         drawn.append(
             _Disturbance(
-                shift=config.place * rng.standard_normal(2),
-                yaw=config.turn * float(rng.standard_normal()),
+                shift=PLACE * rng.standard_normal(2),
+                yaw=TURN * float(rng.standard_normal()),
                 scale=np.array([level, level, upright]),
-                friction=float(rng.uniform(*config.friction)),
-                mass=float(np.exp(rng.uniform(*np.log(config.mass)))),
+                friction=float(rng.uniform(*FRICTION)),
+                mass=float(np.exp(rng.uniform(*np.log(MASS)))),
             )
         )
     return drawn

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,40 +10,30 @@ from pointsdf_cli.geometry.stable_poses import StablePose
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
 
-
-@dataclass(frozen=True)
-class SettleConfig:
-    """Criteria of rest.
-
-    Attributes:
-        drop: Height above the table from which the object is released [m].
-        longest: Time limit [s].
-        speed: Largest speed of an object at rest [m/s].
-        turn_speed: Its largest angular speed [rad/s].
-        rest_time: Time below both speeds until it counts as at rest [s].
-    """
-
-    drop: float = 0.002
-    longest: float = 4.0
-    speed: float = 0.004
-    turn_speed: float = 0.05
-    rest_time: float = 0.25
+DROP = 0.002
+"""Height above the table from which the object is released [m]."""
+LONGEST = 4.0
+"""Time limit [s]."""
+SPEED = 0.004
+"""Largest speed of an object at rest [m/s]."""
+TURN_SPEED = 0.05
+"""Its largest angular speed [rad/s]."""
+REST_TIME = 0.25
+"""Time below both speeds until it counts as at rest [s]."""
 
 
-def settle(
-    world: World, item: SimObject, pose: StablePose, config: SettleConfig
-) -> NDArray[np.float64] | None:
+def settle(world: World, item: SimObject, pose: StablePose) -> NDArray[np.float64] | None:
     """Pose T_table_object [4, 4] in which an object comes to rest, even if it topples first; None
     if it does not."""
-    place = transform(np.eye(3), [0.5, 0.0, config.drop])
+    place = transform(np.eye(3), [0.5, 0.0, DROP])
     world.reset(item, place @ pose.T_table_object, robot="none")
     check = max(1, round(0.05 / world.physics.step))
     quiet = 0.0
-    while world.time < config.longest:
+    while world.time < LONGEST:
         world.step(check)
         speed, turning = world.object_speed()
-        still = speed < config.speed and turning < config.turn_speed
+        still = speed < SPEED and turning < TURN_SPEED
         quiet = quiet + check * world.physics.step if still else 0.0
-        if quiet >= config.rest_time and world.object_on_table():
+        if quiet >= REST_TIME and world.object_on_table():
             return world.object_pose()
     return None

@@ -14,7 +14,7 @@ from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.geometry.stable_poses import StablePose, stable_poses
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.simulation.decomposition import Pieces, convex_pieces
-from pointsdf_cli.simulation.mass import MassConfig, mass_of
+from pointsdf_cli.simulation.mass import mass_of
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
 
 
@@ -40,10 +40,7 @@ class SimObject:
 
 
 def prepare_object(
-    mesh: LoadedMesh,
-    cache: Path | None = None,
-    cut: QuickCutConfig | None = None,
-    masses: MassConfig | None = None,
+    mesh: LoadedMesh, cache: Path | None = None, cut: QuickCutConfig | None = None
 ) -> SimObject:
     """Prepare a mesh for simulation.
 
@@ -51,7 +48,6 @@ def prepare_object(
         mesh: A closed mesh.
         cache: Cache folder of CoACD's pieces; see `convex_pieces`.
         cut: Settings of `quick_pieces`, which then replaces CoACD.
-        masses: Estimate of its mass if none is published.
 
     Raises:
         InputError: It encloses no volume or has no resting pose.
@@ -63,7 +59,7 @@ def prepare_object(
             where=mesh.name,
             allowed="a closed mesh that faces outwards, above 1e-9 m³",
         )
-    mass = mass_of(mesh.name, solid, masses)
+    mass = mass_of(mesh.name, solid)
     solid.density = mass / solid.volume
     centre = np.asarray(solid.center_mass)
     moments, axes = np.linalg.eigh(np.asarray(solid.moment_inertia))

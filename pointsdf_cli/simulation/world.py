@@ -20,7 +20,14 @@ from pointsdf_cli.simulation.bullet_robot import BulletRobot, CarriedHand
 from pointsdf_cli.simulation.bullet_urdf import bullet_urdf, hand_urdfs
 from pointsdf_cli.simulation.contacts import RobotContact, any_below, contact_of
 from pointsdf_cli.simulation.decomposition import Pieces
-from pointsdf_cli.simulation.physics import CONTACT_RECOVERY, JOINT_RECOVERY, PhysicsConfig
+from pointsdf_cli.simulation.physics import (
+    CONTACT_RECOVERY,
+    GRAVITY,
+    HAND_FRICTION,
+    JOINT_RECOVERY,
+    TABLE_FRICTION,
+    PhysicsConfig,
+)
 from pointsdf_cli.simulation.sim_object import SimObject
 
 TABLE_LOW, TABLE_HIGH = (-0.35, -0.75), (1.25, 0.75)
@@ -103,7 +110,7 @@ class World:
             enableFileCaching=0,
             physicsClientId=c,
         )
-        b.setGravity(0, 0, -self.physics.gravity, physicsClientId=c)
+        b.setGravity(0, 0, -GRAVITY, physicsClientId=c)
         self._steps = 0
         self._shown = None
         self._add_table()
@@ -285,9 +292,7 @@ class World:
         )
         centre = [*(np.add(TABLE_HIGH, TABLE_LOW) / 2), -0.05]
         self._table = b.createMultiBody(0, shape, basePosition=centre, physicsClientId=c)
-        b.changeDynamics(
-            self._table, -1, lateralFriction=self.physics.table_friction, physicsClientId=c
-        )
+        b.changeDynamics(self._table, -1, lateralFriction=TABLE_FRICTION, physicsClientId=c)
 
     def _add_robot(self, q: Array, hand_alone: bool) -> None:
         b, c, robot = self._bullet, self._client, self.robot
@@ -310,9 +315,7 @@ class World:
         self._robot.ignore_contacts(sorted(map(sorted, robot.may_touch | robot.tree.neighbours())))
         self._hand_links = {links[link] for link in robot.hand_links}
         for body, number in sorted(self._hand_links):
-            b.changeDynamics(
-                body, number, lateralFriction=self.physics.hand_friction, physicsClientId=c
-            )
+            b.changeDynamics(body, number, lateralFriction=HAND_FRICTION, physicsClientId=c)
         self.place(q)
         self.drive_to(q, np.arange(len(robot.joint_names)), robot.effort)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import strictly_inside
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.signed_distance import SignedDistance
-from pointsdf_cli.geometry.stable_poses import StandingConfig, draw_pose
+from pointsdf_cli.geometry.stable_poses import STANDING, draw_pose
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.trials import TrialRow
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
@@ -27,7 +27,7 @@ from pointsdf_cli.robot.own_points import off_robot, robot_points
 from pointsdf_cli.simulation.feet import on_its_foot
 from pointsdf_cli.simulation.observe import Observer
 from pointsdf_cli.simulation.places import placed
-from pointsdf_cli.simulation.settle import SettleConfig, settle
+from pointsdf_cli.simulation.settle import settle
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.protocol import Trial, TrialObject
@@ -40,27 +40,15 @@ OUTLINE_STEP = 0.004
 """Spacing of the points at which outlines are compared [m]."""
 
 
-@dataclass(frozen=True)
-class ClutterConfig:
-    """Distribution of the other objects, and limits of disturbance.
-
-    Attributes:
-        gap: Range of the horizontal distance between the outlines of target and neighbour [m]; two
-            neighbours keep the lower bound.
-        low, high: Corners of their region on the table [m].
-        standing: Distribution of their poses.
-        settling: Criteria of rest.
-        moved: Largest allowed displacement of a centre of mass [m].
-        tilted: Largest allowed tilt [rad].
-    """
-
-    gap: tuple[float, float] = (0.03, 0.12)
-    low: tuple[float, float] = (0.32, -0.5)
-    high: tuple[float, float] = (1.0, 0.5)
-    standing: StandingConfig = field(default_factory=StandingConfig)
-    settling: SettleConfig = field(default_factory=SettleConfig)
-    moved: float = 0.02
-    tilted: float = float(np.pi / 4)
+GAP = (0.03, 0.12)
+"""Range of the horizontal distance between the outlines of target and neighbour [m]; two neighbours
+keep the lower bound."""
+LOW, HIGH = (0.32, -0.5), (1.0, 0.5)
+"""Corners of their region on the table [m]."""
+MOVED = 0.02
+"""Largest allowed displacement of a centre of mass [m]."""
+TILTED = float(np.pi / 4)
+"""Largest allowed tilt [rad]."""
 
 
 class Disturbance(NamedTuple):
@@ -80,7 +68,6 @@ def place_neighbours(
     target: Standing,
     trial: Trial,
     load: Callable[[TrialObject], SimObject],
-    config: ClutterConfig,
 ) -> list[Standing]:
     """The neighbours of a trial, at rest: the same for all views and variants of a scene.
 
@@ -93,17 +80,17 @@ def place_neighbours(
     outlines = [along(level_corners(*target))]
     found: list[Standing] = []
     for other in trial.others:
-        item, resting = _at_rest(world, load(other), other.name, config, rng)
+        item, resting = _at_rest(world, load(other), other.name, rng)
         corners = level_corners(item, resting)
-        reach = config.gap[1] + float(np.linalg.norm(np.ptp(corners, axis=0))) / 2
-        low = np.maximum(config.low, outlines[0].min(axis=0) - reach)
-        high = np.minimum(config.high, outlines[0].max(axis=0) + reach)
+        reach = GAP[1] + float(np.linalg.norm(np.ptp(corners, axis=0))) / 2
+        low = np.maximum(LOW, outlines[0].min(axis=0) - reach)
+        high = np.minimum(HIGH, outlines[0].max(axis=0) + reach)
         for _ in range(PLACE_TRIES):
             yaw, place = float(rng.uniform(0, 2 * np.pi)), rng.uniform(low, high)
             mine = along(turned(corners, yaw, place))
             to_target, *to_others = (level_gap(mine, there) for there in outlines)
-            near = config.gap[0] <= to_target <= config.gap[1]
-            if near and min(to_others, default=np.inf) >= config.gap[0]:
+            near = GAP[0] <= to_target <= GAP[1]
+            if near and min(to_others, default=np.inf) >= GAP[0]:
                 found.append((item, placed(resting, item, yaw, place)))
                 outlines.append(mine)
                 break
@@ -114,18 +101,16 @@ def place_neighbours(
     return found
 
 
-def _at_rest(
-    world: World, item: SimObject, name: str, config: ClutterConfig, rng: np.random.Generator
-) -> Standing:
+def _at_rest(world: World, item: SimObject, name: str, rng: np.random.Generator) -> Standing:
     """The object with a foot, and T_table_object [4, 4] in a random resting pose.
 
     Raises:
         InputError: It never comes to rest.
     """
     for _ in range(POSE_TRIES):
-        pose = item.poses[draw_pose(item.poses, config.standing, rng)[0]]
+        pose = item.poses[draw_pose(item.poses, STANDING, rng)[0]]
         standing = on_its_foot(item, pose)
-        resting = settle(world, standing, pose, config.settling)
+        resting = settle(world, standing, pose)
         if resting is not None:
             return standing, resting
     raise InputError("never comes to rest on a table", where=name)
@@ -241,15 +226,12 @@ def _away(points: Array, standing: Standing) -> Array:
     return away
 
 
-def disturbance(
-    before: Sequence[Standing], after: Sequence[Array], config: ClutterConfig
-) -> Disturbance:
+def disturbance(before: Sequence[Standing], after: Sequence[Array]) -> Disturbance:
     """Measure the movement of the neighbours.
 
     Args:
         before: The neighbours as placed.
         after: T_world_object [4, 4] of each at the end.
-        config: Limits of movement and tilt.
     """
     moves, tilts = [0.0], [0.0]
     for (item, was), now in zip(before, after, strict=True):
@@ -258,16 +240,14 @@ def disturbance(
         moves.append(float(np.linalg.norm(shift)))
         tilts.append(float(np.arccos(np.clip(was[2, :3] @ now[2, :3], -1.0, 1.0))))
     largest = max(moves)
-    return Disturbance(largest > config.moved or max(tilts) > config.tilted, largest)
+    return Disturbance(largest > MOVED or max(tilts) > TILTED, largest)
 
 
-def with_others(
-    row: TrialRow, before: Sequence[Standing], after: Sequence[Array], config: ClutterConfig
-) -> TrialRow:
+def with_others(row: TrialRow, before: Sequence[Standing], after: Sequence[Array]) -> TrialRow:
     """A trial's row with the movement of the other objects; `after` is empty without an
     execution."""
     row = replace(row, clutter=len(before))
     if not after:
         return row
-    found = disturbance(before, after, config)
+    found = disturbance(before, after)
     return replace(row, disturbed=found.disturbed, largest_move=found.largest_move)

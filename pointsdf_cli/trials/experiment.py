@@ -45,7 +45,7 @@ def make_tasks(
         )
         for i, one in enumerate(trials)
     }
-    used = config.variants
+    used = config.variants.plan
     require_apart(
         [*(task.out for task in tasks.values()), out / "trials.h5"],
         [*{t.object.mesh for t in trials}, used.checkpoint, used.grasp_checkpoint, used.robot],
@@ -117,7 +117,7 @@ def _failures(tasks: Sequence[TrialTask], most: int) -> list[tuple[str, bytes]]:
     robot = None
     strips = []
     for _, task, row, evidence in failed[:most]:
-        robot = robot or RobotMeshes(load_robot(task.config.variants.robot), sections=20)
+        robot = robot or RobotMeshes(load_robot(task.config.variants.plan.robot), sections=20)
         mesh, *others = (object_mesh(o) for o in (task.trial.object, *task.trial.others))
         strip = trial_strip(robot, mesh, evidence, others)
         strips.append((caption(row), png_bytes(strip)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -21,18 +21,17 @@ from pointsdf_cli.io.checkpoints import CONFIG, WEIGHTS, read_checkpoint
 from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_score import load_grasp_model
+from pointsdf_cli.planning.answer import Answer, Surface
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
 from pointsdf_cli.planning.grasp_planner import (
-    Answer,
     GraspPlanner,
     ObjectGrasps,
     PlanOptions,
     SuccessModel,
 )
-from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.partial_view import partial_mesh
-from pointsdf_cli.planning.planner import MARGIN, PlannerConfig
+from pointsdf_cli.planning.rehearsed import believed_surface, rehearsed_planner
 from pointsdf_cli.planning.seen_obstacles import seen_obstacles
 from pointsdf_cli.planning.table_top import TableTop
 from pointsdf_cli.planning.target import EmptyFieldError
@@ -40,13 +39,6 @@ from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.trials import protocol
 from pointsdf_cli.trials.protocol import PlannerVariant
-from pointsdf_cli.trials.rehearsed import (
-    RehearsedAnswer,
-    RehearsedPlanner,
-    RehearsedPlannerConfig,
-    Surface,
-    believed_surface,
-)
 
 
 @dataclass(frozen=True)
@@ -54,24 +46,12 @@ class VariantOptions:
     """Options shared by all variants.
 
     Attributes:
-        solver: "sqp" or "slsqp".
-        robot: YAML file; the bundled robot if None.
-        checkpoint: Reconstruction network; the bundled one if None.
-        grasp_checkpoint: Success network of the method "reconstruction"; the bundled one if None.
-        clearance: Least distance of the robot to the object in the variant's model [m].
-        margin: Preferred distance to it [m].
+        plan: Planning options; networks are those of the method "reconstruction".
         rehearse: Number of grasps of a round to rehearse; 0 for none.
-        device: Device of the networks.
     """
 
-    solver: str = "sqp"
-    robot: Path | None = None
-    checkpoint: Path | None = None
-    grasp_checkpoint: Path | None = None
+    plan: PlanOptions = field(default_factory=PlanOptions)
     rehearse: int = 12
-    clearance: float = 0.001
-    margin: float = MARGIN
-    device: str = "cpu"
 
 
 def plan_options(variant: PlannerVariant, options: VariantOptions) -> PlanOptions:
@@ -80,22 +60,19 @@ def plan_options(variant: PlannerVariant, options: VariantOptions) -> PlanOption
     Raises:
         InputError: An option is invalid.
     """
-    checkpoint = options.checkpoint
+    plan = options.plan
+    checkpoint = plan.checkpoint
     if variant.ablation.startswith(protocol.CHECKPOINT):
         checkpoint = Path(variant.ablation.removeprefix(protocol.CHECKPOINT))
     # Checkpoint options apply to the reconstruction method, not to the baseline. For another robot
     # there is one success network, which both share.
     reconstructs = variant.method == protocol.RECONSTRUCTION
-    own_network = reconstructs or options.robot is not None
-    return PlanOptions(
+    own_network = reconstructs or plan.robot is not None
+    return replace(
+        plan,
         method=variant.method,
-        solver=options.solver,
-        robot=options.robot,
         checkpoint=checkpoint if reconstructs else None,
-        grasp_checkpoint=options.grasp_checkpoint if own_network else None,
-        clearances=Clearances(object=options.clearance),
-        margin=options.margin,
-        device=options.device,
+        grasp_checkpoint=plan.grasp_checkpoint if own_network else None,
     )
 
 
@@ -117,24 +94,19 @@ def check_variant(variant: PlannerVariant, options: VariantOptions) -> None:
     """Refuse unusable variants before the first trial.
 
     Raises:
-        InputError: An unknown solver, or a checkpoint that cannot be read.
+        InputError: A checkpoint cannot be read.
     """
     asked = plan_options(variant, options)
-    PlannerConfig(solver=asked.solver, clearances=asked.clearances, margin=asked.margin)
     if asked.checkpoint is not None:
         read_checkpoint(asked.checkpoint)
     if asked.grasp_checkpoint is not None or asked.robot is not None:
         read_grasp_checkpoint(asked.grasp_checkpoint, None, load_robot(asked.robot))
 
 
-def rehearsal_of(
-    variant: PlannerVariant, options: VariantOptions, execution: ExecutorConfig | None = None
-) -> RehearsedPlannerConfig | None:
-    """Rehearsal settings of a variant; None for one that does not rehearse."""
+def rehearsals_of(variant: PlannerVariant, options: VariantOptions) -> int:
+    """Number of grasps of a round that a variant rehearses."""
     reconstructs = variant.method == protocol.RECONSTRUCTION
-    if not reconstructs or not options.rehearse or variant.ablation == protocol.NO_REHEARSAL:
-        return None
-    return RehearsedPlannerConfig(count=options.rehearse, execution=execution or ExecutorConfig())
+    return options.rehearse if reconstructs and variant.ablation != protocol.NO_REHEARSAL else 0
 
 
 class TrialPlanner:
@@ -157,14 +129,15 @@ class TrialPlanner:
         self.variant = variant
         ablation = variant.ablation
         if ablation == protocol.NO_SUCCESS:
-            robot = load_robot(options.robot)
+            plan = options.plan
+            robot = load_robot(plan.robot)
             grasps = Indifferent(
-                grasps or load_grasp_model(options.grasp_checkpoint, None, options.device, robot)
+                grasps or load_grasp_model(plan.grasp_checkpoint, None, plan.device, robot)
             )
         asked = plan_options(variant, options)
-        rehearsal = rehearsal_of(variant, options, execution)
-        if rehearsal is not None:
-            self._planner: GraspPlanner = RehearsedPlanner(asked, grasps, rehearsal)
+        count = rehearsals_of(variant, options)
+        if count:
+            self._planner = rehearsed_planner(asked, grasps, count, execution)
         else:
             self._planner = GraspPlanner(asked, grasps)
 
@@ -195,9 +168,7 @@ class TrialPlanner:
             perceived = planner.see([view], seed, field)
         except EmptyFieldError as error:
             return planner.nothing(error.what)
-        if isinstance(planner, RehearsedPlanner):
-            return planner.plan_seen(perceived, environment, seed=seed, surface=surface)
-        return planner.plan_seen(perceived, environment, seed=seed)
+        return planner.plan_seen(perceived, environment, seed=seed, surface=surface)
 
     def surroundings(self, seen: TableTop, seed: int) -> Environment:
         """The table and the other observed objects: reconstructions, or hulls for a variant without
@@ -207,7 +178,7 @@ class TrialPlanner:
     def believed(self, answer: Answer, points: Array) -> Surface | None:
         """Surface of the object in the variant's model, for pictures; points [N, 3] in the
         world."""
-        if isinstance(answer, RehearsedAnswer) and answer.surface is not None:
+        if answer.surface is not None:
             return answer.surface
         if self.variant.method == protocol.PARTIAL_VIEW:
             return partial_mesh(points)

@@ -25,7 +25,7 @@ from pointsdf_cli.io.trials import (
     read_trial,
     write_trial,
 )
-from pointsdf_cli.planning.answer import Answer
+from pointsdf_cli.planning.answer import Answer, Surface
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
@@ -42,7 +42,6 @@ from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.verdict import UNTRIED
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.clutter import (
-    ClutterConfig,
     look,
     place_neighbours,
     with_others,
@@ -53,13 +52,11 @@ from pointsdf_cli.trials.pictures import write_film
 from pointsdf_cli.trials.planner_variants import (
     TrialPlanner,
     VariantOptions,
-    rehearsal_of,
+    rehearsals_of,
     weights_of,
 )
 from pointsdf_cli.trials.protocol import PlannerVariant, Trial, TrialObject
-from pointsdf_cli.trials.rehearsed import RehearsedAnswer, Surface
 from pointsdf_cli.trials.scenes import (
-    SceneConfig,
     load_object,
     object_mesh,
     place_camera,
@@ -75,17 +72,14 @@ class TrialConfig:
     """Settings of all trials of an experiment.
 
     Attributes:
-        variants, scene, physics, execution: Settings of planners, scenes, simulation and execution.
+        variants, physics, execution: Settings of planners, simulation and execution.
         sensor: Name of the depth sensor in `SENSORS`.
-        clutter: Distribution of other objects; None for a target that stands alone.
     """
 
     variants: VariantOptions = field(default_factory=VariantOptions)
-    scene: SceneConfig = field(default_factory=SceneConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
     sensor: str = "ideal"
-    clutter: ClutterConfig | None = None
 
     def __post_init__(self) -> None:
         load_sensor(self.sensor)
@@ -93,9 +87,7 @@ class TrialConfig:
     def as_dict(self) -> dict[str, Any]:
         """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
         plain: dict[str, Any] = without_ideal(asdict(self))
-        options = plain["variants"]
-        if plain["clutter"] is None:
-            del plain["clutter"]
+        options = plain["variants"]["plan"]
         for name in ("robot", "checkpoint", "grasp_checkpoint"):
             options[name] = None if options[name] is None else str(options[name])
         return plain
@@ -130,7 +122,7 @@ class TrialRunner:
 
     def __init__(self, config: TrialConfig, grasps: SuccessModel | None = None) -> None:
         self.config = config
-        self.robot = load_robot(config.variants.robot)
+        self.robot = load_robot(config.variants.plan.robot)
         self._world = World(self.robot, config.physics)
         self._kinematics = Kinematics(self.robot)
         self._geometry = RobotGeometry(self._kinematics)
@@ -150,10 +142,9 @@ class TrialRunner:
             InputError: The mesh cannot be used, or the object never rests.
         """
         item = self._item(trial.object)
-        item, T_world_object, yaw = place_object(self._world, item, trial, self.config.scene)
-        around_it = self.config.clutter or ClutterConfig()
-        others = place_neighbours(self._world, (item, T_world_object), trial, self._item, around_it)
-        T_world_camera = place_camera(item, T_world_object, trial, self.config.scene)
+        item, T_world_object, yaw = place_object(self._world, item, trial)
+        others = place_neighbours(self._world, (item, T_world_object), trial, self._item)
+        T_world_camera = place_camera(item, T_world_object, trial)
         rng = trial.rng("view")
         vertices = apply_transform(T_world_object, item.mesh.vertices)
         truth = vertices, item.mesh.faces
@@ -184,7 +175,7 @@ class TrialRunner:
         row = self._row(trial, yaw, plan, answer, executed, spent, truth)
         if others:
             ends = [] if executed is None else [one.pose() for one in self._world.others]
-            row = with_others(row, others, ends, around_it)
+            row = with_others(row, others, ends)
         world_cloud = view.in_world
         believed = None
         if answer is not None and answer.target is not None:
@@ -210,7 +201,7 @@ class TrialRunner:
 
     def _item(self, item: TrialObject) -> SimObject:
         if item not in self._objects:
-            self._objects[item] = load_object(item, self.config.scene)
+            self._objects[item] = load_object(item)
             while len(self._objects) > KEPT_OBJECTS:
                 self._objects.popitem(last=False)
         return self._objects[item]
@@ -237,7 +228,7 @@ class TrialRunner:
         if executed is not None:
             cause = NO_LIFT if outcome is None else outcome.cause
         rehearsed = float("nan")
-        if isinstance(answer, RehearsedAnswer) and answer.rehearsed and answer.rehearsed.tries:
+        if answer is not None and answer.rehearsed and answer.rehearsed.tries:
             rehearsed = answer.rehearsed.share
         planned = plan is not None and plan.status == OK
         pushed = self.config.execution.push > 0
@@ -310,14 +301,13 @@ def _options_of(task: TrialTask) -> dict[str, Any]:
     trial = task.trial
     config = task.config.as_dict() | {"seed": trial.seed, "yaws": trial.yaws, "trial": trial.name}
     config["weights"] = weights_of(trial.variant, task.config.variants)
-    rehearsal = rehearsal_of(trial.variant, task.config.variants, task.config.execution)
-    config["rehearsal"] = None if rehearsal is None else rehearsal.as_dict()
+    config["rehearsals"] = rehearsals_of(trial.variant, task.config.variants)
     config["mesh"] = "" if trial.object.mesh is None else file_sha256(trial.object.mesh)
     if trial.others:
         config["others"] = {
             one.name: "" if one.mesh is None else file_sha256(one.mesh) for one in trial.others
         }
-    config["variants"] |= {"robot": robot_digest(task.config.variants.robot)}
+    config["variants"]["plan"]["robot"] = robot_digest(task.config.variants.plan.robot)
     return config
 
 

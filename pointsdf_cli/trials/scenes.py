@@ -6,7 +6,7 @@ The camera stands opposite the robot and looks at it, so the hand comes from the
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, transform
-from pointsdf_cli.geometry.stable_poses import StablePose, StandingConfig, draw_pose
+from pointsdf_cli.geometry.stable_poses import FIRM, StablePose, draw_pose
 from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
 from pointsdf_cli.objects.stand_ins import make_stand_in
 from pointsdf_cli.simulation.feet import on_its_foot
-from pointsdf_cli.simulation.mass import MassConfig
 from pointsdf_cli.simulation.places import placed
 from pointsdf_cli.simulation.quick_pieces import QuickCutConfig
-from pointsdf_cli.simulation.settle import SettleConfig, settle
+from pointsdf_cli.simulation.settle import settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.protocol import CAMERAS, Trial, TrialObject
@@ -44,42 +43,29 @@ mm outside the mesh. With the sixteen pieces of the collection a biplane's wings
 can slid out of every grasp, since each seam adds two contacts for a solver of few iterations."""
 
 
-@dataclass(frozen=True)
-class SceneConfig:
-    """Poses of the camera and the table.
-
-    Attributes:
-        place: Mean position of the object [m].
-        place_spread: Standard deviation of its horizontal position [m].
-        camera_distance: Horizontal distance from the object to the camera [m].
-        azimuth: Largest angle of the camera from opposite the robot [rad].
-        look_height: Height above the table of the point that it looks at [m].
-        lowest: Height below which an upright object is laid on its side [m].
-        cut: Decomposition of the object into convex pieces.
-        masses: Estimate of the object's mass if none is published.
-        standing: Distribution of poses: objects that can stand always do.
-        settling: Criteria of rest.
-    """
-
-    place: tuple[float, float] = (0.60, 0.0)
-    place_spread: float = 0.02
-    camera_distance: float = 0.95
-    azimuth: float = 0.35
-    look_height: float = 0.08
-    lowest: float = 0.03
-    cut: QuickCutConfig = TRUE_CUT
-    masses: MassConfig = field(default_factory=MassConfig)
-    standing: StandingConfig = field(default_factory=lambda: StandingConfig(standing=1.0))
-    settling: SettleConfig = field(default_factory=SettleConfig)
+PLACE = (0.60, 0.0)
+"""Mean position of the object [m]."""
+PLACE_SPREAD = 0.02
+"""Standard deviation of its horizontal position [m]."""
+CAMERA_DISTANCE = 0.95
+"""Horizontal distance from the object to the camera [m]."""
+AZIMUTH = 0.35
+"""Largest angle of the camera from opposite the robot [rad]."""
+LOOK_HEIGHT = 0.08
+"""Height above the table of the point that it looks at [m]."""
+LOWEST = 0.03
+"""Height below which an upright object is laid on its side [m]."""
+STANDING = 1.0
+"""Probability of a standing pose: objects that can stand always do."""
 
 
-def load_object(item: TrialObject, config: SceneConfig) -> SimObject:
+def load_object(item: TrialObject) -> SimObject:
     """Load and prepare an object.
 
     Raises:
         InputError: Its mesh cannot be used.
     """
-    return prepare_object(object_mesh(item), cut=config.cut, masses=config.masses)
+    return prepare_object(object_mesh(item), cut=TRUE_CUT)
 
 
 def object_mesh(item: TrialObject) -> LoadedMesh:
@@ -103,9 +89,7 @@ def hash_of(*arrays: NDArray[np.generic]) -> str:
     return total.hexdigest()
 
 
-def place_object(
-    world: World, item: SimObject, trial: Trial, config: SceneConfig
-) -> tuple[SimObject, Array, float]:
+def place_object(world: World, item: SimObject, trial: Trial) -> tuple[SimObject, Array, float]:
     """Place the object of a trial: the object with a foot, T_world_object [4, 4] and yaw [rad];
     equal for all views and variants.
 
@@ -118,27 +102,27 @@ def place_object(
     resting, standing = None, item
     for _ in range(POSE_TRIES):
         if trial.object.upright:
-            pose = upright_pose(item, config)
+            pose = upright_pose(item)
         else:
-            pose = item.poses[draw_pose(item.poses, config.standing, rng)[0]]
+            pose = item.poses[draw_pose(item.poses, STANDING, rng)[0]]
         standing = on_its_foot(item, pose)
-        resting = settle(world, standing, pose, config.settling)
+        resting = settle(world, standing, pose)
         if resting is not None or trial.object.upright:
             break
     if resting is None:
         raise InputError("never comes to rest on a table", where=trial.object.name)
     yaw = float(rng.uniform(0, 2 * np.pi)) + 2 * np.pi * trial.yaw_index / trial.yaws
     yaw = float(np.mod(yaw, 2 * np.pi))
-    shift = config.place_spread * trial.rng("scene").standard_normal(2)
-    return standing, placed(resting, item, yaw, np.asarray(config.place) + shift), yaw
+    shift = PLACE_SPREAD * trial.rng("scene").standard_normal(2)
+    return standing, placed(resting, item, yaw, np.asarray(PLACE) + shift), yaw
 
 
-def upright_pose(item: SimObject, config: SceneConfig) -> StablePose:
+def upright_pose(item: SimObject) -> StablePose:
     """The firm pose nearest to z up, or the tallest firm one if that is too low for a side
     grasp."""
-    firm = [pose for pose in item.poses if pose.margin >= config.standing.firm] or item.poses
+    firm = [pose for pose in item.poses if pose.margin >= FIRM] or item.poses
     upright = max(firm, key=lambda pose: pose.T_table_object[2, 2])
-    if upright.height < config.lowest:
+    if upright.height < LOWEST:
         return max(firm, key=lambda pose: pose.height)
     if upright.T_table_object[2, 2] < np.cos(NEARLY_UPRIGHT):
         return upright
@@ -148,13 +132,11 @@ def upright_pose(item: SimObject, config: SceneConfig) -> StablePose:
     return replace(upright, T_table_object=transform(np.eye(3), [-middle[0], -middle[1], -lowest]))
 
 
-def place_camera(
-    item: SimObject, T_world_object: Array, trial: Trial, config: SceneConfig
-) -> Array:
+def place_camera(item: SimObject, T_world_object: Array, trial: Trial) -> Array:
     """T_world_camera [4, 4]: opposite the robot, at the camera's height."""
-    azimuth = float(trial.rng("scene").uniform(-config.azimuth, config.azimuth))
+    azimuth = float(trial.rng("scene").uniform(-AZIMUTH, AZIMUTH))
     outline = apply_transform(T_world_object, item.mesh.vertices)[:, :2]
     middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
     toward = np.array([np.cos(azimuth), np.sin(azimuth)])
-    eye = np.array([*(middle + config.camera_distance * toward), CAMERAS[trial.camera]])
-    return look_at(eye, np.array([*middle, config.look_height]))
+    eye = np.array([*(middle + CAMERA_DISTANCE * toward), CAMERAS[trial.camera]])
+    return look_at(eye, np.array([*middle, LOOK_HEIGHT]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.trials.rehearsed import promising_first
+from pointsdf_cli.planning.rehearsed import promising_first
 
 
 def grasp(success: float, slack: float, objective: float = 0.0) -> Candidate:
