@@ -14,7 +14,7 @@ from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
-from pointsdf_cli.simulation.executor import ExecutorConfig
+from pointsdf_cli.simulation.executor import PUSH_TIME, ExecutorConfig
 from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.physics import GRAVITY
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
@@ -250,10 +250,10 @@ def test_a_firm_grasp_withstands_small_pushes_and_a_great_one_takes_the_can_away
     can = replace(item_of("can", SHAPES["can 6.4 cm"][0], cache), mass=0.2)
     alone = carried_out(attempter, can, grip)
     assert (alone.lifted, alone.held, alone.unshaken, alone.lost_in) == (True, True, UNTRIED, "")
-    small = carried_out(attempter, can, grip, push=0.5, push_time=0.2)
+    small = carried_out(attempter, can, grip, push=0.5)
     assert (small.held, small.unshaken, small.lost_in) == (True, 1, "")
-    assert small.duration == pytest.approx(alone.duration + 6 * 0.2, abs=0.01)
-    great = carried_out(attempter, can, grip, push=100.0, push_time=0.2)
+    assert small.duration == pytest.approx(alone.duration + 6 * PUSH_TIME, abs=0.01)
+    great = carried_out(attempter, can, grip, push=100.0)
     assert (great.held, great.unshaken, great.lost_in) == (True, 0, "push +x")
     # Pushes come after the verdict that labels count: it is the same with and without them.
     for other in (small, great):

@@ -145,7 +145,7 @@ def add_gripper(model: Model) -> None:
                 (0, 0, 0.0584),
                 axis=(0, side, 0),
                 limit=(0.0, 0.04),
-                effort=40.0,
+                effort=20.0,
                 velocity=0.05,
                 damping=10.0,
                 kind="prismatic",
