@@ -16,7 +16,7 @@ rgrasp train-sdf --views "$work/views" --labels "$work/labels" --out "$work/ckpt
 rgrasp mesh assets/clouds/mug.ply --out "$work/mug.ply" --resolution 64 --quiet >/dev/null
 rgrasp plan assets/clouds/table.ply --out "$work/plan.h5" --trajectory "$work/motion.json" --no-picture --quiet >/dev/null
 grep -q '"joint_names"' "$work/motion.json"
-rgrasp eval-sdf --checkpoint assets/weights/pointsdf_ray --views "$work/views" \
+rgrasp eval-sdf --checkpoint assets/weights/pointsdf_real --views "$work/views" \
     --meshes "$work/meshes" --out "$work/table.json" --count 1 --resolution 32 --samples 2000 --quiet >/dev/null
 rgrasp info "$work"/views/*.h5 --quiet >/dev/null
 rgrasp doctor --quiet
