@@ -259,7 +259,10 @@ class GraspPlanner:
 
         Args:
             perceived: Result of `see`.
-            environment, start, seed, notes: As in `plan`.
+            environment: As in `plan`.
+            start: As in `plan`.
+            seed: As in `plan`.
+            notes: As in `plan`.
             surface: Surface to rehearse on instead of the reconstruction's, world frame.
         """
         points, choice = perceived.points, None
