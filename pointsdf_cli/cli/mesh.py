@@ -186,11 +186,11 @@ def _mesh_one(
 
     preload(("torch", "open3d"))
     # Seconds of imports: only for a cloud that can be used.
-    from pointsdf_cli.models.registry import default_checkpoint, load_model, use_threads
+    from pointsdf_cli.models.registry import completion_checkpoint, load_model, use_threads
     from pointsdf_cli.planning.complete_mesh import complete_mesh
 
     use_threads(threads or idle.count())
-    weights = settings.checkpoint or default_checkpoint()
+    weights = settings.checkpoint or completion_checkpoint()
     model = load_model(weights, common.torch_device(settings.device))
     completed = complete_mesh(model, seen, settings.choices, str(cloud))
     made = completed.mesh
