@@ -130,11 +130,13 @@ def seconds(tree: Path, words: list[str]) -> tuple[float, float]:
 def run(tree: Path, words: list[str], *python: str) -> str:
     """A command's stderr, run from a tree; its exit code must be 0 or 2. Without words a bare
     interpreter."""
+    # An installed package is compiled.
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     program = ["-m", "pointsdf_cli.cli.main", *words] if words else ["-c", ""]
     done = subprocess.run(
         [sys.executable, *python, *program],
         cwd=tree,
-        env=os.environ | {"PYTHONPATH": str(tree)},
+        env=environment | {"PYTHONPATH": str(tree)},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

@@ -7,6 +7,7 @@ neither Python nor its lock. An import that comes later finds the library loaded
 from __future__ import annotations
 
 import ctypes
+import os
 import threading
 from collections.abc import Iterable
 from importlib.machinery import PathFinder
@@ -34,8 +35,8 @@ def _libraries(package: str) -> list[Path]:
 
 
 def _load(paths: Iterable[Path]) -> None:
+    # As a foreign function, which runs without Python's lock; `ctypes.CDLL(path)` holds it.
+    load = ctypes.CDLL(None).dlopen
+    load.argtypes, load.restype = (ctypes.c_char_p, ctypes.c_int), ctypes.c_void_p
     for path in paths:
-        try:
-            ctypes.CDLL(str(path))  # without Python's lock
-        except OSError:
-            continue
+        load(os.fsencode(path), os.RTLD_NOW | os.RTLD_LOCAL)

@@ -11,7 +11,7 @@ from typer.main import get_command
 from pointsdf_cli import choices
 from pointsdf_cli.camera.charuco import BITS, SIZES
 from pointsdf_cli.camera.sensor_presets import SENSORS
-from pointsdf_cli.cli.app import app
+from pointsdf_cli.cli.app import app_of
 from pointsdf_cli.io.meshes import UNITS
 from pointsdf_cli.training.gs_variants import ARCHITECTURES
 from pointsdf_cli.training.sdf_table import PUBLISHED
@@ -43,7 +43,7 @@ def test_another_value_is_one_message(cli: Callable[..., Any], words: str, messa
 
 
 def test_completion_offers_the_values() -> None:
-    commands: Any = get_command(app)
+    commands: Any = get_command(app_of())
     option = next(p for p in commands.commands["eval-sdf"].params if p.name == "beside")
     offered = option.shell_complete(commands.make_context("rgrasp", ["info"]), "")
     assert {item.value for item in offered} == set(PUBLISHED)

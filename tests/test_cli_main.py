@@ -76,7 +76,7 @@ def test_an_interruption_elsewhere_is_one_line(
         os.kill(os.getpid(), signal.SIGINT)
         print("went on")
 
-    monkeypatch.setattr(app_module, "app", interrupted)
+    monkeypatch.setattr(app_module, "app_of", lambda arguments: interrupted)
     before = signal.signal(signal.SIGINT, handler)
     try:
         run = cli()

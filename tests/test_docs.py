@@ -21,7 +21,7 @@ import typer.main
 import yaml
 from doc_blocks import LANGUAGES, Block, blocks, commands
 
-from pointsdf_cli.cli.app import app
+from pointsdf_cli.cli.app import app_of
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
@@ -41,7 +41,7 @@ def parse_rgrasp(words: Sequence[str]) -> None:
     Raises:
         AssertionError: An option, command or value is not known.
     """
-    command, context, rest = typer.main.get_command(app), None, list(words)
+    command, context, rest = typer.main.get_command(app_of()), None, list(words)
     told = io.StringIO()
     while True:
         try:

@@ -31,11 +31,14 @@ def test_inside_is_where_the_mesh_winds_around(mesh: trimesh.Trimesh, convex: bo
     assert 0 < told.sum() < len(told)
 
 
-def test_points_beside_the_box_of_a_mesh_need_no_signed_distance() -> None:
-    torus = trimesh.creation.torus(0.04, 0.012)
-    inside = Inside(np.asarray(torus.vertices), np.asarray(torus.faces))
-    assert inside._planes is None
-    assert not inside(np.array([0.04, 0.0, 0.0121]))
-    assert "_distance" not in vars(inside)
-    assert inside(np.array([0.04, 0.0, 0.0]))
-    assert "_distance" in vars(inside)
+def test_a_part_within_another_counts_once_and_a_cavity_does_not() -> None:
+    outer = trimesh.creation.icosphere(subdivisions=3, radius=0.05)
+    part = trimesh.creation.torus(0.02, 0.006)
+    hole = part.copy()
+    hole.invert()
+    for inner, solid in ((part, True), (hole, False)):
+        body = trimesh.util.concatenate([outer, inner])
+        inside = Inside(np.asarray(body.vertices), np.asarray(body.faces))
+        assert inside(np.array([0.021, 0.001, 0.002])) is solid
+        assert inside(np.array([0.001, 0.0, 0.0]))
+        assert not inside(np.array([0.0, 0.0, 0.0501]))

@@ -18,7 +18,7 @@ import pytest
 import trimesh
 import typer.main
 
-from pointsdf_cli.cli.app import app
+from pointsdf_cli.cli.app import app_of
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 MUG = REPOSITORY / "assets" / "clouds" / "mug.ply"
@@ -112,7 +112,7 @@ def files(folder: Path) -> list[Path]:
 
 
 def test_no_command_is_left_out() -> None:
-    root = typer.main.get_command(app)
+    root = typer.main.get_command(app_of())
     names = set()
     for name, command in root.commands.items():  # type: ignore[attr-defined]
         inner = getattr(command, "commands", None)

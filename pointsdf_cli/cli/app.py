@@ -2,35 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 from pointsdf_cli import __version__
-from pointsdf_cli.cli import (
-    calibrate,
-    cloud,
-    collect_grasps,
-    doctor,
-    eval_gs,
-    eval_sdf,
-    info,
-    label_sdf,
-    mesh,
-    objects,
-    plan,
-    render,
-    report,
-    robot,
-    segment,
-    serve,
-    train_gs,
-    train_sdf,
-    trial,
-    view,
-)
 from pointsdf_cli.errors import InputError
+
+COMMANDS = (
+    "objects",
+    "render",
+    "label-sdf",
+    "train-sdf",
+    "eval-sdf",
+    "calibrate",
+    "cloud",
+    "segment",
+    "mesh",
+    "collect-grasps",
+    "train-gs",
+    "eval-gs",
+    "plan",
+    "serve",
+    "trial",
+    "info",
+    "doctor",
+    "report",
+    "robot",
+    "view",
+)
+"""In the order of the help. Each is in the module of its name: a function of that name, or, with
+commands of its own, `app`."""
 
 
 class _Commands(TyperGroup):
@@ -60,24 +65,12 @@ class _Commands(TyperGroup):
             ) from error
 
 
-app = typer.Typer(
-    name="rgrasp",
-    cls=_Commands,
-    help="Grasp planning for unknown objects from one partial point cloud.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
-
 def _print_version(wanted: bool) -> None:
     if wanted:
         print(f"rgrasp {__version__}")
         raise typer.Exit
 
 
-@app.callback()
 def _root(
     version: Annotated[
         bool,
@@ -96,23 +89,24 @@ def _root(
         allow_inputs_of(largest_input)
 
 
-app.add_typer(objects.app, name="objects")
-app.command("render")(render.render)
-app.command("label-sdf")(label_sdf.label_sdf)
-app.command("train-sdf")(train_sdf.train_sdf)
-app.command("eval-sdf")(eval_sdf.eval_sdf)
-app.command("calibrate")(calibrate.calibrate)
-app.command("cloud")(cloud.cloud)
-app.command("segment")(segment.segment)
-app.command("mesh")(mesh.mesh)
-app.command("collect-grasps")(collect_grasps.collect_grasps)
-app.command("train-gs")(train_gs.train_gs)
-app.command("eval-gs")(eval_gs.eval_gs)
-app.command("plan")(plan.plan)
-app.command("serve")(serve.serve)
-app.command("trial")(trial.trial)
-app.command("info")(info.info)
-app.command("doctor")(doctor.doctor)
-app.command("report")(report.report)
-app.add_typer(robot.app, name="robot")
-app.command("view")(view.view)
+def app_of(arguments: Sequence[str] = ()) -> typer.Typer:
+    """The program with those of its commands that are among the arguments, or with all if none is:
+    to make all of them takes longer than most mistakes take to be told."""
+    app = typer.Typer(
+        name="rgrasp",
+        cls=_Commands,
+        help="Grasp planning for unknown objects from one partial point cloud.",
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(_root)
+    for name in [name for name in COMMANDS if name in arguments] or COMMANDS:
+        place = name.replace("-", "_")
+        module = import_module(f"pointsdf_cli.cli.{place}")
+        if hasattr(module, "app"):
+            app.add_typer(module.app, name=name)
+        else:
+            app.command(name)(getattr(module, place))
+    return app

@@ -58,7 +58,7 @@ def main() -> None:
     _open_closed_streams()
     # Imports make hundreds of thousands of objects that stay: looking for garbage among them again
     # and again takes a tenth of the time.
-    gc.set_threshold(100_000, 20, 20)
+    gc.set_threshold(1_000_000, 20, 20)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a sign that the terminal has not is no failure
             stream.reconfigure(errors="backslashreplace")
@@ -67,9 +67,9 @@ def main() -> None:
         require_address_space()
         defer_unused()
         with _interruptible_imports():
-            from pointsdf_cli.cli.app import app
+            from pointsdf_cli.cli.app import app_of
 
-            app()
+            app_of(sys.argv[1:])()
     except RgraspError as error:
         print(printable(f"rgrasp: {error.message}"), file=sys.stderr)
         sys.exit(error.exit_code)

@@ -177,6 +177,7 @@ def _mesh_one(
     from pointsdf_cli.preload import preload
 
     idle = IdleProcessors()
+    preload(("torch",))
     seen = settings.view(cloud, files, pose)
     points = seen.points
     for line in seen.said:
@@ -184,7 +185,6 @@ def _mesh_one(
     if seen.alone and np.ptp(points, axis=0).max() > SCENE:
         reporter.say(f"{cloud}: wide for one object; if it shows a table, add --segment auto")
 
-    preload(("torch", "open3d"))
     # Seconds of imports: only for a cloud that can be used.
     from pointsdf_cli.models.registry import completion_checkpoint, load_model, use_threads
     from pointsdf_cli.planning.complete_mesh import complete_mesh

@@ -182,6 +182,7 @@ def plan(
     from pointsdf_cli.planning.environment import Environment, read_environment
     from pointsdf_cli.planning.option_checks import check_segment
     from pointsdf_cli.planning.plan_request import PlanChoices
+    from pointsdf_cli.preload import preload
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
 
@@ -207,6 +208,8 @@ def plan(
     around = Environment() if environment is None else read_environment(environment)
     start_at = start_configuration(start, load_robot(robot))
     require_present(checkpoints=[checkpoint, grasp_checkpoint])
+    if server is None and not each:
+        preload(("torch",) if no_picture else ("torch", "open3d"))
     # What reads clouds is loaded for options that can be used.
     from pointsdf_cli.camera.scene_file import options_of_views
     from pointsdf_cli.service.plan_settings import PlanSettings

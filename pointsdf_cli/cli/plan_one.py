@@ -149,9 +149,6 @@ def _plan_here(
     idle: IdleProcessors,
 ) -> PlanResult:
     """Load networks and robot in this process, and plan."""
-    from pointsdf_cli.preload import preload
-
-    preload(("torch", "open3d"))
     # Seconds of imports: only for clouds and options that can be used.
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.planning.option_checks import RECONSTRUCTION

@@ -1,8 +1,8 @@
 """Exact distances of the robot's shapes to each other, to the table and to obstacles (coal).
 
 The paper's a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. Pairs
-whose bounding balls are farther apart than `reach` get the gap between the balls, a lower bound:
-their constraints are inactive.
+whose bounding balls are farther apart than `reach` get the gap between the balls, and meshes whose
+convex hulls are, the distance to the hull: lower bounds, whose constraints are inactive.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.robot_geometry import (
     Body,
     RobotGeometry,
+    coal_mesh,
     link_body,
 )
 from pointsdf_cli.robot.shapes import Shape
@@ -58,6 +59,11 @@ class BodyDistances:
             for k, o in enumerate(environment.obstacles)
             if o.vertices is not None and o.faces is not None
         }
+        # Of a mesh that is farther than `reach`, the hull shows it fifty times as fast.
+        self._hulls: dict[int, coal.CollisionGeometry] = {}
+        for k in self._inside:
+            self._bodies[k].geometry.buildConvexHull(True, "Qt")
+            self._hulls[k] = self._bodies[k].geometry.convex
         checked = {frozenset(pair) for pair in robot.checked_pairs}
         pairs = []
         for i, a in enumerate(self._bodies[:moving]):
@@ -169,9 +175,15 @@ class BodyDistances:
         result: coal.DistanceResult,
     ) -> float:
         """Exact distance [m] of two bodies at their places."""
+        shape, other = (self._bodies[body].geometry for body in pair)
+        hull = self._hulls.get(pair[1])
+        if hull is not None:
+            result.clear()
+            least = float(coal.distance(shape, one, hull, two, self._request, result))
+            if least > self.reach:
+                return least
         result.clear()
-        shapes = [self._bodies[body].geometry for body in pair]
-        distance = float(coal.distance(shapes[0], one, shapes[1], two, self._request, result))
+        distance = float(coal.distance(shape, one, other, two, self._request, result))
         inside = self._inside.get(pair[1])
         if inside is None or distance <= 0:
             return distance
@@ -188,11 +200,16 @@ class BodyDistances:
             for body in (i, j):
                 if body not in places:
                     places[body] = coal.Transform3s(turn[body], at[body])
-            result.clear()
-            one, two = self._bodies[i], self._bodies[j]
-            distance = coal.distance(
-                one.geometry, places[i], two.geometry, places[j], self._request, result
-            )
+            one, two = self._bodies[i].geometry, self._bodies[j].geometry
+            distance = -np.inf
+            if j in self._hulls:
+                result.clear()
+                distance = coal.distance(
+                    one, places[i], self._hulls[j], places[j], self._request, result
+                )
+            if distance <= self.reach:
+                result.clear()
+                distance = coal.distance(one, places[i], two, places[j], self._request, result)
             out.distance[b, m] = distance
             out.point[b, m] = result.getNearestPoint1()
             out.other_point[b, m] = result.getNearestPoint2()
@@ -231,11 +248,7 @@ def _obstacle_body(obstacle: Obstacle) -> Body:
     if obstacle.vertices is None or obstacle.faces is None:
         shape = Shape(obstacle.kind, obstacle.size, obstacle.pose)
         return link_body(WORLD, obstacle.name, shape)
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(obstacle.faces), len(obstacle.vertices))
-    mesh.addVertices(np.asarray(obstacle.vertices, dtype=np.float64))
-    mesh.addTriangles(np.asarray(obstacle.faces, dtype=np.int64))
-    mesh.endModel()
+    mesh = coal_mesh(obstacle.vertices, obstacle.faces)
     middle = (obstacle.vertices.min(axis=0) + obstacle.vertices.max(axis=0)) / 2
     radius = float(np.linalg.norm(obstacle.vertices - middle, axis=1).max())
     centre = obstacle.pose[:3, :3] @ middle + obstacle.pose[:3, 3]

@@ -10,6 +10,7 @@ Beyond the paper: the robot may not touch itself, and all distances keep a margi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -123,12 +124,19 @@ class GraspProblem:
         other._margin = np.where(self.is_object, clearance, self._margin)
         return other
 
-    def measuring(self) -> GraspProblem:
-        """A copy that computes every distance, however large: for reports, not for solvers."""
-        other = copy(self)
-        other.object = self.object.reaching(np.inf)
-        other.bodies = self.bodies.reaching(np.inf)
-        return other
+    def clearances_by_link(self, x: Array, links: Sequence[str]) -> tuple[Array, Array]:
+        """Distances [L] of these links to the object and to the table at x [n], however large; for
+        reports, not for solvers. Infinite for links that are not measured."""
+        poses = link_poses(self.kinematics, self.variables.configuration(x[None]))
+        to_object = self.object.by_link(poses)[[self.kinematics.index(link) for link in links]]
+        bodies = self.bodies.reaching(np.inf)
+        distance = bodies(poses, bodies.is_table).distance[0]
+        to_table = np.full(len(links), np.inf)
+        place = {link: k for k, link in enumerate(links)}
+        for column in np.flatnonzero(bodies.is_table):
+            link = place[bodies.names[column][0]]
+            to_table[link] = min(to_table[link], distance[column])
+        return to_object, to_table
 
     def cost(self, x: Array) -> Cost:
         """The objective at x [B, n]."""

@@ -79,6 +79,16 @@ class ObjectDistances:
         none = np.full(patches, WORLD)
         return Contacts(distance, self.link, point, normal, none, point)
 
+    def by_link(self, poses: Poses) -> Array:
+        """Exact distance [L] of each link of one configuration: the least of its samples; infinite
+        for a link without samples."""
+        rotation, position = poses.rotation[0, self.link], poses.position[0, self.link]
+        world = self._points @ rotation.transpose(0, 2, 1) + position[:, None]
+        least = np.full(poses.rotation.shape[1], np.inf)
+        values = self.field(world.reshape(-1, 3)).reshape(len(self.link), PATCH)
+        np.minimum.at(least, self.link, values.min(axis=1))
+        return least
+
     def of(self, poses: Poses, rows: Indices, columns: Indices) -> Array:
         """Distances [K], m, of the patches `columns` [K] at the configurations `rows` [K]: as in a
         call, but of these alone."""

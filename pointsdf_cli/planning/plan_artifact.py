@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.plans import NO_PLAN, OK, AcceptedGrasps, Plan, RejectedSeeds
 from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.answer import Surface
@@ -57,10 +55,7 @@ def plan_of(outcome: Outcome, warnings: Sequence[str] = (), surface: Surface | N
     if best is not None and motion is not None and motion.trajectory is not None:
         q = best.q
         T_world_palm = outcome.chain.palm(q)
-        _, contacts = problem.measuring().contacts(best.x[None], gradients=False)
-        distance = contacts.distance[0]
-        to_object = link_clearance(problem, distance, links, problem.is_object)
-        to_table = link_clearance(problem, distance, links, problem.is_table)
+        to_object, to_table = problem.clearances_by_link(best.x, links)
         trajectory, times = motion.trajectory.positions, motion.trajectory.times
         lift = lift if motion.lift is None else motion.lift
     vertices, faces = (np.zeros((0, 3)), np.zeros((0, 3))) if surface is None else surface
@@ -129,26 +124,6 @@ def with_warnings(sentence: str, warnings: Sequence[str]) -> str:
 def shaped_links(robot: RobotDescription) -> tuple[str, ...]:
     """The links that have a shape, in the order of the plan's clearances."""
     return tuple(link for link in robot.tree.links if robot.tree.shapes[link])
-
-
-def link_clearance(
-    problem: GraspProblem, distance: Array, links: tuple[str, ...], to: NDArray[np.bool_]
-) -> Array:
-    """Smallest distance [L] of each link among some of the problem's distances [m]; infinite for
-    links without any.
-
-    Args:
-        problem: Problem with the names of the distances.
-        distance: [M], all distances at one configuration, m.
-        links: Names of the links.
-        to: bool [M], mask of the distances to use.
-    """
-    clearance = np.full(len(links), np.inf)
-    place = {link: k for k, link in enumerate(links)}
-    for m in np.flatnonzero(to):
-        link = place[problem.names[m][0]]
-        clearance[link] = min(clearance[link], distance[m])
-    return clearance
 
 
 def _accepted(joints: int, candidates: list[Candidate]) -> AcceptedGrasps:

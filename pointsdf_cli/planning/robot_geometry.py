@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array, Indices
+from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.planning.screen import HandOutline
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.shapes import Shape, bounding_box
@@ -126,8 +127,7 @@ def link_reach(kinematics: Kinematics) -> Array:
 
 def link_body(link: int, name: str, shape: Shape) -> Body:
     """A shape of a link, or of the world."""
-    vertices = np.asarray(shape.as_mesh().vertices)
-    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    centre = shape.bounds().mean(axis=0)
     if shape.kind == "box":
         geometry = coal.Box(*map(float, shape.size))
         radius = float(np.linalg.norm(shape.size)) / 2
@@ -139,8 +139,18 @@ def link_body(link: int, name: str, shape: Shape) -> Body:
     else:
         corners, faces = shape.triangles()
         geometry = coal.Convex(coal_points(corners), coal_triangles(faces))
-        radius = float(np.linalg.norm(vertices - centre, axis=1).max())
+        radius = float(np.linalg.norm(apply_transform(shape.pose, corners) - centre, axis=1).max())
     return Body(link, name, geometry, np.asarray(shape.pose), centre, radius)
+
+
+def coal_mesh(vertices: Array, faces: NDArray[np.integer]) -> coal.CollisionGeometry:
+    """Triangles [F, 3] between vertices [V, 3] in coal's type: a surface, without an inside."""
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(faces), len(vertices))
+    mesh.addVertices(np.asarray(vertices, dtype=np.float64))
+    mesh.addTriangles(np.asarray(faces, dtype=np.int64))
+    mesh.endModel()
+    return mesh
 
 
 def coal_points(vertices: Array) -> coal.StdVec_Vec3s:

@@ -10,23 +10,24 @@ import time
 from collections.abc import Collection, Iterator
 from itertools import count
 
+import coal
 import numpy as np
 import scipy
-import trimesh
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.segmentation import FEWEST, GAP, clusters
 from pointsdf_cli.camera.things import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.inside import Inside
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
-from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.environment import Obstacle
+from pointsdf_cli.planning.robot_geometry import coal_mesh
 from pointsdf_cli.planning.scene import Scene, sighting
 from pointsdf_cli.planning.table_top import WIDEST, TableTop, level_width, view_of
 
@@ -113,8 +114,26 @@ def completed(network: ShapeModel, view: View, seed: int = 0) -> list[Surface]:
     vertices, faces = mesh.vertices, mesh.faces
     if vertices[:, 2].min() > ON_TABLE:
         return hulls(np.concatenate([points, vertices]))
-    missed = points[SignedDistance(vertices, faces, threads=1)(points) > MISSED]
+    missed = _missed(points, vertices, faces)
     return [(vertices, faces), *hulls(missed, FEWEST_MISSED, to_table=False)]
+
+
+def _missed(points: Array, vertices: Array, faces: NDArray[np.integer]) -> Array:
+    """Those of the points [N, 3] that are farther than `MISSED` outside a closed mesh."""
+    # None is that is near a vertex, and most are.
+    far = points[scipy.spatial.KDTree(vertices).query(points)[0] > MISSED]
+    if len(far) < FEWEST_MISSED:
+        return far[:0]
+    mesh, inside = coal_mesh(vertices, faces), Inside(vertices, faces)
+    point, here, there = coal.Sphere(1e-9), coal.Transform3s.Identity(), coal.Transform3s.Identity()
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    missed = np.zeros(len(far), dtype=bool)
+    for k, place in enumerate(far):
+        there.setTranslation(place)
+        result.clear()
+        apart = coal.distance(mesh, here, point, there, request, result)
+        missed[k] = apart > MISSED and not inside(place)
+    return np.asarray(far[missed])
 
 
 def hulls(points: Array, fewest: int = FEWEST, to_table: bool = True) -> list[Surface]:
@@ -128,6 +147,8 @@ def hulls(points: Array, fewest: int = FEWEST, to_table: bool = True) -> list[Su
     found: list[Surface] = []
     if not len(points):
         return found
+    import trimesh  # a quarter of a second, which a scene of whole things does without
+
     label, counts = clusters(points, GAP)
     for k in np.flatnonzero(counts >= fewest):
         cluster = points[label == k]

@@ -78,7 +78,7 @@ class SelfCollision:
             low, high = bounding_box(shapes)
             centre = (low + high) / 2
             radius = max(
-                float(np.linalg.norm(shape.as_mesh().vertices - centre, axis=1).max())
+                float(np.linalg.norm(shape.triangulated()[0] - centre, axis=1).max())
                 for shape in shapes
             )
             self._bodies[link] = _Body(

@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry import primitives
 from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.primitives import Triangles
 from pointsdf_cli.io.meshes import read_triangles
 
 if TYPE_CHECKING:
@@ -58,20 +60,38 @@ class Shape:
             raise ValueError(f"a {self.kind} has no triangles of its own")
         return self.vertices, self.faces
 
+    def bounds(self) -> NDArray[np.float64]:
+        """The corners (low, high) [2, 3] of the tightest box around the shape, link frame."""
+        rotation, position = self.pose[:3, :3], self.pose[:3, 3]
+        if self.kind == "hull":
+            corners = apply_transform(self.pose, self.triangles()[0])
+            return np.stack([corners.min(axis=0), corners.max(axis=0)])
+        if self.kind == "box":
+            half = np.abs(rotation) @ np.array(self.size) / 2
+        elif self.kind == "cylinder":
+            disc = np.sqrt(np.maximum(1 - rotation[:, 2] ** 2, 0.0))
+            half = self.size[0] * disc + self.size[1] / 2 * np.abs(rotation[:, 2])
+        else:
+            half = np.full(3, self.size[0])
+        return np.stack([position - half, position + half])
+
+    def triangulated(self, sections: int = 48) -> Triangles:
+        """The shape's surface in the link's frame; curves have `sections` facets."""
+        if self.kind == "box":
+            vertices, faces = primitives.box(self.size)
+        elif self.kind == "cylinder":
+            vertices, faces = primitives.cylinder(self.size[0], self.size[1], sections)
+        elif self.kind == "sphere":
+            vertices, faces = primitives.sphere(self.size[0], sections)
+        else:
+            vertices, faces = self.triangles()
+        return apply_transform(self.pose, vertices), faces
+
     def as_mesh(self, sections: int = 48) -> trimesh.Trimesh:
-        """The shape as a triangle mesh in the link's frame; curves have `sections` facets."""
+        """`triangulated` as a mesh of trimesh."""
         import trimesh
 
-        if self.kind == "box":
-            mesh = trimesh.creation.box(self.size)
-        elif self.kind == "cylinder":
-            mesh = trimesh.creation.cylinder(self.size[0], self.size[1], sections=sections)
-        elif self.kind == "sphere":
-            mesh = trimesh.creation.icosphere(subdivisions=3, radius=self.size[0])
-        else:
-            mesh = trimesh.Trimesh(*self.triangles(), process=False)
-        mesh.apply_transform(self.pose)
-        return mesh
+        return trimesh.Trimesh(*self.triangulated(sections), process=False)
 
     def signed_distance(self, points: Tensor) -> Tensor:
         """Signed distance [...] of points [..., 3] in the link's frame, negative inside.
@@ -148,9 +168,8 @@ def mesh_shape(path: Path, scale: NDArray[np.float64], pose: NDArray[np.float64]
 
 def bounding_box(shapes: tuple[Shape, ...]) -> NDArray[np.float64]:
     """The corners (low, high) [2, 3] of a box around shapes, link frame."""
-    meshes = [shape.as_mesh() for shape in shapes]
-    corners = np.concatenate([np.asarray(mesh.bounds) for mesh in meshes])
-    return np.stack([corners.min(axis=0), corners.max(axis=0)])
+    corners = np.stack([shape.bounds() for shape in shapes])
+    return np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
 
 
 def cover_points(shape: Shape, step: float) -> NDArray[np.float64]:

@@ -101,7 +101,7 @@ def _hand(robot: RobotDescription, kinematics: Kinematics, q: Array) -> tuple[Ar
     for link in robot.hand_links:
         i = kinematics.index(link)
         for shape in robot.tree.shapes[link]:
-            corners.append(np.asarray(shape.as_mesh().vertices) @ rotation[i].T + position[i])
+            corners.append(shape.triangulated()[0] @ rotation[i].T + position[i])
         if link in surface:
             samples.append(surface[link] @ rotation[i].T + position[i])
     return np.concatenate(corners), np.concatenate(samples)

@@ -33,12 +33,12 @@ class RobotMeshes:
         self._names = robot.tree.links
         for i, link in enumerate(robot.tree.links):
             for shape in robot.tree.shapes[link]:
-                mesh = shape.as_mesh(sections)
+                vertices, faces = shape.triangulated(sections)
                 if link in hand:
                     colour = TIP_COLOUR if shape.kind == "sphere" else HAND_COLOUR
                 else:
                     colour = ARM_COLOURS[i % 2]
-                self._parts.append((i, np.asarray(mesh.vertices), np.asarray(mesh.faces), colour))
+                self._parts.append((i, vertices, faces, colour))
 
     def at(self, q: NDArray[np.float64], hand_only: bool = False) -> list[Painted]:
         """The robot, or its hand alone, at one configuration [J], in the world."""

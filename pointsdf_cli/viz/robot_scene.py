@@ -32,7 +32,7 @@ class MovingRobot:
         parts = []
         for i, link in enumerate(robot.tree.links):
             for shape in robot.tree.shapes[link]:
-                mesh = shape.as_mesh(sections)
+                vertices, faces = shape.triangulated(sections)
                 colour = ARM_COLOURS[i % 2]
                 if link in hand:
                     colour = TIP_COLOUR if shape.kind == "sphere" else HAND_COLOUR
@@ -41,8 +41,8 @@ class MovingRobot:
                         link,
                         "robot",
                         "mesh",
-                        np.asarray(mesh.vertices, np.float32),
-                        np.asarray(mesh.faces, np.int32),
+                        vertices.astype(np.float32),
+                        faces.astype(np.int32),
                         colour,
                         i,
                     )
