@@ -6,12 +6,15 @@ neither Python nor its lock. An import that comes later finds the library loaded
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import os
 import threading
 from collections.abc import Iterable
 from importlib.machinery import PathFinder
 from pathlib import Path
+
+_running: list[threading.Thread] = []
 
 LIBRARIES = {"torch": "lib/libtorch_cpu.so", "open3d": "libOpen3D.so*"}
 """Package → pattern of its largest library without Python code, below the package's folder."""
@@ -24,8 +27,16 @@ def preload(packages: Iterable[str]) -> threading.Thread:
     """
     paths = [path for package in packages for path in _libraries(package)]
     thread = threading.Thread(target=_load, args=(paths,), name="preload", daemon=True)
+    _running.append(thread)
+    atexit.register(wait)
     thread.start()
     return thread
+
+
+def wait() -> None:
+    """Wait until all is loaded: Python may not take a process apart in which a library begins."""
+    while _running:
+        _running.pop().join()
 
 
 def _libraries(package: str) -> list[Path]:

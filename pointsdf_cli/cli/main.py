@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
+from pointsdf_cli import preload
 from pointsdf_cli.cli.memory import is_lack_of_memory, require_address_space
 from pointsdf_cli.cli.printable import printable
 from pointsdf_cli.deferred import defer_unused
@@ -38,6 +39,7 @@ def program() -> NoReturn:
     if not isinstance(code, int | None):
         print(code, file=sys.stderr)
         code = 1
+    atexit.unregister(preload.wait)  # nothing is taken apart here
     threading._shutdown()  # type: ignore[attr-defined]
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
