@@ -200,23 +200,17 @@ class DepthSensor:
             measured = np.zeros_like(depth)
             measured[seen] = self.noise.apply(depth[seen], rng)
             return measured
-        inverse = effects.inverse_depth(depth)
-        slopes = effects.gradient(inverse)
-        if cos_incidence is None:
-            cosine = effects.cos_incidence(inverse, slopes, camera, origin)
-        else:
-            cosine = np.asarray(cos_incidence, dtype=np.float32)
-        return self._measure(inverse, slopes, cosine, camera, rng)
+        return self._measure(effects.inverse_depth(depth), cos_incidence, camera, origin, rng)
 
     def _measure(
         self,
         inverse: Image,
-        slopes: tuple[Image, Image],
-        cosine: Image,
+        cosine: Image | None,
         camera: Camera,
+        origin: tuple[int, int],
         rng: np.random.Generator,
     ) -> Image:
-        """Measured depths [m] of inverse depths [1/m] that are seen at these cosines."""
+        """Measured depths [m] of inverse depths [1/m]; the arguments of `observe`."""
         scale, jump = camera.fx / self.focal, self.edge_slope / camera.fx
         lit = inverse > 0
         for width, side in ((self.shadow_left, "left"), (self.shadow_right, "right")):
@@ -224,7 +218,10 @@ class DepthSensor:
                 lit &= ~effects.shadow(inverse, width * camera.fx, side)
         if self.fattening:
             inverse = effects.grown(inverse, self.fattening * scale, jump)
-            slopes = effects.gradient(inverse)
+        slopes = effects.gradient(inverse)
+        if cosine is None:
+            cosine = effects.cos_incidence(inverse, slopes, camera, origin)
+        incidence = effects.incidence_index(np.asarray(cosine, dtype=np.float32))
         if self.displacement or self.registration:
             shape = (2, *inverse.shape)
             fine = effects.smooth_noise(shape, scale * self.displacement_window, rng)
@@ -232,37 +229,41 @@ class DepthSensor:
             fine *= np.float32(scale * self.displacement)
             coarse *= np.float32(scale * self.registration)
             inverse, at = effects.displaced(inverse, slopes, fine, coarse)
-            cosine, lit = cosine.take(at), lit.take(at)
+            incidence, lit = incidence.take(at), lit.take(at)
         edges = effects.depth_edges(inverse, jump)
-        seen = lit & ~self._missing(edges, cosine, scale, rng)
+        seen = lit & ~self._missing(edges, incidence, scale, rng)
         if self.flying:
             inverse = effects.flying_pixels(inverse, edges, self.flying, rng)
-        return self._depths(inverse, cosine, seen, scale, rng)
+        return self._depths(inverse, incidence, seen, scale, rng)
 
     def _missing(
-        self, edges: NDArray[np.bool_], cosine: Image, scale: float, rng: np.random.Generator
+        self,
+        edges: NDArray[np.bool_],
+        incidence: NDArray[np.int32],
+        scale: float,
+        rng: np.random.Generator,
     ) -> NDArray[np.bool_]:
         """Pixels without a return, by distance from a depth edge and by incidence."""
-        reach = self.missing_reach * scale
-        farthest = math.ceil(2 * reach) + 1 if self.missing_at_edge else 0
-        distance = effects.edge_distance(edges, farthest)
-        at_edge = self.missing_at_edge * np.exp(-((np.arange(farthest + 1) / reach) ** 2))
-        at_edge[-1] = 0.0
-        angle = effects.INCIDENCES
-        share = np.clip((angle - self.missing_angle) / (np.pi / 2 - self.missing_angle), 0, 1)
-        grazing = self.missing_grazing * share
-        kept = np.multiply.outer(1 - at_edge, 1 - grazing)
-        drawn = effects.smooth_noise(cosine.shape, self.missing_window * scale, rng)
-        missing = effects.rarer_than(1 - kept, distance, cosine, drawn)
+        limits = effects.missing_limits(
+            self.missing_at_edge,
+            self.missing_reach * scale,
+            self.missing_grazing,
+            self.missing_angle,
+        )
+        distance = effects.edge_distance(edges, len(limits) - 1).astype(np.int32)
+        distance *= np.int32(limits.shape[1])
+        distance += incidence
+        drawn = effects.smooth_noise(edges.shape, self.missing_window * scale, rng)
+        missing = drawn < limits.ravel().take(distance)
         if self.missing_patches:
-            drawn = effects.smooth_noise(cosine.shape, self.patch_window * scale, rng)
+            drawn = effects.smooth_noise(edges.shape, self.patch_window * scale, rng)
             missing |= drawn < np.float32(scipy.special.ndtri(self.missing_patches))
         return missing
 
     def _depths(
         self,
         inverse: Image,
-        cosine: Image,
+        incidence: NDArray[np.int32],
         seen: NDArray[np.bool_],
         scale: float,
         rng: np.random.Generator,
@@ -271,12 +272,13 @@ class DepthSensor:
         depth = np.reciprocal(np.maximum(inverse, np.float32(1e-3)))
         white = effects.smooth_noise(inverse.shape, self.noise_window * scale, rng)
         deviation = effects.nguyen_deviation(
-            depth, cosine, self.axial_floor, self.axial_depth, self.axial_incidence
+            depth, incidence, self.axial_floor, self.axial_depth, self.axial_incidence
         )
         factor = self.focal * self.baseline
         squared = depth * depth
         if self.disparity_noise:
-            deviation = np.hypot(deviation, squared * np.float32(self.disparity_noise / factor))
+            of_disparity = squared * np.float32(self.disparity_noise / factor)
+            deviation = np.sqrt(deviation * deviation + of_disparity * of_disparity)
         depth = depth + deviation * white
         if self.bias:
             wave = effects.smooth_noise(inverse.shape, self.bias_window * scale, rng)

@@ -25,8 +25,14 @@ INCIDENCES = np.arccos((np.arange(64) + 0.5) / 64)
 _ROUNDING = 0.01
 """Largest distance [px] of columns that count as the same one."""
 
+_FEW_STEPS = 6
+"""Number of comparisons up to which they are faster than a running maximum."""
+
 STEEPEST = 1.4
 """Incidence [rad] beyond which the axial noise is constant: its formula diverges."""
+
+_BOUNDED = np.minimum(INCIDENCES, STEEPEST)
+_GROWS: Image = (_BOUNDED**2 / (np.pi / 2 - _BOUNDED) ** 2).astype(np.float32)
 
 
 def inverse_depth(depth: Image) -> Image:
@@ -42,7 +48,7 @@ def gradient(inverse: Image) -> tuple[Image, Image]:
 
     The smaller of the differences to both sides is used: it does not cross an edge.
     """
-    return _smaller_difference(inverse), _smaller_difference(inverse.T).T
+    return _smaller_difference(inverse, 1), _smaller_difference(inverse, 0)
 
 
 def cos_incidence(
@@ -59,20 +65,30 @@ def cos_incidence(
     along_x, along_y = slopes[0] * np.float32(camera.fx), slopes[1] * np.float32(camera.fy)
     along_z = inverse - along_x * x - along_y * y
     length = (along_x * along_x + along_y * along_y + along_z * along_z) * (x * x + y * y + 1)
-    cosine = np.ones_like(inverse)
-    np.divide(inverse, np.sqrt(length), out=cosine, where=inverse > 0)
-    return np.minimum(cosine, np.float32(1))
+    np.sqrt(length, out=length)
+    cosine = inverse / np.maximum(length, np.float32(1e-12), out=length)
+    cosine[inverse <= 0] = 1
+    return np.minimum(cosine, np.float32(1), out=cosine)
 
 
-def _smaller_difference(values: Image) -> Image:
-    """Difference to the next or from the last pixel of a row, whichever is smaller."""
+def incidence_index(cosine: Image) -> NDArray[np.int32]:
+    """Place in `INCIDENCES` of each cosine, 0 to 1."""
+    steps = len(INCIDENCES)
+    return np.minimum((cosine * np.float32(steps)).astype(np.int32), np.int32(steps - 1))
+
+
+def _smaller_difference(values: Image, axis: int) -> Image:
+    """Difference to the next or from the last pixel along an axis, whichever is smaller."""
     found = np.zeros_like(values)
-    step = values[:, 1:] - values[:, :-1]
-    if step.shape[1] == 0:
+    if values.shape[axis] < 2:
         return found
-    found[:, 0], found[:, -1] = step[:, 0], step[:, -1]
-    before, after = step[:, :-1], step[:, 1:]
-    found[:, 1:-1] = np.where(np.abs(before) < np.abs(after), before, after)
+    # Views whose first axis is that of the difference; results keep the order of `values` in
+    # memory, which later products with it depend on for their speed.
+    into, of = found.swapaxes(0, axis), values.swapaxes(0, axis)
+    step = of[1:] - of[:-1]
+    into[0], into[-1] = step[0], step[-1]
+    before, after = step[:-1], step[1:]
+    into[1:-1] = np.where(np.abs(before) < np.abs(after), before, after)
     return found
 
 
@@ -127,13 +143,15 @@ def displaced(
     shift = np.rint(edges + whole).astype(np.int32)
     u = np.arange(columns, dtype=np.int32) + shift[0]
     v = np.arange(rows, dtype=np.int32)[:, None] + shift[1]
-    np.clip(u, 0, columns - 1, out=u)
-    np.clip(v, 0, rows - 1, out=v)
+    for place, last in ((u, columns - 1), (v, rows - 1)):
+        np.maximum(place, np.int32(0), out=place)
+        np.minimum(place, np.int32(last), out=place)
     at = v * np.int32(columns) + u
     taken = inverse.take(at)
     found = taken - slopes[0].take(at) * edges[0] - slopes[1].take(at) * edges[1]
     # Limit the extrapolation to a factor in depth.
-    return np.clip(found, taken / np.float32(1.5), taken * np.float32(1.5)), at
+    np.maximum(found, taken / np.float32(1.5), out=found)
+    return np.minimum(found, taken * np.float32(1.5), out=found), at
 
 
 def grown(inverse: Image, radius: float, relative: float) -> Image:
@@ -170,11 +188,21 @@ def shadow(inverse: Image, factor: float, side: str) -> Mask:
         factor: f·b [px·m].
         side: Side of an object on which the shadow falls, `left` or `right`.
     """
+    there = inverse > 0
+    seen = inverse[there]
+    # Nothing farther away than the difference of two disparities throws a shadow.
+    reach = int(factor * (seen.max() - seen.min())) if len(seen) else 0
     step = 1 if side == "right" else -1
     ordered = inverse[:, ::step]
     other = np.arange(inverse.shape[1], dtype=np.float32) + np.float32(factor) * ordered
-    farthest = np.maximum.accumulate(other, axis=1)
-    return ((other < farthest - _ROUNDING) & (ordered > 0))[:, ::step]
+    limit = other + np.float32(_ROUNDING)
+    if reach > _FEW_STEPS:
+        hidden = limit < np.maximum.accumulate(other, axis=1)
+    else:
+        hidden = np.zeros(inverse.shape, dtype=bool)
+        for k in range(1, min(reach + 1, inverse.shape[1])):
+            hidden[:, k:] |= limit[:, k:] < other[:, :-k]
+    return hidden[:, ::step] & there
 
 
 def depth_edges(inverse: Image, relative: float) -> Mask:
@@ -196,31 +224,32 @@ def edge_distance(edges: Mask, farthest: int) -> NDArray[np.uint8]:
     `farthest`."""
     near = edges.astype(np.uint8)
     distance = np.full(edges.shape, farthest, dtype=np.uint8)
-    for _ in range(farthest):
+    for step in range(farthest):
+        if step:
+            near = _dilated(near)
         distance -= near
-        near = _dilated(near)
     return distance
 
 
-def rarer_than(
-    probability: NDArray[np.float64],
-    distance: NDArray[np.uint8],
-    cosine: Image,
-    drawn: Image,
-) -> Mask:
-    """Draw pixels with given probabilities, from correlated normal numbers.
+@lru_cache(maxsize=64)
+def missing_limits(at_edge: float, reach: float, grazing: float, angle: float) -> Image:
+    """Normally distributed numbers below these limits [D, 64] are pixels without a return, by
+    distance from a depth edge [px] and by incidence, in the steps of `INCIDENCES`.
 
     Args:
-        probability: [D, 64], by distance [px] and by cosine in the steps of `INCIDENCES`.
-        distance: [h, w], distance of each pixel, below D.
-        cosine: [h, w], cosine of each pixel, 0 to 1.
-        drawn: [h, w], normally distributed numbers.
+        at_edge: Probability at an edge.
+        reach: Distance at which it has fallen to 1/e [px].
+        grazing: Probability at an incidence of 90°.
+        angle: Incidence from which returns are lost [rad].
     """
-    limit = scipy.special.ndtri(np.clip(probability, 1e-12, 1 - 1e-12)).astype(np.float32)
-    steps = len(INCIDENCES)
-    index = np.minimum((cosine * steps).astype(np.int32), steps - 1)
-    index += distance.astype(np.int32) * np.int32(steps)
-    return drawn < limit.ravel().take(index)
+    farthest = math.ceil(2 * reach) + 1 if at_edge else 0
+    by_distance = at_edge * np.exp(-((np.arange(farthest + 1) / reach) ** 2))
+    by_distance[-1] = 0.0
+    by_incidence = grazing * np.clip((INCIDENCES - angle) / (np.pi / 2 - angle), 0, 1)
+    probability = 1 - np.multiply.outer(1 - by_distance, 1 - by_incidence)
+    limits: Image = scipy.special.ndtri(np.clip(probability, 1e-12, 1 - 1e-12)).astype(np.float32)
+    limits.flags.writeable = False
+    return limits
 
 
 def flying_pixels(inverse: Image, edges: Mask, share: float, rng: np.random.Generator) -> Image:
@@ -229,30 +258,41 @@ def flying_pixels(inverse: Image, edges: Mask, share: float, rng: np.random.Gene
     at = at[rng.random(len(at), dtype=np.float32) < share]
     if not len(at):
         return inverse
-    nearest, farthest = _dilated(inverse).ravel()[at], -_dilated(-inverse).ravel()[at]
+    v, u = np.divmod(at, inverse.shape[1])
+    around = np.stack(
+        [
+            inverse[v, u],
+            inverse[np.maximum(v - 1, 0), u],
+            inverse[np.minimum(v + 1, inverse.shape[0] - 1), u],
+            inverse[v, np.maximum(u - 1, 0)],
+            inverse[v, np.minimum(u + 1, inverse.shape[1] - 1)],
+        ]
+    )
+    nearest, farthest = around.max(axis=0), around.min(axis=0)
     found = inverse.copy()
     between = rng.random(len(at), dtype=np.float32)
     # At an edge to empty space there is no depth between.
-    mixed = np.where(farthest > 0, farthest + between * (nearest - farthest), found.ravel()[at])
-    found.ravel()[at] = mixed
+    mixed = np.where(farthest > 0, farthest + between * (nearest - farthest), around[0])
+    found[v, u] = mixed
     return found
 
 
 def nguyen_deviation(
-    depth: Image, cosine: Image, floor: float, by_depth: float, by_incidence: float
+    depth: Image,
+    incidence: NDArray[np.int32],
+    floor: float,
+    by_depth: float,
+    by_incidence: float,
 ) -> Image:
     """σ_z [m] = floor + by_depth·(z − 0.4)² + by_incidence/√z·θ²/(π/2 − θ)².
 
     Nguyen, Izadi and Lovell 2012, "Modeling Kinect sensor noise for improved 3D reconstruction
-    and tracking", eq. 5; θ is bounded by `STEEPEST`.
+    and tracking", eq. 5; θ is given by its place in `INCIDENCES` and bounded by `STEEPEST`.
     """
     away = depth - np.float32(0.4)
-    deviation: NDArray[Any] = np.float32(floor) + np.float32(by_depth) * away * away
+    deviation: Image = np.float32(floor) + np.float32(by_depth) * away * away
     if by_incidence:
-        angle = np.minimum(INCIDENCES, STEEPEST)
-        grows = (by_incidence * angle**2 / (np.pi / 2 - angle) ** 2).astype(np.float32)
-        index = np.minimum((cosine * len(grows)).astype(np.int32), len(grows) - 1)
-        deviation += grows.take(index) / np.sqrt(depth)
+        deviation += np.float32(by_incidence) * _GROWS.take(incidence) / np.sqrt(depth)
     return deviation
 
 

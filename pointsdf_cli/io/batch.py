@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.atomic import UnwritableError, remove_leftovers
@@ -105,8 +106,10 @@ def run_stage(
     _tidy(folders)
     try:
         if jobs == 1 or len(tasks) < 2:
-            for name, task in tasks:
-                finish(name, _guarded(work, task))
+            # Products here are of small matrices: a second thread would only wait for them.
+            with threadpool_limits(1, user_api="blas"):
+                for name, task in tasks:
+                    finish(name, _guarded(work, task))
         else:
             _run_parallel(tasks, work, jobs, finish)
     finally:
