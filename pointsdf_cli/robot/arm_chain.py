@@ -51,6 +51,11 @@ class ArmChain:
         poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = rotation, position, 1.0
         return poses.reshape(*q.shape[:-1], 4, 4)
 
+    def palms(self, arm: Array) -> tuple[Array, Array]:
+        """Palm rotation [B, 3, 3] and position [B, 3] of arm joints [B, A]."""
+        rotation, position, _, _ = self._along(arm)
+        return rotation, position
+
     def palm_and_jacobian(self, arm: Array) -> tuple[Array, Array, Array]:
         """Palm rotation [B, 3, 3], position [B, 3] and Jacobian [B, 6, A] of arm joints [B, A].
 

@@ -77,7 +77,7 @@ class InverseKinematics:
         self._pool = rng.uniform(
             self._lower, self._upper, (self.config.pool, len(robot.arm_joints))
         )
-        rotation, position, _ = self.chain.palm_and_jacobian(self._pool)
+        rotation, position = self.chain.palms(self._pool)
         # One radian of turn weighs like this many metres of way.
         self._turn_weight = 0.3
         self._tree = scipy.spatial.cKDTree(self._features(rotation, position))
