@@ -134,6 +134,11 @@ def test_out_of_reach_is_said(cli: Callable, tmp_path: Path) -> None:
     assert run.code == 3
     assert reason_of(tmp_path / "plan.h5") == "inverse_kinematics"
     assert "nearer" in run.err
+    # A plan that failed may be replaced, one that was found may not.
+    near = box_cloud(tmp_path / "near.ply", (0.07, 0.07, 0.2), 0.6)
+    again = ("plan", near, "--out", tmp_path / "plan.h5", "--no-picture")
+    assert cli(*again).code == 0
+    assert cli(*again).code == 2
 
 
 def test_larger_than_the_hand_is_said(cli: Callable, tmp_path: Path) -> None:

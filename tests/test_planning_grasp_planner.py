@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +32,13 @@ from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.rehearsed import believed_surface
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
-from pointsdf_cli.planning.target import EmptyFieldError, Target, given_object, surface_of
+from pointsdf_cli.planning.target import (
+    EmptyFieldError,
+    Target,
+    given_object,
+    missed_points,
+    surface_of,
+)
 from pointsdf_cli.viz.shading import look_at
 
 Array = np.ndarray
@@ -242,6 +249,21 @@ def test_the_surface_is_where_the_field_is_zero() -> None:
     assert made is not None
     assert np.abs(truth(made[0])).max() < 0.004
     assert trimesh.Trimesh(*made).is_watertight
+
+
+def test_a_surface_that_lacks_what_was_seen_is_doubted() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.04)
+    surface = np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int32)
+    seen = 0.04 * np.random.default_rng(0).normal(size=(1000, 3))
+    seen *= 0.04 / np.linalg.norm(seen, axis=1, keepdims=True)
+    assert missed_points(surface, seen) == []
+    beside = seen + [0.04, 0, 0]
+    (said,) = missed_points(surface, beside)
+    missed = (np.abs(np.linalg.norm(beside, axis=1) - 0.04) > 0.008).mean()
+    told = re.search(r"misses (\d+)% of the seen points", said)
+    assert told is not None
+    assert int(told[1]) == pytest.approx(100 * missed, abs=3)
+    assert "100%" in missed_points(None, seen)[0]
 
 
 def test_a_field_without_inside_is_no_object(planner: GraspPlanner) -> None:

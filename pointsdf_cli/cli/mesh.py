@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.service.each_mesh import MeshSettings
 
-SCENE = 0.7
+SCENE = 0.45
 """A cloud wider than this [m] is more often of a whole table than of one object."""
 
 

@@ -30,7 +30,8 @@ class PlanOutputs:
     trajectory: Path | None
 
     def require_free(self, inputs: Sequence[Path | str | None], force: bool) -> None:
-        """Refuse files that cannot be written, before the planning.
+        """Refuse files that cannot be written, before the planning. A plan that failed may be
+        replaced, with its picture.
 
         Raises:
             InputError: A wrong suffix, an input, an existing file, two of one path, or a folder
@@ -41,6 +42,7 @@ class PlanOutputs:
 
         common.check_suffix(self.out, "--out", (".h5", ".hdf5"))
         require_apart([self.out, self.picture, self.trajectory], inputs)
+        force = force or _is_failed_plan(self.out)
         require_new(self.out, force)
         common.check_picture(self.picture, force)
         files = {"--out": self.out, "--picture": self.picture, "--trajectory": self.trajectory}
@@ -125,6 +127,17 @@ def plan_one(
         )
 
 
+def _is_failed_plan(path: Path) -> bool:
+    """Whether a file is a plan that found no grasp; False for anything else."""
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.plans import NO_PLAN, read_plan
+
+    try:
+        return path.is_file() and read_plan(path).status == NO_PLAN
+    except InputError:
+        return False
+
+
 def _require_places(files: dict[str, Path], force: bool) -> None:
     """Check before planning that each file has a path of its own that can be written.
 
@@ -191,6 +204,8 @@ def _report(
         doubt = plan.sentence.removesuffix(as_sentences(warnings)).strip()
         if doubt:
             reporter.say(f"warning: {doubt}")
+        if plan.success_probability < 0.5:
+            reporter.say("warning: this grasp is more likely to fail than to hold")
         near = float(plan.link_clearance_object.min()) * 1000
         lines.append(
             f"configuration in {plan.timings['configuration']:.2f} s from {plan.seeds_tried} seeds "

@@ -170,7 +170,7 @@ def require_new(path: Path | str, force: bool, inputs: Iterable[Path] = ()) -> P
         raise InputError(
             "exists already, and is not overwritten without --force",
             where=path,
-            hint="add --force, or choose another --out",
+            hint="add --force, or choose another name",
         )
     return path
 

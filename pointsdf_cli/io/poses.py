@@ -38,8 +38,24 @@ def camera_pose(text: str, option: str = "--camera-pose") -> NDArray[np.float64]
         return transform(rotation_from_wxyz(numbers[3:]), numbers[:3])
     matrix = numbers.reshape(4, 4) if len(numbers) == 16 else np.zeros((4, 4))
     if not is_rigid(matrix):
-        raise InputError(f"{len(numbers)} numbers that are no pose", where=option, allowed=ALLOWED)
+        held = f"{text[:60]} holds " if os.path.exists(text) else ""
+        raise InputError(
+            f"{held}{len(numbers)} numbers, which are no pose{_not_a_pose(numbers)}",
+            where=option,
+            allowed=ALLOWED,
+        )
     return matrix
+
+
+def _not_a_pose(numbers: NDArray[np.float64]) -> str:
+    """Likely mistake behind numbers [N] that are no pose; empty if none is known."""
+    if len(numbers) == 9:
+        return ": are they intrinsics?"
+    if len(numbers) == 7:
+        return ": the quaternion is 0"
+    if len(numbers) == 16:
+        return ": the 3×3 block is no rotation, or the last row is not 0, 0, 0, 1"
+    return ""
 
 
 def write_pose(path: Path, pose: NDArray[np.float64]) -> None:

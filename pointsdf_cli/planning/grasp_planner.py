@@ -61,6 +61,7 @@ from pointsdf_cli.planning.target import (
     enclosing,
     grid_for,
     kept_off,
+    missed_points,
     reconstructed_object,
     seen_object,
     surface_of,
@@ -284,14 +285,15 @@ class GraspPlanner:
         timings = {**perceived.timings, **outcome.timings}
         timings["configuration"] += sum(perceived.timings.values())
         timings |= ({} if choice is None else choice.timings) | dict(notes.timings)
-        drawn = None
+        drawn, warnings = None, list(notes.warnings)
         if notes.surface:
             began = time.perf_counter()
             drawn = surface_of(perceived.target)
+            warnings += missed_points(drawn, points)
             timings["surface"] = time.perf_counter() - began
         outcome = replace(outcome, found=found, timings=timings)
         return Answer(
-            plan_of(outcome, notes.warnings, drawn),
+            plan_of(outcome, warnings, drawn),
             perceived.target,
             perceived.reconstruction,
             None if choice is None else choice.of(outcome.best),

@@ -278,7 +278,10 @@ def _first_good(
 def table_doubt(height: float | None, clouds: Sequence[Cloud]) -> str:
     """Evidence against the camera's pose; empty if the table is where it should be."""
     if height is not None and abs(height) > TABLE_OFF:
-        return f"the table is seen at z = {height * 1000:.0f} mm, not 0: check the camera's pose"
+        return (
+            f"the table is seen at z = {height * 1000:.0f} mm, not 0: it is uneven, or the "
+            "camera's pose is wrong"
+        )
     world = np.concatenate([in_world(cloud) for cloud in clouds])
     below = float((world[:, 2] < -BELOW).mean())
     if height is None and below > MUCH:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError, RgraspError
@@ -51,6 +52,10 @@ that is fine enough for a box."""
 
 COARSE_CELLS = 16
 """Number of cells along the box in the first search for a surface."""
+
+MISSED, MOST_MISSED = 0.008, 0.2
+"""Seen points farther than this [m] from the nearest vertex of the surface are missed, and the
+share of them above which a plan says so."""
 
 GIVEN_REACH = 0.25
 """Distance [m] from the seen points within which a given field's surface is searched."""
@@ -239,9 +244,6 @@ def surface_of(target: Target, step: float = 0.004) -> tuple[Array, NDArray[np.i
     """Surface of the target's field: vertices [V, 3] m in the world and faces [F, 3], or None
     without one.
 
-    It is that of the field on its grid, which planning read: half a millimetre beside that of the
-    network on average, and twenty times as fast.
-
     Args:
         target: The object.
         step: Side of the cells of marching cubes [m].
@@ -259,12 +261,22 @@ def surface_of(target: Target, step: float = 0.004) -> tuple[Array, NDArray[np.i
         newton=False,
         smallest_part=0.0,
     )
-    field = target.field if target.kept is None else target.kept
+    # Not of the field on its grid: that has no inside where walls are thin.
     try:
-        made = extract_isosurface(lambda x: field(x.astype(np.float64) + middle), config)
+        made = extract_isosurface(lambda x: target.field(x.astype(np.float64) + middle), config)
     except EmptySurfaceError:
         return None
     return taubin_smooth(made.vertices + middle, made.faces, SMOOTHING), made.faces
+
+
+def missed_points(surface: tuple[Array, NDArray[np.int32]] | None, seen: Array) -> list[str]:
+    """A sentence if a surface lacks many of the seen points [N, 3]; world frame, m."""
+    missed = 1.0
+    if surface is not None and len(surface[0]):
+        missed = float((scipy.spatial.KDTree(surface[0]).query(seen)[0] > MISSED).mean())
+    if missed <= MOST_MISSED:
+        return []
+    return [f"the reconstruction misses {missed:.0%} of the seen points, as it does of thin walls"]
 
 
 def _boxed(
