@@ -283,7 +283,7 @@ class Planner:
         def free(path: Array) -> bool:
             return beside.is_free(whole(path))
 
-        path = lift_path(self.inverse.chain, robot, candidate.q, free=free)
+        path = lift_path(self.inverse.chain, candidate.q, free=free)
         return None if path is None else whole(path)
 
 
