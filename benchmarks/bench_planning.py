@@ -29,6 +29,7 @@ from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.acceptance import judge
 from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.plan_artifact import plan_of
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.seeds import draw_seeds
 from pointsdf_cli.planning.target import Target, reconstructed_object
@@ -172,13 +173,13 @@ def main() -> None:
         model = load_model()
         scenes = [seen_by_network(target, model, k) for k, target in enumerate(scenes)]
         print(f"encoding and box: {(time.process_time() - began) / len(scenes):.2f} s a scene")
-    planner.plan(scenes[0])  # compile the step's program, load libraries
+    planner.search(scenes[0])  # compile the step's program, load libraries
 
     stages: dict[str, list[float]] = {"CPU of all": []}
     reasons: list[str] = []
     for k, target in enumerate(scenes):
         began = time.process_time()
-        plan = planner.plan(target, seed=k)
+        plan = plan_of(planner.search(target, seed=k))
         stages["CPU of all"].append(time.process_time() - began)
         reasons.append(plan.reason or "ok")
         for stage, seconds in plan.timings.items():

@@ -28,6 +28,7 @@ from pointsdf_cli.planning.fields import (
 )
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.motion import MotionConfig
+from pointsdf_cli.planning.plan_artifact import plan_of
 from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.rehearsed import believed_surface
 from pointsdf_cli.planning.seeds import SeedConfig
@@ -236,7 +237,7 @@ def test_low_things_are_grasped_from_the_top_first(planner: GraspPlanner) -> Non
 
 def test_what_no_ranking_wants_is_no_plan(planner: GraspPlanner) -> None:
     target = planner.see([VIEW], seed=1).target
-    plan = planner.planner.plan(target, seed=1, rank=lambda candidates: [])
+    plan = plan_of(planner.planner.search(target, seed=1, rank=lambda candidates: []))
     assert (plan.status, plan.reason) == ("no_plan", "low_success_probability")
     assert not len(plan.accepted.q)
 

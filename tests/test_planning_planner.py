@@ -18,6 +18,7 @@ from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.path_check import PathChecker
+from pointsdf_cli.planning.plan_artifact import plan_of
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import Synthesis, SynthesisConfig, synthesise
@@ -47,7 +48,7 @@ def planner() -> Planner:
 
 @pytest.fixture(scope="module")
 def plan(planner: Planner) -> Plan:
-    return planner.plan(target())
+    return plan_of(planner.search(target()))
 
 
 def test_a_can_gets_a_plan_with_a_motion(planner: Planner, plan: Plan, tmp_path: Path) -> None:
@@ -111,13 +112,14 @@ def test_where_nothing_is_good_the_best_that_is_free_comes_with_a_warning() -> N
     acceptance = AcceptanceConfig(success=0.9, least=0.9, objective=30.0, floor=0.001)
     asked = replace(SMALL, acceptance=acceptance)
     tolerant = Planner(load_robot(), PlannerConfig(synthesis=asked))
-    plan = tolerant.plan(pillar)
+    plan = plan_of(tolerant.search(pillar))
     assert (plan.status, plan.reason) == ("ok", "")
     assert f"{plan.success_probability:.2f}" in plan.sentence
     assert plan.success_probability < np.exp(-1)
     assert plan.link_clearance_object.min() >= 0.001
     strict = replace(asked, acceptance=replace(acceptance, floor=0.9))
-    assert Planner(load_robot(), PlannerConfig(synthesis=strict)).plan(pillar).status == "no_plan"
+    strict_planner = Planner(load_robot(), PlannerConfig(synthesis=strict))
+    assert plan_of(strict_planner.search(pillar)).status == "no_plan"
 
 
 def test_out_of_a_chimney_there_is_no_motion(planner: Planner) -> None:
@@ -133,7 +135,7 @@ def test_out_of_a_chimney_there_is_no_motion(planner: Planner) -> None:
         planner.robot,
         PlannerConfig(synthesis=SMALL, motion=MotionConfig(attempts=1, looks=400)),
     )
-    plan = hasty.plan(target(), Environment(tuple(walls)), start=start)
+    plan = plan_of(hasty.search(target(), Environment(tuple(walls)), start=start))
     assert plan.status == "no_plan"
     assert plan.reason == "motion"
     assert "clear the space" in plan.sentence
@@ -143,7 +145,7 @@ def test_out_of_a_chimney_there_is_no_motion(planner: Planner) -> None:
 
 
 def test_out_of_reach_has_a_reason_and_no_motion(planner: Planner) -> None:
-    plan = planner.plan(target((1.5, 0.0, 0.12)))
+    plan = plan_of(planner.search(target((1.5, 0.0, 0.12))))
     assert (plan.status, plan.reason) == ("no_plan", "inverse_kinematics")
 
 
@@ -151,7 +153,7 @@ def test_bad_options_are_refused(planner: Planner) -> None:
     with pytest.raises(InputError, match="sqp, slsqp"):
         PlannerConfig(solver="newton")
     with pytest.raises(InputError, match="23"):
-        planner.plan(target(), start=np.zeros(7))
+        planner.search(target(), start=np.zeros(7))
 
 
 def found_for_the_can(planner: Planner) -> tuple[Synthesis, Candidate]:

@@ -85,7 +85,7 @@ def test_order_prefers_many_tries_and_keeps_equals() -> None:
 def test_the_lift_is_straight_and_keeps_the_palm(grasp: NDArray[np.float64]) -> None:
     robot = load_robot()
     chain = ArmChain(robot)
-    path = lift_path(chain, robot, grasp, 0.15)
+    path = lift_path(chain, grasp, 0.15)
     assert path is not None
     rotation, position, _ = chain.palm_and_jacobian(path)
     np.testing.assert_allclose(
@@ -101,7 +101,7 @@ def test_the_lift_is_straight_and_keeps_the_palm(grasp: NDArray[np.float64]) -> 
 def test_near_the_robot_the_palm_moves_outwards_as_it_rises() -> None:
     robot = load_robot()
     chain = ArmChain(robot)
-    path = lift_path(chain, robot, can_grasp(shift=(-0.08, 0.0, 0.0)), 0.15)
+    path = lift_path(chain, can_grasp(shift=(-0.08, 0.0, 0.0)), 0.15)
     assert path is not None
     rotation, position, _ = chain.palm_and_jacobian(path)
     np.testing.assert_allclose(position[-1, 2] - position[0, 2], 0.15, atol=3e-3)
@@ -111,7 +111,7 @@ def test_near_the_robot_the_palm_moves_outwards_as_it_rises() -> None:
 
 def test_there_is_no_lift_out_of_reach(grasp: NDArray[np.float64]) -> None:
     robot = load_robot()
-    assert lift_path(ArmChain(robot), robot, grasp, 3.0) is None
+    assert lift_path(ArmChain(robot), grasp, 3.0) is None
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")  # a line of a library's on the terminal

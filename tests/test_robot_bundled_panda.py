@@ -15,6 +15,7 @@ from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.bundled_success import bundled_success
 from pointsdf_cli.models.grasp_score import load_grasp_model
+from pointsdf_cli.planning.plan_artifact import plan_of
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.reasons import few_grasps
 from pointsdf_cli.planning.seeds import SeedConfig
@@ -162,7 +163,7 @@ def test_a_can_is_planned_for(panda: RobotDescription) -> None:
         AroundObject(can, 0.04, rest),
     )
     few = SynthesisConfig(rounds=1, seeds=SeedConfig(palms=12, seeds=4))
-    plan = Planner(panda, PlannerConfig(synthesis=few)).plan(target)
+    plan = plan_of(Planner(panda, PlannerConfig(synthesis=few)).search(target))
     assert plan.status == "ok", plan.sentence
     assert plan.link_clearance_object.min() >= 0.001
     local = plan.T_world_palm[:3, :3].T @ (np.array(can) - plan.T_world_palm[:3, 3])

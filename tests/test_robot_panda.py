@@ -12,6 +12,7 @@ import trimesh
 from doc_blocks import blocks
 from planning_worlds import AroundObject, CylinderField, NearPalm
 
+from pointsdf_cli.planning.plan_artifact import plan_of
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
@@ -129,7 +130,7 @@ def test_a_can_is_planned_for(panda: RobotDescription) -> None:
         AroundObject(can, 0.055, rest),
     )
     few = SynthesisConfig(rounds=1, seeds=SeedConfig(palms=12, seeds=4))
-    plan = Planner(panda, PlannerConfig(synthesis=few)).plan(target)
+    plan = plan_of(Planner(panda, PlannerConfig(synthesis=few)).search(target))
     assert plan.status == "ok", plan.sentence
     assert plan.q.shape == (9,)
     assert plan.link_clearance_object.min() >= 0.001

@@ -12,6 +12,7 @@ import trimesh
 
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.robot.cartesian_path import FollowConfig, follow, straight
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -157,10 +158,9 @@ def test_what_lies_on_the_palm_rides_with_it(tmp_path: Path) -> None:
     start = transform(np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), [0.55, -0.05, 0.5])
     solved = solver.solve(start)
     arm = solved.arm[0][solved.reached[0]][:1]
-    poses = np.tile(start, (1, 240, 1, 1))
-    poses[0, :, 1, 3] += np.linspace(0, 0.1, 241)[1:]
-    path, fine = solver.track(arm, poses)
-    assert fine.all()
+    poses = straight(start, [[0, 0.1, 0]], 240)
+    path, reached = follow(solver.chain, arm, poses, FollowConfig(1e-4, 1e-3, jump=0.1))
+    assert reached[0] == 240
     q = robot.home.copy()
     q[robot.arm] = arm[0]
     box = trimesh.creation.box((0.05, 0.05, 0.02))
@@ -172,7 +172,7 @@ def test_what_lies_on_the_palm_rides_with_it(tmp_path: Path) -> None:
         world.step(240)
         before = world.object_pose()[:3, 3]
         assert world.robot_contact().hand_links > 0
-        for _ in world.follow(path[0]):
+        for _ in world.follow(path[0, 1:]):
             world.step()
         after = world.object_pose()[:3, 3]
         assert after - before == pytest.approx([0.0, 0.1, 0.0], abs=0.01)

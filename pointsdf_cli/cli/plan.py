@@ -181,7 +181,7 @@ def plan(
     from pointsdf_cli.io.present import require_present
     from pointsdf_cli.planning.environment import Environment, read_environment
     from pointsdf_cli.planning.option_checks import check_segment
-    from pointsdf_cli.planning.plan_request import PlanChoices
+    from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
     from pointsdf_cli.preload import preload
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
@@ -206,23 +206,25 @@ def plan(
         _check_server(server, threads, device)
     check_segment(segment, target is not None, workspace is not None)
     around = Environment() if environment is None else read_environment(environment)
-    start_at = start_configuration(start, load_robot(robot))
+    start_at = None if start is None else start_configuration(start, load_robot(robot))
     require_present(checkpoints=[checkpoint, grasp_checkpoint])
     if server is None and not each:
         preload(("torch",) if no_picture else ("torch", "open3d"))
     # What reads clouds is loaded for options that can be used.
     from pointsdf_cli.camera.scene_file import options_of_views
+    from pointsdf_cli.service.identity import PlannerFiles
     from pointsdf_cli.service.plan_settings import PlanSettings
 
     files = options_of_views(
         len(clouds), intrinsics, mask,
         depth_scale=depth_scale, unit=unit, frame=frame, drop_invalid=drop_invalid,
     )  # fmt: skip
-    settings = PlanSettings(
-        search, around, None if start is None else start_at, seed, segment, target,
-        not ignore_others, corners, not no_clean, obstacles, robot, checkpoint, grasp_checkpoint,
-        device,
+    request = PlanRequest(
+        choices=search, environment=around, start=start_at, seed=seed, segment=segment,
+        others=not ignore_others, workspace=corners, cleaned=not no_clean, obstacles=obstacles,
     )  # fmt: skip
+    planner = PlannerFiles(robot, checkpoint, grasp_checkpoint)
+    settings = PlanSettings(request, target, planner, device)
     if each:
         plan_each(
             reporter, clouds, camera_pose or [], files, settings, inputs, out=out,

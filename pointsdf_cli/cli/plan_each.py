@@ -79,7 +79,7 @@ def plan_each(
         {"plans": {name: asdict(summary) for name, summary in found.items()}},
         [f"{out / name}.h5: {_told(summary)}" for name, summary in found.items()],
     )
-    least = settings.choices.acceptance().least
+    least = settings.request.choices.acceptance().least
     _require_plans(found, out, 0.0 if accept_unlikely else least, skip_bad)
 
 

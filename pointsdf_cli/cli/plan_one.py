@@ -88,9 +88,7 @@ def plan_one(
     else:
         from pointsdf_cli.service.client import plan_at
 
-        result = plan_at(
-            server, request, settings.robot, settings.checkpoint, settings.grasp_checkpoint
-        )
+        result = plan_at(server, request, settings.files)
         for sentence in result.warnings:
             reporter.say(f"warning: {sentence}")
     for line in result.report:
@@ -100,8 +98,8 @@ def plan_one(
     for stale in (trajectory, picture):  # a motion to another object must not outlive its plan
         if stale is not None:
             stale.resolve().unlink(missing_ok=True)  # of a link, what it leads to
-    config = _config(result.options, request.names, settings.seed) | dict(asked)
-    write_plan(out, answer, seed=settings.seed, config=config)
+    config = _config(result.options, request.names, request.seed) | dict(asked)
+    write_plan(out, answer, seed=request.seed, config=config)
     found = answer.status == OK
     if trajectory is not None and found:
         write_trajectory(trajectory, answer)
@@ -113,7 +111,7 @@ def plan_one(
         sys.stdout.flush()  # the plan is on disk: who reads this need not wait for the picture
         from pointsdf_cli.service.plan_settings import draw_plan
 
-        draw_plan(picture, result, settings.robot)
+        draw_plan(picture, result, settings.files.robot)
     if not found:
         raise NoPlanError(f"no plan ({answer.reason}): {answer.sentence.rstrip('.')}", where=out)
     least = result.least
@@ -167,13 +165,12 @@ def _plan_here(
     from pointsdf_cli.planning.option_checks import RECONSTRUCTION
     from pointsdf_cli.service.resident import Resident
 
-    checkpoint, grasp_checkpoint = settings.checkpoint, settings.grasp_checkpoint
-    device = common.torch_device(settings.device)
-    resident = Resident(settings.robot, checkpoint, grasp_checkpoint, device)
+    files = settings.files
+    resident = Resident(files, common.torch_device(settings.device))
     use_threads(threads or idle.count())
     resident.planner(request.choices)  # what cannot be loaded is told first
     if request.choices.method == RECONSTRUCTION:
-        common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
+        common.say_if_from_another(reporter, files.checkpoint, files.grasp_checkpoint)
     return resident.plan(request, lambda sentence: reporter.say(f"warning: {sentence}"))
 
 

@@ -73,10 +73,12 @@ def serve(
     from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.planning.plan_request import PlanChoices
+    from pointsdf_cli.service.identity import PlannerFiles
     from pointsdf_cli.service.resident import Resident
     from pointsdf_cli.service.server import Server
 
-    resident = Resident(robot, checkpoint, grasp_checkpoint, common.torch_device(device))
+    files = PlannerFiles(robot, checkpoint, grasp_checkpoint)
+    resident = Resident(files, common.torch_device(device))
     use_threads(threads or idle_processors())
     resident.planner(PlanChoices())
     with stop_requests() as stopped:

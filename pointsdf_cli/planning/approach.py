@@ -7,6 +7,7 @@ import numpy as np
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.robot.arm_chain import ArmChain
+from pointsdf_cli.robot.cartesian_path import FollowConfig, follow, straight
 
 LENGTH = 0.08
 """Length of the straight stretch [m]: fingers then start outside of most objects."""
@@ -16,6 +17,8 @@ STEP = 0.01
 """Spacing of the inverse kinematics solutions along it [m]."""
 DEVIATION = 0.001
 """Largest deviation of the palm from the straight line between them [m]."""
+FOLLOW = FollowConfig(1e-6, 1e-5, jump=0.3, damping=1e-8, limits=False)
+"""The palm keeps to the line; a path ends at the first joint limit."""
 
 
 def retreat(checker: PathChecker, chain: ArmChain, q: Array) -> Array | None:
@@ -30,16 +33,15 @@ def retreat(checker: PathChecker, chain: ArmChain, q: Array) -> Array | None:
     Returns:
         None if no direction is free for `SHORTEST`.
     """
-    robot = checker.kinematics.robot
-    rotation, _, _ = chain.palm_and_jacobian(q[None, robot.arm])
-    x, z = rotation[0, :, 0], rotation[0, :, 2]
+    T_world_palm = chain.palm(q)
+    x, z = T_world_palm[:3, 0], T_world_palm[:3, 2]
     up = np.array([0.0, 0.0, 1.0])
     best: Array | None = None
     for way in (-x, -x - z, -z, up - x, up):
         length = np.linalg.norm(way)
         if length < 0.3:  # the terms cancel: another direction says the same
             continue
-        path = _straight(checker, chain, q, way / length)
+        path = _straight(checker, chain, q, T_world_palm, way / length)
         if best is None or len(path) > len(best):
             best = path
         if len(path) > LENGTH / STEP:
@@ -49,45 +51,21 @@ def retreat(checker: PathChecker, chain: ArmChain, q: Array) -> Array | None:
     return best
 
 
-def _straight(checker: PathChecker, chain: ArmChain, q: Array, way: Array) -> Array:
+def _straight(
+    checker: PathChecker, chain: ArmChain, q: Array, T_world_palm: Array, way: Array
+) -> Array:
     """Collision-free beginning of a straight path [T, J], in steps of equal length."""
-    robot = checker.kinematics.robot
-    arm = q[robot.arm]
-    rotation, position, _ = chain.palm_and_jacobian(arm[None])
-    path = [arm]
-    for k in range(1, round(LENGTH / STEP) + 1):
-        goal = position[0] + k * STEP * way
-        solved = _follow(chain, path[-1], rotation[0], goal)
-        if (
-            solved is None
-            or ((solved < robot.lower[robot.arm]) | (solved > robot.upper[robot.arm])).any()
-        ):
-            break
-        _, middle, _ = chain.palm_and_jacobian((path[-1] + solved)[None] / 2)
-        if np.linalg.norm(middle[0] - (goal - STEP / 2 * way)) > DEVIATION:
-            break
-        path.append(solved)
+    robot = chain.robot
+    poses = straight(T_world_palm, [LENGTH * way], round(LENGTH / STEP))
+    (path,), (reached,) = follow(chain, q[None, robot.arm], poses, FOLLOW)
+    path = path[: reached + 1]
+    within = ((path[1:] >= robot.lower[robot.arm]) & (path[1:] <= robot.upper[robot.arm])).all(1)
+    _, middle, _ = chain.palm_and_jacobian((path[:-1] + path[1:]) / 2)
+    off = np.linalg.norm(middle - (poses[0, :reached, :3, 3] - STEP / 2 * way), axis=1)
+    path = path[: 1 + np.logical_and.accumulate(within & (off <= DEVIATION)).sum()]
     whole = np.tile(q, (len(path), 1))
     whole[:, robot.arm] = path
     free = 1
     while free < len(whole) and checker.is_free(whole[free - 1 : free + 1]):
         free += 1
     return whole[:free]
-
-
-def _follow(chain: ArmChain, arm: Array, rotation: Array, position: Array) -> Array | None:
-    """Arm configuration near `arm` with the palm at a pose, by Newton's method; None if none."""
-    q = arm.copy()
-    for _ in range(8):
-        turned, at, jacobian = chain.palm_and_jacobian(q[None])
-        relative = rotation @ turned[0].T
-        skew = (relative - relative.T) / 2
-        turn = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
-        error = np.concatenate([position - at[0], turn])
-        if np.linalg.norm(error[:3]) < 1e-6 and np.linalg.norm(turn) < 1e-5:
-            return q
-        normal = jacobian[0] @ jacobian[0].T + 1e-8 * np.eye(6)
-        q = q + jacobian[0].T @ np.linalg.solve(normal, error)
-        if np.abs(q - arm).max() > 0.3:  # near a singularity: no small step leads there
-            return None
-    return None

@@ -79,7 +79,7 @@ class PlanRequest:
         names: Names of the clouds, for messages.
         choices: Options of the search.
         environment: Known table and obstacles.
-        start: [J], the robot's present configuration [rad]; its home if None.
+        start: [J], the robot's present configuration [rad], or the arm's alone; its home if None.
         seed: Random seed; equal seeds give equal plans.
         segment: "auto", or "none" if the clouds hold the object alone.
         target: The user's choice of the object.
@@ -89,8 +89,8 @@ class PlanRequest:
         obstacles: Model of other objects: "reconstruction", or "hull" of their seen points.
     """
 
-    clouds: Sequence[Cloud]
-    names: Sequence[str]
+    clouds: Sequence[Cloud] = ()
+    names: Sequence[str] = ()
     choices: PlanChoices = field(default_factory=PlanChoices)
     environment: Environment = field(default_factory=Environment)
     start: Array | None = None

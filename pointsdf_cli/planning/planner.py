@@ -12,7 +12,6 @@ from pointsdf_cli import choices
 from pointsdf_cli.choices import require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.processor import one_thread
 from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.environment import Environment
@@ -23,7 +22,7 @@ from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion
 from pointsdf_cli.planning.nonlinear import Solver
 from pointsdf_cli.planning.option_checks import check_distance
 from pointsdf_cli.planning.path_check import PathChecker
-from pointsdf_cli.planning.plan_artifact import Outcome, plan_of
+from pointsdf_cli.planning.plan_artifact import Outcome
 from pointsdf_cli.planning.reasons import explain, warning
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.slsqp import Slsqp
@@ -131,19 +130,6 @@ class Planner:
         if polish is quick:
             return Problems(searched, exact, searched)
         return Problems(searched, exact, searched.asking(polish, inside, 0.02))
-
-    def plan(
-        self,
-        target: Target,
-        environment: Environment | None = None,
-        start: Array | None = None,
-        seed: int = 0,
-        search: SynthesisConfig | None = None,
-        rank: Rank | None = None,
-        stop: StopCondition | None = None,
-    ) -> Plan:
-        """Plan with the result of `search`, which describes the arguments and errors."""
-        return plan_of(self.search(target, environment, start, seed, search, rank, stop))
 
     def search(
         self,
@@ -283,7 +269,7 @@ class Planner:
         def free(path: Array) -> bool:
             return beside.is_free(whole(path))
 
-        path = lift_path(self.inverse.chain, robot, candidate.q, free=free)
+        path = lift_path(self.inverse.chain, candidate.q, free=free)
         return None if path is None else whole(path)
 
 

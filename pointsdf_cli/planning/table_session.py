@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.plans import OK
@@ -19,9 +18,9 @@ from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
 from pointsdf_cli.planning.option_checks import RECONSTRUCTION
-from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult
+from pointsdf_cli.planning.plan_request import Corners, PlanRequest, PlanResult
 from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
-from pointsdf_cli.planning.scene import WORKSPACE, sort_scene
+from pointsdf_cli.planning.scene import sort_scene
 from pointsdf_cli.planning.seen_obstacles import seen_obstacles
 from pointsdf_cli.planning.table_top import TableTop, look_at_table, workspace_of
 from pointsdf_cli.planning.take_order import Turn, take_order
@@ -77,23 +76,7 @@ def answer_request(
     planner: GraspPlanner, request: PlanRequest, warn: Callable[[str], None] | None = None
 ) -> PlanResult:
     """Answer a checked request; see `plan_on_table`."""
-    typed = None if request.start is None else ",".join(repr(float(v)) for v in request.start)
-    session = plan_on_table(
-        planner,
-        request.clouds,
-        request.names,
-        request.environment,
-        start=typed,
-        seed=request.seed,
-        segment=request.segment,
-        target=request.target,
-        others=request.others,
-        workspace=workspace_of(request.workspace),
-        cleaned=request.cleaned,
-        warn=warn,
-        obstacles=request.obstacles,
-    )
-    return session.result(planner.options)
+    return _session(planner, request, warn).result(planner.options)
 
 
 def plan_on_table(
@@ -101,12 +84,12 @@ def plan_on_table(
     clouds: Sequence[Cloud],
     names: Sequence[str],
     environment: Environment | None = None,
-    start: str | None = None,
+    start: str | Array | None = None,
     seed: int = 0,
     segment: str = "auto",
     target: TargetChoice | Array | None = None,
     others: bool = True,
-    workspace: SegmentationConfig = WORKSPACE,
+    workspace: Corners | None = None,
     cleaned: bool = True,
     warn: Callable[[str], None] | None = None,
     obstacles: str = RECONSTRUCTION,
@@ -118,13 +101,13 @@ def plan_on_table(
         clouds: Clouds, one for each camera, each with its pose.
         names: Names of the clouds, for messages.
         environment: Known obstacles and table; the table alone if None.
-        start: Start configuration as typed; the robot's home if None.
+        start: Start configuration [rad], as typed or [J]; the robot's home if None.
         seed: Random seed; equal seeds give equal plans.
         segment: "auto", or "none" if the clouds hold the object alone.
         target: Choice of the object, or a place [3] of it in the world. With `any`, objects are
             tried in their `take_order` until a grasp is good; otherwise the best is returned.
         others: Treat other observed objects as obstacles.
-        workspace: Part of the world to use.
+        workspace: Corners [m] of the part of the world to use; the default ones if None.
         cleaned: Drop flying pixels, outliers and specks.
         warn: Called with each warning about implausible input, before planning.
         obstacles: Model of other objects: "reconstruction", or "hull" of their seen points, which
@@ -133,55 +116,61 @@ def plan_on_table(
     Raises:
         InputError: The clouds or the start cannot be used, or show a table far from z = 0.
     """
-    environment = environment or Environment()
     q = start_configuration(start, planner.robot)
-    if segment == "auto" and environment.table:
-        require_table_at_zero([in_world(cloud) for cloud in clouds], names)
-    attempt = partial(
-        _plan_for, planner, clouds, names, environment, q, seed, segment,
-        others=others, workspace=workspace, cleaned=cleaned, obstacles=obstacles,
+    if not (target is None or isinstance(target, TargetChoice)):
+        target = TargetChoice(place=target)
+    request = PlanRequest(
+        clouds, names, environment=environment or Environment(), start=q, seed=seed,
+        segment=segment, target=target, others=others, workspace=workspace, cleaned=cleaned,
+        obstacles=obstacles,
     )  # fmt: skip
-    if not (isinstance(target, TargetChoice) and target.any):
-        return attempt(target=target, warn=warn)
-    turns = _turns(planner, clouds[0], names[0], q, workspace, cleaned)
-    return _first_good(turns, attempt, planner.options.planner.synthesis.acceptance.success, warn)
+    return _session(planner, request, warn)
+
+
+def _session(
+    planner: GraspPlanner, request: PlanRequest, warn: Callable[[str], None] | None
+) -> TableSession:
+    """Answer a request, whose choices are the planner's own; see `plan_on_table`."""
+    q = start_configuration(request.start, planner.robot)
+    if request.segment == "auto" and request.environment.table:
+        require_table_at_zero([in_world(cloud) for cloud in request.clouds], request.names)
+    attempt = partial(_plan_for, planner, request, q)
+    if request.target is None or not request.target.any:
+        return attempt(request.target, warn)
+    enough = planner.options.planner.synthesis.acceptance.success
+    return _first_good(_turns(planner, request, q), attempt, enough, warn)
 
 
 def _plan_for(
     planner: GraspPlanner,
-    clouds: Sequence[Cloud],
-    names: Sequence[str],
-    environment: Environment,
+    request: PlanRequest,
     q: Array,
-    seed: int,
-    segment: str,
-    *,
-    target: TargetChoice | Array | None,
-    others: bool,
-    workspace: SegmentationConfig,
-    cleaned: bool,
-    obstacles: str,
+    target: TargetChoice | None,
     warn: Callable[[str], None] | None = None,
 ) -> TableSession:
-    """`plan_on_table` for one object, from the start q [J]."""
+    """Plan for one object of a request, from the start q [J]."""
+    clouds, environment, segment = request.clouds, request.environment, request.segment
+    workspace, cleaned = workspace_of(request.workspace), request.cleaned
     try:
-        seen = look_at_table(clouds, names, planner.robot, q, segment, target, workspace, cleaned)
+        seen = look_at_table(
+            clouds, request.names, planner.robot, q, segment, target, workspace, cleaned
+        )
     except NoObjectError as error:
-        return _without_object(planner, clouds, error, q, environment)
+        return _without_object(planner, request, error, q)
     report = list(seen.report)
     warnings = planner.doubts() + _warnings(seen, clouds, segment, environment.table)
     if warn is not None:
         for sentence in warnings:
             warn(sentence)
     seconds = 0.0
-    if others and len(seen.others):
-        network = planner.shape if obstacles == RECONSTRUCTION else None
-        known = environment.obstacles
+    if request.others and len(seen.others):
+        network = planner.shape if request.obstacles == RECONSTRUCTION else None
+        known, seed = environment.obstacles, request.seed
         beside, seconds = seen_obstacles(seen, network, [k.name for k in known], seed, cleaned)
         report += _said_of(beside, network is not None, seconds)
         environment = replace(environment, obstacles=(*known, *beside))
     notes = PlanNotes(warnings, {"obstacles": seconds}, surface=True)
-    answer = planner.plan(seen.views, environment, q, seed, notes=notes)
+    answer = planner.plan(seen.views, environment, q, request.seed, notes=notes)
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
     return TableSession(
@@ -190,18 +179,14 @@ def _plan_for(
 
 
 def _without_object(
-    planner: GraspPlanner,
-    clouds: Sequence[Cloud],
-    error: NoObjectError,
-    q: Array,
-    environment: Environment,
+    planner: GraspPlanner, request: PlanRequest, error: NoObjectError, q: Array
 ) -> TableSession:
     """The session for clouds that show no object."""
-    world = np.concatenate([in_world(cloud) for cloud in clouds])
-    camera = np.asarray(clouds[0].T_world_camera)[:3, 3]
+    world = np.concatenate([in_world(cloud) for cloud in request.clouds])
+    camera = np.asarray(request.clouds[0].T_world_camera)[:3, 3]
     answer = planner.nothing(f"{error.what}; {error.hint or error.allowed}")
     said = (f"{error.where}: {error.what}",)
-    return TableSession(answer, said, q, world, camera, environment.obstacles)
+    return TableSession(answer, said, q, world, camera, request.environment.obstacles)
 
 
 def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: bool) -> list[str]:
@@ -216,24 +201,18 @@ def _said_of(beside: Sequence[Obstacle], reconstructed: bool, seconds: float) ->
     return [said] if beside else []
 
 
-def _turns(
-    planner: GraspPlanner,
-    cloud: Cloud,
-    name: str,
-    q: Array,
-    workspace: SegmentationConfig,
-    cleaned: bool,
-) -> list[Turn]:
+def _turns(planner: GraspPlanner, request: PlanRequest, q: Array) -> list[Turn]:
     """Objects in the first camera's view, the easiest to grasp first."""
+    cloud, name = request.clouds[0], request.names[0]
     require_pose(cloud, name)
     own, reach = robot_points(planner.robot, q), reach_of(planner.robot)
     scene = sort_scene(
         check_scene_cloud(cloud, name),
         name,
-        workspace,
+        workspace_of(request.workspace),
         lambda world: ~off_robot(world, own),
         reach,
-        cleaned,
+        request.cleaned,
     )
     return take_order(scene, reach)
 
@@ -248,15 +227,15 @@ def _first_good(
 
     Args:
         turns: The objects, the easiest to grasp first.
-        attempt: `plan_on_table` as a function of target and `warn`.
+        attempt: `_plan_for` as a function of target and `warn`.
         enough: Success probability of a good grasp.
         warn: As in `plan_on_table`; also told the chosen object.
     """
     if not turns:
-        return attempt(target=None, warn=warn)
+        return attempt(None, warn)
     said, best = [], None
     for turn in turns:
-        session = attempt(target=TargetChoice(number=turn.thing.number))
+        session = attempt(TargetChoice(number=turn.thing.number))
         plan = session.answer.plan
         success = plan.success_probability if plan.status == OK else -1.0
         found = f"success {success:.2f}" if plan.status == OK else f"no plan ({plan.reason})"

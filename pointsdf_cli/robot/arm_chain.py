@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import rotation_vector
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.urdf import Joint
 
@@ -23,12 +24,15 @@ class ArmChain:
     Args:
         robot: The robot; joints on the way that are not the arm's stay at zero.
 
+    Attributes:
+        robot: The robot.
+
     Raises:
         InputError: A joint of the arm does not move the palm.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
-        self._robot = robot
+        self.robot = robot
         self._base = robot.T_world_base
         self._joints, self._palm = _moving_joints(robot)
         self._columns = [joint.column for joint in self._joints]
@@ -45,7 +49,7 @@ class ArmChain:
     def palm(self, q: ArrayLike) -> Array:
         """T_world_palm [..., 4, 4] of configurations [..., J] of the whole robot."""
         q = np.asarray(q, dtype=np.float64)
-        arms = q[..., self._robot.arm].reshape(-1, len(self._robot.arm_joints))
+        arms = q[..., self.robot.arm].reshape(-1, len(self.robot.arm_joints))
         rotation, position, _, _ = self._along(arms)
         poses = np.zeros((len(arms), 4, 4))
         poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = rotation, position, 1.0
@@ -69,6 +73,13 @@ class ArmChain:
         jacobian[:, :3, self._columns] = along.transpose(1, 2, 0)
         jacobian[:, 3:, self._columns] = np.where(slides, 0.0, axes).transpose(1, 2, 0)
         return rotation, position, jacobian
+
+    def pose_error(self, arm: Array, goals: Array) -> tuple[Array, Array]:
+        """Way [m] and turn [rad] from the palm to T_world_palm `goals` [B, 4, 4], as [B, 6], and
+        the Jacobian [B, 6, A], at arm joints [B, A]; all in the world."""
+        rotation, position, jacobian = self.palm_and_jacobian(arm)
+        turn = rotation_vector(goals[:, :3, :3] @ np.swapaxes(rotation, 1, 2))
+        return np.concatenate([goals[:, :3, 3] - position, turn], axis=1), jacobian
 
     def _along(self, arm: Array) -> tuple[Array, Array, Array, Array]:
         """The palm's rotation [B, 3, 3] and position [B, 3]; and of the M joints on the way the

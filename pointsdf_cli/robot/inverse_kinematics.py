@@ -9,7 +9,6 @@ import scipy
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import rotation_vector
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
 
@@ -89,64 +88,28 @@ class InverseKinematics:
         features = self._features(goals[:, :3, :3], goals[:, :3, 3])
         _, nearest = self._tree.query(features, k=starts)
         q = self._pool[np.asarray(nearest).reshape(count * starts)]
-        goal_rotation = np.repeat(goals[:, :3, :3], starts, axis=0)
-        goal_position = np.repeat(goals[:, :3, 3], starts, axis=0)
+        goals = np.repeat(goals, starts, axis=0)
         reached = np.zeros(len(q), dtype=bool)
         active = np.arange(len(q))
         for _ in range(self.config.iterations):
-            error, jacobian, done = self._error(q[active], goal_rotation, goal_position, active)
+            error, jacobian, done = self._error(q[active], goals[active])
             reached[active[done]] = True
             active, error, jacobian = active[~done], error[~done], jacobian[~done]
             if not len(active):
                 break
             q[active] = self._step(q[active], error, jacobian)
         else:
-            _, _, done = self._error(q[active], goal_rotation, goal_position, active)
+            _, _, done = self._error(q[active], goals[active])
             reached[active[done]] = True
         return IkSolutions(q.reshape(count, starts, -1), reached.reshape(count, starts))
 
-    def track(self, arm: Array, poses: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Follow palm poses one after the other without changing the elbow's branch.
-
-        Args:
-            arm: [B, A], where the paths begin.
-            poses: [B, K, 4, 4], T_world_palm along each path, each near the one before.
-
-        Returns:
-            Paths [B, K, A], and bool [B]: every pose of the path was reached.
-        """
-        q = np.array(arm, dtype=np.float64)
-        path = np.empty((len(q), poses.shape[1], q.shape[1]))
-        fine = np.ones(len(q), dtype=bool)
-        everyone = np.arange(len(q))
-        for k in range(poses.shape[1]):
-            reached = np.zeros(len(q), dtype=bool)
-            for _ in range(8):
-                error, jacobian, reached = self._error(
-                    q, poses[:, k, :3, :3], poses[:, k, :3, 3], everyone
-                )
-                if reached.all():
-                    break
-                moved = self._step(q, error, jacobian)
-                q = np.where(reached[:, None], q, moved)
-            fine &= reached
-            path[:, k] = q
-        # A path that jumps is no path, even if every pose is reached.
-        steps = np.abs(np.diff(path, axis=1, prepend=arm[:, None])).max(axis=(1, 2))
-        return path, fine & (steps < 0.5)
-
-    def _error(
-        self, q: Array, goal_rotation: Array, goal_position: Array, active: NDArray[np.int64]
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
-        rotation, position, jacobian = self.chain.palm_and_jacobian(q)
-        turn = rotation_vector(goal_rotation[active] @ np.swapaxes(rotation, 1, 2))
-        way = goal_position[active] - position
-        done = (np.linalg.norm(way, axis=1) < POSITION_TOLERANCE) & (
-            np.linalg.norm(turn, axis=1) < ROTATION_TOLERANCE
-        )
-        weight = self._turn_weight
-        jacobian[:, 3:] *= weight
-        return np.concatenate([way, weight * turn], axis=1), jacobian, done
+    def _error(self, q: Array, goals: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Weighted pose errors [B, 6] and Jacobians [B, 6, A], and which poses are reached [B]."""
+        error, jacobian = self.chain.pose_error(q, goals)
+        way, turn = np.linalg.norm(error.reshape(-1, 2, 3), axis=2).T
+        error[:, 3:] *= self._turn_weight
+        jacobian[:, 3:] *= self._turn_weight
+        return error, jacobian, (way < POSITION_TOLERANCE) & (turn < ROTATION_TOLERANCE)
 
     def _step(self, q: Array, error: Array, jacobian: Array) -> Array:
         """One Newton step; joints that press against a limit take no part in it."""

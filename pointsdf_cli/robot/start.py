@@ -1,30 +1,30 @@
-"""Start configuration of the robot, as a user types it."""
+"""Start configuration of the robot, as a user gives it."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.poses import numbers_in
 from pointsdf_cli.robot.description import RobotDescription
 
 
-def start_configuration(text: str | None, robot: RobotDescription) -> NDArray[np.float64]:
+def start_configuration(given: str | Array | None, robot: RobotDescription) -> Array:
     """A configuration [J] from `--start`: all joints, or the arm's with the hand as at home.
 
     Args:
-        text: Numbers [rad] or a file of them; the robot's home if None.
+        given: Numbers [rad], as typed text, a file of them, or an array; the robot's home if None.
         robot: The robot.
 
     Raises:
         InputError: Another number of joints, or beyond a joint's hard limit.
     """
-    if text is None:
+    if given is None:
         return robot.home.copy()
     arm, joints = len(robot.arm_joints), len(robot.joint_names)
     allowed = f"{arm} arm joints or all {joints} [rad]: " + ", ".join(robot.joint_names)
-    numbers = numbers_in(text, "--start", allowed)
+    numbers = numbers_in(given, "--start", allowed) if isinstance(given, str) else given
     if len(numbers) not in (arm, joints):
         raise InputError(f"{len(numbers)} joint positions", where="--start", allowed=allowed)
     q = robot.home.copy()

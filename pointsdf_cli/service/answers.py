@@ -14,7 +14,6 @@ from pointsdf_cli.planning.plan_request import PlanResult
 from pointsdf_cli.planning.table_top import workspace_of
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.service.bodies import HDF5, JSON, NPZ, MeshBody, PlanBody, SceneBody, ScoreBody
-from pointsdf_cli.service.identity import identity
 from pointsdf_cli.service.resident import Resident
 from pointsdf_cli.service.results import result_tree
 
@@ -45,7 +44,7 @@ def mesh_answer(resident: Resident, body: MeshBody, form: str) -> tuple[bytes, s
         view = segmented_cloud(
             given.cloud(),
             given.name,
-            load_robot(resident.robot),
+            load_robot(resident.files.robot),
             body.segment,
             body.wanted(),
             workspace_of(body.corners()),
@@ -79,7 +78,7 @@ def require_expected(resident: Resident, body: SceneBody) -> None:
     Raises:
         InputError: One of these differs.
     """
-    own = identity(resident.robot, resident.checkpoint, resident.grasp_checkpoint)
+    own = resident.files.identity()
     for name, wanted in body.expects.model_dump().items():
         if wanted is not None and wanted != own[name]:
             shown = {name: value[:12] for name, value in (("wanted", wanted), ("own", own[name]))}

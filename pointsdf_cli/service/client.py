@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -15,7 +14,7 @@ from pointsdf_cli.io.trees import tree_of_npz, tree_to_npz
 from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult
 from pointsdf_cli.service.address import TOKEN, server_address
-from pointsdf_cli.service.identity import identity
+from pointsdf_cli.service.identity import PlannerFiles
 from pointsdf_cli.service.results import result_of
 
 NPZ = "application/x-npz"
@@ -23,29 +22,21 @@ LONGEST = 600.0
 """Seconds to wait for an answer: a plan takes about one, rehearsals in a full queue minutes."""
 
 
-def plan_at(
-    url: str,
-    request: PlanRequest,
-    robot: Path | None,
-    checkpoint: Path | None,
-    grasp_checkpoint: Path | None,
-) -> PlanResult:
+def plan_at(url: str, request: PlanRequest, files: PlannerFiles) -> PlanResult:
     """The answer of a server, which must have the same robot and weights.
 
     Args:
         url: Its address.
         request: Checked.
-        robot, checkpoint, grasp_checkpoint: Expected of the server; the bundled ones if None.
+        files: Expected of the server.
 
     Raises:
         InputError: The planner refuses the request, or the server has other weights.
         RgraspError: No server answers there, or it is busy or fails.
     """
-    own = identity(robot, checkpoint, grasp_checkpoint)
-    tree = request_tree(request) | {"expects": own}
+    tree = request_tree(request) | {"expects": files.identity()}
     answer = result_of(tree_of_npz(ask(url, "/plan", tree_to_npz(tree)), url))
-    ours = {"robot": robot, "checkpoint": checkpoint, "grasp_checkpoint": grasp_checkpoint}
-    named = {name: None if path is None else str(path) for name, path in ours.items()}
+    named = {name: None if path is None else str(path) for name, path in vars(files).items()}
     return replace(answer, options=answer.options | named)
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.errors import InputError
@@ -17,10 +16,7 @@ from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_view import ObjectView, object_view
-from pointsdf_cli.service.identity import bundled_digest, weights_digest
-
-if TYPE_CHECKING:
-    from pointsdf_cli.service.resident import Resident
+from pointsdf_cli.service.identity import PlannerFiles, bundled_digest, weights_digest
 
 
 @dataclass(frozen=True)
@@ -121,9 +117,10 @@ def mesh_cloud(task: MeshTask) -> MeshSummary | None:
     # Seconds of imports: only for a cloud that can be used.
     from pointsdf_cli.geometry.isosurface import EmptySurfaceError
     from pointsdf_cli.models.registry import use_threads
+    from pointsdf_cli.service.resident import loaded
 
     use_threads(task.threads)
-    resident = _resident(settings.checkpoint, settings.device)
+    resident = loaded(PlannerFiles(checkpoint=settings.checkpoint), settings.device)
     try:
         completed = resident.mesh(seen, settings.choices, str(task.cloud))
     except EmptySurfaceError as error:  # one cloud's fault, not the stage's end
@@ -135,11 +132,3 @@ def mesh_cloud(task: MeshTask) -> MeshSummary | None:
     write_text_atomic(task.record, to_json({"config": config, **asdict(summary)}, indent=1) + "\n")
     save_mesh(task.out, vertices, made.faces)
     return summary
-
-
-@lru_cache(maxsize=1)
-def _resident(checkpoint: Path | None, device: str) -> Resident:
-    """The loaded network, once a process."""
-    from pointsdf_cli.service.resident import Resident
-
-    return Resident(checkpoint=checkpoint, device=device)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.errors import InputError
@@ -16,11 +15,8 @@ from pointsdf_cli.io.hdf5 import is_complete
 from pointsdf_cli.io.plans import SCHEMA, VERSION, read_plan, write_plan
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.planning.object_choice import NoObjectError
-from pointsdf_cli.service.identity import bundled_digest, identity
+from pointsdf_cli.service.identity import bundled_digest
 from pointsdf_cli.service.plan_settings import PlanSettings, draw_plan
-
-if TYPE_CHECKING:
-    from pointsdf_cli.service.resident import Resident
 
 
 @dataclass(frozen=True)
@@ -50,19 +46,22 @@ class PlanTask:
     def config(self) -> dict[str, Any]:
         """All settings that determine the plan, in plain types."""
         asked = self.settings
-        around = json.dumps(plain(asdict(asked.environment)))
+        request = asked.request
+        around = json.dumps(plain(asdict(request.environment)))
         own = {
             "clouds": [self.cloud],
             "cloud_sha256": [file_sha256(self.cloud)],
             "camera_pose": self.pose,
-            "start": asked.start,
+            "start": request.start,
+            "target": asked.target,
+            "device": asked.device,
             "environment_sha256": hashlib.sha256(around.encode()).hexdigest(),
-            "planner": identity(asked.robot, asked.checkpoint, asked.grasp_checkpoint),
+            "planner": asked.files.identity(),
             "bundled_weights": bundled_digest(),
         }
-        same = ("seed", "segment", "target", "others", "workspace", "cleaned", "device")
-        shared = {name: getattr(asked, name) for name in same}
-        config: dict[str, Any] = plain(asdict(self.files) | asdict(asked.choices) | shared | own)
+        same = ("seed", "segment", "others", "workspace", "cleaned")
+        shared = {name: getattr(request, name) for name in same}
+        config: dict[str, Any] = plain(asdict(self.files) | asdict(request.choices) | shared | own)
         return config
 
 
@@ -102,16 +101,15 @@ def plan_scene(task: PlanTask) -> PlanSummary | None:
         raise InputError.of(error) from error
     # Seconds of imports: only for clouds and options that can be used.
     from pointsdf_cli.models.registry import use_threads
+    from pointsdf_cli.service.resident import loaded
 
     use_threads(task.threads)
-    result = _resident(
-        settings.robot, settings.checkpoint, settings.grasp_checkpoint, settings.device
-    ).plan(request)
+    result = loaded(settings.files, settings.device).plan(request)
     if task.picture is not None:
         task.picture.resolve().unlink(missing_ok=True)  # of another plan
-    write_plan(task.out, result.plan, seed=settings.seed, config=config)
+    write_plan(task.out, result.plan, seed=request.seed, config=config)
     if task.picture is not None:
-        draw_plan(task.picture, result, settings.robot)
+        draw_plan(task.picture, result, settings.files.robot)
     return summary_of(task.out)
 
 
@@ -126,13 +124,3 @@ def summary_of(path: Path) -> PlanSummary:
     return PlanSummary(
         plan.status, plan.reason, plan.sentence, plan.kind, plan.success_probability, seconds
     )
-
-
-@lru_cache(maxsize=1)
-def _resident(
-    robot: Path | None, checkpoint: Path | None, grasp_checkpoint: Path | None, device: str
-) -> Resident:
-    """Loaded networks, once a process."""
-    from pointsdf_cli.service.resident import Resident
-
-    return Resident(robot, checkpoint, grasp_checkpoint, device)

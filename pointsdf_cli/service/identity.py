@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -15,20 +16,32 @@ BUNDLED = "bundled"
 """Weights that were not named: those of the method that come with the version."""
 
 
-def identity(
-    robot: Path | None, checkpoint: Path | None, grasp_checkpoint: Path | None
-) -> dict[str, str]:
-    """Digests by name; equal ones give equal answers.
+@dataclass(frozen=True)
+class PlannerFiles:
+    """Files of a planner; the bundled ones if None.
 
-    Raises:
-        InputError: The robot or a checkpoint cannot be read.
+    Attributes:
+        robot: YAML of the robot.
+        checkpoint: Reconstruction weights.
+        grasp_checkpoint: Success weights; the method's own if None.
     """
-    return {
-        "version": __version__,
-        "robot": _robot(robot),
-        "checkpoint": weights_digest(checkpoint),
-        "grasp_checkpoint": weights_digest(grasp_checkpoint),
-    }
+
+    robot: Path | None = None
+    checkpoint: Path | None = None
+    grasp_checkpoint: Path | None = None
+
+    def identity(self) -> dict[str, str]:
+        """Digests by name; equal ones give equal answers.
+
+        Raises:
+            InputError: The robot or a checkpoint cannot be read.
+        """
+        return {
+            "version": __version__,
+            "robot": _robot(self.robot),
+            "checkpoint": weights_digest(self.checkpoint),
+            "grasp_checkpoint": weights_digest(self.grasp_checkpoint),
+        }
 
 
 @lru_cache(maxsize=1)

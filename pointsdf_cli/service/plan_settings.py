@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
-from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.plan_request import (
-    Corners,
-    PlanChoices,
-    PlanRequest,
-    PlanResult,
-    headline,
-)
+from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult, headline
 from pointsdf_cli.planning.scene_input import read_scene
 from pointsdf_cli.planning.table_top import workspace_of
 from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.service.identity import PlannerFiles
 
 
 @dataclass(frozen=True)
@@ -26,26 +19,15 @@ class PlanSettings:
     """Settings of plans, apart from a scene's own files.
 
     Attributes:
-        choices, environment, start, seed: As in `PlanRequest`.
-        segment, others, workspace, cleaned, obstacles: As in `PlanRequest`.
+        request: Request for every scene, without clouds, their names and a target.
         target: --target as typed.
-        robot, checkpoint, grasp_checkpoint: Files; the bundled ones if None.
+        files: Robot and weights.
         device: Device of the networks.
     """
 
-    choices: PlanChoices = field(default_factory=PlanChoices)
-    environment: Environment = field(default_factory=Environment)
-    start: Array | None = None
-    seed: int = 0
-    segment: str = "auto"
-    target: str | None = None
-    others: bool = True
-    workspace: Corners | None = None
-    cleaned: bool = True
-    obstacles: str = "reconstruction"
-    robot: Path | None = None
-    checkpoint: Path | None = None
-    grasp_checkpoint: Path | None = None
+    request: PlanRequest
+    target: str | None
+    files: PlannerFiles
     device: str = "cpu"
 
     def read(
@@ -67,24 +49,12 @@ class PlanSettings:
             poses,
             files,
             self.target,
-            workspace_of(self.workspace),
-            self.cleaned,
-            load_robot(self.robot),
+            workspace_of(self.request.workspace),
+            self.request.cleaned,
+            load_robot(self.files.robot),
         )
-        request = PlanRequest(
-            given.clouds,
-            [str(path) for path in clouds],
-            self.choices,
-            self.environment,
-            self.start,
-            self.seed,
-            self.segment,
-            given.target,
-            self.others,
-            self.workspace,
-            self.cleaned,
-            self.obstacles,
-        )
+        names = [str(path) for path in clouds]
+        request = replace(self.request, clouds=given.clouds, names=names, target=given.target)
         request.check()
         return request, given.notes
 

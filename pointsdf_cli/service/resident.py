@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from pathlib import Path
+from functools import lru_cache
 
 import torch
 
@@ -24,6 +24,8 @@ from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.table_session import answer_request
 from pointsdf_cli.planning.table_top import look_at_table, workspace_of
 from pointsdf_cli.planning.variables import Variables
+from pointsdf_cli.robot.start import start_configuration
+from pointsdf_cli.service.identity import PlannerFiles
 
 KEPT = 4
 """Largest number of cached planners, one for each set of choices; each takes up to 100 MB."""
@@ -33,21 +35,12 @@ class Resident:
     """Loaded networks and planners that answer requests; not for several threads at once.
 
     Args:
-        robot: Its YAML file; the bundled one if None.
-        checkpoint: Reconstruction weights; the bundled one if None.
-        grasp_checkpoint: Success weights; the method's bundled one if None.
+        files: Robot and weights.
         device: Device of the networks.
     """
 
-    def __init__(
-        self,
-        robot: Path | None = None,
-        checkpoint: Path | None = None,
-        grasp_checkpoint: Path | None = None,
-        device: str = "cpu",
-    ) -> None:
-        self.robot, self.checkpoint, self.grasp_checkpoint = robot, checkpoint, grasp_checkpoint
-        self.device = device
+    def __init__(self, files: PlannerFiles | None = None, device: str = "cpu") -> None:
+        self.files, self.device = files or PlannerFiles(), device
         self._shape: ShapeModel | None = None
         self._planners: OrderedDict[PlanChoices, GraspPlanner] = OrderedDict()
 
@@ -102,7 +95,7 @@ class Resident:
             request.clouds,
             request.names,
             robot,
-            robot.home if request.start is None else request.start,
+            start_configuration(request.start, robot),
             request.segment,
             request.target,
             workspace_of(request.workspace),
@@ -129,7 +122,7 @@ class Resident:
             EmptySurfaceError: The network sees nothing solid.
         """
         if self._shape is None:
-            self._shape = load_model(self.checkpoint or completion_checkpoint(), self.device)
+            self._shape = load_model(self.files.checkpoint or completion_checkpoint(), self.device)
         return complete_mesh(self._shape, view, choices, name)
 
     def _made(self, choices: PlanChoices) -> GraspPlanner:
@@ -137,9 +130,7 @@ class Resident:
         options = PlanOptions(
             method=choices.method,
             kind=choices.kind,
-            robot=self.robot,
-            checkpoint=self.checkpoint,
-            grasp_checkpoint=self.grasp_checkpoint,
+            **vars(self.files),
             device=self.device,
             planner=PlannerConfig(
                 solver=choices.solver,
@@ -154,3 +145,9 @@ class Resident:
         from pointsdf_cli.planning.rehearsed import rehearsed_planner
 
         return rehearsed_planner(options, count=choices.rehearse)
+
+
+@lru_cache(maxsize=1)
+def loaded(files: PlannerFiles, device: str) -> Resident:
+    """A planner that is loaded once a process, as long as the same one is asked for."""
+    return Resident(files, device)

@@ -17,7 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.grasps import NO_CONFIGURATION, NO_MOTION
-from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.robot.cartesian_path import FollowConfig, follow, straight
+from pointsdf_cli.robot.inverse_kinematics import (
+    POSITION_TOLERANCE,
+    ROTATION_TOLERANCE,
+    InverseKinematics,
+)
 from pointsdf_cli.robot.lift import LIFT_HEIGHT
 from pointsdf_cli.simulation.world import World
 
@@ -33,6 +38,10 @@ SLIDING = 0.01
 """Largest motion of a prismatic joint between them [m]."""
 WAYPOINTS = 8
 """Number of waypoints of the straight stretches."""
+FOLLOW = FollowConfig(
+    POSITION_TOLERANCE, ROTATION_TOLERANCE, jump=0.5, longest=0.2, turn_weight=0.3, damping=1e-4
+)
+"""Waypoints are far apart: joints may move by half a radian between two."""
 
 
 @dataclass(frozen=True)
@@ -167,11 +176,9 @@ class Reacher:
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Paths [B, K + 1, A] from `arms` [B, A] that move the palm straight along `ways` [B, 3],
         and a mask [B] of those that the arm can follow."""
-        poses = np.tile(T_world_palm, (len(arms), WAYPOINTS, 1, 1))
-        share = np.linspace(0, 1, WAYPOINTS + 1)[1:, None]
-        poses[..., :3, 3] += share * np.asarray(ways, dtype=float)[:, None]
-        paths, fine = self._solver.track(arms, poses)
-        return np.concatenate([arms[:, None], paths], axis=1), fine
+        poses = straight(T_world_palm, ways, WAYPOINTS)
+        paths, reached = follow(self._solver.chain, arms, poses, FOLLOW)
+        return paths, reached == WAYPOINTS
 
     def _free(self, path: Array) -> bool:
         """Whether straight lines between configurations [K, J] are free of collision.

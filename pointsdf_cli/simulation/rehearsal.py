@@ -159,7 +159,7 @@ class Rehearsal:
 
     def _lift(self, q: Array) -> Array | None:
         world = self._world
-        return lift_path(world.chain, world.robot, q)
+        return lift_path(world.chain, q)
 
 
 def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -> list[int]:

@@ -74,7 +74,7 @@ def execute_plan(
         raise InputError(f"a trajectory of {len(trajectory)} points", allowed="one or more")
     q = trajectory[-1]
     last = _Last(watch)
-    lift = lift_path(world.chain, world.robot, q)
+    lift = lift_path(world.chain, q)
     world.reset(item, T_world_object, trajectory[0], others=others)
     stood = world.object_centre()
     contact, lag = _follow(world, trajectory, times, last)
