@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.voxels import thin
+from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.planning.object_choice import (
     NoObjectError,
     TargetChoice,
@@ -244,3 +246,10 @@ def test_the_table_is_found_by_a_camera_upside_down() -> None:
         )
         plane = find_support_plane(scenes.cloud(depth, None).points)
         assert pose_over_plane(plane)[2, 3] == pytest.approx(scenes.POSE[2, 3], abs=0.003)
+
+
+def test_one_cloud_has_one_plane() -> None:
+    """A bare object, whose planes are many and none is a table."""
+    cloud = read_cloud(asset_path("clouds/power_drill.ply"))
+    planes = {tuple(find_support_plane(cloud.points)) for _ in range(6)}
+    assert len(planes) == 1

@@ -107,7 +107,8 @@ def _largest_plane(points: Array) -> tuple[Array, NDArray[np.bool_]]:
 
     o3d.utility.random.seed(0)
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    equation, _ = cloud.segment_plane(BAND, 3, ITERATIONS)
+    # With probability 1 no thread ends the search early: equal clouds give equal planes.
+    equation, _ = cloud.segment_plane(BAND, 3, ITERATIONS, probability=1.0)
     plane = np.array([*equation[:3], -equation[3]]) / np.linalg.norm(equation[:3])
     if plane[3] > 0:  # the camera, at the origin, is on the other side
         plane = -plane
