@@ -43,6 +43,10 @@ PROMISED = {("networkx", "trimesh.base"): ("Graph",)}
 """Names that one module takes from another as it loads, only for annotations: it gets stand-ins,
 which load what they stand for should they be called."""
 
+DOCUMENTED = "scipy._lib._array_api"
+"""Module that parses and rewrites the docstring of every function of SciPy as it loads: two thirds
+of SciPy's own time, and nobody reads them here."""
+
 _LOOKED_FOR = ("__path__", "__file__", "__cached__", "__warningregistry__")
 """Attributes that imports and warnings look for in any module."""
 
@@ -67,11 +71,12 @@ class _Finder(MetaPathFinder):
     ) -> ModuleSpec | None:
         if fullname == COMPILER:
             _load(TORCH_LEAVES)
-        if fullname not in self._names:
+        if fullname not in self._names and fullname != DOCUMENTED:
             return None
         spec = PathFinder.find_spec(fullname, path)
         if spec is not None and spec.loader is not None:
-            spec.loader = _Later(spec.loader)
+            kind = _Undocumented if fullname == DOCUMENTED else _Later
+            spec.loader = kind(spec.loader)
         return spec
 
 
@@ -84,6 +89,35 @@ class _Later(Loader):
 
     def exec_module(self, module: ModuleType) -> None:
         """Nothing yet."""
+
+
+class _Undocumented(Loader):
+    """Loads `DOCUMENTED` with a parser of docstrings that does nothing."""
+
+    def __init__(self, loader: Loader) -> None:
+        self.loader = loader
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        return self.loader.create_module(spec)
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Run the module, then exchange its parser, if it has one."""
+        self.loader.exec_module(module)
+        if hasattr(module, "FunctionDoc"):
+            module.FunctionDoc = _NoDocstring
+
+
+class _NoDocstring:
+    """A function's docstring that has no sections."""
+
+    def __init__(self, function: object) -> None:
+        """Nothing is read."""
+
+    def __getitem__(self, section: str) -> list[str]:
+        return []
+
+    def __str__(self) -> str:
+        return "\n"
 
 
 class _Deferred(ModuleType):

@@ -95,3 +95,19 @@ def test_meshes_load_without_networkx_and_have_it_when_asked(tmp_path: Path) -> 
         tmp_path,
     )
     assert told == ["False True", "8 module"]
+
+
+def test_scipy_loads_without_parsing_its_docstrings(tmp_path: Path) -> None:
+    told = run(
+        "from pointsdf_cli.deferred import defer_unused\n"
+        "defer_unused()\n"
+        "import numpy as np, scipy.cluster.vq, scipy.ndimage, scipy.spatial, scipy.stats\n"
+        "turn = scipy.spatial.transform.Rotation.from_rotvec([0, 0, np.pi / 2])\n"
+        "print(np.round(turn.apply([1, 0, 0]), 6).tolist())\n"
+        "print(scipy.spatial.ConvexHull(np.eye(4)[:, :3]).volume)\n"
+        "print(round(float(scipy.stats.norm.cdf(0.0)), 3))\n",
+        tmp_path,
+    )
+    assert told[0] == "[0.0, 1.0, 0.0]"
+    assert abs(float(told[1]) - 1 / 6) < 1e-12
+    assert told[2] == "0.5"

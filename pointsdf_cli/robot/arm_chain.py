@@ -17,6 +17,9 @@ from pointsdf_cli.geometry.frames import rotation_vector
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.urdf import Joint
 
+CHUNK = 1024
+"""Configurations at once: what lies between the joints of so many stays in the cache."""
+
 
 class ArmChain:
     """The joints of the arm between the robot's base and its palm.
@@ -57,8 +60,11 @@ class ArmChain:
 
     def palms(self, arm: Array) -> tuple[Array, Array]:
         """Palm rotation [B, 3, 3] and position [B, 3] of arm joints [B, A]."""
-        rotation, position, _, _ = self._along(arm)
-        return rotation, position
+        starts = range(0, max(1, len(arm)), CHUNK)
+        rotations, positions, *_ = zip(
+            *(self._along(arm[k : k + CHUNK]) for k in starts), strict=True
+        )
+        return np.concatenate(rotations), np.concatenate(positions)
 
     def palm_and_jacobian(self, arm: Array) -> tuple[Array, Array, Array]:
         """Palm rotation [B, 3, 3], position [B, 3] and Jacobian [B, 6, A] of arm joints [B, A].
