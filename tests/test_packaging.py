@@ -119,7 +119,7 @@ def test_every_dependency_is_noticed_and_pinned_at_both_ends() -> None:
 
     newest, oldest = pins("constraints.txt"), pins("constraints-min.txt")
     for text in project["dependencies"]:
-        name, _, least = text.partition(">=")
+        name, _, least = text.partition(",")[0].partition(">=")
         assert name in notices, f"{name} is not in THIRD-PARTY.md"
         assert name in newest, f"{name} is not in constraints.txt"
         assert name in oldest, f"{name} is not in constraints-min.txt"
