@@ -14,7 +14,7 @@ from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
-from pointsdf_cli.simulation.executor import PUSH_TIME, ExecutorConfig
+from pointsdf_cli.simulation.executor import CREEP_TIME, PUSH_TIME, ExecutorConfig
 from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.physics import GRAVITY
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
@@ -283,6 +283,20 @@ def test_what_slides_out_in_the_hold_was_lifted_and_is_not_held(
     assert outcome.lost_in == "hold"
     assert outcome.cause in ("dropped", "slipped")
     assert outcome.valid
+
+
+def test_a_lifted_object_that_creeps_counts_as_lost(
+    attempter: Attempter, grip: Grip, cache: Path
+) -> None:
+    can = replace(item_of("can", SHAPES["can 6.4 cm"][0], cache), mass=0.2)
+    alone = carried_out(attempter, can, grip)
+    still = carried_out(attempter, can, grip, most_creep=0.01)
+    assert still.duration == pytest.approx(alone.duration + CREEP_TIME, abs=0.01)
+    assert replace(still, duration=alone.duration) == alone
+    # No simulated contact is entirely at rest.
+    moving = carried_out(attempter, can, grip, most_creep=1e-9)
+    assert (moving.lifted, moving.held, moving.lost_in) == (False, False, "lift")
+    assert (moving.valid, moving.cause) == (True, "slipped")
 
 
 def test_weak_fingers_lose_what_strong_ones_hold(

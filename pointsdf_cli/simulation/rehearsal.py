@@ -45,6 +45,9 @@ MASS = (0.7, 1.5)
 """Range of the ratio of its mass to the estimate."""
 FOOT = 0.012
 """Height [m] above the table below which the lowest points are moved onto it."""
+MOST_CREEP = 0.004
+"""Speed in the palm [m/s] above which a lifted object counts as lost: in the 5 s of a trial's hold
+it would move by 2 cm."""
 PHYSICS = PhysicsConfig(step=1 / 240)
 """Contact simulation, coarser than that of trials: only the ranking matters."""
 
@@ -101,7 +104,7 @@ class Rehearsal:
         # An object at rest in the hand after half a second mostly stays there, and hold and pushes
         # take several times as long as the rest.
         execution = (execution or ExecutorConfig()).without_tests()
-        self._execution = replace(execution, longest_settling=0.6)
+        self._execution = replace(execution, longest_settling=0.6, most_creep=MOST_CREEP)
         self._world = World(robot, PHYSICS)
         self._tries = 0
 
