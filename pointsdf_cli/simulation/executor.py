@@ -59,8 +59,7 @@ class ExecutorConfig:
         hold: Time that a lifted object is then held [s]; 0 for none.
         push: Force on a held object's centre of mass [N], in each direction of `PUSHES` in turn; 0
             for none.
-        most_creep: Speed in the palm [m/s] above which a lifted object counts as lost; infinite for
-            no measurement.
+        measures_creep: Whether to measure how fast a lifted object moves in the hand.
     """
 
     closing_effort: float = 0.3
@@ -69,7 +68,7 @@ class ExecutorConfig:
     shake: float = 0.0
     hold: float = 0.0
     push: float = 0.0
-    most_creep: float = np.inf
+    measures_creep: bool = False
 
     def __post_init__(self) -> None:
         if not 0 <= self.shake <= 100:
@@ -150,8 +149,8 @@ class Executor:
             if config.shake > 0:
                 self._shake()
         outcome = self._judged(LIFT)
-        if outcome.held and self._creep() > config.most_creep:
-            outcome = replace(outcome, lifted=False, held=False, lost_in=LIFT, cause="slipped")
+        if outcome.lifted and config.measures_creep:
+            outcome = replace(outcome, creep=self._creep())
         if outcome.lifted and config.hold > 0:
             self._keep()
             outcome = self._judged(HOLD)
@@ -266,9 +265,7 @@ class Executor:
             self._hold(0.1, "settle")
 
     def _creep(self) -> float:
-        """Speed [m/s] at which the object moves in the palm; 0 if nobody asks for it."""
-        if not np.isfinite(self._config.most_creep):
-            return 0.0
+        """Speed [m/s] at which the object moves in the palm's frame."""
         before = self._object_in_palm()
         self._hold(CREEP_TIME, "settle")
         return float(np.linalg.norm(self._object_in_palm() - before)) / CREEP_TIME

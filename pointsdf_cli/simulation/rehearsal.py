@@ -46,8 +46,8 @@ MASS = (0.7, 1.5)
 FOOT = 0.012
 """Height [m] above the table below which the lowest points are moved onto it."""
 MOST_CREEP = 0.004
-"""Speed in the palm [m/s] above which a lifted object counts as lost: in the 5 s of a trial's hold
-it would move by 2 cm."""
+"""Speed in the palm [m/s] above which a lifted object is not firmly held: in the 5 s of a trial's
+hold it would move by 2 cm."""
 PHYSICS = PhysicsConfig(step=1 / 240)
 """Contact simulation, coarser than that of trials: only the ranking matters."""
 
@@ -59,12 +59,14 @@ class Rehearsed(NamedTuple):
         tries: Number of tries; 0 if the arm cannot lift from there, or if an earlier grasp never
             failed.
         held: Number of tries in which it held.
+        firm: Number of tries in which it held and the object did not creep in the hand.
         rise: Mean rise of the object [m], at most the lift's height: decides between grasps that
             hold equally often.
     """
 
     tries: int
     held: int
+    firm: int
     rise: float
 
     @property
@@ -72,8 +74,13 @@ class Rehearsed(NamedTuple):
         """Share of tries in which it held."""
         return self.held / self.tries if self.tries else 0.0
 
+    @property
+    def firm_share(self) -> float:
+        """Share of tries in which it held firmly."""
+        return self.firm / self.tries if self.tries else 0.0
 
-UNTRIED = Rehearsed(0, 0, 0.0)
+
+UNTRIED = Rehearsed(0, 0, 0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -104,7 +111,7 @@ class Rehearsal:
         # An object at rest in the hand after half a second mostly stays there, and hold and pushes
         # take several times as long as the rest.
         execution = (execution or ExecutorConfig()).without_tests()
-        self._execution = replace(execution, longest_settling=0.6, most_creep=MOST_CREEP)
+        self._execution = replace(execution, longest_settling=0.6, measures_creep=True)
         self._world = World(robot, PHYSICS)
         self._tries = 0
 
@@ -130,7 +137,7 @@ class Rehearsal:
         disturbances = _disturbances(self._repeats, np.random.default_rng(seed))
         tried: list[Rehearsed] = []
         for grasp in np.atleast_2d(q):
-            if any(one.held == len(disturbances) for one in tried):
+            if any(one.firm == len(disturbances) for one in tried):
                 tried.append(UNTRIED)  # one that never fails is enough
                 continue
             lift = self._lift(grasp)
@@ -143,9 +150,9 @@ class Rehearsal:
         if lift is None:
             return UNTRIED
         rises: list[float] = []
-        held = 0
+        held = firm = 0
         for disturbance in disturbances:
-            if len(rises) - held >= FAILURES or (rises and not held):
+            if len(rises) - firm >= FAILURES or (rises and not held):
                 break  # it fails even when all is as believed, or too often
             self._tries += 1
             # A name of its own, because the physics client caches surfaces by name.
@@ -155,10 +162,11 @@ class Rehearsal:
             world.reset(item, np.eye(4), q)
             outcome = Executor(world, self._execution).run(q, lift)
             held += outcome.held
+            firm += outcome.held and outcome.creep <= MOST_CREEP
             rises.append(
                 float(np.clip(outcome.lift_height, 0.0, LIFT_HEIGHT)) if outcome.valid else 0.0
             )
-        return Rehearsed(len(rises), held, float(np.mean(rises)))
+        return Rehearsed(len(rises), held, firm, float(np.mean(rises)))
 
     def _lift(self, q: Array) -> Array | None:
         world = self._world
@@ -168,7 +176,7 @@ class Rehearsal:
 def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -> list[int]:
     """Indices of grasps, the one most likely to hold first; ties keep their order.
 
-    Each grasp is rated by (held + 1/2) / (tries + 1), so that one success in one try counts less
+    Each grasp is rated by (firm + 1/2) / (tries + 1), so that one success in one try counts less
     than five in five; grasps without a try come last.
 
     Args:
@@ -178,10 +186,10 @@ def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -
     """
     chances = [1.0] * len(tried) if chances is None else chances
 
-    def cost(k: int) -> tuple[bool, float, float]:
+    def cost(k: int) -> tuple[bool, float, int, float]:
         one = tried[k]
-        share = chances[k] * (one.held + 0.5) / (one.tries + 1)
-        return not one.tries, -share, -round(one.rise, 2)
+        share = chances[k] * (one.firm + 0.5) / (one.tries + 1)
+        return not one.tries, -share, -one.held, -round(one.rise, 2)
 
     return sorted(range(len(tried)), key=cost)
 
