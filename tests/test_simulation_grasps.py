@@ -14,10 +14,9 @@ from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
-from pointsdf_cli.simulation.executor import CREEP_TIME, PUSH_TIME, ExecutorConfig
+from pointsdf_cli.simulation.executor import PUSH_TIME, ExecutorConfig
 from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.physics import GRAVITY
-from pointsdf_cli.simulation.rehearsal import MOST_CREEP
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.verdict import UNTRIED, Outcome
 from pointsdf_cli.simulation.world import World
@@ -284,38 +283,6 @@ def test_what_slides_out_in_the_hold_was_lifted_and_is_not_held(
     assert outcome.lost_in == "hold"
     assert outcome.cause in ("dropped", "slipped")
     assert outcome.valid
-
-
-def test_a_firm_grasp_hardly_creeps(attempter: Attempter, grip: Grip, cache: Path) -> None:
-    can = replace(item_of("can", SHAPES["can 6.4 cm"][0], cache), mass=0.2)
-    alone = carried_out(attempter, can, grip)
-    measured = carried_out(attempter, can, grip, measures_creep=True)
-    assert measured.duration == pytest.approx(alone.duration + CREEP_TIME, abs=0.01)
-    assert replace(measured, duration=alone.duration, creep=0.0) == alone
-    assert 0.0 < measured.creep < MOST_CREEP
-
-
-def test_what_is_pulled_through_the_fingers_creeps(
-    attempter: Attempter, grip: Grip, cache: Path
-) -> None:
-    can = replace(item_of("can", SHAPES["can 6.4 cm"][0], cache), mass=0.2)
-
-    def pull(world: World, phase: str) -> None:
-        if phase == "settle":
-            body, client = world._object_body, world._client
-            place, turn = world._bullet.getBasePositionAndOrientation(body, physicsClientId=client)
-            lower = (*place[:2], place[2] - 0.02 * world.physics.step)
-            world._bullet.resetBasePositionAndOrientation(body, lower, turn, physicsClientId=client)
-
-    place = beside_the_palm(can, 0.03 + SHAPES["can 6.4 cm"][1])
-    kept = attempter.config
-    attempter.config = replace(kept, execution=replace(kept.execution, measures_creep=True))
-    try:
-        outcome = attempter.execute(can, place, grip.q, grip.lift, pull)
-    finally:
-        attempter.config = kept
-    assert outcome.lifted
-    assert outcome.creep > MOST_CREEP
 
 
 def test_weak_fingers_lose_what_strong_ones_hold(

@@ -44,9 +44,7 @@ from pointsdf_cli.simulation.rehearsal import (
 from pointsdf_cli.simulation.world import try_robot
 
 ENOUGH = 0.75
-"""Share of rehearsals in which a grasp must hold firmly to end the search."""
-FIRM_ROUNDS = 2
-"""Number of rounds after which it is enough that it holds, firmly or not."""
+"""Share of rehearsals in which a grasp must hold to end the search."""
 SLACK = 0.006
 """Distance [m] to the object; of equally good grasps, those that keep it until the hand closes are
 rehearsed first, because the unseen side may be nearer than predicted."""
@@ -187,7 +185,6 @@ class RehearsedChoice:
         self._candidates: list[Candidate] = []
         self._contradicted: list[bool] = []
         self._tried: list[Rehearsed] = []
-        self._rounds = 0
 
     def stop(self, new: list[Candidate]) -> bool:
         """Rehearse the candidates of a round; True if one holds often enough."""
@@ -202,14 +199,10 @@ class RehearsedChoice:
         self._candidates += chosen
         self._contradicted += [contradicted[k] for k in order]
         self._tried += tried
-        self._rounds += 1
         self.timings["rehearsal"] += time.perf_counter() - began
-        any_hold = self._rounds >= FIRM_ROUNDS
         return any(
-            one.tries > 1
-            and (one.share if any_hold else one.firm_share) >= ENOUGH
-            and not contradicted
-            for one, contradicted in zip(self._tried, self._contradicted, strict=True)
+            one.tries > 1 and one.share >= ENOUGH and not contradicted[k]
+            for k, one in zip(order, tried, strict=True)
         )
 
     def ranked(self, accepted: list[Candidate]) -> list[Candidate]:

@@ -43,8 +43,6 @@ SHAKE_TIME = 1.0
 """Duration of the shake [s]."""
 PUSH_TIME = 1.0
 """Duration of each push [s]."""
-CREEP_TIME = 0.25
-"""Time over which the creep of a lifted object is measured [s]."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,6 @@ class ExecutorConfig:
         hold: Time that a lifted object is then held [s]; 0 for none.
         push: Force on a held object's centre of mass [N], in each direction of `PUSHES` in turn; 0
             for none.
-        measures_creep: Whether to measure how fast a lifted object moves in the hand.
     """
 
     closing_effort: float = 0.3
@@ -68,7 +65,6 @@ class ExecutorConfig:
     shake: float = 0.0
     hold: float = 0.0
     push: float = 0.0
-    measures_creep: bool = False
 
     def __post_init__(self) -> None:
         if not 0 <= self.shake <= 100:
@@ -149,8 +145,6 @@ class Executor:
             if config.shake > 0:
                 self._shake()
         outcome = self._judged(LIFT)
-        if outcome.lifted and config.measures_creep:
-            outcome = replace(outcome, creep=self._creep())
         if outcome.lifted and config.hold > 0:
             self._keep()
             outcome = self._judged(HOLD)
@@ -263,12 +257,6 @@ class Executor:
             if self._at_rest() or not world.robot_contact().links:
                 return
             self._hold(0.1, "settle")
-
-    def _creep(self) -> float:
-        """Speed [m/s] at which the object moves in the palm's frame."""
-        before = self._object_in_palm()
-        self._hold(CREEP_TIME, "settle")
-        return float(np.linalg.norm(self._object_in_palm() - before)) / CREEP_TIME
 
     def _shake(self) -> None:
         """Lateral accelerations back and forth, first along x, then along y, at 4 Hz."""

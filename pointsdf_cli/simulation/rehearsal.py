@@ -32,7 +32,7 @@ from pointsdf_cli.simulation.world import World
 REPEATS = 8
 """Number of tries of a grasp; the first is undisturbed."""
 FAILURES = 2
-"""Number of failures after which a grasp is not tried again; a creeping object is one."""
+"""Number of failures after which a grasp is not tried again."""
 PLACE = 0.005
 """Standard deviation of the object's position on the table [m]."""
 TURN = 0.05
@@ -45,9 +45,6 @@ MASS = (0.7, 1.5)
 """Range of the ratio of its mass to the estimate."""
 FOOT = 0.012
 """Height [m] above the table below which the lowest points are moved onto it."""
-MOST_CREEP = 0.004
-"""Speed in the palm [m/s] above which a lifted object is not firmly held: in the 5 s of a trial's
-hold it would move by 2 cm."""
 PHYSICS = PhysicsConfig(step=1 / 240)
 """Contact simulation, coarser than that of trials: only the ranking matters."""
 
@@ -56,17 +53,15 @@ class Rehearsed(NamedTuple):
     """Result of one rehearsed grasp.
 
     Attributes:
-        tries: Number of tries; 0 if the arm cannot lift from there, or if an earlier grasp failed
-            once at most.
+        tries: Number of tries; 0 if the arm cannot lift from there, or if an earlier grasp never
+            failed.
         held: Number of tries in which it held.
-        firm: Number of tries in which it held and the object did not creep in the hand.
         rise: Mean rise of the object [m], at most the lift's height: decides between grasps that
             hold equally often.
     """
 
     tries: int
     held: int
-    firm: int
     rise: float
 
     @property
@@ -74,13 +69,8 @@ class Rehearsed(NamedTuple):
         """Share of tries in which it held."""
         return self.held / self.tries if self.tries else 0.0
 
-    @property
-    def firm_share(self) -> float:
-        """Share of tries in which it held firmly."""
-        return self.firm / self.tries if self.tries else 0.0
 
-
-UNTRIED = Rehearsed(0, 0, 0, 0.0)
+UNTRIED = Rehearsed(0, 0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -111,7 +101,7 @@ class Rehearsal:
         # An object at rest in the hand after half a second mostly stays there, and hold and pushes
         # take several times as long as the rest.
         execution = (execution or ExecutorConfig()).without_tests()
-        self._execution = replace(execution, longest_settling=0.6, measures_creep=True)
+        self._execution = replace(execution, longest_settling=0.6)
         self._world = World(robot, PHYSICS)
         self._tries = 0
 
@@ -122,7 +112,7 @@ class Rehearsal:
     def __call__(
         self, vertices: Array, faces: NDArray[np.integer], q: Array, seed: int = 0
     ) -> list[Rehearsed]:
-        """Try grasps of an object in their order, until one fails once at most.
+        """Try grasps of an object in their order, until one never fails.
 
         Args:
             vertices: [V, 3], vertices of the reconstructed surface, world frame.
@@ -136,10 +126,9 @@ class Rehearsal:
         believed = believed_object(vertices, faces)
         disturbances = _disturbances(self._repeats, np.random.default_rng(seed))
         tried: list[Rehearsed] = []
-        most = len(disturbances)
         for grasp in np.atleast_2d(q):
-            if any(one.tries == most and one.firm >= max(1, most - 1) for one in tried):
-                tried.append(UNTRIED)  # one is enough
+            if any(one.held == len(disturbances) for one in tried):
+                tried.append(UNTRIED)  # one that never fails is enough
                 continue
             lift = self._lift(grasp)
             tried.append(self._try(believed, grasp, lift, disturbances))
@@ -151,9 +140,9 @@ class Rehearsal:
         if lift is None:
             return UNTRIED
         rises: list[float] = []
-        held = firm = 0
+        held = 0
         for disturbance in disturbances:
-            if len(rises) - firm >= FAILURES or (rises and not held):
+            if len(rises) - held >= FAILURES or (rises and not held):
                 break  # it fails even when all is as believed, or too often
             self._tries += 1
             # A name of its own, because the physics client caches surfaces by name.
@@ -163,11 +152,10 @@ class Rehearsal:
             world.reset(item, np.eye(4), q)
             outcome = Executor(world, self._execution).run(q, lift)
             held += outcome.held
-            firm += outcome.held and outcome.creep <= MOST_CREEP
             rises.append(
                 float(np.clip(outcome.lift_height, 0.0, LIFT_HEIGHT)) if outcome.valid else 0.0
             )
-        return Rehearsed(len(rises), held, firm, float(np.mean(rises)))
+        return Rehearsed(len(rises), held, float(np.mean(rises)))
 
     def _lift(self, q: Array) -> Array | None:
         world = self._world
@@ -177,7 +165,7 @@ class Rehearsal:
 def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -> list[int]:
     """Indices of grasps, the one most likely to hold first; ties keep their order.
 
-    Each grasp is rated by (firm + 1/2) / (tries + 1), so that one success in one try counts less
+    Each grasp is rated by (held + 1/2) / (tries + 1), so that one success in one try counts less
     than five in five; grasps without a try come last.
 
     Args:
@@ -187,10 +175,10 @@ def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -
     """
     chances = [1.0] * len(tried) if chances is None else chances
 
-    def cost(k: int) -> tuple[bool, float, int, float]:
+    def cost(k: int) -> tuple[bool, float, float]:
         one = tried[k]
-        share = chances[k] * (one.firm + 0.5) / (one.tries + 1)
-        return not one.tries, -share, -one.held, -round(one.rise, 2)
+        share = chances[k] * (one.held + 0.5) / (one.tries + 1)
+        return not one.tries, -share, -round(one.rise, 2)
 
     return sorted(range(len(tried)), key=cost)
 

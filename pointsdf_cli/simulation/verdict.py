@@ -46,7 +46,6 @@ class Outcome:
         slip: Its motion in the palm's frame from the grip until then [m].
         links: Number of the hand's links in contact with it then.
         duration: Simulated time [s].
-        creep: Speed of a lifted object in the palm's frame [m/s], where it was measured.
     """
 
     lifted: bool
@@ -59,7 +58,6 @@ class Outcome:
     slip: float
     links: int
     duration: float
-    creep: float = 0.0
 
 
 @dataclass(frozen=True)
