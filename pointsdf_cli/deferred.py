@@ -104,7 +104,7 @@ class _Undocumented(Loader):
         """Run the module, then exchange its parser, if it has one."""
         self.loader.exec_module(module)
         if hasattr(module, "FunctionDoc"):
-            module.FunctionDoc = _NoDocstring
+            vars(module)["FunctionDoc"] = _NoDocstring
 
 
 class _NoDocstring:
