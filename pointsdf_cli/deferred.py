@@ -44,8 +44,8 @@ PROMISED = {("networkx", "trimesh.base"): ("Graph",)}
 which load what they stand for should they be called."""
 
 DOCUMENTED = "scipy._lib._array_api"
-"""Module that parses and rewrites the docstring of every function of SciPy as it loads: two thirds
-of SciPy's own time, and nobody reads them here."""
+"""Module that parses and rewrites the docstrings of most of SciPy's functions as they load. Nobody
+reads them here."""
 
 _LOOKED_FOR = ("__path__", "__file__", "__cached__", "__warningregistry__")
 """Attributes that imports and warnings look for in any module."""
@@ -71,6 +71,12 @@ class _Finder(MetaPathFinder):
     ) -> ModuleSpec | None:
         if fullname == COMPILER:
             _load(TORCH_LEAVES)
+        _load([fullname.rpartition(".")[0]])  # what is inside a package comes after the package
+        loaded = sys.modules.get(fullname)  # by its package
+        if loaded is not None and loaded.__spec__ is not None:
+            # In the module too: Python prefers the spec that it finds there.
+            loaded.__spec__ = ModuleSpec(fullname, _Loaded(loaded.__spec__))
+            return loaded.__spec__
         if fullname not in self._names and fullname != DOCUMENTED:
             return None
         spec = PathFinder.find_spec(fullname, path)
@@ -89,6 +95,20 @@ class _Later(Loader):
 
     def exec_module(self, module: ModuleType) -> None:
         """Nothing yet."""
+
+
+class _Loaded(Loader):
+    """Loads a module that is loaded already, whose spec this is."""
+
+    def __init__(self, spec: ModuleSpec) -> None:
+        self.spec = spec
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        return sys.modules[spec.name]
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Only put the module's spec back."""
+        module.__spec__ = self.spec
 
 
 class _Undocumented(Loader):
