@@ -14,7 +14,7 @@ from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
-from pointsdf_cli.simulation.executor import PUSH_TIME, ExecutorConfig
+from pointsdf_cli.simulation.executor import PUSH_TIME, SQUEEZE, ExecutorConfig
 from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.physics import GRAVITY
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
@@ -45,6 +45,8 @@ SHAPES = {
 """A mesh, and how far its near face is from its middle [m]."""
 UNDER = 0.2
 """Height [m] of what the hand is put under; its thumb is lower."""
+CREEP = 0.005
+"""Farthest that an object at rest may move in the hand in 5 s [m]."""
 GAPS, TURNS = (0.02, 0.04), (0.0, 0.1)
 """From the palm to the near face [m]; of the object about the vertical [rad]."""
 
@@ -298,3 +300,30 @@ def test_weak_fingers_lose_what_strong_ones_hold(
         assert not attempter.execute(item, place, grip.q, grip.lift).held
     finally:
         attempter.config = kept
+
+
+def test_fingers_do_not_push_an_object_through_the_hand(
+    attempter: Attempter, grip: Grip, cache: Path
+) -> None:
+    """After the grip no finger closes farther than `SQUEEZE`, so what rests stays at rest."""
+    mesh, depth = SHAPES["can 8 cm"]
+    item = item_of("can", mesh, cache)
+    joints: dict[str, list[np.ndarray]] = {"grip": [], "hold": []}
+    places: list[np.ndarray] = []
+
+    def note(world: World, phase: str) -> None:
+        if phase in joints:
+            joints[phase].append(world.configuration()[world.robot.closing_columns])
+        if phase == "hold":
+            places.append(world.object_centre())
+
+    place = beside_the_palm(item, 0.03 + depth)
+    kept = attempter.config
+    attempter.config = replace(kept, execution=replace(kept.execution, hold=5.0))
+    try:
+        outcome = attempter.execute(item, place, grip.q, grip.lift, note)
+    finally:
+        attempter.config = kept
+    assert outcome.held, outcome
+    assert np.max(np.array(joints["hold"]) - joints["grip"][-1]) < SQUEEZE + 0.01
+    assert np.linalg.norm(places[-1] - places[0]) < CREEP

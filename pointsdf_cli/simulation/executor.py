@@ -35,6 +35,11 @@ LONGEST_CLOSING = 1.5
 """Largest duration of the closing [s]; longer for a slower hand."""
 GRIP_TIME = 0.2
 """Time to build up the grip [s]."""
+SQUEEZE = 0.1
+"""Angle [rad] beyond its place at the end of the grip to which a turning joint may still close.
+
+Fingers that press without end push an object slowly out of the hand: their torques do not balance.
+"""
 LIFT_TIME = 0.8
 """Duration of the lift [s]."""
 SETTLE_TIME = 0.5
@@ -117,6 +122,11 @@ class Executor:
         self._hand = np.arange(len(robot.arm_joints), len(robot.joint_names))
         self._closing = robot.closing_columns
         self._still = np.setdiff1d(self._hand, self._closing)
+        slides = {joint.name for joint in robot.tree.joints if joint.kind == "prismatic"}
+        self._turning = np.array(
+            [column for column in self._closing if robot.joint_names[column] not in slides],
+            dtype=int,
+        )
         self._fastest = self._start_height = 0.0
         self._touched, self._gripped = False, np.zeros(3)
         self._look_every = max(1, round(LOOK / world.physics.step))
@@ -135,7 +145,7 @@ class Executor:
         world.drive_to(q, self._arm, world.robot.effort[self._arm])
         world.drive_to(q, self._still, world.robot.effort[self._still])
         self._close()
-        self._grip(q)
+        self._grip()
         self._touched = world.robot_contact().hand_links > 0
         self._gripped = self._object_in_palm()
         self._lift(lift)
@@ -211,13 +221,22 @@ class Executor:
                 q[self._closing] = position
                 world.drive_to(q, self._closing[stop], efforts[stop])
 
-    def _grip(self, q: Array) -> None:
-        """Press with the full effort of every closing joint."""
+    def _grip(self) -> None:
+        """Press with the full effort of every closing joint, then hold the grip.
+
+        Turning joints hold with targets of position `SQUEEZE` farther in, still with their full
+        effort. Sliding jaws go on pressing, as force-controlled grippers do.
+        """
         world, config, robot = self._world, self._config, self._world.robot
         speeds = robot.closing_speeds * SPEED_UP * 0.25
         efforts = robot.effort[self._closing] * config.grip_effort
         world.drive_at(speeds, self._closing, efforts)
         self._hold(GRIP_TIME, "grip")
+        target, _ = world.joint_state()
+        target[self._closing] += np.sign(robot.closing_speeds) * SQUEEZE
+        target = np.clip(target, robot.hard_lower, robot.hard_upper)
+        efforts = robot.effort[self._turning] * config.grip_effort
+        world.drive_to(target, self._turning, efforts)
 
     def _lift(self, path: Array) -> None:
         """Move the arm along a path in joint space, slowly at both ends.
