@@ -6,8 +6,8 @@ CAPTURES holds folders with depth.png (0.1 mm a step), K.json, truth.json and ei
 T_world_camera.json; MESHES the scans that truth.json names. Prints IoU and Chamfer distance of
 
 1. each registered object in each capture, cut out by its label (2 px too small) or by the table's
-   plane: the bare cloud, the cloud cleaned, and the cloud cleaned with its evidence (free space
-   around it and support plane);
+   plane: the bare cloud, the cloud cleaned, then also with the depth image around it, then also
+   with the support plane;
 2. exact views of the meshes at 1 m (fx 1067) whose masks are too small by 0, 1, 2 and 4 px, bare
    and with evidence.
 """
@@ -58,6 +58,8 @@ class Case(NamedTuple):
     plane: Array | None
     mesh: LoadedMesh
     T_camera_mesh: Array
+    rays: Array | None = None
+    """[K, 2], tangents of the mask's pixels without depth."""
 
 
 def real_cases(captures: Path, meshes: Path) -> Iterator[Case]:
@@ -70,6 +72,7 @@ def real_cases(captures: Path, meshes: Path) -> Iterator[Case]:
         camera = Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
         v, u = np.nonzero(depth > 0)
         points = camera.back_project(u, v, depth[v, u])
+        rays = {}
         plane = table_plane(points[points[:, 2] < 1.6])
         height_above = points @ plane[:3] - plane[3]
         if "mesh" in truth:
@@ -81,14 +84,25 @@ def real_cases(captures: Path, meshes: Path) -> Iterator[Case]:
             poses = {name: np.array(pose) for name, pose in truth["T_camera_mesh"].items()}
             label = np.asarray(Image.open(folder / "label.png"))
             numbers = {name: int(number) for number, name in truth["labels"].items()}
-            masks = {
-                name: ndimage.binary_erosion(label == numbers[name], iterations=2)[v, u]
-                for name in poses
+            cut = {
+                name: ndimage.binary_erosion(label == numbers[name], iterations=2) for name in poses
             }
+            masks = {name: mask[v, u] for name, mask in cut.items()}
+            for name, mask in cut.items():
+                dark = np.nonzero(mask & (depth <= 0))
+                rays[name] = camera.back_project(dark[1], dark[0], np.ones(len(dark[0])))[:, :2]
         for name, pose in poses.items():
             mesh = load_mesh(next(meshes.rglob(f"{name}*.ply")))
             mine = masks[name]
-            yield Case(f"{folder.name} {name}", points[mine], points[~mine], plane, mesh, pose)
+            yield Case(
+                f"{folder.name} {name}",
+                points[mine],
+                points[~mine],
+                plane,
+                mesh,
+                pose,
+                rays.get(name),
+            )
 
 
 def exact_cases(meshes: Path, erosion: int, most: int = 13) -> Iterator[Case]:
@@ -123,9 +137,10 @@ def table_plane(points: Array) -> Array:
     return plane if plane[3] < 0 else -plane
 
 
-def evidence_of(case: Case, points: Array) -> ViewEvidence:
+def evidence_of(case: Case, points: Array, with_plane: bool = True) -> ViewEvidence:
     """Observed space around the object."""
-    return ViewEvidence(visibility_image(points, case.others, case.plane), case.plane)
+    plane = case.plane if with_plane else None
+    return ViewEvidence(visibility_image(points, case.others, plane, None, case.rays), plane)
 
 
 def completed(
@@ -155,20 +170,23 @@ def main() -> None:
     options = parser.parse_args()
     model = load_model(options.checkpoint or completion_checkpoint())
 
-    print("real depth: IoU (Chamfer mm)   bare | cleaned | cleaned, with evidence")
+    print(
+        "real depth: IoU (Chamfer mm)   bare | cleaned | with the image around it | and the plane"
+    )
     rows, table = [], []
     for case in real_cases(options.captures, options.meshes):
         kept = case.points[clean(case.points).kept]
         found = [
             completed(model, case, case.points, None),
             completed(model, case, kept, None),
+            completed(model, case, kept, evidence_of(case, kept, with_plane=False)),
             completed(model, case, kept, evidence_of(case, kept)),
         ]
         table.append([[score.iou, score.chamfer] for score, _ in found])
         said = " | ".join(f"{score.iou:.3f} ({1e3 * score.chamfer:.1f})" for score, _ in found)
         print(f"{case.name:40s} {said}", flush=True)
         truth = (apply_transform(case.T_camera_mesh, case.mesh.vertices), case.mesh.faces)
-        rows.append(GalleryRow(case.name.replace(" ", "\n"), kept, found[2][1], truth))
+        rows.append(GalleryRow(case.name.replace(" ", "\n"), kept, found[3][1], truth))
     mean = np.mean(table, axis=0)
     print(f"{'mean':40s} " + " | ".join(f"{iou:.3f} ({1e3 * cd:.1f})" for iou, cd in mean))
     if options.picture:

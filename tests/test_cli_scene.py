@@ -96,6 +96,31 @@ def test_a_number_a_pixel_and_a_mask_name_the_same_object(
         assert np.ptp(view.points, axis=0).max() < 0.14
 
 
+def test_a_mask_alone_tells_what_is_free_and_where_the_object_returned_nothing(
+    scene: list[Any],
+) -> None:
+    folder = scene[0].parent
+    own = scenes.seen(scenes.can(0.035, 0.12, CAN)) > 0
+    Image.fromarray(own.astype(np.uint8)).save(folder / "own.png")
+    rows, columns = np.nonzero(own)
+    middle = int(np.median(rows)), int(np.median(columns))
+    depth = np.array(Image.open(scene[0]))
+    depth[middle[0] - 8 : middle[0] + 9, middle[1] - 8 : middle[1] + 9] = 0
+    Image.fromarray(depth).save(folder / "holed.png")
+    view = bare_view(folder / "holed.png", options(scene, mask=str(folder / "own.png")), None)
+    assert view.evidence is not None
+    image = view.evidence.visibility
+    assert image is not None
+    # Tangents of that pixel, and of the table in front of the can.
+    K = scenes.CAMERA.K
+    for row, seen, free in ((middle[0], True, False), (int(rows.max()) + 12, False, True)):
+        x, y = np.linalg.inv(K)[:2] @ [middle[1], row, 1.0]
+        at = (np.array([y, x]) - image.window[[1, 0]]) / image.window[[3, 2]] * len(image.seen)
+        i, j = at.astype(int)
+        assert image.seen[i, j] == seen
+        assert (image.free[i, j] > 0) == free
+
+
 def test_numbers_stay_when_the_world_moves_with_the_target(scene: list[Any]) -> None:
     listing = list_things(scene[0], options(scene), "table")
     for thing in listing.things:

@@ -86,7 +86,7 @@ def test_a_mask_that_is_too_small_shows_less(box: LoadedMesh) -> None:
 
 def test_a_side_from_which_nothing_returns_is_unknown_and_not_free(box: LoadedMesh) -> None:
     """A third of the object's image is lost on one side; those rays are neither seen nor free."""
-    lost, free = [], []
+    lost, free, by_mask = [], [], []
     for share in (0.0, 1.0):
         errors = SegmentationErrors(
             1.0, (0.0, 0.0), ragged=0.0, height=0.0, tilt=0.0, cut=share, holed=share
@@ -103,8 +103,11 @@ def test_a_side_from_which_nothing_returns_is_unknown_and_not_free(box: LoadedMe
         )
         around = image.free[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4]
         free.append(bool((around > middle[2] + 0.1).any()))
+        by_mask.append(int((image.seen & (image.free == 0)).sum()))
     assert lost[1] < 0.96 * lost[0]
     assert not any(free)
+    # The mask tells that these pixels are the object's.
+    assert by_mask[0] == 0 < by_mask[1]
 
 
 def test_exact_views_show_exactly_the_object(box: LoadedMesh) -> None:

@@ -61,6 +61,19 @@ def test_a_ray_that_ends_on_the_support_plane_is_free_all_along() -> None:
     assert unknown.free[row, column] == pytest.approx(1.0)
 
 
+def test_a_mask_shows_the_object_where_nothing_returned() -> None:
+    rays = patch(-0.0795, -0.05, -0.05, 0.05, 1.0)[:, :2]
+    masked = visibility_image(OBJECT, np.concatenate([WALL, OCCLUDER]), None, PITCH, rays)
+    assert masked.seen[cell(-0.07, 0.0)]
+    assert masked.free[cell(-0.07, 0.0)] == 0.0
+    assert not VIEW.seen[cell(-0.07, 0.0)]
+    # Nothing else changes.
+    x = (np.arange(SIZE) + 0.5) / SIZE * VIEW.window[2] + VIEW.window[0]
+    away = (x < -0.09) | (x > -0.04)
+    assert np.array_equal(masked.seen[:, away], VIEW.seen[:, away])
+    assert np.array_equal(masked.free[:, away], VIEW.free[:, away])
+
+
 def test_the_pitch_is_estimated_where_it_is_not_known() -> None:
     guessed = visibility_image(OBJECT, np.concatenate([WALL, OCCLUDER]))
     assert np.array_equal(guessed.seen, VIEW.seen)

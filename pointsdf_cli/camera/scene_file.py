@@ -173,7 +173,12 @@ def _read_depth_view(path: Path, options: SceneFileOptions, T_world_camera: Arra
     mask = read_mask(options.mask, (height, width))
     assert cloud.pixels is not None
     u, v = cloud.pixels.astype(np.int64).T
-    return _with_mask(cloud, mask[v, u], options.mask)
+    masked_cloud = _with_mask(cloud, mask[v, u], options.mask)
+    unmeasured = mask.copy()
+    unmeasured[v, u] = False
+    v, u = np.nonzero(unmeasured)
+    rays = camera.back_project(u, v, np.ones(len(u)))[:, :2]
+    return replace(masked_cloud, mask_rays=rays)
 
 
 def _projected(cloud: Cloud, options: SceneFileOptions) -> Cloud:

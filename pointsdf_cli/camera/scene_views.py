@@ -134,7 +134,7 @@ class SceneViews:
             if kept.sum() < FEWEST_POINTS:
                 continue
             # What cleaning drops lies between surfaces: of its pixels nothing is known.
-            seen = SeenObject(seen.points[kept], seen.others, seen.support_plane)
+            seen = SeenObject(seen.points[kept], seen.others, seen.support_plane, seen.rays)
             view = SceneView(seen.points, scene.T_camera_object, seen.evidence(1.0 / camera.fx))
             return view, rejected
         raise InputError(

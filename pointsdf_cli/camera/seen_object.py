@@ -73,16 +73,19 @@ class SeenObject:
         points: [N, 3], taken for the object's.
         others: [M, 3], all other measured points of the window.
         support_plane: [4], as it is known, errors included; None if there is none.
+        rays: [K, 2], tangents x/z, y/z of the mask's pixels without depth; none where no mask is
+            known.
     """
 
     points: Array
     others: Array
     support_plane: Array | None
+    rays: Array
 
     def evidence(self, pitch: float) -> ViewEvidence:
         """Observed space besides the points; `pitch` as in `visibility_image`."""
         image: VisibilityImage = visibility_image(
-            self.points, self.others, self.support_plane, pitch
+            self.points, self.others, self.support_plane, pitch, self.rays
         )
         return ViewEvidence(image, self.support_plane)
 
@@ -103,21 +106,25 @@ def segment_scene(
         errors: Errors of the segmentation.
         rng: Random generator of the errors.
     """
-    rows, columns = np.nonzero((measured > 0) & ~_without_return(scene, errors, rng))
+    returned = (measured > 0) & ~_without_return(scene, errors, rng)
+    rows, columns = np.nonzero(returned)
     left, top = scene.window.origin
     points = camera.back_project(columns + left, rows + top, measured[rows, columns])
     plane = _known_plane(scene.support_plane, scene.T_camera_object[:3, 3], errors, rng)
     above = np.ones(len(points), dtype=bool)
     if plane is not None:
         above = points @ plane[:3] - plane[3] > PLANE_BAND
+    rays = np.zeros((0, 2))
     if plane is None or rng.random() < errors.masked:
         mask = _erring_mask(scene, camera, errors, rng)
+        dark = np.nonzero(mask & ~returned)
+        rays = camera.back_project(dark[1] + left, dark[0] + top, np.ones(len(dark[0])))[:, :2]
     else:
         # Whatever stands above the plane and hangs together: up to a few pixels of flying ones.
         near = ndimage.binary_dilation(scene.label == OBJECT, iterations=3)
         mask = near & (scene.label != OTHER)
     kept = mask[rows, columns] & above
-    return SeenObject(points[kept], points[~kept], plane)
+    return SeenObject(points[kept], points[~kept], plane, rays)
 
 
 def _without_return(

@@ -2,7 +2,8 @@
 
 A depth image contains more than points. Each pixel has one of three states: a point of the *object*
 was seen; something else was seen, so the ray is *free* up to it; or nothing returned, and the pixel
-is *unknown*. The space behind an occluder in front of the object is unknown too: the ray is free
+is *unknown*. Where a mask is known, a pixel of it without depth shows the object too, at an unknown
+depth. The space behind an occluder in front of the object is unknown too: the ray is free
 only up to the occluder.
 
 `VisibilityImage` stores this as a coarse image of tangents around the object: for each cell whether
@@ -47,7 +48,8 @@ class VisibilityImage(NamedTuple):
 
     Attributes:
         window: f8 [4], left, top, width and height of the image in tangents x/z, y/z.
-        seen: bool [SIZE, SIZE], cells in which the object was seen.
+        seen: bool [SIZE, SIZE], cells in which the object was seen; where `free` is 0, by a mask
+            and without a depth.
         free: f4 [SIZE, SIZE], depth [m] along z up to which the ray holds nothing of the object;
             0 where nothing is known, inf where the whole ray is free.
     """
@@ -76,6 +78,7 @@ def visibility_image(
     other_points: Array,
     support_plane: Array | None = None,
     pitch: float | None = None,
+    object_rays: Array | None = None,
 ) -> VisibilityImage:
     """The visibility around an object.
 
@@ -86,6 +89,8 @@ def visibility_image(
             the image do not matter.
         support_plane: [4], as in `ViewEvidence`: rays that end on it hold nothing of the object.
         pitch: Distance of neighbouring pixels in tangents (1/f); estimated from the points if None.
+        object_rays: [K, 2], tangents x/z, y/z of pixels that a mask gives to the object and that
+            have no depth: the object was seen there, at an unknown depth. None for none.
     """
     tangents = object_points[:, :2] / object_points[:, 2:]
     low, high = tangents.min(axis=0), tangents.max(axis=0)
@@ -94,9 +99,10 @@ def visibility_image(
 
     other_points = other_points[other_points[:, 2] > 0]
     others = other_points[:, :2] / other_points[:, 2:]
-    away = np.abs(others - (low + high) / 2.0) < 0.6 * side
-    near = away[:, 0] & away[:, 1]
+    near = _within(others, (low + high) / 2.0, 0.6 * side)
     other_points, others = other_points[near], others[near]
+    rays = np.zeros((0, 2)) if object_rays is None else object_rays
+    rays = rays[_within(rays, (low + high) / 2.0, 0.6 * side)]
     until = other_points[:, 2].copy()
     if support_plane is not None:
         until[other_points @ support_plane[:3] - support_plane[3] < PLANE_BAND] = np.inf
@@ -106,19 +112,25 @@ def visibility_image(
     cell = side / SIZE
     centres = (np.arange(SIZE) + 0.5) * cell
     x, y = np.meshgrid(window[0] + centres, window[1] + centres)
-    every = np.concatenate([tangents, others])
+    every = np.concatenate([tangents, others, rays])
     some = _nearest_of_each_bin(every, cell / BINS)
     tree = scipy.spatial.cKDTree(every[some], compact_nodes=False, balanced_tree=False)
     away, nearest = tree.query(np.stack([x.ravel(), y.ravel()], axis=1))
     index = some[nearest]
     index[away > REACH * max(cell, pitch)] = -1
-    seen = (index >= 0) & (index < len(tangents))
+    measured = len(tangents) + len(others)
+    seen = ((index >= 0) & (index < len(tangents))) | (index >= measured)
     # The last entry is that of cells that know nothing.
-    depth = np.concatenate([object_points[:, 2], until, [0.0]])
+    depth = np.concatenate([object_points[:, 2], until, np.zeros(len(rays) + 1)])
     shape = (SIZE, SIZE)
     return VisibilityImage(
         window, seen.reshape(shape), depth[index].astype(np.float32).reshape(shape)
     )
+
+
+def _within(tangents: Array, middle: Array, reach: float) -> NDArray[np.bool_]:
+    """Whether tangents [N, 2] lie in the square of half side `reach` about `middle` [2]."""
+    return np.asarray((np.abs(tangents - middle) < reach).all(axis=1))
 
 
 def _nearest_of_each_bin(places: Array, side: float) -> NDArray[np.intp]:

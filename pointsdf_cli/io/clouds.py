@@ -76,6 +76,8 @@ class Cloud:
         pixels: f8 [N, 2], (u, v) of each point in the image; None where no image is known.
         image: The depth image that the points are of; None where there was none.
         mask: bool [N], points of the object by the user's mask; None without one.
+        mask_rays: f8 [K, 2], tangents (x/z, y/z) of the mask's pixels without depth, camera frame;
+            None without a mask or an image.
         notes: Sentences for the user about the reading of the file.
         over_table: Whether the pose was made from the observed table; it is then unrelated to a
             robot.
@@ -89,6 +91,7 @@ class Cloud:
     pixels: NDArray[np.float64] | None = None
     image: DepthImage | None = None
     mask: NDArray[np.bool_] | None = None
+    mask_rays: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
     over_table: bool = False
 

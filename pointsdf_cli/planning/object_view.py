@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pointsdf_cli.camera.scene_file import SceneFileOptions, is_depth_image, masked, read_view
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.visibility import ViewEvidence
+from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud
 from pointsdf_cli.io.poses import box, camera_pose, table_place
 from pointsdf_cli.planning.cloud_checks import in_world, require_pose
@@ -105,10 +105,20 @@ def bare_cloud(view: Cloud, name: str, cleaned: bool = True) -> ObjectView:
     if view.mask is None:  # what a mask takes in by mistake may be far away
         check_object_cloud(alone, name)
     points, said = bare_object(alone, cleaned)
+    around = None if view.mask is None else _around_mask(view, points)
     notes = [*view.notes, *([said] if said else [])]
     return ObjectView(
-        points, T_frame_camera, view.frame, tuple(f"{name}: {note}" for note in notes), True
+        points, T_frame_camera, view.frame, tuple(f"{name}: {note}" for note in notes), True, around
     )
+
+
+def _around_mask(view: Cloud, points: Array) -> ViewEvidence:
+    """What a view shows besides the points [N, 3] (camera frame, m) under its mask."""
+    everything, _ = view.in_camera_frame()
+    assert view.mask is not None
+    pitch = None if view.image is None else 1.0 / float(view.image.K[0, 0])
+    image = visibility_image(points, everything[~view.mask], None, pitch, view.mask_rays)
+    return ViewEvidence(image)
 
 
 def segmented_view(

@@ -55,6 +55,7 @@ class Scene:
         T_world_camera: [4, 4].
         image: The depth image; None where there was none.
         mask: bool [N], points that the user says are the object's; None where he did not.
+        mask_rays: [K, 2], as in `Cloud`.
         over_table: The pose was made from the table: no robot was seen, some points lie where the
             robot will stand.
     """
@@ -72,6 +73,7 @@ class Scene:
     T_world_camera: Array
     image: DepthImage | None
     mask: Mask | None
+    mask_rays: Array | None
     over_table: bool = False
 
     @property
@@ -102,6 +104,8 @@ class Sighting:
         image: The depth image with its intrinsics; None if the input was a cloud.
         others_in_world: [J, 3], points of other objects above the table, thinned, world, m.
         cleaning: Report on cleaning the object's points.
+        object_rays: [K, 2], tangents of pixels that a mask gives to the object and that have no
+            depth; None without a mask or an image.
     """
 
     object_points: Array
@@ -111,6 +115,7 @@ class Sighting:
     image: DepthImage | None
     others_in_world: Array
     cleaning: Cleaning
+    object_rays: Array | None
 
 
 def sort_scene(
@@ -167,6 +172,7 @@ def sort_scene(
         T_world_camera=cloud.T_world_camera,
         image=cloud.image,
         mask=cloud.mask,
+        mask_rays=cloud.mask_rays,
         over_table=cloud.over_table,
     )
 
@@ -221,8 +227,10 @@ def sighting(scene: Scene, thing: Thing, cleaned: bool = True, is_target: bool =
         is_target: Whether a mask applies to this object.
     """
     mine = scene.label == thing.label
+    rays = None
     if scene.mask is not None and is_target:
         mine &= scene.mask
+        rays = scene.mask_rays
     points = scene.all_points[mine]
     cleaning = clean(points) if cleaned else Cleaning(np.ones(len(points), dtype=bool))
     label = scene.things.label
@@ -235,6 +243,7 @@ def sighting(scene: Scene, thing: Thing, cleaned: bool = True, is_target: bool =
         image=scene.image,
         others_in_world=scene.world[above & (label != thing.label)],
         cleaning=cleaning,
+        object_rays=rays,
     )
 
 

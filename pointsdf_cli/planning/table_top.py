@@ -184,7 +184,9 @@ def _table_height(scenes: Sequence[tuple[Scene, int]]) -> float | None:
 def view_of(seen: Sighting) -> View:
     """The planner's view of one camera's sighting."""
     pitch = None if seen.image is None else 1.0 / float(seen.image.K[0, 0])
-    image = visibility_image(seen.object_points, seen.other_points, seen.support_plane, pitch)
+    image = visibility_image(
+        seen.object_points, seen.other_points, seen.support_plane, pitch, seen.object_rays
+    )
     evidence = ViewEvidence(image, seen.support_plane)
     return View(seen.object_points, seen.T_world_camera, evidence)
 

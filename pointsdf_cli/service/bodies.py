@@ -62,6 +62,9 @@ class CloudBody(_Body):
     depth: _numbers(None, None) | None = None  # type: ignore[valid-type]
     K: _numbers(3, 3) | None = None  # type: ignore[valid-type]
     mask: _numbers(None) | None = None  # type: ignore[valid-type]
+    mask_rays: _numbers(None, 2) | None = Field(  # type: ignore[valid-type]
+        None, description="[K, 2], tangents x/z, y/z of the mask's pixels without depth"
+    )
 
     def cloud(self) -> Cloud:
         """The view.
@@ -98,6 +101,7 @@ class CloudBody(_Body):
             pixels=self.pixels,
             image=image,
             mask=mask,
+            mask_rays=None if mask is None else self.mask_rays,
         )
 
 

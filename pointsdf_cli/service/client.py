@@ -99,6 +99,7 @@ def _cloud_tree(cloud: Cloud, name: str) -> dict[str, Any]:
         "depth": None if image is None else image.depth,
         "K": None if image is None else image.K,
         "mask": cloud.mask,
+        "mask_rays": cloud.mask_rays,
     }
 
 
