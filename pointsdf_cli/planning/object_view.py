@@ -113,7 +113,7 @@ def bare_cloud(view: Cloud, name: str, cleaned: bool = True) -> ObjectView:
 
 
 def _around_mask(view: Cloud, points: Array) -> ViewEvidence:
-    """What a view shows besides the points [N, 3] (camera frame, m) under its mask."""
+    """Evidence of a view besides the points [N, 3] (camera frame, m) under its mask."""
     everything, _ = view.in_camera_frame()
     assert view.mask is not None
     pitch = None if view.image is None else 1.0 / float(view.image.K[0, 0])
