@@ -24,6 +24,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 from PIL import Image
+from registered import registered_objects
 from scipy import ndimage
 
 from pointsdf_cli.camera.cleaning import clean
@@ -32,7 +33,6 @@ from pointsdf_cli.camera.raycast import MeshCaster
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import (
     apply_transform,
-    invert_transform,
     random_rotation,
     transform,
 )
@@ -64,45 +64,24 @@ class Case(NamedTuple):
 
 def real_cases(captures: Path, meshes: Path) -> Iterator[Case]:
     """Every object of the captures whose pose is known."""
-    for truth_file in sorted(captures.glob("*/truth.json")):
-        folder, truth = truth_file.parent, json.loads(truth_file.read_text())
-        depth = np.asarray(Image.open(folder / "depth.png")) * 1e-4
-        K = np.array(json.loads((folder / "K.json").read_text()))
+    for one in registered_objects(captures, meshes):
+        depth = np.asarray(Image.open(one.folder / "depth.png")) * 1e-4
+        K = np.array(json.loads((one.folder / "K.json").read_text()))
         height, width = depth.shape
         camera = Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
         v, u = np.nonzero(depth > 0)
         points = camera.back_project(u, v, depth[v, u])
-        rays = {}
         plane = table_plane(points[points[:, 2] < 1.6])
-        height_above = points @ plane[:3] - plane[3]
-        if "mesh" in truth:
-            T_world_camera = np.array(json.loads((folder / "T_world_camera.json").read_text()))
-            poses = {truth["mesh"]: invert_transform(T_world_camera) @ truth["T_world_mesh"]}
-            near = (height_above > PLANE_BAND) & (height_above < 0.4) & (points[:, 2] < 0.9)
-            masks = {truth["mesh"]: near}
+        rays = None
+        if one.label is None:
+            above = points @ plane[:3] - plane[3]
+            mine = (above > PLANE_BAND) & (above < 0.4) & (points[:, 2] < 0.9)
         else:
-            poses = {name: np.array(pose) for name, pose in truth["T_camera_mesh"].items()}
-            label = np.asarray(Image.open(folder / "label.png"))
-            numbers = {name: int(number) for number, name in truth["labels"].items()}
-            cut = {
-                name: ndimage.binary_erosion(label == numbers[name], iterations=2) for name in poses
-            }
-            masks = {name: mask[v, u] for name, mask in cut.items()}
-            for name, mask in cut.items():
-                dark = np.nonzero(mask & (depth <= 0))
-                rays[name] = camera.back_project(dark[1], dark[0], np.ones(len(dark[0])))[:, :2]
-        for name, pose in poses.items():
-            mesh = load_mesh(next(meshes.rglob(f"{name}*.ply")))
-            mine = masks[name]
-            yield Case(
-                f"{folder.name} {name}",
-                points[mine],
-                points[~mine],
-                plane,
-                mesh,
-                pose,
-                rays.get(name),
-            )
+            label = np.asarray(Image.open(one.folder / "label.png"))
+            mask = ndimage.binary_erosion(label == one.label, iterations=2)
+            mine = mask[v, u]
+            rays = camera.rays_of(mask & (depth <= 0))
+        yield Case(one.name, points[mine], points[~mine], plane, one.mesh, one.T_camera_mesh, rays)
 
 
 def exact_cases(meshes: Path, erosion: int, most: int = 13) -> Iterator[Case]:

@@ -13,7 +13,6 @@ are obstacles of the plan and are left out of the simulation. Prints all verdict
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -21,18 +20,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from registered import registered_objects
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions, read_view
 from pointsdf_cli.errors import RgraspError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import (
     apply_transform,
-    invert_transform,
     rotation_vector,
     transform,
 )
 from pointsdf_cli.io.clouds import Cloud
-from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
+from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.io.plans import OK
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.rehearsed import rehearsed_planner
@@ -45,6 +44,7 @@ from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.execution import execute_plan
 
 PLACE = (0.6, 0.0)
+"""Where the object stands in the world, x and y [m]."""
 FALLS = 0.1
 """Tilt [rad] within a second from which an object leaned on others."""
 
@@ -67,23 +67,12 @@ class Case(NamedTuple):
 
 def cases(captures: Path, meshes: Path) -> Iterator[Case]:
     """Every object of the captures whose pose is known."""
-    for truth_file in sorted(captures.glob("*/truth.json")):
-        folder, truth = truth_file.parent, json.loads(truth_file.read_text())
-        options = SceneFileOptions(str(folder / "K.json"), 1e-4)
-        if "mesh" in truth:
-            T_world_camera = np.array(json.loads((folder / "T_world_camera.json").read_text()))
-            pose = invert_transform(T_world_camera) @ truth["T_world_mesh"]
-            poses, masks = {truth["mesh"]: pose}, {truth["mesh"]: None}
-        else:
-            poses = {name: np.array(pose) for name, pose in truth["T_camera_mesh"].items()}
-            masks = {
-                name: f"{folder / 'label.png'}:{number}" for number, name in truth["labels"].items()
-            }
-        for name, T_camera_mesh in poses.items():
-            view = read_view(folder / "depth.png", replace(options, mask=masks[name]))
-            cloud, _ = stand_on_table(view, folder.name, PLACE)
-            mesh = load_mesh(next(meshes.rglob(f"{name}*.ply")))
-            yield Case(f"{folder.name} {name}", cloud, mesh, cloud.T_world_camera @ T_camera_mesh)
+    for one in registered_objects(captures, meshes):
+        mask = None if one.label is None else f"{one.folder / 'label.png'}:{one.label}"
+        options = SceneFileOptions(str(one.folder / "K.json"), 1e-4, mask=mask)
+        view = read_view(one.folder / "depth.png", options)
+        cloud, _ = stand_on_table(view, one.folder.name, PLACE)
+        yield Case(one.name, cloud, one.mesh, cloud.T_world_camera @ one.T_camera_mesh)
 
 
 def turned(case: Case, yaw: float) -> Case:

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from pointsdf_cli.camera.noise import DepthNoise
-from pointsdf_cli.camera.pinhole import CAMERAS, load_camera
+from pointsdf_cli.camera.pinhole import CAMERAS, Camera, load_camera
 from pointsdf_cli.camera.raycast import MeshCaster, depth_image
 from pointsdf_cli.camera.views import ViewConfig, render_views, sample_cloud
 from pointsdf_cli.errors import InputError
@@ -146,3 +146,12 @@ def test_a_camera_file_is_read(tmp_path: Path) -> None:
     K = [[600, 0, 320], [0, 610, 240], [0, 0, 1]]
     path.write_text(json.dumps({"width": 640, "height": 480, "K": K}))
     np.testing.assert_array_equal(load_camera(str(path)).K, K)
+
+
+def test_rays_of_a_mask_are_the_tangents_of_its_pixels() -> None:
+    camera = Camera(640, 480, 500.0, 400.0, 320.0, 240.0)
+    mask = np.zeros((3, 4), dtype=bool)
+    mask[2, 1] = mask[0, 3] = True
+    # Pixels (23, 10) and (21, 12), row by row.
+    rays = camera.rays_of(mask, origin=(20, 10))
+    assert rays == pytest.approx(np.array([[-297 / 500, -230 / 400], [-299 / 500, -228 / 400]]))

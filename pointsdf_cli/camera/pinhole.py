@@ -72,6 +72,18 @@ class Camera:
             [(u - self.cx) / self.fx * depth, (v - self.cy) / self.fy * depth, depth], axis=-1
         )
 
+    def rays_of(
+        self, mask: NDArray[np.bool_], origin: tuple[int, int] = (0, 0)
+    ) -> NDArray[np.float64]:
+        """Tangents (x/z, y/z) [K, 2] of the pixels of a mask [h, w].
+
+        Args:
+            mask: Part of the image.
+            origin: Column and row of its first pixel.
+        """
+        v, u = np.nonzero(mask)
+        return self.back_project(u + origin[0], v + origin[1], 1.0)[:, :2]
+
 
 def from_field_of_view(width: int, height: int, vertical: float) -> Camera:
     """A camera with square pixels, centred, of a vertical field of view [rad]."""

@@ -176,9 +176,7 @@ def _read_depth_view(path: Path, options: SceneFileOptions, T_world_camera: Arra
     masked_cloud = _with_mask(cloud, mask[v, u], options.mask)
     unmeasured = mask.copy()
     unmeasured[v, u] = False
-    v, u = np.nonzero(unmeasured)
-    rays = camera.back_project(u, v, np.ones(len(u)))[:, :2]
-    return replace(masked_cloud, mask_rays=rays)
+    return replace(masked_cloud, mask_rays=camera.rays_of(unmeasured))
 
 
 def _projected(cloud: Cloud, options: SceneFileOptions) -> Cloud:

@@ -117,8 +117,7 @@ def segment_scene(
     rays = np.zeros((0, 2))
     if plane is None or rng.random() < errors.masked:
         mask = _erring_mask(scene, camera, errors, rng)
-        dark = np.nonzero(mask & ~returned)
-        rays = camera.back_project(dark[1] + left, dark[0] + top, np.ones(len(dark[0])))[:, :2]
+        rays = camera.rays_of(mask & ~returned, scene.window.origin)
     else:
         # Whatever stands above the plane and hangs together: up to a few pixels of flying ones.
         near = ndimage.binary_dilation(scene.label == OBJECT, iterations=3)

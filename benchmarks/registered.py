@@ -1,0 +1,48 @@
+"""Objects of real captures whose pose is known, for real_depth.py and real_grasps.py."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import invert_transform
+from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
+
+
+class Registered(NamedTuple):
+    """One object of a capture.
+
+    Attributes:
+        folder: The capture.
+        name: Capture and object.
+        mesh: The object's scan.
+        T_camera_mesh: [4, 4].
+        label: Its number in label.png; None for an object that stands alone.
+    """
+
+    folder: Path
+    name: str
+    mesh: LoadedMesh
+    T_camera_mesh: Array
+    label: int | None
+
+
+def registered_objects(captures: Path, meshes: Path) -> Iterator[Registered]:
+    """Every object of the captures that truth.json gives a pose of."""
+    for truth_file in sorted(captures.glob("*/truth.json")):
+        folder, truth = truth_file.parent, json.loads(truth_file.read_text())
+        if "mesh" in truth:
+            T_world_camera = np.array(json.loads((folder / "T_world_camera.json").read_text()))
+            poses = {truth["mesh"]: invert_transform(T_world_camera) @ truth["T_world_mesh"]}
+            numbers = {}
+        else:
+            poses = {name: np.array(pose) for name, pose in truth["T_camera_mesh"].items()}
+            numbers = {name: int(number) for number, name in truth["labels"].items()}
+        for name, pose in poses.items():
+            mesh = load_mesh(next(meshes.rglob(f"{name}*.ply")))
+            yield Registered(folder, f"{folder.name} {name}", mesh, pose, numbers.get(name))
