@@ -29,7 +29,7 @@ TITLES = (
     "truth,\nfar side",
     "SDF along the sight [cm]\n(camera at the left)",
 )
-TRUTH_COLUMNS = (2, 4)
+TRUTH_COLUMNS, SLICE_COLUMN = (2, 4), 5
 # Camera axes (right, down, forward) to a room with z up, the camera looking along +y.
 ROOM = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=np.float64)
 CAMERA_SIDE = -np.pi / 2 + 0.45
@@ -60,9 +60,13 @@ class GalleryRow:
 
 
 def draw_gallery(path: Path | str, rows: Sequence[GalleryRow]) -> None:
-    """Draw `rows` as one PNG (or PDF, by the suffix); columns of truth only where one is known."""
+    """Draw `rows` as one PNG (or PDF, by the suffix); columns of truth and of the field only where
+    one is known."""
     columns = [
-        k for k in range(len(TITLES)) if k not in TRUTH_COLUMNS or any(row.truth for row in rows)
+        k
+        for k in range(len(TITLES))
+        if (k not in TRUTH_COLUMNS or any(row.truth for row in rows))
+        and (k != SLICE_COLUMN or any(row.sdf for row in rows))
     ]
     # No pyplot, no display.
     figure = Figure(figsize=(2.08 * len(columns), 2.1 * len(rows) + 0.5), dpi=110)
@@ -99,10 +103,11 @@ def _draw_row(row: GalleryRow, axes: Mapping[int, Any]) -> None:
             continue
         vertices, faces = np.asarray(shape[0], np.float64) @ ROOM.T, np.asarray(shape[1])
         axis.imshow(shaded_view(vertices, faces, TILE, colour, azimuth, ELEVATION, framing=framing))
-    if row.sdf is None:
-        _bare(axes[5])
-    else:
-        _draw_slice(axes[5], row, row.sdf)
+    if SLICE_COLUMN in axes:
+        if row.sdf is None:
+            _bare(axes[SLICE_COLUMN])
+        else:
+            _draw_slice(axes[SLICE_COLUMN], row, row.sdf)
 
 
 def _draw_cloud(axis: Any, cloud: NDArray[np.floating], framing: NDArray[np.floating]) -> None:
