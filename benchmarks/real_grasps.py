@@ -44,7 +44,7 @@ from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.execution import execute_plan
 
 PLACE = (0.6, 0.0)
-"""Where the object stands in the world, x and y [m]."""
+"""Place of the object in the world, x and y [m]."""
 FALLS = 0.1
 """Tilt [rad] within a second from which an object leaned on others."""
 
