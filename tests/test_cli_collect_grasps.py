@@ -22,7 +22,7 @@ from grasp_worlds import assert_same_grasps
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.grasps import read_grasps
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.training.gs_data import read_grasp_data
+from pointsdf_cli.training.gs_data import fold_grasps, read_grasp_data
 
 pytest.importorskip("pybullet")
 
@@ -79,6 +79,34 @@ def test_collects_skips_and_resumes(cli: Callable[..., Any], meshes: Path, tmp_p
     assert taller.code == 2
     assert "other options" in taller.err
     assert (out / "can.h5").read_bytes() == before
+
+
+def test_planned_preshapes_are_tried_and_taught_beside_heuristic_ones(
+    cli: Callable[..., Any], meshes: Path, tmp_path: Path
+) -> None:
+    (meshes / "crate.ply").unlink()
+    trimesh.creation.box((0.05, 0.06, 0.16)).export(meshes / "carton.ply")
+    both = tmp_path / "grasps"
+    run = ("collect-grasps", "--meshes", meshes, "--count", 8, "--jobs", 1, "--no-pictures")
+    planned = (*run, "--out", both / "planned", "--preshapes", "planned")
+    first = cli(*planned, "--json", "--quiet")
+    assert first.code == 0, first.err
+    assert json.loads(first.out)["held"] >= 4  # a can and a carton: easy for a planner
+    assert cli(*run, "--out", both / "heuristic", "--quiet").code == 0
+    data = read_grasp_data(both, load_robot())
+    assert dict(zip(data.names, data.planned, strict=True)) == {
+        f"{kind}/{name}": kind == "planned"
+        for kind in ("heuristic", "planned")
+        for name in ("can", "carton")
+    }
+    assert len(set(data.mesh_of)) == 2
+    split = fold_grasps(data, 5, 0)
+    assert split.folds is not None
+    for mesh in (0, 1):  # one object validates one member, whoever chose its grasps
+        assert len(set(split.folds[data.mesh_of[data.object_of] == mesh])) == 1
+    other = cli(*planned, "--grasp-checkpoint", "assets/weights/grasp_scratch")
+    assert other.code == 2
+    assert "--out" in other.err
 
 
 def test_where_nothing_can_be_grasped_that_is_said(
@@ -187,6 +215,8 @@ def test_killed_at_random_moments_nothing_is_lost_and_nothing_double(
         ("--robot", "no-such-robot.yaml"),
         ("--pattern", "*.stl"),
         ("--meshes", "no-such-folder"),
+        ("--checkpoint", "assets/weights/pointsdf_ray"),  # the heuristic would not use it
+        ("--preshapes", "guessed"),
     ],
     ids=lambda value: "=".join(map(str, value)),
 )

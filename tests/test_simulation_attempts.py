@@ -10,14 +10,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from grasp_worlds import assert_same_grasps
+from grasp_worlds import assert_same_grasps, side_palm
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
-from pointsdf_cli.io.grasps import HELD, LOST, GraspsMeta, read_grasps, write_grasps
+from pointsdf_cli.io.grasps import (
+    HELD,
+    LOST,
+    NO_CONFIGURATION,
+    GraspsMeta,
+    read_grasps,
+    write_grasps,
+)
 from pointsdf_cli.io.meshes import LoadedMesh, save_mesh
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.simulation.attempt import Attempt, AttemptConfig, Attempter, as_grasps
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.simulation.attempt import (
+    Attempt,
+    AttemptConfig,
+    Attempter,
+    Preshape,
+    Scene,
+    as_grasps,
+)
 from pointsdf_cli.simulation.collect import (
     CollectTask,
     collect_object,
@@ -82,6 +97,41 @@ def test_attempts_do_not_depend_on_what_came_before(can: SimObject) -> None:
     one, two = as_grasps(run[3:]), as_grasps([again])
     for name in ("cloud", "T_world_object", "T_world_palm", "q", "label", "lift_height", "slip"):
         assert np.array_equal(getattr(one, name), getattr(two, name), equal_nan=True), name
+
+
+def test_a_planner_proposes_for_a_scene_and_what_it_cannot_know_counts_as_lost(
+    can: SimObject,
+) -> None:
+    robot = load_robot()
+    inverse = InverseKinematics(robot)
+
+    def propose(scene: Scene, rng: np.random.Generator) -> list[Preshape]:
+        """Palms from the side at two distances from the can's axis: in it, and right."""
+        axis = scene.T_world_object[:3, 3]
+        made = []
+        for gap in (0.02, 0.10):
+            palms = [side_palm(axis, gap, 0.0, turn) for turn in rng.uniform(-1.5, 1.5, 24)]
+            found = inverse.solve(np.stack(palms))
+            arm = found.arm[found.reached][0]
+            q = robot.configuration(arm, robot.preshape_ranges.mean(axis=1))
+            made.append(Preshape("side", inverse.chain.palm(q), q))
+        return made
+
+    made = Attempter(robot, seed=1, propose=propose)
+    try:
+        run = [made.attempt(can, i) for i in range(3)]
+        again = made.attempt(can, 1)
+    finally:
+        made.close()
+    inside, right, none = run
+    assert (inside.cause, inside.label, inside.unshaken) == ("start_in_object", LOST, 0)
+    assert right.outcome is not None
+    assert right.label == again.label
+    assert np.array_equal(right.reach.q, again.reach.q)
+    assert (none.cause, none.label, none.unshaken) == ("no_plan", NO_CONFIGURATION, -1)
+    stored = as_grasps(run)
+    assert stored.executed.tolist() == [True, True, False]
+    assert np.isfinite(stored.T_world_palm).all()
 
 
 def side_grasps(

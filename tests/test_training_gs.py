@@ -135,6 +135,8 @@ def rule_data(objects: int = 8, each: int = 60) -> tuple[GraspData, torch.Tensor
     data = GraspData(
         names=[str(k) for k in range(objects)],
         files=[Path(str(k)) for k in range(objects)],
+        mesh_of=np.arange(objects),
+        planned=np.zeros(objects, bool),
         held_out=np.arange(objects) % 4 == 0,
         object_of=object_of,
         scene_of=object_of * 3 + np.arange(count) % 3,

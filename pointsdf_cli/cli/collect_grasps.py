@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pointsdf_cli.choices import Preshapes
 from pointsdf_cli.cli import common
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from pointsdf_cli.io.batch import StageReport
     from pointsdf_cli.io.grasps import Grasps, GraspsMeta
+    from pointsdf_cli.simulation.attempt import PreshapeSource
     from pointsdf_cli.simulation.collect import CollectSummary, CollectTask
 
 
@@ -30,6 +32,15 @@ def collect_grasps(
     ] = 9111,
     robot: common.Robot = None,
     sensor: common.Sensor = "structured-light",
+    preshapes: Annotated[
+        Preshapes,
+        typer.Option(
+            help="The paper's heuristic, or the planner's own solutions (--checkpoint, "
+            "--grasp-checkpoint), whose outcomes teach the success network where it misleads."
+        ),
+    ] = "heuristic",
+    checkpoint: common.Checkpoint = None,
+    grasp_checkpoint: common.GraspCheckpoint = None,
     shake: common.Shake = 0.0,
     push: Annotated[
         float,
@@ -78,7 +89,8 @@ def collect_grasps(
     config = replace(config, execution=replace(config.execution, shake=shake, push=push))
     try_robot(machine)  # a wrong robot is said once and first, not by every worker
     out = require_folder(out)
-    every = make_tasks(found, meshes, out, count, config, seed, robot, force)
+    source = _source(preshapes, robot, checkpoint, grasp_checkpoint)
+    every = make_tasks(found, meshes, out, count, config, seed, robot, force, source)
     mine = set(shard_of(sorted(every), shard))
     tasks = {name: task for name, task in every.items() if name in mine}
     reporter = common.Reporter(quiet, as_json)
@@ -100,6 +112,34 @@ def collect_grasps(
     values = {"out": out, "objects": len(items), "refused": refused, **_counts(items, push > 0)}
     seconds = round(time.monotonic() - started, 3)
     reporter.result({**values, "report": page, "seconds": seconds}, [_line(values), f"{page}"])
+
+
+def _source(
+    preshapes: Preshapes, robot: Path | None, checkpoint: Path | None, grasps: Path | None
+) -> PreshapeSource | None:
+    """Source of preshapes; None for the heuristic.
+
+    Raises:
+        InputError: Networks were given that nothing would use, or that cannot be read.
+    """
+    from pointsdf_cli.errors import InputError
+
+    if preshapes == "heuristic":
+        for option, value in (("--checkpoint", checkpoint), ("--grasp-checkpoint", grasps)):
+            if value is not None:
+                raise InputError(
+                    "the heuristic uses no network",
+                    where=option,
+                    hint="add --preshapes planned, or leave it out",
+                )
+        return None
+    from pointsdf_cli.planning.grasp_planner import PlanOptions
+    from pointsdf_cli.planning.planned_preshapes import PlannedPreshapes
+
+    options = PlanOptions(robot=robot, checkpoint=checkpoint, grasp_checkpoint=grasps)
+    source = PlannedPreshapes(options)
+    source.as_dict()  # a wrong checkpoint is said once and first, not by every worker
+    return source
 
 
 def _counts(items: list[tuple[str, Grasps, GraspsMeta]], pushed: bool) -> dict[str, int]:

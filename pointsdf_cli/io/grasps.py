@@ -61,6 +61,7 @@ CAUSES = (
     "start_in_self",
     "no_lift",
     "no_path",
+    "no_plan",
 )
 
 
@@ -223,6 +224,16 @@ def was_collected(path: Path | str) -> bool:
     """
     with open_hdf5(path) as file:
         return "robot" in options_of(file)
+
+
+def were_planned(path: Path | str) -> bool:
+    """Whether the planner chose the grasps of a file, and not the heuristic.
+
+    Raises:
+        InputError: It is no artifact, or a damaged one.
+    """
+    with open_hdf5(path) as file:
+        return "preshapes" in options_of(file)
 
 
 def join_grasps(parts: list[Grasps]) -> Grasps:

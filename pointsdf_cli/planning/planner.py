@@ -131,6 +131,19 @@ class Planner:
             return Problems(searched, exact, searched)
         return Problems(searched, exact, searched.asking(polish, inside, 0.02))
 
+    def solutions(
+        self, target: Target, rng: np.random.Generator, search: SynthesisConfig
+    ) -> Synthesis:
+        """All solutions of a search on an empty table, without motions.
+
+        Args:
+            target: The object.
+            rng: Random generator of the seeds.
+            search: Effort and kind of the search.
+        """
+        problems = self.problems(target, Environment())
+        return synthesise(problems, target.prior, self.inverse, self.solver, rng, search)
+
     def search(
         self,
         target: Target,

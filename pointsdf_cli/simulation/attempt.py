@@ -1,11 +1,14 @@
-"""One attempt: a scene, a view of it, a heuristic preshape, a path to it, and its execution."""
+"""One attempt: a scene, a view of it, a preshape, a path to it, and its execution.
+
+Preshapes come from the paper's heuristic, or from a planner that has seen the same view.
+"""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +19,19 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.stable_poses import STANDING, draw_pose
 from pointsdf_cli.geometry.visibility import ViewEvidence
-from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, KINDS, LOST, Grasps
+from pointsdf_cli.io.grasps import (
+    CAUSES,
+    HELD,
+    INVALID,
+    KINDS,
+    LOST,
+    NO_CONFIGURATION,
+    NO_MOTION,
+    Grasps,
+)
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
+from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
 from pointsdf_cli.simulation.feet import nearest_pose, on_its_foot
 from pointsdf_cli.simulation.heuristic import HeuristicConfig, draw_preshape, hand_of
@@ -93,6 +106,35 @@ class Scene:
 
 
 @dataclass(frozen=True)
+class Preshape:
+    """A preshape that a planner proposes.
+
+    Attributes:
+        kind: One of `KINDS`.
+        T_world_palm: [4, 4].
+        q: [J], its configuration.
+    """
+
+    kind: str
+    T_world_palm: Array
+    q: Array
+
+
+Propose = Callable[[Scene, np.random.Generator], list[Preshape]]
+"""Function from a scene, of which it sees only the view, to at most `SCENE_ATTEMPTS` preshapes."""
+
+
+class PreshapeSource(Hashable, Protocol):
+    """Protocol of a planner's settings: they cross to worker processes and are loaded there."""
+
+    def load(self, robot: RobotDescription) -> Propose:
+        """The function that proposes preshapes."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Settings that determine the preshapes, for `config_json`."""
+
+
+@dataclass(frozen=True)
 class Attempt:
     """One attempt with one object; `Grasps` stores it."""
 
@@ -121,9 +163,9 @@ class Attempt:
     @property
     def unshaken(self) -> int:
         """As in `Grasps`."""
-        if self.outcome is None or not self.outcome.valid:
-            return UNTRIED
-        return self.outcome.unshaken
+        if self.outcome is None:
+            return 0 if self.reach.cause and self.label == LOST else UNTRIED
+        return self.outcome.unshaken if self.outcome.valid else UNTRIED
 
 
 class Attempter:
@@ -134,6 +176,7 @@ class Attempter:
         config: Settings that determine the outcome.
         seed: Random seed.
         gui: Open PyBullet's window.
+        propose: Source of preshapes; the heuristic if None.
     """
 
     def __init__(
@@ -142,6 +185,7 @@ class Attempter:
         config: AttemptConfig | None = None,
         seed: int = 0,
         gui: bool = False,
+        propose: Propose | None = None,
     ) -> None:
         self.robot = robot
         self.config = config or AttemptConfig()
@@ -155,6 +199,8 @@ class Attempter:
         self._settled: dict[tuple[str, int], Array | None] = {}
         self._feet: tuple[SimObject, dict[int, SimObject]] | None = None
         self._last_scene: tuple[tuple[str, str, int], Scene] | None = None
+        self._propose = propose
+        self._proposed: tuple[Scene, list[Preshape]] | None = None
 
     def close(self) -> None:
         """Close the physics clients."""
@@ -192,6 +238,8 @@ class Attempter:
         """
         scene = self.scene(item, index // SCENE_ATTEMPTS)
         rng = self._rng(item, 2, index)
+        if self._propose is not None:
+            return self._planned(item, scene, index, rng, watch)
         points = apply_transform(scene.T_world_camera, scene.cloud)
         preshape = draw_preshape(
             points,
@@ -210,6 +258,53 @@ class Attempter:
         if reach.label == 0:
             outcome = self.execute(item, scene.T_world_object, reach.q, reach.lift, watch)
         return Attempt(index, scene, cloud, preshape.kind, preshape.T_world_palm, reach, outcome)
+
+    def _planned(
+        self,
+        item: SimObject,
+        scene: Scene,
+        index: int,
+        rng: np.random.Generator,
+        watch: Callable[[World, str], None] | None,
+    ) -> Attempt:
+        """Attempt with a preshape from the planner.
+
+        A motion is not looked for: `plan` searches one later. A preshape inside the true object
+        counts as lost, since a plan cannot know it.
+        """
+        cloud = resample(scene.cloud, CLOUD_SIZE, rng)
+        proposed = self._proposals(item, scene, index // SCENE_ATTEMPTS)
+        which = index % SCENE_ATTEMPTS
+        none = np.empty((0, len(self.robot.arm_joints)))
+        if which >= len(proposed):
+            home = self.robot.home
+            palm = self._reacher.chain.palm(home)
+            reach = Reach(NO_CONFIGURATION, "no_plan", home, home[None][:0], none)
+            return Attempt(index, scene, cloud, KINDS[0], palm, reach, None)
+        one = proposed[which]
+        self.checks.show(self._standing(item, scene.T_world_object), scene.T_world_object)
+        hits = self.checks.collisions(one.q)
+        label, cause, lift = LOST, "", none
+        if hits:
+            touched = next(kind for kind in ("object", "table", "self") if kind in hits)
+            label = LOST if touched == "object" else NO_CONFIGURATION
+            cause = f"start_in_{touched}"
+        else:
+            path = lift_path(self._reacher.chain, one.q)
+            label, cause = (label, cause) if path is not None else (NO_MOTION, "no_lift")
+            lift = none if path is None else path
+        reach = Reach(label, cause, one.q, one.q[None], lift)
+        outcome = None
+        if not cause:
+            outcome = self.execute(item, scene.T_world_object, one.q, lift, watch)
+        return Attempt(index, scene, cloud, one.kind, one.T_world_palm, reach, outcome)
+
+    def _proposals(self, item: SimObject, scene: Scene, index: int) -> list[Preshape]:
+        """Preshapes of a scene, cached for its attempts."""
+        assert self._propose is not None
+        if self._proposed is None or self._proposed[0] is not scene:
+            self._proposed = scene, self._propose(scene, self._rng(item, 3, index))
+        return self._proposed[1]
 
     def execute(
         self,

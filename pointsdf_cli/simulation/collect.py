@@ -28,7 +28,12 @@ from pointsdf_cli.io.hdf5 import OptionsDifferError, is_complete
 from pointsdf_cli.io.meshes import load_mesh, named_artifacts
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.robot.description import load_robot, robot_digest
-from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter, as_grasps
+from pointsdf_cli.simulation.attempt import (
+    AttemptConfig,
+    Attempter,
+    PreshapeSource,
+    as_grasps,
+)
 from pointsdf_cli.simulation.sim_object import prepare_object
 
 TRAIN, TEST = "train", "test"
@@ -51,6 +56,7 @@ class CollectTask:
         patience: Attempts without execution after which the object counts as exhausted: at first,
             and more for each executed one.
         force: Replace an existing file.
+        source: Planner that proposes preshapes; the paper's heuristic if None.
     """
 
     name: str
@@ -63,6 +69,7 @@ class CollectTask:
     robot: Path | None = None
     patience: tuple[int, int] = (60, 12)
     force: bool = False
+    source: PreshapeSource | None = None
 
     def most_attempts(self, executed: int) -> int:
         """Largest number of attempts for a number of executed grasps."""
@@ -106,7 +113,7 @@ def collect_object(task: CollectTask) -> CollectSummary | None:
             return None
     mesh = load_mesh(task.mesh)
     item = prepare_object(replace(mesh, name=task.name))
-    attempter = _attempter(task.robot, task.config, task.seed)
+    attempter = _attempter(task.robot, task.config, task.seed, task.source)
     attempter.check(item)
     attempts = []
     index = 0 if done is None else len(done)
@@ -161,6 +168,7 @@ def _options_of(task: CollectTask) -> dict[str, Any]:
     """All settings that determine the grasps of one object."""
     config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
     config |= {"split": task.split}  # which other meshes there are decides it
+    config |= {} if task.source is None else {"preshapes": task.source.as_dict()}
     return config | {"mesh": file_sha256(task.mesh), "robot": robot_digest(task.robot)}
 
 
@@ -190,6 +198,7 @@ def make_tasks(
     seed: int,
     robot: Path | None,
     force: bool,
+    source: PreshapeSource | None = None,
 ) -> dict[str, CollectTask]:
     """Tasks of all objects by name, with their splits and first quotas.
 
@@ -197,7 +206,7 @@ def make_tasks(
         found: Mesh files.
         meshes, out: Folders of meshes and of artifacts.
         count: Total number of executed grasps.
-        config, seed, robot, force: As in `CollectTask`.
+        config, seed, robot, force, source: As in `CollectTask`.
 
     Raises:
         InputError: The count is below 1, or an artifact would replace an input.
@@ -208,7 +217,16 @@ def make_tasks(
     quotas = first_quotas(splits, count)
     return {
         name: CollectTask(
-            name, mesh, path, quotas[name], splits[name], config, seed, robot, force=force
+            name,
+            mesh,
+            path,
+            quotas[name],
+            splits[name],
+            config,
+            seed,
+            robot,
+            force=force,
+            source=source,
         )
         for name, (mesh, path) in paths.items()
     }
@@ -269,9 +287,13 @@ def _finished(grasps: Grasps, task: CollectTask) -> bool:
 
 
 @functools.lru_cache(maxsize=1)
-def _attempter(robot: Path | None, config: AttemptConfig, seed: int) -> Attempter:
-    """The process's attempter, cached with its inverse kinematics and physics client."""
-    return Attempter(load_robot(robot), config, seed)
+def _attempter(
+    robot: Path | None, config: AttemptConfig, seed: int, source: PreshapeSource | None
+) -> Attempter:
+    """The process's attempter, cached with its networks, kinematics and physics client."""
+    machine = load_robot(robot)
+    propose = None if source is None else source.load(machine)
+    return Attempter(machine, config, seed, propose=propose)
 
 
 def wanted_of(splits: dict[str, str], quotas: dict[str, int]) -> dict[str, int]:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.grasps import NO_CONFIGURATION, NO_MOTION
+from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.cartesian_path import FollowConfig, follow, straight
 from pointsdf_cli.robot.inverse_kinematics import (
     POSITION_TOLERANCE,
@@ -117,6 +118,11 @@ class Reacher:
             q = robot.configuration(arms[-1], joints)
             return self._none(NO_CONFIGURATION, f"start_in_{touched}", q)
         return self._way(T_world_palm, np.array(free), joints)
+
+    @property
+    def chain(self) -> ArmChain:
+        """Kinematics of the arm."""
+        return self._solver.chain
 
     def lift(self, q: Array, T_world_palm: Array) -> Array:
         """Arm joints [K, A] that lift the palm straight up from configuration q [J].

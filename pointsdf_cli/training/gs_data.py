@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.grasps import HELD, Grasps, read_grasps, was_collected
+from pointsdf_cli.io.grasps import HELD, Grasps, read_grasps, was_collected, were_planned
 from pointsdf_cli.io.hdf5 import artifacts_below
 from pointsdf_cli.models.grasp_checkpoint import check_robot
 from pointsdf_cli.robot.description import RobotDescription
@@ -24,14 +24,17 @@ from pointsdf_cli.robot.kinematics import Kinematics
 
 @dataclass(frozen=True)
 class GraspData:
-    """N executed grasps of O objects.
+    """N executed grasps in O files, each of one object.
 
     Attributes:
         names: Paths of the O files in the folder, without suffix.
         files: The O files.
+        mesh_of: int [O], number of each file's mesh: heuristic and planned grasps of one object are
+            two files.
+        planned: bool [O], whether the planner chose the grasps, and not the heuristic.
         held_out: bool [O], objects excluded from training success networks. The reconstruction
             network may have been trained on their shapes.
-        object_of: int [N], the object of each grasp.
+        object_of: int [N], the file of each grasp.
         scene_of: int [N], numbered over all objects; grasps of a scene share pose and view.
         preshape: f8 [N, K], rad.
         T_world_palm, T_world_camera: f8 [N, 4, 4].
@@ -42,6 +45,8 @@ class GraspData:
 
     names: list[str]
     files: list[Path]
+    mesh_of: NDArray[np.int64]
+    planned: NDArray[np.bool_]
     held_out: NDArray[np.bool_]
     object_of: NDArray[np.int64]
     scene_of: NDArray[np.int64]
@@ -100,7 +105,7 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     kinematics = Kinematics(robot)
     names: list[str] = []
     kept: list[Path] = []
-    held_out, rows = [], []
+    held_out, meshes, planned, rows = [], [], [], []
     scenes = 0
     for file in files:
         grasps, meta = read_grasps(file)
@@ -128,10 +133,14 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         names.append(file.relative_to(folder).with_suffix("").as_posix())
         kept.append(file)
         held_out.append(meta.split == "test")
+        meshes.append(meta.mesh_hash)
+        planned.append(were_planned(file))
     if not rows:
         raise InputError("holds no executed grasp", where=folder, hint="collect more of them")
     joined = [np.concatenate(column) for column in zip(*rows, strict=True)]
-    return GraspData(names, kept, np.array(held_out), *joined)
+    number = {mesh: k for k, mesh in enumerate(dict.fromkeys(meshes))}
+    mesh_of = np.array([number[mesh] for mesh in meshes])
+    return GraspData(names, kept, mesh_of, np.array(planned), np.array(held_out), *joined)
 
 
 def _succeeded(grasps: Grasps, chosen: NDArray[np.int64]) -> NDArray[np.float32]:
@@ -172,15 +181,15 @@ def split_grasps(data: GraspData, validation: float, seed: int) -> Split:
     Raises:
         InputError: Too few objects, or grasps of one label only in training or validation.
     """
-    free = np.flatnonzero(~data.held_out)
+    free = np.unique(data.mesh_of[~data.held_out])
     count = max(1, round(validation * len(free)))
     if len(free) < 2 or count >= len(free):
         raise InputError(
             f"{len(free)} objects to train on", where="--grasps", allowed="at least 2 objects"
         )
     chosen = np.random.default_rng([seed, 7]).permutation(free)
-    validates = np.isin(data.object_of, chosen[:count])
-    trains = np.isin(data.object_of, chosen[count:])
+    mesh = np.where(data.held_out, -1, data.mesh_of)[data.object_of]
+    validates, trains = np.isin(mesh, chosen[:count]), np.isin(mesh, chosen[count:])
     _check_both_labels(data.label[trains], "train on")
     _check_both_labels(data.label[validates], "validate on")
     return Split(
@@ -198,16 +207,17 @@ def fold_grasps(data: GraspData, folds: int, seed: int) -> Split:
     Raises:
         InputError: Fewer than two objects, or grasps of one label only.
     """
-    free = np.flatnonzero(~data.held_out)
+    free = np.unique(data.mesh_of[~data.held_out])
     if len(free) < 2:
         raise InputError(
             f"{len(free)} objects to train on", where="--grasps", allowed="at least 2 objects"
         )
-    fold_of = np.full(len(data.names), -1)
+    fold_of = np.full(int(data.mesh_of.max()) + 1, -1)
     fold_of[np.random.default_rng([seed, 7]).permutation(free)] = np.arange(len(free)) % folds
     rows = np.flatnonzero(~data.held_out[data.object_of])
     _check_both_labels(data.label[rows], "train on")
-    return Split(rows, rows, np.flatnonzero(data.held_out[data.object_of]), fold_of[data.object_of])
+    folds_of = fold_of[data.mesh_of[data.object_of]]
+    return Split(rows, rows, np.flatnonzero(data.held_out[data.object_of]), folds_of)
 
 
 def _check_both_labels(label: NDArray[np.float32], purpose: str) -> None:

@@ -225,12 +225,13 @@ def prior_of(data: GraspData, robot: RobotDescription) -> GraspPrior:
     few successes, with the kind's share of the successes as its weight.
 
     Fitted to successes it is likelier on held-out successes than fitted to all attempts
-    (docs/notebook.md), and its samples hold more often.
+    (docs/notebook.md), and its samples hold more often. Grasps that a planner chose follow an
+    earlier prior: they count only if there are no others.
 
     Raises:
         InputError: Too few grasps.
     """
-    free = ~data.held_out[data.object_of]
+    free = ~(data.held_out | (data.planned & ~data.planned.all()))[data.object_of]
     places = places_of(data, robot)
 
     held = free & (data.label == 1)

@@ -1,0 +1,92 @@
+"""Preshapes that the planner proposes for simulated attempts: `collect-grasps --preshapes planned`.
+
+Grasps of the heuristic lie elsewhere than those that a search for a high success probability finds.
+The success network learns where its own optimum misleads by trying that (as DAgger does: Ross et
+al., AISTATS 2011).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from pointsdf_cli.camera.view import View
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.models.bundled_success import bundled_success
+from pointsdf_cli.models.grasp_checkpoint import weights_hash
+from pointsdf_cli.models.registry import default_checkpoint
+from pointsdf_cli.planning.acceptance import Candidate
+from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
+from pointsdf_cli.planning.seeds import SeedConfig
+from pointsdf_cli.planning.synthesis import SynthesisConfig
+from pointsdf_cli.planning.target import EmptyFieldError
+from pointsdf_cli.robot.description import RobotDescription, load_robot
+from pointsdf_cli.simulation.attempt import SCENE_ATTEMPTS, Preshape, Propose, Scene
+
+UNLIKELY = ("low_success_probability", "objective")
+"""Reasons of candidates that meet all constraints: they are tried as well."""
+ROUNDS = 2
+SEEDS = SeedConfig(palms=40, seeds=12)
+"""As many as `plan --rehearse` solves in a round."""
+
+
+@dataclass(frozen=True)
+class PlannedPreshapes:
+    """Settings of the planner that proposes preshapes.
+
+    Attributes:
+        options: Robot and networks; the search is set here.
+    """
+
+    options: PlanOptions = field(default_factory=PlanOptions)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Checksums of the networks.
+
+        Raises:
+            InputError: No success network for the robot, or a checkpoint that cannot be read.
+        """
+        options = self.options
+        shape = options.checkpoint or default_checkpoint()
+        robot = load_robot(options.robot)
+        success = options.grasp_checkpoint or bundled_success(robot)
+        if success is None:
+            raise InputError(
+                f"no success network for {robot.name} is bundled",
+                where="--grasp-checkpoint",
+                allowed="a checkpoint of train-gs",
+                hint="collect heuristic grasps and train one first",
+            )
+        return {"reconstruction": weights_hash(shape), "success": weights_hash(success)}
+
+    def load(self, robot: RobotDescription) -> Propose:
+        """Load the networks."""
+        search = replace(self.options.planner.synthesis, rounds=ROUNDS, seeds=SEEDS)
+        config = replace(self.options.planner, successive_halving=(), synthesis=search)
+        planner = GraspPlanner(replace(self.options, planner=config))
+
+        def propose(scene: Scene, rng: np.random.Generator) -> list[Preshape]:
+            return _proposals(planner, search, scene, rng)
+
+        return propose
+
+
+def _proposals(
+    planner: GraspPlanner, search: SynthesisConfig, scene: Scene, rng: np.random.Generator
+) -> list[Preshape]:
+    """A few of the solutions that meet all constraints, at random: not only the best ones."""
+    view = View(scene.cloud, scene.T_world_camera, scene.evidence)
+    seed = int(rng.integers(2**31))
+    try:
+        perceived = planner.see([view], seed)
+    except EmptyFieldError:
+        return []
+    kinds = planner.kinds(perceived.points)
+    found = planner.planner.solutions(perceived.target, rng, replace(search, kinds=kinds))
+    free: list[Candidate] = [*found.accepted]
+    free += [c for c in found.rejected if c.reason in UNLIKELY]
+    chain = planner.planner.inverse.chain
+    chosen = rng.permutation(len(free))[:SCENE_ATTEMPTS]
+    return [Preshape(free[k].kind, chain.palm(free[k].q), free[k].q) for k in chosen]
