@@ -10,6 +10,7 @@ import pytest
 import yaml
 from conftest import run_cli
 
+from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.robot.check import check_robot
 from pointsdf_cli.robot.description import load_robot, robot_of
@@ -110,3 +111,12 @@ def test_the_panda_begun_from_its_urdf_passes_its_check(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.abs(panda.T_link_palm[:3, 2]), [0, 1, 0], atol=1e-3)
     np.testing.assert_allclose(panda.T_link_palm[:3, 0], [0, 0, 1], atol=1e-3)
     assert 0.04 < panda.T_link_palm[2, 3] < 0.07
+
+
+def test_two_fingers_against_a_third_are_guessed_to_close_from_both_sides(tmp_path: Path) -> None:
+    shutil.copy(asset_path("robots/lbr4_barrett.urdf"), tmp_path / "hand.urdf")
+    assert run_cli("robot", "init", tmp_path / "hand.urdf").code == 0
+    hand = load_robot(tmp_path / "hand.yaml")
+    np.testing.assert_allclose(hand.T_link_palm[:3, 0], [0, 0, 1], atol=1e-3)
+    np.testing.assert_allclose(np.abs(hand.T_link_palm[:3, 2]), [1, 0, 0], atol=1e-3)
+    assert check_robot(hand).findings == ()

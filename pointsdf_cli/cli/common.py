@@ -88,13 +88,14 @@ def bundled_robot(robot: Path | None) -> Path | None:
 Robot = Annotated[
     Path | None,
     typer.Option(
-        help="Robot YAML, or panda.  [default: LBR4 with Allegro hand]", callback=bundled_robot
+        help="Robot YAML, panda or lbr4_barrett.  [default: LBR4 with Allegro hand]",
+        callback=bundled_robot,
     ),
 ]
 RobotAtHome = Annotated[
     Path | None,
     typer.Option(
-        help="Robot at home, to remove its points from a scene: YAML, or panda "
+        help="Robot at home, to remove its points from a scene: YAML, panda or lbr4_barrett "
         "[default: LBR4 with Allegro hand].",
         show_default=False,
         callback=bundled_robot,

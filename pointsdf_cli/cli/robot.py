@@ -21,7 +21,9 @@ app = typer.Typer(help="Check a robot's description, or start one.", no_args_is_
 def check(
     robot: Annotated[
         Path,
-        typer.Argument(help="Robot YAML beside its URDF, or panda.", callback=common.bundled_robot),
+        typer.Argument(
+            help="Robot YAML beside its URDF, panda or lbr4_barrett.", callback=common.bundled_robot
+        ),
     ],
     picture: Annotated[
         Path | None,

@@ -133,9 +133,11 @@ def palm_frame(robot: RobotDescription) -> tuple[Array, bool]:
     ends = np.where(robot.closing_speeds > 0, robot.upper[columns], robot.lower[columns])
     q[:, columns] += np.array([[0.0], [0.25], [1.0]]) * (ends - q[0, columns])
     opened, soon, closed = _middles(robot, tips, q)
-    ways = soon - opened
-    together, each = np.median(ways, axis=0), float(np.linalg.norm(ways, axis=1).mean())
-    jaws = len(tips) <= 2 or float(np.linalg.norm(together)) < 0.4 * each
+    together, ways = np.median(soon - opened, axis=0), closed - opened
+    # The ways of fingers that close from both sides cancel: 0 is left of two jaws, 0.33 of two
+    # fingers against a third (BarrettHand), 0.67 of three and a thumb beside them (Allegro).
+    each = float(np.linalg.norm(ways, axis=1).mean())
+    jaws = len(tips) <= 2 or float(np.linalg.norm(ways.mean(axis=0))) < 0.5 * each
     surface = robot_surface(robot)
     if jaws:
         x = _unit(closed.mean(axis=0))
