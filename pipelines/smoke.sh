@@ -33,6 +33,11 @@ OPTIONS="--epochs 1 --validation 0.5" VOXELCNN="$work/paper/sdf/voxelcnn" pipeli
     { cat "$work/gs.log" >&2; exit 1; }
 for row in Geometry PointSDF-Fixed PointSDF-Scratch VoxelCNN-Fixed VoxelCNN-Scratch; do grep -q "^$row " "$work/gs.log"; done
 
+# The recipe of their data: the heuristic's grasps, then a planner's.
+HEURISTIC=24 PLANNED=6 OPTIONS="--epochs 1" pipelines/learn_grasps.sh "$work/meshes" "$work/learned" >"$work/gs.log" 2>&1 ||
+    { cat "$work/gs.log" >&2; exit 1; }
+test -s "$work/learned/success/geometry/model.safetensors"
+
 # Training in two processes, as over several GPUs.
 OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node 2 --no-python rgrasp train-sdf --views "$work/views" \
     --labels "$work/labels" --out "$work/two" --steps 2 --batch-size 4 --held-out 0.2 --quiet >"$work/two.log" 2>&1 ||
