@@ -30,7 +30,8 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.grasps import read_grasps
 from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
+from pointsdf_cli.simulation.attempt import AttemptConfig
+from pointsdf_cli.simulation.attempter import Attempter
 from pointsdf_cli.simulation.sim_object import prepare_object
 
 

@@ -36,7 +36,8 @@ from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, LOST, read_grasps
 from pointsdf_cli.io.hdf5 import artifacts_below, open_hdf5, options_of
 from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.simulation.attempt import SCENE_ATTEMPTS, AttemptConfig, Attempter
+from pointsdf_cli.simulation.attempt import SCENE_ATTEMPTS, AttemptConfig
+from pointsdf_cli.simulation.attempter import Attempter
 from pointsdf_cli.simulation.sim_object import prepare_object
 from pointsdf_cli.simulation.verdict import Outcome
 

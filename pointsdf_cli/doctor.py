@@ -1,4 +1,4 @@
-"""Self-test of an installation: versions, processor, and golden facts that each part must meet."""
+"""Self-test of an installation: versions, processor, and reference values for each part."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Check:
 
 
 def examine() -> list[Check]:
-    """Every check, in the order of the floors; a check that raises is a check that failed."""
+    """All checks, basic parts first; a check that raises has failed."""
     checks: list[tuple[str, Callable[[], tuple[bool, str]]]] = [
         ("versions", _versions),
         ("processor", _processor),

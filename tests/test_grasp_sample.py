@@ -47,7 +47,7 @@ def test_carried_out_again_it_ends_the_same(
     can: LoadedMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("pybullet")
-    from pointsdf_cli.simulation.attempt import Attempter
+    from pointsdf_cli.simulation.attempter import Attempter
     from pointsdf_cli.simulation.sim_object import prepare_object
 
     monkeypatch.setenv("RGRASP_CACHE", str(tmp_path))

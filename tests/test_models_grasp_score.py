@@ -16,8 +16,8 @@ from grasp_worlds import camera_pose, seen_ball, side_palm
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
 from pointsdf_cli.models.grasp_checkpoint import (
-    learned_from_another,
     read_grasp_checkpoint,
+    reconstruction_of_training,
     write_grasp_checkpoint,
 )
 from pointsdf_cli.models.grasp_features import GraspFeatures
@@ -322,7 +322,7 @@ def test_world_points_reach_the_field_in_the_world() -> None:
 
 def test_a_network_on_geometry_is_known_to_read_another_reconstruction() -> None:
     bundled = default_checkpoint().parent
-    assert learned_from_another(None, bundled / "pointsdf_ray") is None
-    assert str(learned_from_another(None, bundled / "pointsdf")) == "bundled:pointsdf_ray"
+    assert reconstruction_of_training(None, bundled / "pointsdf_ray") is None
+    assert str(reconstruction_of_training(None, bundled / "pointsdf")) == "bundled:pointsdf_ray"
     # One that brings its encoder along reads no field.
-    assert learned_from_another(bundled / "grasp_scratch", bundled / "pointsdf") is None
+    assert reconstruction_of_training(bundled / "grasp_scratch", bundled / "pointsdf") is None

@@ -268,7 +268,7 @@ def test_environment_file(tmp_path: Path) -> None:
         ("obstacles: [{box: [1, 1, -1]}]", "above 0"),
         ("obstacles: [{mesh: gone.stl}]", "gone.stl"),
         ("obstacles: [{sphere: [1], wxyz: [1, 1, 0, 0]}]", "unit quaternion"),
-        ("obstacles: [{name: a, sphere: [1]}, {name: a, sphere: [1]}]", "one name"),
+        ("obstacles: [{name: a, sphere: [1]}, {name: a, sphere: [1]}]", "share a name"),
         ("a: [", "YAML"),
     ],
 )

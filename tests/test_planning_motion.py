@@ -86,7 +86,7 @@ def test_ways_are_free_where_a_close_look_at_everything_finds_them_free() -> Non
         dense = ends[0] + np.linspace(0, 1, 400)[:, None] * (ends[1] - ends[0])
         close = float(checker.slack(dense).min())
         free.append(checker.is_free(ends))
-        if abs(close) > 1e-3:  # between the looks there may be a little less
+        if abs(close) > 1e-3:  # between the checked ones there may be a little less
             assert free[-1] == (close >= 0)
         assert checker.is_free(ends) == free[-1]
     assert 5 < sum(free) < 35
@@ -159,7 +159,7 @@ def test_a_motion_does_not_depend_on_any_clock(monkeypatch: pytest.MonkeyPatch) 
     checker, start, q = behind_a_wall()
     usual = plan_motion(checker, IK, start, q, seed=1)
     hours = iter(range(0, 10**9, 3600))
-    for clock in CLOCKS:  # a machine so busy that an hour passes between any two looks
+    for clock in CLOCKS:  # a machine so busy that an hour passes between any two checks
         monkeypatch.setattr(time, clock, lambda: float(next(hours)))
     slow = plan_motion(checker, IK, start, q, seed=1)
     monkeypatch.undo()
@@ -167,13 +167,13 @@ def test_a_motion_does_not_depend_on_any_clock(monkeypatch: pytest.MonkeyPatch) 
     np.testing.assert_array_equal(slow.corners, usual.corners)
 
 
-def test_a_search_ends_with_its_number_of_looks() -> None:
+def test_a_search_ends_with_its_number_of_checks() -> None:
     checker, start, q = behind_a_wall()
-    before = checker.looked_at
-    few = plan_motion(checker, IK, start, q, seed=1, config=MotionConfig(attempts=2, looks=1))
+    before = checker.checked
+    few = plan_motion(checker, IK, start, q, seed=1, config=MotionConfig(attempts=2, checks=1))
     assert few.failure == "no free way was found to where the approach begins"
     assert few.attempts == 2
-    assert checker.looked_at - before < 1000  # the retreat and the last edge of each search, too
+    assert checker.checked - before < 1000  # the retreat and the last edge of each search, too
 
 
 def test_results_are_decided_by_no_clock() -> None:

@@ -97,10 +97,10 @@ def test_every_millimetre_of_the_trajectory_is_free(planner: Planner, plan: Plan
 
 def test_plan_and_motion_keep_the_margin_where_they_can(planner: Planner, plan: Plan) -> None:
     assert plan.link_clearance_object.min() >= 0.004
-    wide = PathChecker(planner.geometry, target().field).keeping(0.004)
+    wide = PathChecker(planner.geometry, target().field).with_clearance(0.004)
     assert wide.is_free(plan.trajectory)
     # It is what was asked of the checker: the can is no nearer, and no farther, than it is.
-    near = PathChecker(planner.geometry, target().field).keeping(0.0)
+    near = PathChecker(planner.geometry, target().field).with_clearance(0.0)
     where = plan.q[None]
     assert near.slack(where)[0] >= wide.slack(where)[0]
 
@@ -133,7 +133,7 @@ def test_out_of_a_chimney_there_is_no_motion(planner: Planner) -> None:
     start = np.clip(np.zeros(23), planner.robot.lower, planner.robot.upper)
     hasty = Planner(
         planner.robot,
-        PlannerConfig(synthesis=SMALL, motion=MotionConfig(attempts=1, looks=400)),
+        PlannerConfig(synthesis=SMALL, motion=MotionConfig(attempts=1, checks=400)),
     )
     plan = plan_of(hasty.search(target(), Environment(tuple(walls)), start=start))
     assert plan.status == "no_plan"
@@ -216,7 +216,7 @@ def test_a_grasp_below_a_shelf_is_no_grasp_to_lift_from(planner: Planner) -> Non
             "board", "box", (0.5, 0.6, 0.02), transform(np.eye(3), [0.75, 0, top + above])
         )
         checker = PathChecker(planner.geometry, target().field, Environment((board,)))
-        assert checker.beside_object().slack(good.q[None])[0] > 0
+        assert checker.without_object().slack(good.q[None])[0] > 0
         best, motion, rest = planner._with_motion(checker, alone, planner.robot.home, 0)
         assert best is good
         assert motion is not None
@@ -237,11 +237,11 @@ def test_a_lift_goes_around_what_is_above(planner: Planner) -> None:
             "block", "box", (0.03, 0.03, 0.03), transform(np.eye(3), palm + [x, 0, 0.2])
         )
         checker = PathChecker(planner.geometry, target().field, Environment((block,)))
-        if checker.beside_object().is_free(straight):
+        if checker.without_object().is_free(straight):
             continue
         lift = planner._lift(checker, good)
         if lift is not None:
-            assert checker.beside_object().is_free(lift)
+            assert checker.without_object().is_free(lift)
             way.append(np.linalg.norm((planner.inverse.chain.palm(lift[-1])[:3, 3] - palm)[:2]))
     assert way
     assert min(way) > 0.04

@@ -16,7 +16,7 @@ from pointsdf_cli.robot.closing import closing_of
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.robot.jaws import jaws_of
 from pointsdf_cli.robot.kinematics import Kinematics
-from pointsdf_cli.simulation.attempt import Attempter
+from pointsdf_cli.simulation.attempter import Attempter
 from pointsdf_cli.simulation.sim_object import prepare_object
 
 HEIGHT, BASE, FINGER, TIP = 0.0754, 0.050, 0.070, 0.049

@@ -172,7 +172,7 @@ def test_the_scene_closes_the_hand() -> None:
     gap = np.linalg.norm(scene.poses[:, left, :3, 3] - scene.poses[:, right, :3, 3], axis=1)
     assert gap[-1] < gap[0]
     assert scene.captions[-1] == "100 % closed"
-    assert {"samples", "ways of fingertips", "palm"} <= set(scene.layers)
+    assert {"samples", "fingertip paths", "palm"} <= set(scene.layers)
 
 
 def test_the_axes_of_the_picture_keep_their_colours() -> None:

@@ -28,11 +28,11 @@ from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.simulation.attempt import (
     Attempt,
     AttemptConfig,
-    Attempter,
-    Preshape,
+    PlannedPreshape,
     Scene,
     as_grasps,
 )
+from pointsdf_cli.simulation.attempter import Attempter
 from pointsdf_cli.simulation.collect import (
     CollectTask,
     collect_object,
@@ -105,7 +105,7 @@ def test_a_planner_proposes_for_a_scene_and_what_it_cannot_know_counts_as_lost(
     robot = load_robot()
     inverse = InverseKinematics(robot)
 
-    def propose(scene: Scene, rng: np.random.Generator) -> list[Preshape]:
+    def propose(scene: Scene, rng: np.random.Generator) -> list[PlannedPreshape]:
         """Palms from the side at two distances from the can's axis: in it, and right."""
         axis = scene.T_world_object[:3, 3]
         made = []
@@ -114,7 +114,7 @@ def test_a_planner_proposes_for_a_scene_and_what_it_cannot_know_counts_as_lost(
             found = inverse.solve(np.stack(palms))
             arm = found.arm[found.reached][0]
             q = robot.configuration(arm, robot.preshape_ranges.mean(axis=1))
-            made.append(Preshape("side", inverse.chain.palm(q), q))
+            made.append(PlannedPreshape("side", inverse.chain.palm(q), q))
         return made
 
     made = Attempter(robot, seed=1, propose=propose)

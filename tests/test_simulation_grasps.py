@@ -13,7 +13,8 @@ import trimesh
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.simulation.attempt import AttemptConfig, Attempter
+from pointsdf_cli.simulation.attempt import AttemptConfig
+from pointsdf_cli.simulation.attempter import Attempter
 from pointsdf_cli.simulation.executor import PUSH_TIME, SQUEEZE, ExecutorConfig
 from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.physics import GRAVITY

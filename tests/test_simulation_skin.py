@@ -20,7 +20,7 @@ from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.settle import settle
 from pointsdf_cli.simulation.sim_object import prepare_object
-from pointsdf_cli.simulation.skin import drawn_in, drawn_in_cylinder
+from pointsdf_cli.simulation.skin import shrunk, shrunk_cylinder
 from pointsdf_cli.simulation.world import World
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -40,7 +40,7 @@ def distance(corners: Array, faces: NDArray[np.int64], points: Array) -> Array:
 
 def test_a_box_is_drawn_in_on_all_six_sides() -> None:
     box = trimesh.creation.box((0.1, 0.06, 0.04))
-    corners, faces = drawn_in(np.asarray(box.vertices), np.asarray(box.faces), SKIN)
+    corners, faces = shrunk(np.asarray(box.vertices), np.asarray(box.faces), SKIN)
     inner = trimesh.Trimesh(corners, faces)
     assert inner.is_watertight
     assert inner.bounds == pytest.approx(box.bounds + [[SKIN] * 3, [-SKIN] * 3])
@@ -50,7 +50,7 @@ def test_a_box_is_drawn_in_on_all_six_sides() -> None:
 def test_a_cap_of_many_triangles_is_drawn_in_as_one() -> None:
     """The middle of a can's lid is a corner of its mesh, but none of its hull."""
     can = trimesh.creation.cylinder(0.03, 0.1)
-    corners, _ = drawn_in(np.asarray(can.vertices), np.asarray(can.faces), SKIN)
+    corners, _ = shrunk(np.asarray(can.vertices), np.asarray(can.faces), SKIN)
     assert np.ptp(corners[:, 2]) == pytest.approx(0.098)
     assert len(corners) < len(can.vertices)
 
@@ -59,7 +59,7 @@ def test_a_cap_of_many_triangles_is_drawn_in_as_one() -> None:
 def test_a_plate_thinner_than_two_skins_keeps_its_middle(thick: float) -> None:
     plate = trimesh.creation.box((0.1, 0.1, thick))
     plate.apply_translation([0.0, 0.0, 0.3])
-    corners, faces = drawn_in(np.asarray(plate.vertices), np.asarray(plate.faces), SKIN)
+    corners, faces = shrunk(np.asarray(plate.vertices), np.asarray(plate.faces), SKIN)
     assert trimesh.Trimesh(corners, faces).volume > 0
     assert np.ptp(corners[:, 2]) == pytest.approx(0.1 * thick)
     assert corners[:, 2].mean() == pytest.approx(0.3)
@@ -72,7 +72,7 @@ def test_hulls_have_their_size_again_nearly_everywhere() -> None:
     for _ in range(200):
         points = rng.normal(size=(rng.integers(4, 60), 3)) * 10 ** rng.uniform(-2, -1, 3)
         hull = trimesh.convex.convex_hull(points)
-        corners, faces = drawn_in(np.asarray(hull.vertices), np.asarray(hull.faces), SKIN)
+        corners, faces = shrunk(np.asarray(hull.vertices), np.asarray(hull.faces), SKIN)
         inner = trimesh.Trimesh(corners, faces, process=False)
         assert inner.volume > 0
         on_inner, _ = trimesh.sample.sample_surface(inner, 100, seed=0)
@@ -96,7 +96,7 @@ def prism(angle: float) -> trimesh.Trimesh:
 def test_down_to_45_degrees_faces_lie_where_they_were_and_sharper_ends_stay() -> None:
     for angle, exact in ((60.0, True), (45.0, True), (10.0, False)):
         wedge = prism(angle)
-        corners, _ = drawn_in(np.asarray(wedge.vertices), np.asarray(wedge.faces), SKIN)
+        corners, _ = shrunk(np.asarray(wedge.vertices), np.asarray(wedge.faces), SKIN)
         planes = ConvexHull(wedge.vertices).equations
         gaps = -(corners @ planes[:, :3].T + planes[:, 3]).max(axis=0)
         if exact:
@@ -110,7 +110,7 @@ def test_faces_of_a_pyramid_do_not_lean() -> None:
     """Its four faces meet in one corner, which is two when they are drawn in."""
     base = [[x, y, 0.0] for x in (-0.05, 0.05) for y in (-0.025, 0.025)]
     pyramid = trimesh.convex.convex_hull([*base, [0.0, 0.0, 0.06]])
-    corners, faces = drawn_in(np.asarray(pyramid.vertices), np.asarray(pyramid.faces), SKIN)
+    corners, faces = shrunk(np.asarray(pyramid.vertices), np.asarray(pyramid.faces), SKIN)
     assert trimesh.Trimesh(corners, faces).is_watertight
     points, _ = trimesh.sample.sample_surface(pyramid, 4000, seed=0)
     planes = np.unique(ConvexHull(pyramid.vertices).equations.round(9), axis=0)
@@ -127,7 +127,7 @@ def test_what_is_all_but_flat_stays_as_it_is() -> None:
         trimesh.transformations.rotation_matrix(0.7, [1.0, 2.0, 3.0])
     )
     corners, faces = np.asarray(disc.vertices), np.asarray(disc.faces)
-    same = drawn_in(corners, faces, SKIN)
+    same = shrunk(corners, faces, SKIN)
     assert same[0] is corners
     assert same[1] is faces
 
@@ -194,10 +194,10 @@ def with_hulls(folder: Path) -> RobotDescription:
 def test_with_no_skin_nothing_is_drawn_in() -> None:
     box = trimesh.creation.box((0.1, 0.06, 0.04))
     corners = np.asarray(box.vertices)
-    assert drawn_in(corners, np.asarray(box.faces), 0.0)[0] is corners
-    assert drawn_in_cylinder(0.05, 0.1, 0.0) == (0.05, 0.1)
-    assert drawn_in_cylinder(0.05, 0.1, SKIN) == pytest.approx((0.049, 0.098), rel=0.0025)
-    radius, length = drawn_in_cylinder(1e-3, 1e-3, SKIN)  # hardly thicker than its skin
+    assert shrunk(corners, np.asarray(box.faces), 0.0)[0] is corners
+    assert shrunk_cylinder(0.05, 0.1, 0.0) == (0.05, 0.1)
+    assert shrunk_cylinder(0.05, 0.1, SKIN) == pytest.approx((0.049, 0.098), rel=0.0025)
+    radius, length = shrunk_cylinder(1e-3, 1e-3, SKIN)  # hardly thicker than its skin
     assert 0 < radius < 1e-3
     assert 0 < length < 1e-3
 

@@ -11,13 +11,13 @@ from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.ray_evidence import image_coordinates
 from pointsdf_cli.models.surroundings import (
-    forgotten,
     lower_plane,
     no_surroundings,
     plane_evidence,
     surroundings_of,
     transformed,
     visibility_evidence,
+    without_evidence,
 )
 
 PITCH = 1 / 500
@@ -141,7 +141,7 @@ def test_what_is_left_out_reads_like_what_was_never_known() -> None:
     evidence = ViewEvidence(VIEW, np.array([0.0, -1.0, 0.0, -0.05]))
     known = surroundings_of([evidence], [frame], torch.device("cpu"))
     never = no_surroundings(1, torch.device("cpu"))
-    lost = forgotten(known, torch.tensor([False]), torch.tensor([False]))
+    lost = without_evidence(known, torch.tensor([False]), torch.tensor([False]))
     for before, after in zip(lost, never, strict=True):
         assert torch.equal(before, after)
 

@@ -23,13 +23,13 @@ SLANT = 4.0
 """Depth steps are divided by this: tan of the angle (76°) up to which sampling looks even."""
 
 ENOUGH = 8000
-"""Points of a group that its distance to another one is measured by."""
+"""Largest number of a group's points used to measure its distance to another."""
 
 
 NEIGHBOURS = 4
 """A point is judged by the distance to this neighbour."""
 ISOLATION = 4.0
-"""It is isolated if that is more than this many times the median's."""
+"""A point is isolated if that distance exceeds this multiple of its median."""
 PART_SHARE = 0.2
 """A detached group with at least this share of all points is a part of the object however far away
 it is."""

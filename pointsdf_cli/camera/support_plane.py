@@ -116,7 +116,7 @@ def _largest_plane(points: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _upright(plane: Array) -> float:
-    """Weight of a plane by whether the top of the image shows what is up there."""
+    """Weight of a plane by the angle between its normal and the image's upward direction."""
     upward = float(plane[:3] @ [0.0, -1.0, 0.0])
     return 1.0 if upward > np.cos(ROLL) else OVERHEAD
 

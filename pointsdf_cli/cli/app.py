@@ -39,7 +39,7 @@ commands of its own, `app`."""
 
 
 class _Commands(TyperGroup):
-    """Commands that tell a wrong choice like any other bad input."""
+    """Command group that reports an invalid choice as any other bad input."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command.
@@ -90,8 +90,8 @@ def _root(
 
 
 def app_of(arguments: Sequence[str] = ()) -> typer.Typer:
-    """The program with those of its commands that are among the arguments, or with all if none is:
-    to make all of them takes longer than most mistakes take to be told."""
+    """The program with the commands named in `arguments`, or with all if none is named: importing
+    all takes longer than reporting most mistakes."""
     app = typer.Typer(
         name="rgrasp",
         cls=_Commands,

@@ -149,7 +149,7 @@ def _write_board(reporter: common.Reporter, path: Path, board: CharucoBoard) -> 
     from pointsdf_cli.io.board_images import write_board_page
 
     drawn = draw_board(board, PIXELS_A_SQUARE, PIXELS_A_SQUARE // 3)
-    caption = f"{board}. Print at 100%, measure a square.".replace("×", "x")  # no sign of the font
+    caption = f"{board}. Print at 100%, measure a square.".replace("×", "x")  # the font lacks ×
     width, height = write_board_page(path, drawn, PIXELS_A_SQUARE / board.square, caption)
     reporter.result(
         {"board": path, "width_mm": 1000 * width, "height_mm": 1000 * height},

@@ -252,13 +252,13 @@ def say_if_from_another(
     Raises:
         InputError: No such checkpoint.
     """
-    from pointsdf_cli.models.grasp_checkpoint import learned_from_another
+    from pointsdf_cli.models.grasp_checkpoint import reconstruction_of_training
     from pointsdf_cli.models.registry import default_checkpoint
 
     if checkpoint is None and grasp_checkpoint is None:
         return
     read = checkpoint or default_checkpoint()
-    other = learned_from_another(grasp_checkpoint, read)
+    other = reconstruction_of_training(grasp_checkpoint, read)
     if other is not None:
         reporter.say(
             f"the success network was trained on the reconstruction {other} but reads {read}: its "

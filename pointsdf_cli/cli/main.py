@@ -62,7 +62,8 @@ def main() -> None:
     # and again takes a tenth of the time.
     gc.set_threshold(1_000_000, 20, 20)
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a sign that the terminal has not is no failure
+        # A character that the terminal cannot show is not an error.
+        if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     try:
         _refuse_empty(sys.argv[1:])

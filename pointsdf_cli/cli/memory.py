@@ -1,4 +1,4 @@
-"""The many ways in which libraries say that there is not enough memory."""
+"""Detection of memory exhaustion, and of limits too low to start."""
 
 from __future__ import annotations
 

@@ -32,7 +32,9 @@ def plan(
     solver: common.Solver = "sqp",
     kind: Annotated[
         choices.GraspKind,
-        typer.Option(help="Kind of grasp; auto takes the better one, below 3 cm top first."),
+        typer.Option(
+            help="Kind of grasp; auto takes the better one, top first for objects below 3 cm."
+        ),
     ] = "auto",
     target: Annotated[
         str | None,
@@ -260,10 +262,10 @@ def _as_typed(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _check_server(server: str, threads: int, device: str) -> None:
-    """Refuse an address that is none, and options that are the server's own.
+    """Refuse an invalid address, and options that only the server takes.
 
     Raises:
-        InputError: One of these.
+        InputError: The address is invalid, or such an option is given.
     """
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.service.address import server_address

@@ -1,7 +1,8 @@
 """Text from files and names as a terminal may show it.
 
 A terminal obeys escape sequences: a file's attribute could clear the screen, rename the window or
-print a line that rgrasp never said. Signs that turn the direction of writing hide what a name is.
+print a line that rgrasp never said. Characters that change the writing direction hide what a name
+is.
 """
 
 from __future__ import annotations

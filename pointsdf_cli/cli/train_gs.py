@@ -95,7 +95,7 @@ def train_gs(
     data = read_grasp_data(grasps, machine)
     split = split_for(data, variant, config.validation, seed)
     cache = cache or common.cache_beside(grasps)
-    with reporter.progress("asking the reconstruction", len(data.names)) as bar:
+    with reporter.progress("evaluating the reconstruction", len(data.names)) as bar:
         sources = Sources(cache, sdf, robot, jobs, bar.advance)
         prepared = prepare(data, split, variant, sources, seed)
     if resume:

@@ -4,14 +4,12 @@ MISE (Mescheder et al. 2019): the field is evaluated on a coarse grid, and only 
 surface crosses are subdivided. Three rules go beyond the paper's:
 
 - A corner, also of the coarse grid, is evaluated only if its sign is in doubt, or if it ends an
-edge
-  that the surface crosses. The slope of an SDF is bounded, so a neighbour's distance often
+  edge that the surface crosses. The slope of an SDF is bounded, so a neighbour's distance often
   determines the sign; such a corner holds a lower bound with that sign until its value is needed.
 - If a value contradicts a bound (a network's slope has no guaranteed bound), every corner of the
   cells around it is evaluated.
 - If the surface leaves the refined cells through a face, the cell beyond is searched too, without
-new
-  bounds: a sheet is followed to its end once any of it is found.
+  new bounds: a sheet is followed to its end once any of it is found.
 """
 
 from __future__ import annotations

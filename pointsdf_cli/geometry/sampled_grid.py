@@ -135,7 +135,7 @@ class SampledGrid:
         return self.values[rows]
 
     def cases(self, rows: NDArray[np.integer]) -> NDArray[np.uint8]:
-        """Mask of the cells with corner rows [C, 8] that are inside (`cell_cases`) [C]."""
+        """Inside corners as bits, u1 [C] (`cell_cases`), of cells with corner rows [C, 8]."""
         # Bytes before they are picked: a quarter of the memory that is jumped about in.
         return cell_cases((self.values < 0)[rows])
 

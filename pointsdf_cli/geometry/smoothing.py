@@ -18,7 +18,7 @@ SHRINK, GROW = 0.5, -0.53
 def taubin_smooth(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], iterations: int
 ) -> NDArray[np.float64]:
-    """Vertices [V, 3] after `passes` shrinking and growing passes; the faces stay.
+    """Vertices [V, 3] after `iterations` pairs of a shrinking and a growing pass; the faces stay.
 
     Args:
         vertices: [V, 3].

@@ -149,8 +149,8 @@ def read_cloud(
 
     Args:
         path: A file whose suffix is one of CLOUD_SUFFIXES.
-        unit: The unit of its coordinates, a key of `UNITS`; the result is in metres. So is a PCD's
-            viewpoint; a header's `T_world_camera` is in metres always.
+        unit: Unit of its coordinates and of a PCD's viewpoint, a key of `UNITS`; a header's
+            `T_world_camera` is always in metres, as is the result.
         drop_invalid: Leave out points that are NaN or infinite, instead of refusing them.
         frame: "camera" or "world", overrides the file's; None for the file's.
         T_world_camera: [4, 4], overrides the file's; None for the file's.

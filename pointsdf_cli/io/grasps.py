@@ -111,7 +111,7 @@ class Grasps:
         return np.asarray(self.label >= LOST)
 
     def count(self) -> dict[str, int]:
-        """Number of attempts that ended in each cause, and their total."""
+        """Number of attempts that ended in each cause, by the cause's name."""
         by_cause = np.bincount(self.cause, minlength=len(CAUSES))
         return {cause: int(n) for cause, n in zip(CAUSES, by_cause, strict=True)}
 
@@ -217,7 +217,7 @@ def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:
 
 
 def was_collected(path: Path | str) -> bool:
-    """Whether the grasps of a file were made by a robot, which it then names by its digest.
+    """Whether collect-grasps wrote a file: its options then hold the robot's digest.
 
     Raises:
         InputError: It is no artifact, or a damaged one.

@@ -157,7 +157,7 @@ def read_artifact(
 
 @contextmanager
 def sense_of(path: Path | str) -> Iterator[None]:
-    """For the lines that make numbers and names of an artifact's attributes.
+    """Context that turns errors of missing or malformed attributes into one InputError.
 
     Raises:
         InputError: A dataset or attribute is missing or of another kind: not a file that rgrasp

@@ -106,8 +106,8 @@ class Plan:
         seeds_tried: Starts given to the solver.
         timings: Seconds by stage.
         link_names: [L].
-        link_clearance_object, link_clearance_table: f8 [L] m, at the grasp; to the object by the
-            samples of the link's surface, from 3 cm on to the box around it.
+        link_clearance_object, link_clearance_table: f8 [L] m, at the grasp; the first at samples of
+            the link's surface, and beyond 3 cm to a box around the object.
         rejected: Every rejected seed with its residuals.
         kind: "side" or "top"; empty without a grasp.
         accepted: The grasp and its alternatives.

@@ -62,7 +62,7 @@ class Scratch:
 
 @contextmanager
 def temporary_files(folder: Path) -> Iterator[None]:
-    """For the lines that write files of a scratch folder.
+    """Context that turns failures to write scratch files into one error.
 
     Raises:
         UnwritableError: They cannot be written, or the disk is full.

@@ -125,7 +125,7 @@ def _text(path: Path, kind: str, form: str) -> str:
 
 
 def _check_nodes(root: yaml.Node, path: Path) -> None:
-    """Aliases share memory until someone walks through them, merges or prints them."""
+    """Refuse more than `MOST_NODES` nodes, counted with aliases followed."""
     waiting, seen = [root], 0
     while waiting:
         node = waiting.pop()

@@ -30,7 +30,7 @@ from pointsdf_cli.robot.description import RobotDescription, load_robot
 BUNDLED = "weights/grasp_geometry"
 BUNDLED_PREFIX = "bundled:"
 
-FIXED, FINE_TUNED, SCRATCH = "fixed", "fine-tuned", "scratch"
+FIXED, SCRATCH = "fixed", "scratch"
 
 
 class GraspParts(NamedTuple):
@@ -260,10 +260,10 @@ def encoder_path(checkpoint: Checkpoint, override: Path | str | None = None) -> 
     return path
 
 
-def learned_from_another(
+def reconstruction_of_training(
     grasp_checkpoint: Path | str | None, sdf_checkpoint: Path | str
 ) -> Path | None:
-    """The reconstruction network with which a success network on geometry was trained, if another.
+    """Reconstruction that a success network on geometry was trained with, if not `sdf_checkpoint`.
 
     Such a network reads any field, but its probabilities are calibrated for fields of the
     reconstruction that it was trained with.

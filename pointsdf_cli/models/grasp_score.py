@@ -37,8 +37,8 @@ from pointsdf_cli.robot.description import RobotDescription
 GRID_STEP = 0.008
 """Step of the grid on which the geometry's field is kept [m]."""
 
-OWN_NODES = 8_000
-"""Largest number of nodes of that grid if the network itself is evaluated."""
+OWN_CELLS = 8_000
+"""Approximate limit on that grid's cells if the network itself is evaluated."""
 
 
 @dataclass(frozen=True)
@@ -159,8 +159,8 @@ class GeometryGrasps(ObjectGrasps):
         spare = 0.5 * float((high - low).max()) + FAR
         low, high = low - spare, high + spare
         low[2] = max(low[2], -FAR)
-        nodes = OWN_NODES if own else 4 * OWN_NODES
-        self._field = TensorGrid(field, low, high, GRID_STEP, nodes)  # type: ignore[arg-type]
+        cells = OWN_CELLS if own else 4 * OWN_CELLS
+        self._field = TensorGrid(field, low, high, GRID_STEP, cells)  # type: ignore[arg-type]
         self._features = GraspFeatures(model.sweep, model.robot.preshape_ranges)
 
     def logit(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:

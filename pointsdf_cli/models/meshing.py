@@ -23,11 +23,11 @@ SMOOTHING = 25
 consistency by 0.07 and improves the other two metrics of Table I by less than their noise
 (docs/notebook.md)."""
 
-ASKED = 128
+FINEST_EVALUATED = 128
 """Cells along the box of the finest grid on which a network is evaluated; finer ones are
 interpolated. Evaluation at 512³ takes five times as long and scores no better
 (docs/notebook.md)."""
-SMOOTH = 0.8
+LARGEST_BEND = 0.8
 """Bend of the field, in sides of a cell, below which cells of 64³ are halved by interpolation: it
 saves a third of the queries and costs at most 0.0005 of IoU on 17 test views (docs/notebook.md)."""
 
@@ -74,7 +74,7 @@ def mesh_reconstruction(
         field: Distances [N] m at points [N, 3] m of the cloud's frame to mesh instead of the
             reconstruction's own, within its box: the field of several views.
         exact: Evaluate every corner that decides the surface; otherwise some are interpolated (see
-            `ASKED` and `SMOOTH`).
+            `FINEST_EVALUATED` and `LARGEST_BEND`).
 
     Raises:
         EmptySurfaceError: The field has no inside.
@@ -86,10 +86,10 @@ def mesh_reconstruction(
     config = IsosurfaceConfig(
         resolution,
         half_width=model.box,
-        asked=ASKED if interpolated else MAX_RESOLUTION,
+        asked=FINEST_EVALUATED if interpolated else MAX_RESOLUTION,
         # An exact SDF's slope. A network is steeper in places, which hides a thousandth of the
         # crossed cells (docs/notebook.md).
-        rules=replace(rules, slope=1.0, smooth=SMOOTH) if interpolated else rules,
+        rules=replace(rules, slope=1.0, smooth=LARGEST_BEND) if interpolated else rules,
         newton=smoothing == 0,
         smallest_part=smallest_part,
     )

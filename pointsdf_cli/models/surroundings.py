@@ -107,7 +107,7 @@ def no_surroundings(count: int, device: torch.device) -> Surroundings:
     return Surroundings(*(torch.zeros(shape, device=device) for shape in shapes))
 
 
-def forgotten(
+def without_evidence(
     surroundings: Surroundings, has_visibility: Tensor, has_plane: Tensor
 ) -> Surroundings:
     """Drop the visibility and the plane of views where bool [B] `has_visibility`, `has_plane` are

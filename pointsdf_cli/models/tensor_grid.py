@@ -19,7 +19,7 @@ from torch.autograd.function import once_differentiable
 
 from pointsdf_cli.geometry.arrays import Array
 
-NODES = 20_000
+CELLS = 20_000
 """Approximate limit on the number of cells, for objects of any size; the step grows instead."""
 
 
@@ -30,7 +30,7 @@ class TensorGrid:
         field: Signed distances [N] m at points [N, 3] m.
         low, high: [3], the box, m.
         step: Desired side of a cell, m.
-        nodes: Approximate limit on the number of cells; along each side one more node than cells.
+        cells: Approximate limit on the number of cells; along each side one more node than cells.
 
     Attributes:
         step: f8 [3], the sides of a cell, m.
@@ -42,10 +42,10 @@ class TensorGrid:
         low: Array,
         high: Array,
         step: float,
-        nodes: int = NODES,
+        cells: int = CELLS,
     ) -> None:
         wide = np.asarray(high, dtype=np.float64) - low
-        step = max(step, float(np.cbrt(np.prod(wide) / nodes)))
+        step = max(step, float(np.cbrt(np.prod(wide) / cells)))
         counts = np.maximum(2, np.ceil(wide / step).astype(int) + 1)
         axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
         places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

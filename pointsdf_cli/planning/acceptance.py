@@ -25,7 +25,7 @@ class AcceptanceConfig:
         least: Least success probability of an accepted grasp.
         objective: Largest objective of an accepted grasp.
         floor: Least success probability of a fallback, a collision-free grasp that is not accepted.
-            Equal to `least`: no fallbacks.
+            Equal to `least`: fallbacks only of grasps rejected for their objective.
     """
 
     success: float = 0.6
@@ -72,7 +72,7 @@ class Candidate:
     kind: str = ""
 
     def is_fallback(self, config: AcceptanceConfig) -> bool:
-        """Whether it meets all constraints and only its success probability is too low."""
+        """Whether it meets all constraints and fails by success probability or objective alone."""
         poor = self.reason in ("low_success_probability", "objective")
         return poor and self.success > min(config.floor, config.least)
 

@@ -25,7 +25,8 @@ def retreat(checker: PathChecker, chain: ArmChain, q: Array) -> Array | None:
     """Straight retreat from a grasp: configurations [T, J], the grasp first.
 
     Directions are tried in turn until one is free for its full length: against the palm's normal,
-    back along the fingers, between both, and upwards. Otherwise the longest free one is taken.
+    diagonally back, back along the fingers, diagonally up, upwards. Otherwise the longest free one
+    is taken.
 
     Args:
         q: [J], the grasp.

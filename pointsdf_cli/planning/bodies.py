@@ -1,8 +1,8 @@
 """Exact distances of the robot's shapes to each other, to the table and to obstacles (coal).
 
-The paper's a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. Pairs
-whose bounding balls are farther apart than `reach` get the gap between the balls, and meshes whose
-convex hulls are, the distance to the hull: lower bounds, whose constraints are inactive.
+The paper's a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. Beyond
+`reach`, a pair gets the gap between its bounding balls, and a mesh the distance to its convex hull:
+lower bounds, whose constraints are inactive.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ class BodyDistances:
             self._bodies.append(Body(WORLD, "table", below, np.eye(4), np.zeros(3), 0.0))
         self._bodies += [_obstacle_body(obstacle) for obstacle in environment.obstacles]
         first = len(self._bodies) - len(environment.obstacles)
-        # By place: an obstacle may be called like a link.
+        # By index: an obstacle may have a link's name.
         self._inside = {
             first + k: Inside(o.vertices, o.faces)
             for k, o in enumerate(environment.obstacles)
             if o.vertices is not None and o.faces is not None
         }
-        # Of a mesh that is farther than `reach`, the hull shows it fifty times as fast.
+        # The hull shows fifty times as fast that a mesh is farther than `reach`.
         self._hulls: dict[int, coal.CollisionGeometry] = {}
         for k in self._inside:
             self._bodies[k].geometry.buildConvexHull(True, "Qt")
@@ -91,7 +91,7 @@ class BodyDistances:
         self._request = coal.DistanceRequest()
         self._request.enable_signed_distance = True
 
-    def reaching(self, reach: float) -> BodyDistances:
+    def with_reach(self, reach: float) -> BodyDistances:
         """A copy with exact distances up to another `reach` [m]."""
         other = copy(self)
         other.reach = reach
@@ -221,7 +221,7 @@ class BodyDistances:
         """Correct the distance of a shape that lies wholly inside a closed mesh."""
         point = (out.point[b, m] - at) @ turn
         if self._inside[mesh](point):
-            # From here the way out begins where the triangles are nearest, and goes past them.
+            # The shortest way out is through the nearest triangle: reverse distance and normal.
             out.distance[b, m] = -out.distance[b, m] - self._radii[self._pairs[m, 0]]
             out.normal[b, m] = -out.normal[b, m]
 

@@ -20,9 +20,6 @@ from pointsdf_cli.robot.kinematics import Kinematics
 WORLD = -1
 """Link index of fixed bodies."""
 
-FAR = 1.0
-"""Distance [m] reported if nothing is near."""
-
 
 class Poses(NamedTuple):
     """All links of B configurations: rotation [B, L, 3, 3], position [B, L, 3], in the world."""
@@ -46,7 +43,7 @@ class Contacts:
         distance: [B, M], m, negative where bodies overlap.
         link: [M], the link that the first point moves with.
         point: [B, M, 3], that point in the world.
-        normal: [B, M, 3], the gradient of the distance by the first point.
+        normal: [B, M, 3], the gradient of the distance with respect to the first point.
         other_link: [M], the link that the second point moves with, or WORLD.
         other_point: [B, M, 3], the second point in the world; undefined if its link is WORLD.
     """
@@ -72,7 +69,7 @@ def join(contacts: list[Contacts]) -> Contacts:
 
 
 class ContactJacobian:
-    """Derivatives of contact distances by the joints, from the geometry of the chain.
+    """Derivatives of contact distances with respect to the joints, from the chain's geometry.
 
     A turning joint with world axis a through o moves a point x by a × (x − o); a sliding one by a.
     """

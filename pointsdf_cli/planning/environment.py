@@ -77,7 +77,9 @@ class Environment:
         names = [obstacle.name for obstacle in self.obstacles]
         if len(set(names)) != len(names) or "table" in names:
             raise InputError(
-                "two obstacles have one name", where=", ".join(names), allowed="one name each"
+                "two obstacles share a name, or one is named table",
+                where=", ".join(names),
+                allowed="one name each",
             )
 
 

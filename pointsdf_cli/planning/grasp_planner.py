@@ -60,11 +60,11 @@ from pointsdf_cli.planning.target import (
     completed_field,
     enclosing,
     grid_for,
-    kept_off,
     missed_points,
     reconstructed_object,
     seen_object,
     surface_of,
+    with_seen_points,
 )
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 
@@ -210,7 +210,7 @@ class GraspPlanner:
             hidden = unseen_support(own, views) if table else np.zeros((0, 3))
             known = np.concatenate([world, hidden])
             whole = enclosing(own, made, hidden, grid) if len(hidden) else own
-            constraint = kept_off(whole, known)
+            constraint = with_seen_points(whole, known)
         else:
             constraint = own
         reconstruction = made[0] if made else None

@@ -58,11 +58,6 @@ class Residuals(NamedTuple):
     obstacles: Array
     self_collision: Array
 
-    @property
-    def worst(self) -> Array:
-        """[B], the smallest of all."""
-        return np.min(np.stack(list(self)), axis=0)
-
 
 class GraspProblem:
     """The problem for one object; implements `nonlinear.Problem`.
@@ -109,15 +104,15 @@ class GraspProblem:
         self._critical = min(critical, int(self._relevant.sum()))
         self._groups = self._make_groups()
 
-    def asking(self, field: Field, clearances: Clearances, reach: float) -> GraspProblem:
+    def with_field(self, field: Field, clearances: Clearances, reach: float) -> GraspProblem:
         """The same with another field of the object, other margins, and another `reach` [m]."""
         other = copy(self)
         other.clearances = clearances
-        other.object = self.object.asking(field, reach)
+        other.object = self.object.with_field(field, reach)
         other._margin = other._margins()
         return other
 
-    def keeping(self, clearance: float) -> GraspProblem:
+    def with_clearance(self, clearance: float) -> GraspProblem:
         """A copy with another clearance to the object [m]."""
         other = copy(self)
         other.clearances = replace(self.clearances, object=clearance)
@@ -129,7 +124,7 @@ class GraspProblem:
         reports, not for solvers. Infinite for links that are not measured."""
         poses = link_poses(self.kinematics, self.variables.configuration(x[None]))
         to_object = self.object.by_link(poses)[[self.kinematics.index(link) for link in links]]
-        bodies = self.bodies.reaching(np.inf)
+        bodies = self.bodies.with_reach(np.inf)
         distance = bodies(poses, bodies.is_table).distance[0]
         to_table = np.full(len(links), np.inf)
         place = {link: k for k, link in enumerate(links)}

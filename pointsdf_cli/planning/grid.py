@@ -29,7 +29,7 @@ _CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
 SLOPE = 1.0
-"""L, the largest slope of the field: 1 for a distance; measured for a network."""
+"""L, the largest slope assumed: exact for a distance, and as measured for the networks."""
 
 
 @dataclass(frozen=True)

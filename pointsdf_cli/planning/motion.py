@@ -1,7 +1,7 @@
-"""From where the robot is to the grasp: preshape, free way (OMPL's RRT-Connect), straight approach.
+"""Motion from the start to the grasp: preshape, free path (OMPL's RRT-Connect), straight approach.
 
-The paper: up to three attempts at a collision-free joint-space path. All ways are checked
-all along (`path_check.py`), by one validator for planning, shortcutting and the result.
+The paper: up to three attempts at a collision-free joint-space path. All paths are checked along
+their whole length (`path_check.py`), by one validator for planning, shortcutting and the result.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ class MotionConfig:
 
     Attributes:
         attempts: Searches with another seed each (the paper: three).
-        looks: Configurations that a search may look at. A limit in seconds, even of processor time,
-            would make plans depend on the machine and on what else runs there.
+        checks: Largest number of configurations that a search checks. A limit in seconds, even of
+            processor time, would make plans depend on the machine and on what else runs there.
         speed: Share of the joints' speed limits.
     """
 
     attempts: int = 3
-    looks: int = 8000
+    checks: int = 8000
     speed: float = 0.5
 
     def __post_init__(self) -> None:
@@ -89,7 +89,7 @@ def plan_motion(
         return _failed("the robot touches something where it starts", 0)
     back = retreat(checker, kinematics.chain, goal)
     if back is None:
-        return _failed("no straight way leads out of the grasp", 0)
+        return _failed("no straight retreat from the grasp is free", 0)
     shaped = goal.copy()
     shaped[robot.arm] = start[robot.arm]
     if not checker.is_free(np.stack([start, shaped])):
@@ -153,8 +153,8 @@ def _connect(
     planner.setRange(LONGEST_EDGE)
     planner.setProblemDefinition(problem)
     planner.setup()
-    most = checker.looked_at + config.looks
-    if not planner.solve(ob.PlannerTerminationCondition(lambda: checker.looked_at > most)):
+    most = checker.checked + config.checks
+    if not planner.solve(ob.PlannerTerminationCondition(lambda: checker.checked > most)):
         return None
     if not problem.hasExactSolution():
         return None

@@ -45,15 +45,15 @@ class ObjectDistances:
         self.names = tuple((links[i], "object") for i in patches.link)
         self._points, self._centre, self._radius = patches.points, patches.centre, patches.radius
 
-    def reaching(self, reach: float) -> ObjectDistances:
+    def with_reach(self, reach: float) -> ObjectDistances:
         """A copy with exact distances up to another `reach` [m]."""
         other = copy(self)
         other._reach = reach
         return other
 
-    def asking(self, field: Field, reach: float) -> ObjectDistances:
+    def with_field(self, field: Field, reach: float) -> ObjectDistances:
         """The same of another field, exact up to `reach` [m]."""
-        other = self.reaching(reach)
+        other = self.with_reach(reach)
         other.field = field
         return other
 

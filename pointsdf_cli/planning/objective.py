@@ -44,7 +44,7 @@ class Cost(NamedTuple):
     Attributes:
         value: [B], max(s − β, 0)².
         residual: [B], max(s − β, 0).
-        residual_gradient: [B, n], of the residual by x; zero where the residual is.
+        residual_gradient: [B, n], of the residual with respect to x; zero where the residual is.
         log_success: [B], log h.
         log_prior: [B], log g.
     """

@@ -11,7 +11,6 @@ from pointsdf_cli.errors import InputError
 RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
 METHODS = get_args(choices.Method)
 KINDS = ("side", "top")
-HULL = "hull"
 
 LARGEST_CLEARANCE = 0.015
 """Largest clearance [m]: distances are exact up to 2 cm only, and a hand farther away than this

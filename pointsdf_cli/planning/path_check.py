@@ -34,7 +34,7 @@ KEPT = 512
 RESOLUTION = 0.001
 """Ways on which nothing moves farther than this [m] are not halved any more."""
 BATCH = 64
-"""Configurations looked at together."""
+"""Configurations checked together."""
 
 
 class PathChecker:
@@ -49,7 +49,7 @@ class PathChecker:
         bodies: Distances to this environment, where they are made already.
 
     Attributes:
-        looked_at: Configurations asked about so far.
+        checked: Number of configurations checked so far.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class PathChecker:
         clearances = clearances or Clearances()
         self._object = ObjectDistances(geometry, field)
         bodies = bodies or BodyDistances(geometry, environment or Environment())
-        self._bodies = bodies.reaching(REACH)
+        self._bodies = bodies.with_reach(REACH)
         self._body_margin = np.where(
             self._bodies.other_link != WORLD, clearances.self, clearances.environment
         )
@@ -79,16 +79,16 @@ class PathChecker:
         farthest = np.where(moved[first], reach[first], 0.0)
         farthest = np.maximum(farthest, np.where(moved[second], reach[second], 0.0))
         self._reach: Array = np.where(moved[first] != moved[second], farthest, 0.0)
-        self.looked_at = 0
+        self.checked = 0
         self._kept: dict[tuple[bytes, bytes], Array] = {}
 
-    def keeping(self, clearance: float) -> PathChecker:
+    def with_clearance(self, clearance: float) -> PathChecker:
         """A copy with another clearance to the object [m]."""
         other = copy(self)
         other._object_margin = clearance
         return other
 
-    def beside_object(self) -> PathChecker:
+    def without_object(self) -> PathChecker:
         """A copy without the object: for motions in which the hand carries it."""
         other = copy(self)
         other._with_object = False
@@ -132,7 +132,7 @@ class PathChecker:
             found = self._distances(poses, rows, np.tile(columns, len(some)))
             for b, distances in zip(some, found.reshape(len(some), -1), strict=True):
                 self._kept[keys[b]] = distances
-        self.looked_at += len(q)
+        self.checked += len(q)
         distances = np.stack([self._kept[key] for key in keys])
         for _ in range(len(self._kept) - KEPT):
             del self._kept[next(iter(self._kept))]
@@ -162,9 +162,9 @@ class PathChecker:
     def least_slack(self, path: Array) -> float:
         """The smallest slack met on the path [m]; the search stops at the first negative one.
 
-        Between the configurations that were looked at there may be less, but never so little that
-        anything touches unseen. In the middle of a way only the pairs are looked at that its ends
-        leave in doubt.
+        Between the checked configurations of a free path the slack may be smaller, but is at least
+        −RESOLUTION / 2. Midpoints are checked only for the pairs that the ends of their segment
+        leave undecided.
         """
         path = np.asarray(path, dtype=np.float64)
         if len(path) == 1:
@@ -183,7 +183,7 @@ class PathChecker:
             a, b = a[ways], b[ways]
             middle = (a + b) / 2
             poses = Poses(*self.kinematics.poses(middle))
-            self.looked_at += len(middle)
+            self.checked += len(middle)
             slack = self._distances(poses, rows, doubt.pair) - margins[doubt.pair]
             least = min(least, float(slack.min()))
             a, b = np.concatenate([a, middle]), np.concatenate([middle, b])

@@ -61,7 +61,7 @@ class PlanChoices:
             raise InputError(f"{self.rehearse} grasps", where="--rehearse", allowed="0 or more")
 
     def acceptance(self) -> AcceptanceConfig:
-        """Default thresholds, or `min_success` without fallbacks."""
+        """Default thresholds, or `min_success` as the least probability, of fallbacks too."""
         from pointsdf_cli.planning.acceptance import AcceptanceConfig
 
         least = self.min_success

@@ -23,7 +23,7 @@ from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import RobotDescription, load_robot
-from pointsdf_cli.simulation.attempt import SCENE_ATTEMPTS, Preshape, Propose, Scene
+from pointsdf_cli.simulation.attempt import SCENE_ATTEMPTS, PlannedPreshape, Propose, Scene
 
 UNLIKELY = ("low_success_probability", "objective")
 """Reasons of candidates that meet all constraints: they are tried as well."""
@@ -67,7 +67,7 @@ class PlannedPreshapes:
         config = replace(self.options.planner, successive_halving=(), synthesis=search)
         planner = GraspPlanner(replace(self.options, planner=config))
 
-        def propose(scene: Scene, rng: np.random.Generator) -> list[Preshape]:
+        def propose(scene: Scene, rng: np.random.Generator) -> list[PlannedPreshape]:
             return _proposals(planner, search, scene, rng)
 
         return propose
@@ -75,7 +75,7 @@ class PlannedPreshapes:
 
 def _proposals(
     planner: GraspPlanner, search: SynthesisConfig, scene: Scene, rng: np.random.Generator
-) -> list[Preshape]:
+) -> list[PlannedPreshape]:
     """A few of the solutions that meet all constraints, at random: not only the best ones."""
     view = View(scene.cloud, scene.T_world_camera, scene.evidence)
     seed = int(rng.integers(2**31))
@@ -89,4 +89,4 @@ def _proposals(
     free += [c for c in found.rejected if c.reason in UNLIKELY]
     chain = planner.planner.inverse.chain
     chosen = rng.permutation(len(free))[:SCENE_ATTEMPTS]
-    return [Preshape(free[k].kind, chain.palm(free[k].q), free[k].q) for k in chosen]
+    return [PlannedPreshape(free[k].kind, chain.palm(free[k].q), free[k].q) for k in chosen]

@@ -56,7 +56,7 @@ PREFERRED_SLACK = 0.006
 """Distance to the object [m] up to which a candidate's slack is exact, for any clearance; rehearsal
 prefers grasps with this much."""
 
-QUICK_LOOKS = 1000
+QUICK_CHECKS = 1000
 """Configurations checked at most by a brief motion search, with the margin and without: most
 motions are found within a few hundred."""
 
@@ -113,7 +113,7 @@ class Planner:
         self.solver: Solver = sqp if self.config.solver == "sqp" else Slsqp()
 
     def problems(self, target: Target, environment: Environment) -> Problems:
-        """The optimisation problem with the kept and with the exact field."""
+        """The optimisation problem with the field on a grid and with the exact field."""
         config, asked = self.config, self.config.clearances
         wanted = replace(asked, object=max(asked.object, config.margin))
         inside = Clearances(*(value + SOLVER_MARGIN for value in vars(wanted).values()))
@@ -126,10 +126,10 @@ class Planner:
         # Only what is too near decides; a network need not be asked about the rest.
         reach = max(asked.object + 0.005, config.margin, PREFERRED_SLACK)
         searched = GraspProblem(self.geometry, target.score, quick, environment, inside)
-        exact = searched.asking(target.field, asked, reach)
+        exact = searched.with_field(target.field, asked, reach)
         if polish is quick:
             return Problems(searched, exact, searched)
-        return Problems(searched, exact, searched.asking(polish, inside, 0.02))
+        return Problems(searched, exact, searched.with_field(polish, inside, 0.02))
 
     def solutions(
         self, target: Target, rng: np.random.Generator, search: SynthesisConfig
@@ -205,13 +205,14 @@ class Planner:
     def _motion_to(
         self, checker: PathChecker, candidate: Candidate, start: Array, seed: int, thorough: bool
     ) -> Motion:
-        """A motion that keeps as far from the object as the grasp itself and the margin, if one is
-        soon found; else, and in a thorough search, one that keeps the clearance."""
+        """A motion that keeps the grasp's own distance to the object, at most the margin, if a
+        brief search finds one; otherwise, and in a thorough search, one that keeps the
+        clearance."""
         config, least = self.config.motion, self.config.clearances.object
-        quick = replace(config, attempts=1, looks=QUICK_LOOKS)
+        quick = replace(config, attempts=1, checks=QUICK_CHECKS)
         kept = min(self.config.margin, least + candidate.object_slack) - SOLVER_MARGIN
         if kept > least and not thorough:
-            wide = checker.keeping(kept)
+            wide = checker.with_clearance(kept)
             motion = plan_motion(wide, self.inverse, start, candidate.q, seed, quick)
             if motion.trajectory is not None:
                 return motion
@@ -272,7 +273,7 @@ class Planner:
         """Joint path [K, J] by which the arm raises the hand from a grasp, touching nothing but the
         object; None if it cannot."""
         robot = self.robot
-        beside = checker.beside_object()  # the object comes along
+        beside = checker.without_object()  # the object comes along
 
         def whole(path: Array) -> Array:
             q = np.repeat(candidate.q[None], len(path), axis=0)

@@ -67,7 +67,8 @@ def table_elsewhere(world: Array) -> float | None:
     counts, edges = np.histogram(world[near, 2], np.arange(-OTHER_TABLE, OTHER_TABLE, 0.01))
     for k in np.argsort(-counts)[:5]:
         middle = (edges[k] + edges[k + 1]) / 2
-        # The share of what is near it that lies on it: an object's side does not.
+        # Most points near a table lie on it; of those near an object's side, few lie in a level
+        # plane.
         plane = find_table(world - [0, 0, middle], share=0.6)
         if plane is not None and not _is_top_of_a_body(world, float(middle + plane[3])):
             return float(middle + plane[3])

@@ -94,7 +94,7 @@ def _table(plane: Array, pose: Array) -> tuple[float, float]:
 def _corrections(pose: Array) -> Iterator[tuple[str, Array]]:
     """Possible mistakes, each with the pose [4, 4] that was then meant."""
     rotation, place = pose[:3, :3], pose[:3, 3]
-    # Of two quaternions of one rotation the user typed either; both read alike.
+    # The user may have typed q or −q; reordered, both give the same rotation.
     w, x, y, z = wxyz_from_rotation(rotation)
     reordered = transform(rotation_from_wxyz([z, w, x, y]), place)
     yield "with its quaternion read as x,y,z,w (as ROS prints it) the table is level", reordered

@@ -74,7 +74,7 @@ def is_hemmed_in(statistics: SeedStatistics) -> bool:
 
 
 def nearest_miss(rejected: list[Candidate]) -> Candidate | None:
-    """The rejected candidate that came closest: least violation first, then best objective."""
+    """The rejected candidate that came closest: by violation, then by success probability."""
     if not rejected:
         return None
     return min(
@@ -122,8 +122,8 @@ def too_large(width: float, span: float) -> tuple[str, str]:
 
 
 def few_grasps(learned_from: int | None) -> list[str]:
-    """Warning for plans by a success network that learned from so many executed grasps, if they are
-    few; None where it does not say how many."""
+    """Warning if the success network learned from fewer than `FEW_GRASPS` executed grasps; empty if
+    `learned_from` is None."""
     if learned_from is None or learned_from >= FEW_GRASPS:
         return []
     return [

@@ -59,7 +59,7 @@ RESOLUTION = 64
 CONTRADICTED = 0.5
 """Factor on the rehearsed score of a grasp that the resampled-view check rejects."""
 REHEARSED_SEARCH = SynthesisConfig(rounds=5, seeds=SeedConfig(palms=40, seeds=12))
-"""Number of grasps per round: more than in the paper, because rehearsals distinguish them."""
+"""Search settings: more grasps per round than in the paper, because rehearsals distinguish them."""
 
 
 def rehearsed_planner(

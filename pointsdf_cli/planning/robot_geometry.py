@@ -25,7 +25,7 @@ in executed plans by up to 3.3 mm at 1 cm, 1.7 mm at 6 mm (docs/notebook.md)."""
 
 @dataclass(frozen=True)
 class Body:
-    """One convex shape.
+    """One convex shape of a link, or one obstacle, which may be a mesh.
 
     Attributes:
         link: Index of the link that it moves with.

@@ -54,7 +54,7 @@ class Scene:
         flying: Counts of flying pixels and outliers among the N points.
         T_world_camera: [4, 4].
         image: The depth image; None where there was none.
-        mask: bool [N], points that the user says are the object's; None where he did not.
+        mask: bool [N], points under the user's mask; None without one.
         mask_rays: [K, 2], as in `Cloud`.
         over_table: The pose was made from the table: no robot was seen, some points lie where the
             robot will stand.

@@ -77,7 +77,7 @@ def seen_obstacles(
         for scene, target in seen.scenes:
             for view in _other_views(scene, target, cleaned):
                 stop_if_cancelled()
-                surfaces += completed(network, view, seed)
+                surfaces += obstacle_surfaces(network, view, seed)
             surfaces += hulls(scene.world[scene.things.label == LOOSE])
     names = (name for k in count(1) if (name := f"seen_{k}") not in taken)
     made = tuple(
@@ -93,11 +93,11 @@ def _other_views(scene: Scene, target: int, cleaned: bool) -> Iterator[View]:
             yield view_of(sighting(scene, thing, cleaned, is_target=False))
 
 
-def completed(network: ShapeModel, view: View, seed: int = 0) -> list[Surface]:
+def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Surface]:
     """A thing's reconstruction, and the hulls of seen parts that it misses.
 
-    What the network sees nothing solid in, what is too large for an object and what hovers is the
-    hull of its seen points, down to the table.
+    A thing that is too large, or without a reconstruction, becomes the hull of its seen points down
+    to the table; one whose reconstruction floats, the hull of both.
     """
     points = view.in_world
     points = points[thin(points, VOXEL).first] if len(points) else points
@@ -120,7 +120,7 @@ def completed(network: ShapeModel, view: View, seed: int = 0) -> list[Surface]:
 
 def _missed(points: Array, vertices: Array, faces: NDArray[np.integer]) -> Array:
     """Those of the points [N, 3] that are farther than `MISSED` outside a closed mesh."""
-    # None is that is near a vertex, and most are.
+    # A point near a vertex is not missed; most points are near one.
     far = points[scipy.spatial.KDTree(vertices).query(points)[0] > MISSED]
     if len(far) < FEWEST_MISSED:
         return far[:0]

@@ -27,7 +27,7 @@ from pointsdf_cli.planning.seeds import GraspSampler, SeedConfig, draw_seeds
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
 SOLVER_MARGIN = 0.0005
-"""Extra clearance kept by the solver [m]: twice its own tolerance."""
+"""Extra clearance kept by the solver [m]: five times its tolerance of violations (`FEASIBLE`)."""
 
 WORTH = 0.05
 """Improvement over the best objective so far that makes a second solution worthwhile."""
@@ -122,8 +122,8 @@ class Problems:
             return self
         kept = least + share * (wanted - least)
         same = self.polish is self.quick
-        quick = self.quick.keeping(kept)
-        return Problems(quick, self.exact, quick if same else self.polish.keeping(kept))
+        quick = self.quick.with_clearance(kept)
+        return Problems(quick, self.exact, quick if same else self.polish.with_clearance(kept))
 
 
 def synthesise(
@@ -195,7 +195,7 @@ def _polish(
     config: SynthesisConfig,
     timings: dict[str, float],
 ) -> None:
-    """Solve those that the quick field let come too near again with the exact field, in place.
+    """Solve once more, with the exact field, the solutions that are too near the object; in place.
 
     More distance to the object improves no objective: solutions that could not become better than
     `best`, the least objective so far, are skipped.

@@ -31,7 +31,7 @@ TABLE_OFF = 0.005
 """Distance [m] of the observed table from z = 0 above which a warning is given."""
 
 BELOW, MUCH = 0.01, 0.1
-"""Share of all points, and depth [m] below the table, above which points there are not noise."""
+"""Depth [m] below the table, and share of all points there, above which they are not noise."""
 
 
 @dataclass(frozen=True)

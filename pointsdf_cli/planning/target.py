@@ -197,7 +197,7 @@ def _mean_field(reconstructions: Sequence[Reconstruction]) -> Field:
     return fields[0] if len(fields) == 1 else MeanField(fields)
 
 
-def kept_off(shape: ObjectField, seen: Array) -> ObjectField:
+def with_seen_points(shape: ObjectField, seen: Array) -> ObjectField:
     """Add the seen points to an object: a network's surface may miss a thin part that the camera
     saw.
 
@@ -276,7 +276,9 @@ def missed_points(surface: tuple[Array, NDArray[np.int32]] | None, seen: Array) 
         missed = float((scipy.spatial.KDTree(surface[0]).query(seen)[0] > MISSED).mean())
     if missed <= MOST_MISSED:
         return []
-    return [f"the reconstruction misses {missed:.0%} of the seen points, as it does of thin walls"]
+    return [
+        f"the reconstruction misses {missed:.0%} of the seen points, which is common for thin walls"
+    ]
 
 
 def _boxed(

@@ -1,4 +1,7 @@
-"""Variables of planning: arm and preshape joints (7 + 8); the hand's other joints rest."""
+"""Variables of planning: arm and preshape joints (7 + 8 for the LBR4 with Allegro).
+
+The hand's other joints rest.
+"""
 
 from __future__ import annotations
 

@@ -18,7 +18,8 @@ from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.urdf import Joint
 
 CHUNK = 1024
-"""Configurations at once: what lies between the joints of so many stays in the cache."""
+"""Configurations per batch: small enough for intermediate arrays to stay in the processor's
+cache."""
 
 
 class ArmChain:
@@ -81,8 +82,8 @@ class ArmChain:
         return rotation, position, jacobian
 
     def pose_error(self, arm: Array, goals: Array) -> tuple[Array, Array]:
-        """Way [m] and turn [rad] from the palm to T_world_palm `goals` [B, 4, 4], as [B, 6], and
-        the Jacobian [B, 6, A], at arm joints [B, A]; all in the world."""
+        """Translation [m] and rotation vector [rad] from the palm to T_world_palm `goals`
+        [B, 4, 4], as [B, 6], and the Jacobian [B, 6, A], at arm joints [B, A]; all in the world."""
         rotation, position, jacobian = self.palm_and_jacobian(arm)
         turn = rotation_vector(goals[:, :3, :3] @ np.swapaxes(rotation, 1, 2))
         return np.concatenate([goals[:, :3, 3] - position, turn], axis=1), jacobian

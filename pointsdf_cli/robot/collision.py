@@ -41,7 +41,7 @@ def table_clearance(
 
 @dataclass(frozen=True)
 class _Body:
-    """Self-collision model of one link: its pose, points and a ball around it."""
+    """Self-collision model of one link: its index, points and enclosing ball."""
 
     index: int
     link: str
@@ -67,7 +67,6 @@ class SelfCollision:
     def __init__(
         self, kinematics: Kinematics, spacing: float = SPACING, reach: float = 0.02
     ) -> None:
-        self._kinematics = kinematics
         self._robot = kinematics.robot
         self.reach = reach
         self.pairs = self._robot.checked_pairs
@@ -114,12 +113,6 @@ class SelfCollision:
             )
             columns[k] = columns[k].index_put((rows,), distance)
         return torch.stack(columns, dim=1)
-
-    def worst(self, q: Tensor) -> Tensor:
-        """The smallest distance [B] over all pairs at configurations [B, J]."""
-        if not self.pairs:
-            return torch.full((len(q),), torch.inf, dtype=q.dtype)
-        return self(*self._kinematics(q)).amin(dim=1)
 
     def _one_way(self, a: _Body, b: _Body, rotation: Tensor, position: Tensor) -> Tensor:
         """Smallest signed distance [R] of a's points to b's shapes."""

@@ -175,8 +175,8 @@ def _touching_closed(robot: RobotDescription) -> list[list[str]]:
 
 
 def _home(robot: RobotDescription) -> Array:
-    """Pose of the open hand waiting in front of the base, looking forwards and down, clear of
-    everything.
+    """Configuration [J] with the open hand in front of the base, pointing forwards and down, clear
+    of everything.
 
     The middle of the arm's limits, or 0, where inverse kinematics finds no such place.
     """

@@ -22,7 +22,8 @@ PAST_FACE = 0.06
 SECONDS = 1.0
 """Closing takes about this long on the real robot [s], within the URDF's velocity limits."""
 PARALLEL = 0.7
-"""Joints of a finger close if the cosine between their axis and the best closing one's is above."""
+"""A joint closes if the cosine between its axis and the finger's best closing joint's exceeds
+this."""
 FASTEST = 0.5
 """Closing joints turn no faster than this on the real robot [rad/s]."""
 
@@ -31,8 +32,8 @@ def closing_speeds(robot: RobotDescription) -> dict[str, float]:
     """The speeds of the hand joints that close, with the sign in which they do.
 
     Two fingers close towards each other, several towards the palm. In each finger the joint that
-    brings its tip nearest closes, and those that turn the same way; what turns across them spreads
-    or turns the finger: a preshape's matter.
+    brings its tip nearest closes, as do joints with nearly parallel axes; the others spread or turn
+    the finger and belong to the preshape.
     """
     tips = fingertips(robot)
     rest = robot.home.copy()

@@ -82,7 +82,7 @@ class InverseKinematics:
         self._tree = scipy.spatial.cKDTree(self._features(rotation, position))
 
     def solve(self, T_world_palm: Array) -> IkSolutions:
-        """Solve B palm poses [B, 4, 4] (or one [4, 4], as B = 1) from `starts` starts each."""
+        """Solve B palm poses [B, 4, 4] (or one [4, 4], as B = 1) from `STARTS` starts each."""
         goals = np.asarray(T_world_palm, dtype=np.float64).reshape(-1, 4, 4)
         count, starts = len(goals), STARTS
         features = self._features(goals[:, :3, :3], goals[:, :3, 3])

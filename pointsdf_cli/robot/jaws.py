@@ -21,7 +21,7 @@ from pointsdf_cli.robot.surface import robot_surface
 ALONG = 0.9
 """Fingertips whose way has at least this share along z close as jaws."""
 SPACE = 0.003
-"""Between each open jaw and what it comes around [m]."""
+"""Gap between each open jaw and the object [m]."""
 PAD_DEPTH = 0.003
 """Surface [m] behind a fingertip's innermost point that still counts as its pad."""
 

@@ -34,7 +34,7 @@ class Shape:
         kind: One of `KINDS`.
         size: [m]: box (x, y, z), cylinder (radius, length along z), sphere (radius,), hull ().
         pose: [4, 4], the shape's own frame in the link's.
-        vertices: [V, 3], corners of a hull in its own frame; empty for the others.
+        vertices: [V, 3], corners of a hull in its own frame; None for the others.
         faces: [F, 3], triangles of a hull, seen counter-clockwise from outside.
     """
 

@@ -28,27 +28,28 @@ class PunctualProtocol(_Protocol):
     _reader: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:
-        """Expect a head."""
+        """Start the deadline for a request's head."""
         super().connection_made(transport)
         self._expect_head()
 
     def data_received(self, data: bytes) -> None:
-        """Expect the rest of a head, unless this completes it; more bytes win no more time."""
+        """Start the deadline for a request's head, or stop it at a complete one; more bytes win no
+        more time."""
         super().data_received(data)
         self._expect_head()
 
     def pause_writing(self) -> None:
-        """Expect the answer to be read: the system's buffers are full of it."""
+        """Start the deadline for reading: the system's buffers are full of the answer."""
         super().pause_writing()
         self._reader = self.loop.call_later(SLOWEST_READER, self.transport.abort)
 
     def resume_writing(self) -> None:
-        """Go on: some of it was read."""
+        """Stop the deadline for reading: some of the answer was read."""
         _cancel(self._reader)
         super().resume_writing()
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Expect nothing more."""
+        """Stop all deadlines."""
         _cancel(self._head)
         _cancel(self._reader)
         super().connection_lost(error)

@@ -62,7 +62,7 @@ class Resident:
 
         Args:
             request: Checked.
-            warn: Told what cannot be as it was given, before the planning.
+            warn: Called with each warning about implausible input, before planning.
 
         Raises:
             InputError: The clouds or the start cannot be used.

@@ -20,7 +20,7 @@ from pointsdf_cli.io.scratch import temporary_files
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.physics import ROLLING_FRICTION, SPINNING_FRICTION, PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
-from pointsdf_cli.simulation.skin import drawn_in
+from pointsdf_cli.simulation.skin import shrunk
 
 
 class BulletObject:
@@ -126,7 +126,7 @@ class BulletObject:
 def write_pieces(pieces: Pieces, path: Path, skin: float) -> None:
     """Write convex pieces as one OBJ file, for PyBullet a union of hulls with a skin each."""
     text, start = io.StringIO(), 1
-    for i, (corners, faces) in enumerate(drawn_in(*piece, skin) for piece in pieces):
+    for i, (corners, faces) in enumerate(shrunk(*piece, skin) for piece in pieces):
         text.write(f"o piece{i}\n")
         text.writelines("v {:.7f} {:.7f} {:.7f}\n".format(*v) for v in corners)
         text.writelines("f {} {} {}\n".format(*(f + start)) for f in faces)

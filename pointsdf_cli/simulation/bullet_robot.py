@@ -64,7 +64,7 @@ class BulletRobot:
         self._couple(by_name)
 
     def _couple(self, by_name: dict[str, tuple[int, int]]) -> None:
-        """Gears between joints of which one moves the other along, such as a gripper's jaws."""
+        """Gears between coupled joints (<mimic>), such as a gripper's jaws."""
         b = self._bullet
         for joint in self.robot.tree.joints:
             if joint.mimic is None or not {joint.name, joint.mimic[0]} <= by_name.keys():

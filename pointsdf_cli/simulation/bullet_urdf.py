@@ -28,7 +28,7 @@ from pointsdf_cli.io.untrusted import read_xml
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.shapes import Shape
 from pointsdf_cli.robot.urdf import MOVING, mesh_file
-from pointsdf_cli.simulation.skin import drawn_in, drawn_in_cylinder
+from pointsdf_cli.simulation.skin import shrunk, shrunk_cylinder
 
 LINK_DENSITY = 1000.0
 """Density of a link whose mass the URDF omits [kg/m³]."""
@@ -66,8 +66,8 @@ def hand_urdfs(
         visible: Keep the visual shapes.
 
     Returns:
-        First what is fixed to the palm, a flange before it, too; then one file for every joint
-        that leads away from there, or for those that move each other along.
+        First the links fixed to the palm, a flange in front of it included; then one file for each
+        moving joint at these links, or for each group of coupled joints.
     """
     root = _readable(robot, folder, skin, visible)
     links = {str(link.get("name")): link for link in root.findall("link")}
@@ -119,8 +119,8 @@ def _leading_away(robot: RobotDescription, fixed: dict[str, Array]) -> dict[str,
 
 
 def _coupled(robot: RobotDescription, fingers: dict[str, Array]) -> list[dict[str, Array]]:
-    """The fingers, those together of which a joint moves one of the other along: gears hold
-    joints of one body."""
+    """The fingers, grouped so that joints coupled by <mimic> share a body: gears couple joints of
+    one body only."""
     of_joint = {}
     for first in fingers:
         inside = {first}
@@ -205,7 +205,7 @@ def _readable(robot: RobotDescription, folder: Path, skin: float, visible: bool)
         for k, (node, shape) in enumerate(zip(link.findall("collision"), shapes, strict=True)):
             if shape.kind == "hull":
                 file = folder / f"link{number}_{k}.obj"
-                corners, faces = drawn_in(*shape.triangles(), skin)
+                corners, faces = shrunk(*shape.triangles(), skin)
                 with temporary_files(folder):
                     trimesh.Trimesh(corners, faces, process=False).export(file)
                 _name_mesh(node, file)
@@ -232,7 +232,7 @@ def _draw_in_cylinder(node: ET.Element, skin: float) -> None:
     cylinder = node.find("geometry/cylinder")
     assert cylinder is not None
     radius, length = (float(cylinder.get(name, "")) for name in ("radius", "length"))
-    radius, length = drawn_in_cylinder(radius, length, skin)
+    radius, length = shrunk_cylinder(radius, length, skin)
     cylinder.set("radius", f"{radius:.9g}")
     cylinder.set("length", f"{length:.9g}")
 

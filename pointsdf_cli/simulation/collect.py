@@ -28,17 +28,13 @@ from pointsdf_cli.io.hdf5 import OptionsDifferError, is_complete
 from pointsdf_cli.io.meshes import load_mesh, named_artifacts
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.robot.description import load_robot, robot_digest
-from pointsdf_cli.simulation.attempt import (
-    AttemptConfig,
-    Attempter,
-    PreshapeSource,
-    as_grasps,
-)
+from pointsdf_cli.simulation.attempt import AttemptConfig, PreshapeSource, as_grasps
+from pointsdf_cli.simulation.attempter import Attempter
 from pointsdf_cli.simulation.sim_object import prepare_object
 
 TRAIN, TEST = "train", "test"
 TEST_SHARE = 0.2
-"""Share of held-out grasps. The paper holds out 1821 of 9111; here they are of held-out objects."""
+"""Share of the objects that is held out. (The paper holds out 1821 of 9111 grasps.)"""
 
 
 @dataclass(frozen=True)
@@ -53,8 +49,8 @@ class CollectTask:
         config: Settings that determine outcomes.
         seed: Random seed.
         robot: YAML file of the robot; the bundled one if None.
-        patience: Attempts without execution after which the object counts as exhausted: at first,
-            and more for each executed one.
+        patience: Largest number of attempts, executed or not: without an executed grasp, and the
+            increase for each executed one.
         force: Replace an existing file.
         source: Planner that proposes preshapes; the paper's heuristic if None.
     """

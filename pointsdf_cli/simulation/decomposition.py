@@ -24,8 +24,8 @@ VOLUME_OFF = 0.15
 SHARES = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016)
 """Sizes of removable details, as shares of a mesh's longest side, tried in turn."""
 VERSION = 4
-"""Version of the pieces, to raise when a constant below changes; cached pieces of other versions
-are ignored."""
+"""Version of the pieces, to raise when a constant of this module changes; cached pieces of other
+versions are ignored."""
 Pieces = list[tuple[NDArray[np.float64], NDArray[np.int64]]]
 
 

@@ -36,10 +36,8 @@ LONGEST_CLOSING = 1.5
 GRIP_TIME = 0.2
 """Time to build up the grip [s]."""
 SQUEEZE = 0.1
-"""Angle [rad] beyond its place at the end of the grip to which a turning joint may still close.
-
-Fingers that press without end push an object slowly out of the hand: their torques do not balance.
-"""
+"""Angle [rad] beyond its place at the end of the grip to which a turning joint may still close:
+torques of fingers that press without end do not balance, and push an object out of the hand."""
 LIFT_TIME = 0.8
 """Duration of the lift [s]."""
 SETTLE_TIME = 0.5
@@ -85,8 +83,7 @@ class ExecutorConfig:
 
 
 LOOK = 1 / 60
-"""Interval [s] of checks of the object: its speed, whether it was left behind, whether it is
-lost."""
+"""Interval [s] of checks of the object: speed, whether it is left behind or lost."""
 STEADY_SPEED = 0.03
 """Speed [m/s] below which an object rests in the hand."""
 OFF_TABLE = -0.05
@@ -156,7 +153,7 @@ class Executor:
                 self._shake()
         outcome = self._judged(LIFT)
         if outcome.lifted and config.hold > 0:
-            self._keep()
+            self._hold_test()
             outcome = self._judged(HOLD)
         if config.push > 0:
             lost_in = self._lost_by_pushes() if outcome.held else outcome.lost_in
@@ -208,7 +205,7 @@ class Executor:
         check = max(1, round(0.0125 / world.physics.step))
         world.drive_at(speeds, self._closing, efforts)
         began = world.time
-        self._hold(0.05, "close")  # let the joints get going before judging that they stall
+        self._wait(0.05, "close")  # let the joints get going before judging that they stall
         while moving.any() and world.time - began < longest:
             self._advance(check, "close")
             position, velocity = (values[self._closing] for values in world.joint_state())
@@ -231,7 +228,7 @@ class Executor:
         speeds = robot.closing_speeds * SPEED_UP * 0.25
         efforts = robot.effort[self._closing] * config.grip_effort
         world.drive_at(speeds, self._closing, efforts)
-        self._hold(GRIP_TIME, "grip")
+        self._wait(GRIP_TIME, "grip")
         target, _ = world.joint_state()
         target[self._closing] += np.sign(robot.closing_speeds) * SQUEEZE
         target = np.clip(target, robot.hard_lower, robot.hard_upper)
@@ -264,18 +261,18 @@ class Executor:
     def _at_rest(self) -> bool:
         return self._world.object_speed()[0] < STEADY_SPEED
 
-    def _hold(self, duration: float, phase: str) -> None:
+    def _wait(self, duration: float, phase: str) -> None:
         self._advance(round(duration / self._world.physics.step), phase)
 
     def _settle(self) -> None:
         """Hold still until the object rests in the hand or has left it."""
         world, config = self._world, self._config
         began = world.time
-        self._hold(SETTLE_TIME, "settle")
+        self._wait(SETTLE_TIME, "settle")
         while world.time - began < config.longest_settling:
             if self._at_rest() or not world.robot_contact().links:
                 return
-            self._hold(0.1, "settle")
+            self._wait(0.1, "settle")
 
     def _shake(self) -> None:
         """Lateral accelerations back and forth, first along x, then along y, at 4 Hz."""
@@ -290,9 +287,9 @@ class Executor:
                 world.set_gravity(gravity)
                 self._advance(1, "shake")
         world.set_gravity([0, 0, down])
-        self._hold(0.25, "shake")
+        self._wait(0.25, "shake")
 
-    def _keep(self) -> None:
+    def _hold_test(self) -> None:
         """Hold still for the time of the hold, or until the object has left the hand."""
         steps = round(self._config.hold / self._world.physics.step)
         for begun in range(0, steps, self._look_every):

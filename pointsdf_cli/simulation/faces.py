@@ -64,12 +64,13 @@ def box_along(points: Array, axes: Array) -> Box:
 
 
 def graspable_faces(box: Box, camera: Array, base: Array, low_object: float) -> list[Face]:
-    """The top, and the side faces that look away from neither the camera nor the robot.
+    """The top, and the sides without the one that faces away most from the camera, and from the
+    robot.
 
     Args:
         box: Box of the partial cloud.
         camera, base: [3], places of the camera and of the robot's base in the world.
-        low_object: A lower box [m] has no sides.
+        low_object: Height [m] below which a box has no graspable sides.
     """
     up = box.axes[2]
     faces = [Face(TOP, box.centre + box.half[2] * up, up)]

@@ -50,12 +50,14 @@ class Reach:
     """A path to a preshape, or the reason why there is none.
 
     Attributes:
-        label: 0 if there is one; else `NO_MOTION` or `NO_CONFIGURATION`.
+        label: 0 if the grasp may be executed or lies inside the object; else `NO_MOTION` or
+            `NO_CONFIGURATION`.
         cause: Empty, or "no_ik", "start_in_table", "start_in_object", "start_in_self",
-            "no_lift", "no_path".
+            "no_lift", "no_path", "no_plan".
         q: [J], the preshape; without a path, one that was tried; NaN for the arm without inverse
             kinematics.
-        approach: [T, J], path from home to the preshape; empty without one.
+        approach: [T, J], path from home to the preshape; the preshape alone for a planned one;
+            empty without one.
         lift: [K, A], arm joints along the lift; empty without one.
     """
 

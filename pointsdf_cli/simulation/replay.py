@@ -11,7 +11,7 @@ from pointsdf_cli.errors import RgraspError
 from pointsdf_cli.io.grasps import CAUSES, HELD, KINDS, LOST, Grasps, GraspsMeta
 from pointsdf_cli.io.meshes import load_mesh
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.simulation.attempt import Attempter
+from pointsdf_cli.simulation.attempter import Attempter
 from pointsdf_cli.simulation.collect import CollectTask
 from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.sim_object import prepare_object

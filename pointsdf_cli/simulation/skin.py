@@ -22,7 +22,7 @@ SIDES = 32
 """Corners on the circle of the prism that PyBullet uses for a URDF's cylinder."""
 
 
-def drawn_in(corners: Array, faces: Faces, skin: float) -> tuple[Array, Faces]:
+def shrunk(corners: Array, faces: Faces, skin: float) -> tuple[Array, Faces]:
     """Shrink a convex hull so that with its skin it has its original size.
 
     Faces stay where they were, edges become round: a right-angled one by 0.4 skins. Where more than
@@ -69,7 +69,7 @@ def _with_the_rest(corners: Array, within: Array, skin: float) -> Array:
     return np.concatenate([corners, within[outside > WORTH * skin]])
 
 
-def drawn_in_cylinder(radius: float, length: float, skin: float) -> tuple[float, float]:
+def shrunk_cylinder(radius: float, length: float, skin: float) -> tuple[float, float]:
     """Radius and length [m] of a shrunk cylinder. PyBullet's prism has its corners outside the
     circle by as much as its sides are inside, 0.24% of the radius."""
     if skin == 0.0:

@@ -18,7 +18,12 @@ from torch import Tensor
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.normalise import MARGIN
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.models.surroundings import Surroundings, forgotten, lower_plane, transformed
+from pointsdf_cli.models.surroundings import (
+    Surroundings,
+    lower_plane,
+    transformed,
+    without_evidence,
+)
 from pointsdf_cli.training.sdf_pack import SURROUNDINGS, Pack
 
 FORGET_IMAGE, FORGET_ALL = 0.5, 0.4
@@ -169,7 +174,7 @@ def augment(batch: Batch, rng: np.random.Generator) -> Batch:
     # are, but for the centre's, which stays where it is to within the last bit.
     around = transformed(batch.around, torch.from_numpy(turn), centre[:, 0], scale[:, 0, 0])
     lost = torch.from_numpy(rng.random(count))
-    around = forgotten(around, lost > FORGET_IMAGE, lost > FORGET_ALL)
+    around = without_evidence(around, lost > FORGET_IMAGE, lost > FORGET_ALL)
     raised = np.where(rng.random(count) < RAISED, rng.uniform(0.0, HIGHEST, count), 0.0)
     around = lower_plane(around, torch.from_numpy(raised))
     return batch._replace(

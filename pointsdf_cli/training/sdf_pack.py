@@ -264,7 +264,7 @@ def _build(
 
 
 def _check_limits(names: Sequence[str], limits: Mapping[str, int]) -> None:
-    """Every folder that is limited holds an object: a typing error would limit nothing."""
+    """Require an object in every limited folder: a typing error would limit nothing."""
     for prefix in limits:
         if prefix and not any(name.startswith(prefix.rstrip("/") + "/") for name in names):
             folders = sorted({name.rpartition("/")[0] for name in names} - {""})

@@ -75,7 +75,7 @@ def robot_scene(robot: RobotDescription, name: str) -> Scene:
         way = closing.paths[:, k].astype(np.float32)
         segments = np.repeat(way, 2, axis=0)[1:-1]
         body = len(moving.bodies)
-        parts.append(Part(tip, "ways of fingertips", "lines", segments, None, PATH_COLOUR, body))
+        parts.append(Part(tip, "fingertip paths", "lines", segments, None, PATH_COLOUR, body))
     for link, points in robot_surface(robot).items():
         body = kinematics.index(link)
         samples = points.astype(np.float32)

@@ -1,0 +1,295 @@
+"""Source of attempts: a scene, a view of it, a preshape, a path to it, and its execution.
+
+Preshapes come from the paper's heuristic, or from a planner that has seen the same view.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.stable_poses import STANDING, draw_pose
+from pointsdf_cli.geometry.visibility import ViewEvidence
+from pointsdf_cli.io.grasps import (
+    CAUSES,
+    INVALID,
+    KINDS,
+    LOST,
+    NO_CONFIGURATION,
+    NO_MOTION,
+    Grasps,
+)
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
+from pointsdf_cli.robot.lift import lift_path
+from pointsdf_cli.simulation.attempt import (
+    SCENE_ATTEMPTS,
+    Attempt,
+    AttemptConfig,
+    PlannedPreshape,
+    Propose,
+    Scene,
+)
+from pointsdf_cli.simulation.executor import Executor
+from pointsdf_cli.simulation.feet import nearest_pose, on_its_foot
+from pointsdf_cli.simulation.heuristic import draw_preshape, hand_of
+from pointsdf_cli.simulation.observe import Observer, resample
+from pointsdf_cli.simulation.places import placed, shows
+from pointsdf_cli.simulation.reach import Reach, Reacher
+from pointsdf_cli.simulation.settle import settle
+from pointsdf_cli.simulation.sim_object import SimObject
+from pointsdf_cli.simulation.verdict import Outcome
+from pointsdf_cli.simulation.world import World
+
+CLOUD_SIZE = 1000
+SCENE_TRIES = 12
+
+
+LOW, HIGH = (0.60, -0.15), (0.74, 0.15)
+"""Corners of the region for the object on the table [m], where the arm reaches most preshapes."""
+WIDEST = 0.14
+"""Largest length of an object's shortest side that fits the hand [m]."""
+INVERSE = IkConfig(iterations=12)
+"""Inverse kinematics, with half the iterations of a plan: few more are reached later."""
+
+
+class Attempter:
+    """Source of attempts; attempt i of an object does not depend on the others or on their order.
+
+    Args:
+        robot: The robot.
+        config: Settings that determine the outcome.
+        seed: Random seed.
+        gui: Open PyBullet's window.
+        propose: Source of preshapes; the heuristic if None.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        config: AttemptConfig | None = None,
+        seed: int = 0,
+        gui: bool = False,
+        propose: Propose | None = None,
+    ) -> None:
+        self.robot = robot
+        self.config = config or AttemptConfig()
+        self.seed = seed
+        self.world = World(robot, self.config.physics, gui)
+        # Never stepped, so it is not rebuilt for each attempt.
+        self.checks = World(robot, self.config.physics)
+        self._observer = Observer(robot, self.config.placement)
+        self._reacher = Reacher(self.checks, InverseKinematics(robot, INVERSE))
+        self._hand = hand_of(robot)
+        self._settled: dict[tuple[str, int], Array | None] = {}
+        self._feet: tuple[SimObject, dict[int, SimObject]] | None = None
+        self._last_scene: tuple[tuple[str, str, int], Scene] | None = None
+        self._propose = propose
+        self._proposed: tuple[Scene, list[PlannedPreshape]] | None = None
+
+    def close(self) -> None:
+        """Close the physics clients."""
+        self.world.close()
+        self.checks.close()
+
+    def check(self, item: SimObject) -> None:
+        """Refuse objects too large for the hand.
+
+        Raises:
+            InputError: The object is wider than the opened hand in every direction.
+        """
+        from trimesh.bounds import oriented_bounds
+
+        _, sides = oriented_bounds(item.mesh.vertices)
+        jaws = self._hand.jaws
+        widest = WIDEST if jaws is None else min(WIDEST, jaws.room)
+        if min(sides) > widest:
+            raise InputError(
+                f"is too large for the hand: {min(sides):.3f} m at its narrowest",
+                where=item.mesh.name,
+                allowed=f"one side below {widest:g} m",
+            )
+
+    def attempt(
+        self,
+        item: SimObject,
+        index: int,
+        watch: Callable[[World, str], None] | None = None,
+    ) -> Attempt:
+        """Make attempt `index` with an object.
+
+        Raises:
+            InputError: The object never comes to rest, or no view shows it.
+        """
+        scene = self.scene(item, index // SCENE_ATTEMPTS)
+        rng = self._rng(item, 2, index)
+        if self._propose is not None:
+            return self._planned(item, scene, index, rng, watch)
+        points = apply_transform(scene.T_world_camera, scene.cloud)
+        preshape = draw_preshape(
+            points,
+            scene.T_world_camera[:3, 3],
+            self.robot.T_world_base[:3, 3],
+            self._hand,
+            self.config.heuristic,
+            rng,
+        )
+        cloud = resample(scene.cloud, CLOUD_SIZE, rng)
+        arms = self._reacher.arms(preshape.T_world_palm)
+        if len(arms):
+            self.checks.show(self._standing(item, scene.T_world_object), scene.T_world_object)
+        reach = self._reacher(preshape.T_world_palm, preshape.joints, arms)
+        outcome = None
+        if reach.label == 0:
+            outcome = self.execute(item, scene.T_world_object, reach.q, reach.lift, watch)
+        return Attempt(index, scene, cloud, preshape.kind, preshape.T_world_palm, reach, outcome)
+
+    def _planned(
+        self,
+        item: SimObject,
+        scene: Scene,
+        index: int,
+        rng: np.random.Generator,
+        watch: Callable[[World, str], None] | None,
+    ) -> Attempt:
+        """Attempt with a preshape from the planner.
+
+        A motion is not looked for: `plan` searches one later. A preshape inside the true object
+        counts as lost, since a plan cannot know it.
+        """
+        cloud = resample(scene.cloud, CLOUD_SIZE, rng)
+        proposed = self._proposals(item, scene, index // SCENE_ATTEMPTS)
+        which = index % SCENE_ATTEMPTS
+        none = np.empty((0, len(self.robot.arm_joints)))
+        if which >= len(proposed):
+            home = self.robot.home
+            palm = self._reacher.chain.palm(home)
+            reach = Reach(NO_CONFIGURATION, "no_plan", home, home[None][:0], none)
+            return Attempt(index, scene, cloud, KINDS[0], palm, reach, None)
+        one = proposed[which]
+        self.checks.show(self._standing(item, scene.T_world_object), scene.T_world_object)
+        hits = self.checks.collisions(one.q)
+        label, cause, lift = LOST, "", none
+        if hits:
+            touched = next(kind for kind in ("object", "table", "self") if kind in hits)
+            label = LOST if touched == "object" else NO_CONFIGURATION
+            cause = f"start_in_{touched}"
+        else:
+            path = lift_path(self._reacher.chain, one.q)
+            label, cause = (label, cause) if path is not None else (NO_MOTION, "no_lift")
+            lift = none if path is None else path
+        reach = Reach(label, cause, one.q, one.q[None], lift)
+        outcome = None
+        if not cause:
+            outcome = self.execute(item, scene.T_world_object, one.q, lift, watch)
+        return Attempt(index, scene, cloud, one.kind, one.T_world_palm, reach, outcome)
+
+    def _proposals(self, item: SimObject, scene: Scene, index: int) -> list[PlannedPreshape]:
+        """Preshapes of a scene, cached for its attempts."""
+        assert self._propose is not None
+        if self._proposed is None or self._proposed[0] is not scene:
+            self._proposed = scene, self._propose(scene, self._rng(item, 3, index))
+        return self._proposed[1]
+
+    def execute(
+        self,
+        item: SimObject,
+        T_world_object: Array,
+        q: Array,
+        lift: Array,
+        watch: Callable[[World, str], None] | None = None,
+    ) -> Outcome:
+        """Execute a grasp in a rebuilt world, so that equal inputs give equal outcomes."""
+        there: Literal["hand", "whole"] = "hand" if self.config.hand_alone else "whole"
+        self.world.reset(self._standing(item, T_world_object), T_world_object, q, there)
+        return Executor(self.world, self.config.execution, watch).run(q, lift)
+
+    def replay(
+        self,
+        item: SimObject,
+        grasps: Grasps,
+        row: int,
+        watch: Callable[[World, str], None] | None = None,
+    ) -> Outcome:
+        """Execute a stored grasp again: same object, pose and preshape, same outcome.
+
+        Raises:
+            InputError: The attempt was never executed.
+        """
+        if not grasps.executed[row] and grasps.label[row] != INVALID:
+            raise InputError(
+                f"attempt {row} was never executed ({CAUSES[grasps.cause[row]]})",
+                where=item.mesh.name,
+                allowed="attempts with a label of 0 or above, or -3",
+            )
+        q = grasps.q[row]
+        lift = self._reacher.lift(q, grasps.T_world_palm[row])
+        return self.execute(item, grasps.T_world_object[row], q, lift, watch)
+
+    def scene(self, item: SimObject, index: int) -> Scene:
+        """Make scene `index` of an object.
+
+        Raises:
+            InputError: The object never comes to rest, or no view shows it.
+        """
+        key = (item.mesh.name, item.mesh.sha256, index)
+        if self._last_scene is not None and self._last_scene[0] == key:
+            return self._last_scene[1]
+        scene = self._draw_scene(item, self._rng(item, 1, index))
+        self._last_scene = (key, scene)
+        return scene
+
+    def _draw_scene(self, item: SimObject, rng: np.random.Generator) -> Scene:
+        problem = InputError("never comes to rest on a table", where=item.mesh.name)
+        for _ in range(SCENE_TRIES):
+            which, _ = draw_pose(item.poses, STANDING, rng)
+            resting = self._resting(item, which)
+            yaw, place = rng.uniform(-np.pi, np.pi), rng.uniform(LOW, HIGH)
+            T_world_camera = self.config.placement.draw(np.array([*place, 0.08]), rng)
+            if resting is None:
+                continue
+            pose = placed(resting, item, float(yaw), place)
+            try:
+                view = self._observer.object_view(item, pose, T_world_camera, rng)
+            except InputError as error:
+                problem = InputError(
+                    f"is not seen by the camera: {error.what}", where=item.mesh.name
+                )
+                continue
+            if not shows(item, pose, apply_transform(T_world_camera, view.points)):
+                problem = InputError(
+                    "is not what the segmentation finds on the table", where=item.mesh.name
+                )
+                continue
+            return Scene(pose, T_world_camera, view.points, view.evidence or ViewEvidence())
+        raise problem
+
+    def _resting(self, item: SimObject, which: int) -> Array | None:
+        """Settled pose of one stable pose, cached."""
+        key = (item.mesh.sha256, which)
+        if key not in self._settled:
+            if len(self._settled) > 256:
+                self._settled.clear()  # objects come one after the other
+            pose = item.poses[which]
+            standing = self._standing(item, pose.T_table_object)
+            self._settled[key] = settle(self.world, standing, pose)
+        return self._settled[key]
+
+    def _standing(self, item: SimObject, T_world_object: Array) -> SimObject:
+        """The object with a flat foot for its nearest resting pose."""
+        if self._feet is None or self._feet[0] is not item:
+            self._feet = item, {}
+        which, made = nearest_pose(item, T_world_object), self._feet[1]
+        if which not in made:
+            made[which] = on_its_foot(item, item.poses[which])
+        return made[which]
+
+    def _rng(self, item: SimObject, stream: int, index: int) -> np.random.Generator:
+        name = zlib.crc32(item.mesh.name.encode())
+        return np.random.default_rng([self.seed, name, stream, index])
