@@ -42,7 +42,7 @@ from pointsdf_cli.geometry.visibility import PLANE_BAND, ViewEvidence, visibilit
 from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.registry import completion_checkpoint, load_model
+from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
@@ -147,7 +147,7 @@ def main() -> None:
     parser.add_argument("--checkpoint", type=Path)
     parser.add_argument("--picture", type=Path)
     options = parser.parse_args()
-    model = load_model(options.checkpoint or completion_checkpoint())
+    model = load_model(options.checkpoint)
 
     print(
         "real depth: IoU (Chamfer mm)   bare | cleaned | with the image around it | and the plane"

@@ -34,7 +34,7 @@ from pointsdf_cli.geometry.metrics import Shape, compare, iou
 from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.registry import completion_checkpoint, load_model
+from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 
 SAMPLES = 20_000
@@ -149,7 +149,7 @@ def main() -> None:
     parser.add_argument("--sensor", default="ideal")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    model = load_model(options.checkpoint or completion_checkpoint())
+    model = load_model(options.checkpoint)
     config = SceneViewConfig(
         (options.sensor,),
         SceneConfig(resting=1.0),

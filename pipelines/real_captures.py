@@ -26,7 +26,7 @@ from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.registry import completion_checkpoint, load_model
+from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.list_things import list_things
 from pointsdf_cli.planning.object_view import ObjectView, bare_view, segmented_view
@@ -117,7 +117,7 @@ class Page:
     def __init__(self, scratch: Path) -> None:
         self._scratch = scratch
         self._planner = GraspPlanner()
-        self._model = load_model(completion_checkpoint(), "cpu")
+        self._model = load_model()
         self.rows: list[tuple[str, list[Path | None], str]] = []
 
     def add(self, capture: Capture) -> str:

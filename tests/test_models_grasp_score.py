@@ -216,7 +216,7 @@ def stored(folder: Path, mode: str = "fixed", frozen: Path | None = None) -> Pat
 def test_a_bundled_encoder_is_named_and_not_stored_again(tmp_path: Path) -> None:
     path = stored(tmp_path / "gs", frozen=default_checkpoint())
     config = json.loads((path / "config.json").read_text())
-    assert config["encoder"]["checkpoint"] == "bundled:pointsdf_ray"
+    assert config["encoder"]["checkpoint"] == "bundled:pointsdf_real"
     assert (path / "model.safetensors").stat().st_size < 300_000
     made, read = embedding_model(), load_grasp_model(path)
     palm = torch.tensor(side_palm(CENTRE, 0.02, RADIUS, 1.0))[None]
@@ -322,7 +322,7 @@ def test_world_points_reach_the_field_in_the_world() -> None:
 
 def test_a_network_on_geometry_is_known_to_read_another_reconstruction() -> None:
     bundled = default_checkpoint().parent
-    assert reconstruction_of_training(None, bundled / "pointsdf_ray") is None
-    assert str(reconstruction_of_training(None, bundled / "pointsdf")) == "bundled:pointsdf_ray"
+    assert reconstruction_of_training(None, bundled / "pointsdf_real") is None
+    assert str(reconstruction_of_training(None, bundled / "pointsdf")) == "bundled:pointsdf_real"
     # One that brings its encoder along reads no field.
     assert reconstruction_of_training(bundled / "grasp_scratch", bundled / "pointsdf") is None

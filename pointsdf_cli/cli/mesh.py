@@ -186,12 +186,11 @@ def _mesh_one(
         reporter.say(f"{cloud}: wide for one object; if it shows a table, add --segment auto")
 
     # Seconds of imports: only for a cloud that can be used.
-    from pointsdf_cli.models.registry import completion_checkpoint, load_model, use_threads
+    from pointsdf_cli.models.registry import load_model, use_threads
     from pointsdf_cli.planning.complete_mesh import complete_mesh
 
     use_threads(threads or idle.count())
-    weights = settings.checkpoint or completion_checkpoint()
-    model = load_model(weights, common.torch_device(settings.device))
+    model = load_model(settings.checkpoint, common.torch_device(settings.device))
     completed = complete_mesh(model, seen, settings.choices, str(cloud))
     made = completed.mesh
     vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[files.unit]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.registry import completion_checkpoint, load_model
+from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 
 
@@ -71,4 +71,4 @@ def complete(
 
 @lru_cache(maxsize=2)
 def _model(checkpoint: str | None) -> ShapeModel:
-    return load_model(checkpoint or completion_checkpoint(), "cpu")
+    return load_model(checkpoint, "cpu")

@@ -23,13 +23,8 @@ ARCHITECTURES: dict[str, type[ShapeModel]] = {
 
 
 def default_checkpoint() -> Path:
-    """The bundled reconstruction network for planning; the bundled success network was trained on
-    its fields."""
-    return asset_path("weights/pointsdf_ray")
-
-
-def completion_checkpoint() -> Path:
-    """The bundled reconstruction network for meshes, trained with errors of sensors and masks."""
+    """The bundled reconstruction network, trained with errors of sensors and masks; the bundled
+    success networks were trained on its fields."""
     return asset_path("weights/pointsdf_real")
 
 

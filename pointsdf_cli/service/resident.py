@@ -10,7 +10,7 @@ import torch
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.models.registry import completion_checkpoint, load_model
+from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.complete_mesh import CompletedMesh, complete_mesh
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
@@ -122,7 +122,7 @@ class Resident:
             EmptySurfaceError: The network sees nothing solid.
         """
         if self._shape is None:
-            self._shape = load_model(self.files.checkpoint or completion_checkpoint(), self.device)
+            self._shape = load_model(self.files.checkpoint, self.device)
         return complete_mesh(self._shape, view, choices, name)
 
     def _made(self, choices: PlanChoices) -> GraspPlanner:
