@@ -13,10 +13,13 @@ import pytest
 import torch
 from grasp_worlds import camera_pose, seen_ball, side_palm
 
+from pointsdf_cli.assets import bundled_robots
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
+from pointsdf_cli.models.bundled_success import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import (
     read_grasp_checkpoint,
+    reconstruction_for,
     reconstruction_of_training,
     write_grasp_checkpoint,
 )
@@ -324,5 +327,15 @@ def test_a_network_on_geometry_is_known_to_read_another_reconstruction() -> None
     bundled = default_checkpoint().parent
     assert reconstruction_of_training(None, bundled / "pointsdf_real") is None
     assert str(reconstruction_of_training(None, bundled / "pointsdf")) == "bundled:pointsdf_real"
+    # Each bundled robot's plans read the network that its success weights were trained on.
+    learned = {
+        robot: reconstruction_for(bundled_success(load_robot(robot))).name
+        for robot in bundled_robots()
+    }
+    assert learned == {
+        "lbr4_allegro": "pointsdf_real", "lbr4_barrett": "pointsdf_real", "panda": "pointsdf_ray",
+    }  # fmt: skip
+    assert reconstruction_for(None) == default_checkpoint()
+    assert reconstruction_for(bundled / "grasp_scratch") == default_checkpoint()
     # One that brings its encoder along reads no field.
     assert reconstruction_of_training(bundled / "grasp_scratch", bundled / "pointsdf") is None

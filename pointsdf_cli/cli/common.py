@@ -252,12 +252,14 @@ def say_if_from_another(
     Raises:
         InputError: No such checkpoint.
     """
-    from pointsdf_cli.models.grasp_checkpoint import reconstruction_of_training
-    from pointsdf_cli.models.registry import default_checkpoint
+    from pointsdf_cli.models.grasp_checkpoint import (
+        reconstruction_for,
+        reconstruction_of_training,
+    )
 
     if checkpoint is None and grasp_checkpoint is None:
         return
-    read = checkpoint or default_checkpoint()
+    read = checkpoint or reconstruction_for(grasp_checkpoint)
     other = reconstruction_of_training(grasp_checkpoint, read)
     if other is not None:
         reporter.say(

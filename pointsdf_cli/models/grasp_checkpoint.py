@@ -17,13 +17,19 @@ from torch import Tensor
 
 from pointsdf_cli.assets import asset_path, assets_folder
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.checkpoints import WEIGHTS, Checkpoint, read_checkpoint, write_checkpoint
+from pointsdf_cli.io.checkpoints import (
+    WEIGHTS,
+    Checkpoint,
+    read_checkpoint,
+    read_config,
+    write_checkpoint,
+)
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.models.bundled_success import ARCHITECTURE, bundled_success
 from pointsdf_cli.models.grasp_prior import GraspPrior
 from pointsdf_cli.models.grasp_success import NETWORKS, EmbeddingNet, GeometryNet
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
-from pointsdf_cli.models.registry import build_model, load_model
+from pointsdf_cli.models.registry import build_model, default_checkpoint, load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 
@@ -258,6 +264,20 @@ def encoder_path(checkpoint: Checkpoint, override: Path | str | None = None) -> 
             hint="give the encoder's checkpoint with --sdf, or train again",
         )
     return path
+
+
+def reconstruction_for(grasp_checkpoint: Path | str | None) -> Path:
+    """Reconstruction network to plan with: the bundled one that the success network was trained
+    on, if it names one; else the default one.
+
+    Raises:
+        InputError: The success network's config.json cannot be read.
+    """
+    encoder = {} if grasp_checkpoint is None else read_config(grasp_checkpoint).get("encoder")
+    name = str(encoder.get("checkpoint", "")) if isinstance(encoder, Mapping) else ""
+    if name.startswith(BUNDLED_PREFIX):
+        return asset_path(f"weights/{name.removeprefix(BUNDLED_PREFIX)}")
+    return default_checkpoint()
 
 
 def reconstruction_of_training(

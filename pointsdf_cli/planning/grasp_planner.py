@@ -26,6 +26,7 @@ from pointsdf_cli.choices import require_choice
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.models.bundled_success import bundled_success
+from pointsdf_cli.models.grasp_checkpoint import reconstruction_for
 from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
@@ -101,7 +102,8 @@ class PlanOptions:
         method: One of `METHODS`.
         kind: "side", "top", or "auto": the more promising; low objects from the top first.
         robot: YAML file of the robot; the bundled one if None.
-        checkpoint: Reconstruction network; the bundled one if None.
+        checkpoint: Reconstruction network; if None the bundled one that the success network was
+            trained on.
         grasp_checkpoint: Success network; the method's bundled one if None.
         device: Device of the networks.
         planner: Solver, distances, effort and speed.
@@ -145,7 +147,11 @@ class GraspPlanner:
         self.robot = load_robot(options.robot)
         self.planner = Planner(self.robot, options.planner)
         self._reconstructs = options.method == RECONSTRUCTION
-        self._shape = load_model(options.checkpoint, options.device) if self._reconstructs else None
+        self._shape = None
+        if self._reconstructs:
+            success = options.grasp_checkpoint or bundled_success(self.robot)
+            path = options.checkpoint or reconstruction_for(success)
+            self._shape = load_model(path, options.device)
         self._grasps = grasps or _success_network(options, self.robot)
         self._choose = choose
 

@@ -15,8 +15,7 @@ import numpy as np
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.bundled_success import bundled_success
-from pointsdf_cli.models.grasp_checkpoint import weights_hash
-from pointsdf_cli.models.registry import default_checkpoint
+from pointsdf_cli.models.grasp_checkpoint import reconstruction_for, weights_hash
 from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.seeds import SeedConfig
@@ -49,7 +48,6 @@ class PlannedPreshapes:
             InputError: No success network for the robot, or a checkpoint that cannot be read.
         """
         options = self.options
-        shape = options.checkpoint or default_checkpoint()
         robot = load_robot(options.robot)
         success = options.grasp_checkpoint or bundled_success(robot)
         if success is None:
@@ -59,6 +57,7 @@ class PlannedPreshapes:
                 allowed="a checkpoint of train-gs",
                 hint="collect heuristic grasps and train one first",
             )
+        shape = options.checkpoint or reconstruction_for(success)
         return {"reconstruction": weights_hash(shape), "success": weights_hash(success)}
 
     def load(self, robot: RobotDescription) -> Propose:
