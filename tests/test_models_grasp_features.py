@@ -87,7 +87,7 @@ def test_a_large_box_gets_larger_cells_not_more_of_them() -> None:
         asked.append(len(points))
         return points[:, 0]
 
-    TensorGrid(field, np.zeros(3), np.ones(3), 0.001, nodes=1000)
+    TensorGrid(field, np.zeros(3), np.ones(3), 0.001, cells=1000)
     assert asked[0] < 2000
 
 
