@@ -7,7 +7,6 @@
 #           "geometry pointsdf-fixed pointsdf-scratch voxelcnn-fixed voxelcnn-scratch"
 # SDF       reconstruction to build on (the bundled one), VOXELCNN  a trained VoxelCNN, without
 #           which voxelcnn-fixed is left out; THREADS and JOBS (0: those that idle) may be set.
-# CACHE     folder of the network's features: GRASPS-cache
 # ROBOT     the robot of the grasps, by name or YAML: "panda"
 # OPTIONS   more options of train-gs, for all: "--epochs 1"
 # WORK/geometry and WORK/pointsdf-scratch are what assets/weights/grasp_geometry and grasp_scratch hold;
@@ -18,7 +17,6 @@ grasps=${1:?usage: pipelines/train_gs.sh GRASPS WORK}
 work=${2:?usage: pipelines/train_gs.sh GRASPS WORK}
 variants=${VARIANTS:-geometry pointsdf-fixed pointsdf-scratch voxelcnn-fixed voxelcnn-scratch}
 common=(--grasps "$grasps" --threads "${THREADS:-0}" --jobs "${JOBS:-0}")
-[ -z "${CACHE:-}" ] || common+=(--cache "$CACHE")
 [ -z "${ROBOT:-}" ] || common+=(--robot "$ROBOT")
 
 mkdir -p "$work"
