@@ -36,7 +36,7 @@ for row in Geometry PointSDF-Fixed PointSDF-Scratch VoxelCNN-Fixed VoxelCNN-Scra
 # The recipe of their data: the heuristic's grasps, then a planner's.
 HEURISTIC=24 PLANNED=6 OPTIONS="--epochs 1" pipelines/learn_grasps.sh "$work/meshes" "$work/learned" >"$work/gs.log" 2>&1 ||
     { cat "$work/gs.log" >&2; exit 1; }
-test -s "$work/learned/success/model.safetensors"
+test -s "$work/learned/success/geometry/model.safetensors"
 
 # Training in two processes, as over several GPUs.
 OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node 2 --no-python rgrasp train-sdf --views "$work/views" \

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The recipe of the bundled grasp-success weights and of Figure 3, from grasps to the table.
+# Success networks and Figure 3, from grasps to the table.
 #   pipelines/train_gs.sh GRASPS WORK
 # GRASPS    folder that `rgrasp collect-grasps` wrote
 # WORK      folder for checkpoints, figure3.json and figure3.png
@@ -8,15 +8,18 @@
 # SDF       reconstruction to build on (the bundled one), VOXELCNN  a trained VoxelCNN, without
 #           which voxelcnn-fixed is left out; THREADS and JOBS (0: those that idle) may be set.
 # ROBOT     the robot of the grasps, by name or YAML: "panda"
+# CACHE     folder of the network's features (GRASPS-cache)
+# TABLE     no: train only, without the table of held-out grasps
 # OPTIONS   more options of train-gs, for all: "--epochs 1"
-# WORK/geometry and WORK/pointsdf-scratch are what assets/weights/grasp_geometry and grasp_scratch hold;
-# with ROBOT=panda VARIANTS=geometry, WORK/geometry is assets/weights/panda_geometry.
+# WORK/pointsdf-scratch is what assets/weights/grasp_scratch holds, with ROBOT=panda VARIANTS=geometry
+# WORK/geometry assets/weights/panda_geometry. pipelines/learn_grasps.sh makes the others.
 set -euo pipefail
 trap "exit 130" INT TERM # what was stopped is not finished
 grasps=${1:?usage: pipelines/train_gs.sh GRASPS WORK}
 work=${2:?usage: pipelines/train_gs.sh GRASPS WORK}
 variants=${VARIANTS:-geometry pointsdf-fixed pointsdf-scratch voxelcnn-fixed voxelcnn-scratch}
 common=(--grasps "$grasps" --threads "${THREADS:-0}" --jobs "${JOBS:-0}")
+[ -z "${CACHE:-}" ] || common+=(--cache "$CACHE")
 [ -z "${ROBOT:-}" ] || common+=(--robot "$ROBOT")
 
 mkdir -p "$work"
@@ -54,4 +57,5 @@ for variant in $variants; do
     fi
     rows+=(--checkpoint "$out")
 done
+[ "${TABLE:-yes}" != no ] || exit 0
 rgrasp eval-gs "${common[@]}" "${rows[@]}" --out "$work/figure3.json" --force

@@ -87,23 +87,20 @@ def test_planned_preshapes_are_tried_and_taught_beside_heuristic_ones(
     (meshes / "crate.ply").unlink()
     trimesh.creation.box((0.05, 0.06, 0.16)).export(meshes / "carton.ply")
     both = tmp_path / "grasps"
-    run = ("collect-grasps", "--meshes", meshes, "--count", 8, "--jobs", 1, "--no-pictures")
-    planned = (*run, "--out", both / "planned", "--preshapes", "planned")
+    run = ("collect-grasps", "--meshes", meshes, "--count", 8, "--jobs", 1)
+    planned = (*run, "--out", both / "planned", "--preshapes", "planned")  # with pictures: replays
     first = cli(*planned, "--json", "--quiet")
     assert first.code == 0, first.err
     assert json.loads(first.out)["held"] >= 4  # a can and a carton: easy for a planner
     assert cli(*run, "--out", both / "heuristic", "--quiet").code == 0
     data = read_grasp_data(both, load_robot())
-    assert dict(zip(data.names, data.planned, strict=True)) == {
-        f"{kind}/{name}": kind == "planned"
-        for kind in ("heuristic", "planned")
-        for name in ("can", "carton")
-    }
-    assert len(set(data.mesh_of)) == 2
+    assert data.names == [f"{k}/{n}" for k in ("heuristic", "planned") for n in ("can", "carton")]
+    assert len(data.held_out) == 2  # objects, of four files
+    assert data.planned.tolist() == [False] * 8 + [True] * 8
     split = fold_grasps(data, 5, 0)
     assert split.folds is not None
-    for mesh in (0, 1):  # one object validates one member, whoever chose its grasps
-        assert len(set(split.folds[data.mesh_of[data.object_of] == mesh])) == 1
+    for number in (0, 1):  # one object validates one member, whoever chose its grasps
+        assert len(set(split.folds[data.object_of == number])) == 1
     other = cli(*planned, "--grasp-checkpoint", "assets/weights/grasp_scratch")
     assert other.code == 2
     assert "--out" in other.err

@@ -196,10 +196,9 @@ def test_a_kind_that_rarely_holds_is_drawn_rarely_but_drawn(tmp_path: Path) -> N
     grasps = GraspData(
         names=["ball"],
         files=[tmp_path],
-        mesh_of=np.arange(1),
-        planned=np.zeros(1, bool),
         held_out=np.array([False]),
         object_of=np.zeros(80, int),
+        planned=np.zeros(80, bool),
         scene_of=np.zeros(80, int),
         preshape=preshape,
         T_world_palm=palm,

@@ -124,13 +124,14 @@ def test_a_planner_proposes_for_a_scene_and_what_it_cannot_know_counts_as_lost(
     finally:
         made.close()
     inside, right, none = run
-    assert (inside.cause, inside.label, inside.unshaken) == ("start_in_object", LOST, 0)
+    assert (inside.cause, inside.label, inside.unshaken) == ("start_in_object", LOST, -1)
     assert right.outcome is not None
     assert right.label == again.label
     assert np.array_equal(right.reach.q, again.reach.q)
     assert (none.cause, none.label, none.unshaken) == ("no_plan", NO_CONFIGURATION, -1)
     stored = as_grasps(run)
     assert stored.executed.tolist() == [True, True, False]
+    assert stored.simulated.tolist() == [False, True, False]
     assert np.isfinite(stored.T_world_palm).all()
 
 

@@ -135,10 +135,9 @@ def rule_data(objects: int = 8, each: int = 60) -> tuple[GraspData, torch.Tensor
     data = GraspData(
         names=[str(k) for k in range(objects)],
         files=[Path(str(k)) for k in range(objects)],
-        mesh_of=np.arange(objects),
-        planned=np.zeros(objects, bool),
         held_out=np.arange(objects) % 4 == 0,
         object_of=object_of,
+        planned=np.zeros(count, bool),
         scene_of=object_of * 3 + np.arange(count) % 3,
         preshape=np.zeros((count, 8)),
         T_world_palm=np.tile(np.eye(4), (count, 1, 1)),
@@ -287,7 +286,15 @@ def test_embeddings_asked_for_alone_are_those_asked_for_with_distances(
     data = read_grasp_data(balls, ROBOT)
     one = replace(data, names=data.names[:1], files=data.files[:1])
     rows = np.flatnonzero(data.object_of == 0)
-    fields = ("object_of", "scene_of", "preshape", "T_world_palm", "T_world_camera", "cloud")
+    fields = (
+        "object_of",
+        "planned",
+        "scene_of",
+        "preshape",
+        "T_world_palm",
+        "T_world_camera",
+        "cloud",
+    )
     one = replace(one, **{n: getattr(data, n)[rows] for n in (*fields, "kind", "label")})
     asked = (one, default_checkpoint(), tmp_path)
     alone = evidence_of(*asked, sweep=None)

@@ -63,6 +63,8 @@ CAUSES = (
     "no_path",
     "no_plan",
 )
+SIMULATED = CAUSES[:6]
+"""Causes of attempts that were carried out in simulation."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,12 @@ class Grasps:
     def executed(self) -> NDArray[np.bool_]:
         """bool [G]: held or lost."""
         return np.asarray(self.label >= LOST)
+
+    @property
+    def simulated(self) -> NDArray[np.bool_]:
+        """bool [G]: carried out in simulation. A planned grasp that begins in the object is not,
+        though it counts as executed and lost."""
+        return np.asarray(self.cause < len(SIMULATED))
 
     def count(self) -> dict[str, int]:
         """Number of attempts that ended in each cause, by the cause's name."""
@@ -216,24 +224,15 @@ def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:
     return grasps, meta
 
 
-def was_collected(path: Path | str) -> bool:
-    """Whether collect-grasps wrote a file: its options then hold the robot's digest.
+def collection_of(path: Path | str) -> Mapping[str, Any]:
+    """Options of `collect-grasps` that made a file: `robot` is the robot's digest, `preshapes` is
+    there if a planner chose the grasps. Empty if something else wrote it.
 
     Raises:
         InputError: It is no artifact, or a damaged one.
     """
     with open_hdf5(path) as file:
-        return "robot" in options_of(file)
-
-
-def were_planned(path: Path | str) -> bool:
-    """Whether the planner chose the grasps of a file, and not the heuristic.
-
-    Raises:
-        InputError: It is no artifact, or a damaged one.
-    """
-    with open_hdf5(path) as file:
-        return "preshapes" in options_of(file)
+        return options_of(file)
 
 
 def join_grasps(parts: list[Grasps]) -> Grasps:

@@ -21,9 +21,8 @@ from pointsdf_cli.errors import InputError
 REFERENCE = "$array"
 MOST_ARRAYS = 10_000
 _BROKEN = (
-    ValueError, KeyError, EOFError, OSError, SyntaxError, TypeError, OverflowError, RecursionError,
-    MemoryError, NotImplementedError, RuntimeError, UnicodeError, tokenize.TokenError,
-    zipfile.BadZipFile,
+    ValueError, KeyError, EOFError, OSError, SyntaxError, TypeError, OverflowError, MemoryError,
+    RuntimeError, tokenize.TokenError, zipfile.BadZipFile,
 )  # fmt: skip
 
 

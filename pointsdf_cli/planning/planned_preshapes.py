@@ -21,7 +21,7 @@ from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import EmptyFieldError
-from pointsdf_cli.robot.description import RobotDescription, load_robot
+from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import SCENE_ATTEMPTS, PlannedPreshape, Propose, Scene
 
 UNLIKELY = ("low_success_probability", "objective")
@@ -60,7 +60,7 @@ class PlannedPreshapes:
         shape = options.checkpoint or reconstruction_for(success)
         return {"reconstruction": weights_hash(shape), "success": weights_hash(success)}
 
-    def load(self, robot: RobotDescription) -> Propose:
+    def load(self) -> Propose:
         """Load the networks."""
         search = replace(self.options.planner.synthesis, rounds=ROUNDS, seeds=SEEDS)
         config = replace(self.options.planner, successive_halving=(), synthesis=search)

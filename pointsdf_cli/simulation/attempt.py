@@ -20,7 +20,6 @@ from pointsdf_cli.io.grasps import (
     LOST,
     Grasps,
 )
-from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.heuristic import HeuristicConfig
 from pointsdf_cli.simulation.observe import CameraPlacement
@@ -101,7 +100,7 @@ Propose = Callable[[Scene, np.random.Generator], list[PlannedPreshape]]
 class PreshapeSource(Hashable, Protocol):
     """Protocol of a planner's settings: they cross to worker processes and are loaded there."""
 
-    def load(self, robot: RobotDescription) -> Propose:
+    def load(self) -> Propose:
         """The function that proposes preshapes."""
 
     def as_dict(self) -> dict[str, Any]:
@@ -137,9 +136,9 @@ class Attempt:
     @property
     def unshaken(self) -> int:
         """As in `Grasps`."""
-        if self.outcome is None:
-            return 0 if self.reach.cause and self.label == LOST else UNTRIED
-        return self.outcome.unshaken if self.outcome.valid else UNTRIED
+        if self.outcome is None or not self.outcome.valid:
+            return UNTRIED
+        return self.outcome.unshaken
 
 
 def as_grasps(attempts: list[Attempt]) -> Grasps:

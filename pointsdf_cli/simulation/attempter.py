@@ -18,11 +18,11 @@ from pointsdf_cli.geometry.stable_poses import STANDING, draw_pose
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.grasps import (
     CAUSES,
-    INVALID,
     KINDS,
     LOST,
     NO_CONFIGURATION,
     NO_MOTION,
+    SIMULATED,
     Grasps,
 )
 from pointsdf_cli.robot.description import RobotDescription
@@ -181,14 +181,26 @@ class Attempter:
             label = LOST if touched == "object" else NO_CONFIGURATION
             cause = f"start_in_{touched}"
         else:
-            path = lift_path(self._reacher.chain, one.q)
-            label, cause = (label, cause) if path is not None else (NO_MOTION, "no_lift")
-            lift = none if path is None else path
+            try:
+                lift = self._lift(one.q)
+            except InputError:
+                label, cause = NO_MOTION, "no_lift"
         reach = Reach(label, cause, one.q, one.q[None], lift)
         outcome = None
         if not cause:
             outcome = self.execute(item, scene.T_world_object, one.q, lift, watch)
         return Attempt(index, scene, cloud, one.kind, one.T_world_palm, reach, outcome)
+
+    def _lift(self, q: Array) -> Array:
+        """Arm joints [K, A] of the lift that `plan` would take from configuration q [J].
+
+        Raises:
+            InputError: There is none.
+        """
+        path = lift_path(self._reacher.chain, q)
+        if path is None:
+            raise InputError("the arm has no room to lift from this configuration")
+        return path
 
     def _proposals(self, item: SimObject, scene: Scene, index: int) -> list[PlannedPreshape]:
         """Preshapes of a scene, cached for its attempts."""
@@ -216,20 +228,28 @@ class Attempter:
         grasps: Grasps,
         row: int,
         watch: Callable[[World, str], None] | None = None,
+        planned: bool = False,
     ) -> Outcome:
         """Execute a stored grasp again: same object, pose and preshape, same outcome.
 
+        Args:
+            item: The object.
+            grasps: Its stored attempts.
+            row: The attempt.
+            watch: As in `Executor`.
+            planned: A planner proposed the grasp.
+
         Raises:
-            InputError: The attempt was never executed.
+            InputError: The attempt was never simulated, or the arm has no room to lift.
         """
-        if not grasps.executed[row] and grasps.label[row] != INVALID:
+        if not grasps.simulated[row]:
             raise InputError(
                 f"attempt {row} was never executed ({CAUSES[grasps.cause[row]]})",
                 where=item.mesh.name,
-                allowed="attempts with a label of 0 or above, or -3",
+                allowed="attempts that ended as " + ", ".join(SIMULATED),
             )
         q = grasps.q[row]
-        lift = self._reacher.lift(q, grasps.T_world_palm[row])
+        lift = self._lift(q) if planned else self._reacher.lift(q, grasps.T_world_palm[row])
         return self.execute(item, grasps.T_world_object[row], q, lift, watch)
 
     def scene(self, item: SimObject, index: int) -> Scene:

@@ -287,9 +287,8 @@ def _attempter(
     robot: Path | None, config: AttemptConfig, seed: int, source: PreshapeSource | None
 ) -> Attempter:
     """The process's attempter, cached with its networks, kinematics and physics client."""
-    machine = load_robot(robot)
-    propose = None if source is None else source.load(machine)
-    return Attempter(machine, config, seed, propose=propose)
+    propose = None if source is None else source.load()
+    return Attempter(load_robot(robot), config, seed, propose=propose)
 
 
 def wanted_of(splits: dict[str, str], quotas: dict[str, int]) -> dict[str, int]:

@@ -32,7 +32,7 @@ def pick_attempts(
         for k in order:
             name, grasps, _ = items[int(k)]
             for label, chosen in picked.items():
-                rows = [int(r) for r in np.flatnonzero(grasps.label == label)]
+                rows = [int(r) for r in np.flatnonzero(grasps.simulated & (grasps.label == label))]
                 rows = [r for r in rows if (name, r) not in chosen]
                 if rows and len(chosen) < count:
                     chosen.append((name, rows[int(rng.integers(len(rows)))]))
@@ -51,7 +51,7 @@ def film_of(task: CollectTask, grasps: Grasps, row: int) -> tuple[Film, Film]:
     attempter = Attempter(load_robot(task.robot), task.config, task.seed)
     recorder = Recorder()
     try:
-        outcome = attempter.replay(item, grasps, row, recorder)
+        outcome = attempter.replay(item, grasps, row, recorder, task.source is not None)
     finally:
         attempter.close()
     cause = CAUSES[grasps.cause[row]]

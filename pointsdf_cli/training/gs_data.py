@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.grasps import HELD, Grasps, read_grasps, was_collected, were_planned
+from pointsdf_cli.io.grasps import HELD, Grasps, collection_of, read_grasps
 from pointsdf_cli.io.hdf5 import artifacts_below
 from pointsdf_cli.models.grasp_checkpoint import check_robot
 from pointsdf_cli.robot.description import RobotDescription
@@ -24,17 +24,15 @@ from pointsdf_cli.robot.kinematics import Kinematics
 
 @dataclass(frozen=True)
 class GraspData:
-    """N executed grasps in O files, each of one object.
+    """N executed grasps of O objects; heuristic and planned grasps of an object are two files.
 
     Attributes:
-        names: Paths of the O files in the folder, without suffix.
-        files: The O files.
-        mesh_of: int [O], number of each file's mesh: heuristic and planned grasps of one object are
-            two files.
-        planned: bool [O], whether the planner chose the grasps, and not the heuristic.
+        names: Paths of the files in the folder, without suffix.
+        files: The files, in the order of their grasps.
         held_out: bool [O], objects excluded from training success networks. The reconstruction
             network may have been trained on their shapes.
-        object_of: int [N], the file of each grasp.
+        object_of: int [N], the object of each grasp.
+        planned: bool [N], whether a planner chose the grasp, and not the heuristic.
         scene_of: int [N], numbered over all objects; grasps of a scene share pose and view.
         preshape: f8 [N, K], rad.
         T_world_palm, T_world_camera: f8 [N, 4, 4].
@@ -45,10 +43,9 @@ class GraspData:
 
     names: list[str]
     files: list[Path]
-    mesh_of: NDArray[np.int64]
-    planned: NDArray[np.bool_]
     held_out: NDArray[np.bool_]
     object_of: NDArray[np.int64]
+    planned: NDArray[np.bool_]
     scene_of: NDArray[np.int64]
     preshape: NDArray[np.float64]
     T_world_palm: NDArray[np.float64]
@@ -105,7 +102,8 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     kinematics = Kinematics(robot)
     names: list[str] = []
     kept: list[Path] = []
-    held_out, meshes, planned, rows = [], [], [], []
+    held_out: dict[str, bool] = {}
+    rows = []
     scenes = 0
     for file in files:
         grasps, meta = read_grasps(file)
@@ -113,13 +111,17 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         chosen = np.flatnonzero(grasps.executed)
         if not len(chosen):
             continue
-        if was_collected(file):
+        collection = collection_of(file)
+        if "robot" in collection:
             _require_palm(kinematics, grasps.q[chosen[0]], grasps.T_world_palm[chosen[0]], file)
+        held_out[meta.mesh_hash] = held_out.get(meta.mesh_hash, False) or meta.split == "test"
+        number = list(held_out).index(meta.mesh_hash)
         columns = [meta.joint_names.index(joint) for joint in meta.preshape_joints]
         scene = np.unique(grasps.scene[chosen], return_inverse=True)[1]
         rows.append(
             (
-                np.full(len(chosen), len(names)),
+                np.full(len(chosen), number),
+                np.full(len(chosen), "preshapes" in collection),
                 scene + scenes,
                 grasps.q[chosen][:, columns],
                 grasps.T_world_palm[chosen],
@@ -132,15 +134,10 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         scenes += int(scene.max()) + 1
         names.append(file.relative_to(folder).with_suffix("").as_posix())
         kept.append(file)
-        held_out.append(meta.split == "test")
-        meshes.append(meta.mesh_hash)
-        planned.append(were_planned(file))
     if not rows:
         raise InputError("holds no executed grasp", where=folder, hint="collect more of them")
     joined = [np.concatenate(column) for column in zip(*rows, strict=True)]
-    number = {mesh: k for k, mesh in enumerate(dict.fromkeys(meshes))}
-    mesh_of = np.array([number[mesh] for mesh in meshes])
-    return GraspData(names, kept, mesh_of, np.array(planned), np.array(held_out), *joined)
+    return GraspData(names, kept, np.array(list(held_out.values())), *joined)
 
 
 def _succeeded(grasps: Grasps, chosen: NDArray[np.int64]) -> NDArray[np.float32]:
@@ -181,15 +178,15 @@ def split_grasps(data: GraspData, validation: float, seed: int) -> Split:
     Raises:
         InputError: Too few objects, or grasps of one label only in training or validation.
     """
-    free = np.unique(data.mesh_of[~data.held_out])
+    free = np.flatnonzero(~data.held_out)
     count = max(1, round(validation * len(free)))
     if len(free) < 2 or count >= len(free):
         raise InputError(
             f"{len(free)} objects to train on", where="--grasps", allowed="at least 2 objects"
         )
     chosen = np.random.default_rng([seed, 7]).permutation(free)
-    mesh = np.where(data.held_out, -1, data.mesh_of)[data.object_of]
-    validates, trains = np.isin(mesh, chosen[:count]), np.isin(mesh, chosen[count:])
+    validates = np.isin(data.object_of, chosen[:count])
+    trains = np.isin(data.object_of, chosen[count:])
     _check_both_labels(data.label[trains], "train on")
     _check_both_labels(data.label[validates], "validate on")
     return Split(
@@ -207,17 +204,16 @@ def fold_grasps(data: GraspData, folds: int, seed: int) -> Split:
     Raises:
         InputError: Fewer than two objects, or grasps of one label only.
     """
-    free = np.unique(data.mesh_of[~data.held_out])
+    free = np.flatnonzero(~data.held_out)
     if len(free) < 2:
         raise InputError(
             f"{len(free)} objects to train on", where="--grasps", allowed="at least 2 objects"
         )
-    fold_of = np.full(int(data.mesh_of.max()) + 1, -1)
+    fold_of = np.full(len(data.held_out), -1)
     fold_of[np.random.default_rng([seed, 7]).permutation(free)] = np.arange(len(free)) % folds
     rows = np.flatnonzero(~data.held_out[data.object_of])
     _check_both_labels(data.label[rows], "train on")
-    folds_of = fold_of[data.mesh_of[data.object_of]]
-    return Split(rows, rows, np.flatnonzero(data.held_out[data.object_of]), folds_of)
+    return Split(rows, rows, np.flatnonzero(data.held_out[data.object_of]), fold_of[data.object_of])
 
 
 def _check_both_labels(label: NDArray[np.float32], purpose: str) -> None:

@@ -70,7 +70,7 @@ def measure(data: GraspData, rows: NDArray[np.int64], scored: Scored, seed: int)
 
     `scored` holds the predictions for these grasps alone, in their order.
     """
-    label, groups = data.label[rows].astype(np.float64), data.mesh_of[data.object_of[rows]]
+    label, groups = data.label[rows].astype(np.float64), data.object_of[rows]
     score, chosen = scored.score, scored.chosen
     measures = {
         "f1": lambda i: gs_metrics.f1(label[i], chosen[i]),
@@ -112,7 +112,7 @@ def describe_grasps(data: GraspData, rows: NDArray[np.int64]) -> dict[str, Any]:
     """Number of grasps and share that held, by kind."""
     label, kind = data.label[rows], data.kind[rows]
     found: dict[str, Any] = {
-        "objects": len(np.unique(data.mesh_of[data.object_of[rows]])),
+        "objects": len(np.unique(data.object_of[rows])),
         "grasps": len(rows),
         "base_rate": float(label.mean()),
     }

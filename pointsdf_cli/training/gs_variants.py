@@ -231,7 +231,9 @@ def prior_of(data: GraspData, robot: RobotDescription) -> GraspPrior:
     Raises:
         InputError: Too few grasps.
     """
-    free = ~(data.held_out | (data.planned & ~data.planned.all()))[data.object_of]
+    free = ~data.held_out[data.object_of]
+    if not data.planned.all():
+        free &= ~data.planned
     places = places_of(data, robot)
 
     held = free & (data.label == 1)
