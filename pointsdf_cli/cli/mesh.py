@@ -227,7 +227,7 @@ def _lines(made: dict[str, Any]) -> list[str]:
         f"{made['out']}: {made['vertices']} vertices, {made['faces']} faces, {sides} "
         f"{made['unit']}, in the {made['frame']} frame",
         f"{made['queries']} queries, {made['seconds']:.2f} s at {made['resolution']}³"
-        + (f"; {dropped} loose parts dropped" if dropped else ""),
+        + (f"; {dropped} loose part{'s' * (dropped > 1)} dropped" if dropped else ""),
     ]
 
 
