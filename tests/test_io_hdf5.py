@@ -21,7 +21,7 @@ from pointsdf_cli.io.atomic import (
     require_new,
     temporary_beside,
 )
-from pointsdf_cli.io.grasps import was_collected
+from pointsdf_cli.io.grasps import collection_of
 from pointsdf_cli.io.hdf5 import (
     Dataset,
     OptionsDifferError,
@@ -122,7 +122,7 @@ def test_a_finished_file_is_complete_only_for_the_same_options(artifact: Path) -
 def test_options_that_are_none_are_one_message(artifact: Path, options: str) -> None:
     with h5py.File(artifact, "a") as file:
         file.attrs["config_json"] = options
-    for read in (was_collected, lambda path: mesh_unit(h5py.File(path))):
+    for read in (collection_of, lambda path: mesh_unit(h5py.File(path))):
         with pytest.raises(InputError, match=r"a\.h5.*makes no sense"):
             read(artifact)
     with pytest.raises(InputError, match="makes no sense"):
@@ -257,7 +257,7 @@ def test_one_wrong_byte_among_the_attributes_is_one_message(artifact: Path) -> N
         artifact.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
         for ask in (
             lambda: is_complete(artifact, schema="views", version=1, config={"views": 4}),
-            lambda: was_collected(artifact),
+            lambda: collection_of(artifact),
         ):
             try:
                 ask()

@@ -13,7 +13,7 @@ from trial_rows import ROW
 from pointsdf_cli.io.describe import describe
 from pointsdf_cli.io.grasp_evidence import Evidence as GraspEvidence
 from pointsdf_cli.io.grasp_evidence import join_evidence, read_evidence, write_evidence
-from pointsdf_cli.io.grasps import Grasps, GraspsMeta, read_grasps, was_collected, write_grasps
+from pointsdf_cli.io.grasps import Grasps, GraspsMeta, collection_of, read_grasps, write_grasps
 from pointsdf_cli.io.hdf5 import is_complete, open_hdf5, options_of
 from pointsdf_cli.io.labels import Labels, read_labels, write_labels
 from pointsdf_cli.io.plans import plan_as_json, read_plan, write_plan
@@ -58,7 +58,7 @@ def _labels(path: Path) -> object:
 def _grasps(path: Path) -> object:
     grasps, meta = read_grasps(path)
     page = grasp_report([("m", grasps, meta)], [], [], "t")
-    return _shown(path), page, grasps.count(), was_collected(path)
+    return _shown(path), page, grasps.count(), collection_of(path)
 
 
 def _plan(path: Path) -> object:
