@@ -36,10 +36,10 @@ from pointsdf_cli.geometry.mise import SearchRules
 from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.io.views import read_views
 from pointsdf_cli.models.meshing import mesh_reconstruction, network_field
+from pointsdf_cli.models.precision import autocast_dtype
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model, use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.training.precision import autocast_dtype
 
 REPEATS = 3
 
@@ -83,9 +83,8 @@ def time_mesh(job: tuple[argparse.Namespace, int]) -> dict[str, float]:
         wall, cpu = time.perf_counter(), time.process_time()
         reconstruction = Reconstruction.from_cloud(model, points, np.zeros(3))
         encoded = time.perf_counter()
-        mesh = mesh_reconstruction(
-            reconstruction, resolution, low_precision=low_precision, exact=options.exact
-        )
+        reconstruction = reconstruction.in_precision(low_precision)
+        mesh = mesh_reconstruction(reconstruction, resolution, exact=options.exact)
         done = time.perf_counter()
         runs.append((done - wall, encoded - wall, time.process_time() - cpu))
     seconds, encoding, cpu = min(runs)
@@ -113,12 +112,9 @@ def time_views(options: argparse.Namespace) -> list[tuple[float, int]]:
         runs = []
         for _ in range(2):  # the first one warms what depends on the sizes
             started = time.perf_counter()
-            mesh = mesh_reconstruction(
-                Reconstruction.from_cloud(model, points, np.zeros(3)),
-                resolution,
-                low_precision=low_precision,
-                exact=options.exact,
-            )
+            shape = Reconstruction.from_cloud(model, points, np.zeros(3))
+            shape = shape.in_precision(low_precision)
+            mesh = mesh_reconstruction(shape, resolution, exact=options.exact)
             runs.append(time.perf_counter() - started)
         found.append((min(runs), mesh.queries))
     return found

@@ -34,9 +34,9 @@ from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.io.plans import OK
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
+from pointsdf_cli.planning.plan_on_table import plan_on_table
 from pointsdf_cli.planning.rehearsed import rehearsed_planner
 from pointsdf_cli.planning.scene_input import stand_on_table
-from pointsdf_cli.planning.table_session import plan_on_table
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.sim_object import prepare_object

@@ -20,8 +20,8 @@ from scipy.spatial import cKDTree
 from pointsdf_cli.camera.depth_cloud import cloud_of_depth
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.planning.labelled_view import WORKSPACE, LabelledView, label_view
 from pointsdf_cli.planning.object_choice import reach_of
-from pointsdf_cli.planning.scene import WORKSPACE, Scene, sort_scene
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 from pointsdf_cli.simulation.observe import CameraPlacement, Observer
@@ -41,7 +41,7 @@ NEAR, COVERED = 0.012, 0.006
 """Distances [m] up to which a point is the object's, and is covered by another."""
 
 
-def is_found(scene: Scene, surface: Array) -> bool:
+def is_found(scene: LabelledView, surface: Array) -> bool:
     """Whether number 1 is the object whose surface points [S, 3] are given, world, m."""
     if not scene.listed:
         return False
@@ -78,7 +78,7 @@ def main() -> None:
         for name, observer in observers.items():
             depth = observer.depth([(item, pose)], T_world_camera, trial.rng("view"))
             cloud = cloud_of_depth(depth, observer.placement.camera, T_world_camera)
-            scene = sort_scene(cloud, name, WORKSPACE, lambda at: ~off_robot(at, own), reach)
+            scene = label_view(cloud, name, WORKSPACE, lambda at: ~off_robot(at, own), reach)
             key = name, trial.camera
             right.setdefault(key, []).append(is_found(scene, np.asarray(surface)))
             listed.setdefault(key, []).append(len(scene.listed))

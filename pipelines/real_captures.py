@@ -30,8 +30,8 @@ from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.list_things import list_things
 from pointsdf_cli.planning.object_view import ObjectView, bare_view, segmented_view
+from pointsdf_cli.planning.plan_on_table import TablePlan, plan_on_table
 from pointsdf_cli.planning.scene_input import read_scene
-from pointsdf_cli.planning.table_session import TableSession, plan_on_table
 from pointsdf_cli.service.objects_picture import draw_things
 from pointsdf_cli.service.plan_scene import scene_of_plan
 from pointsdf_cli.viz.plan_picture import plan_picture
@@ -207,7 +207,7 @@ class Page:
         figure.savefig(out, dpi=70)
 
 
-def outcome(session: TableSession) -> str:
+def outcome(session: TablePlan) -> str:
     """The plan or its reason in one sentence."""
     plan = session.answer.plan
     if plan.reason:

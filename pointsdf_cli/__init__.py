@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pointsdf_cli.planning.environment import Environment as Environment
     from pointsdf_cli.planning.grasp_planner import GraspPlanner as GraspPlanner
     from pointsdf_cli.planning.grasp_planner import PlanOptions as PlanOptions
-    from pointsdf_cli.planning.table_session import plan_on_table as plan_on_table
+    from pointsdf_cli.planning.plan_on_table import plan_on_table as plan_on_table
 
 __version__ = "0.1.0"
 
@@ -46,7 +46,7 @@ _HOMES = {
     "GraspPlanner": "planning.grasp_planner",
     "PlanOptions": "planning.grasp_planner",
     "Environment": "planning.environment",
-    "plan_on_table": "planning.table_session",
+    "plan_on_table": "planning.plan_on_table",
 }
 
 

@@ -13,8 +13,8 @@ from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.planning.environment import Obstacle, read_environment
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
+from pointsdf_cli.planning.plan_on_table import table_doubt
 from pointsdf_cli.planning.seen_obstacles import hulls
-from pointsdf_cli.planning.table_session import table_doubt
 from pointsdf_cli.planning.table_top import NoObjectError, look_at_table, workspace_of
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.own_points import robot_points

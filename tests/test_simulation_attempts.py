@@ -28,8 +28,8 @@ from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.simulation.attempt import (
     Attempt,
     AttemptConfig,
+    ObservedScene,
     PlannedPreshape,
-    Scene,
     as_grasps,
 )
 from pointsdf_cli.simulation.attempter import Attempter
@@ -105,7 +105,7 @@ def test_a_planner_proposes_for_a_scene_and_what_it_cannot_know_counts_as_lost(
     robot = load_robot()
     inverse = InverseKinematics(robot)
 
-    def propose(scene: Scene, rng: np.random.Generator) -> list[PlannedPreshape]:
+    def propose(scene: ObservedScene, rng: np.random.Generator) -> list[PlannedPreshape]:
         """Palms from the side at two distances from the can's axis: in it, and right."""
         axis = scene.T_world_object[:3, 3]
         made = []

@@ -11,6 +11,7 @@ from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plan
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.io.clouds import read_cloud
+from pointsdf_cli.planning.labelled_view import LabelledView, describe, label_view, sighting
 from pointsdf_cli.planning.object_choice import (
     NoObjectError,
     TargetChoice,
@@ -19,7 +20,6 @@ from pointsdf_cli.planning.object_choice import (
     numbered,
     reach_of,
 )
-from pointsdf_cli.planning.scene import Scene, describe, sighting, sort_scene
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.shading import look_at
 from tests import scenes
@@ -27,16 +27,16 @@ from tests import scenes
 WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
 
 
-def sorted_scene(*things: object, **options: object) -> Scene:
-    return sort_scene(scenes.cloud(scenes.seen(scenes.table(), *things)), "a", WORKSPACE, **options)
+def labelled(*things: object, **options: object) -> LabelledView:
+    return label_view(scenes.cloud(scenes.seen(scenes.table(), *things)), "a", WORKSPACE, **options)
 
 
-def centres(scene: Scene) -> np.ndarray:
+def centres(scene: LabelledView) -> np.ndarray:
     return np.array([thing.centre[:2] for thing in scene.listed if thing.stands])
 
 
 def test_two_things_have_their_places_and_sizes() -> None:
-    scene = sorted_scene(
+    scene = labelled(
         scenes.box((0.06, 0.08, 0.12), (0.6, 0.1)), scenes.can(0.035, 0.1, (0.55, -0.15))
     )
     assert len(scene.listed) == 2
@@ -49,7 +49,7 @@ def test_two_things_have_their_places_and_sizes() -> None:
 
 
 def test_the_parts_of_the_report_add_up() -> None:
-    scene = sorted_scene(
+    scene = labelled(
         scenes.box((0.06, 0.08, 0.12), (0.6, 0.1)), scenes.can(0.035, 0.1, (0.55, -0.15))
     )
     first = scene.listed[0]
@@ -63,7 +63,7 @@ def test_the_parts_of_the_report_add_up() -> None:
 
 def test_the_middle_of_the_image_is_meant_and_not_the_largest() -> None:
     large = scenes.box((0.12, 0.12, 0.2), (0.6, 0.3))
-    scene = sorted_scene(large, scenes.can(0.03, 0.08, (0.6, 0.0)))
+    scene = labelled(large, scenes.can(0.03, 0.08, (0.6, 0.0)))
     assert scene.listed[0].centre[1] == pytest.approx(0.0, abs=0.01)
     assert scene.listed[0].points < scene.listed[1].points
 
@@ -74,14 +74,14 @@ def test_what_the_robot_reaches_is_meant() -> None:
     beyond, reached = scenes.can(0.03, 0.1, (1.15, 0.0)), scenes.can(0.03, 0.1, (0.6, 0.12))
     pose = look_at((1.6, 0.0, 0.8), (1.1, 0.0, 0.0))
     view = scenes.cloud(scenes.seen(scenes.table(), beyond, reached, pose=pose), pose)
-    middle = sort_scene(view, "a", WORKSPACE).listed[0]
+    middle = label_view(view, "a", WORKSPACE).listed[0]
     assert middle.centre[0] == pytest.approx(1.15, abs=0.02)
-    arm = sort_scene(view, "a", WORKSPACE, reach=(0.3, 0.75)).listed[0]
+    arm = label_view(view, "a", WORKSPACE, reach=(0.3, 0.75)).listed[0]
     assert arm.centre[0] == pytest.approx(0.6, abs=0.02)
 
 
 def test_a_bowl_is_one_thing_with_its_floor() -> None:
-    scene = sorted_scene(scenes.bowl((0.6, 0.0)))
+    scene = labelled(scenes.bowl((0.6, 0.0)))
     assert len(scene.listed) == 1
     seen = sighting(scene, scene.listed[0])
     world = (scene.T_world_camera[:3, :3] @ seen.object_points.T).T + scene.T_world_camera[:3, 3]
@@ -97,7 +97,7 @@ def test_the_table_seen_through_a_handle_is_no_floor() -> None:
     handle.apply_transform(turn(np.pi / 2, (1, 0, 0)))
     handle.apply_transform(turn(np.pi / 2, (0, 0, 1)))
     handle.apply_translation((0.6, 0.05, 0.05))
-    scene = sorted_scene(scenes.can(0.042, 0.1, (0.6, 0.0)), handle)
+    scene = labelled(scenes.can(0.042, 0.1, (0.6, 0.0)), handle)
     assert len(scene.listed) == 1
     seen = sighting(scene, scene.listed[0])
     world = (scene.T_world_camera[:3, :3] @ seen.object_points.T).T + scene.T_world_camera[:3, 3]
@@ -107,7 +107,7 @@ def test_the_table_seen_through_a_handle_is_no_floor() -> None:
 
 
 def test_touching_cans_are_told_apart() -> None:
-    scene = sorted_scene(scenes.can(0.035, 0.1, (0.6, -0.035)), scenes.can(0.04, 0.14, (0.6, 0.04)))
+    scene = labelled(scenes.can(0.035, 0.1, (0.6, -0.035)), scenes.can(0.04, 0.14, (0.6, 0.04)))
     assert len(scene.listed) == 2
     sides = sorted(float(thing.centre[1]) for thing in scene.listed)
     assert sides == pytest.approx([-0.035, 0.04], abs=0.01)
@@ -116,7 +116,7 @@ def test_touching_cans_are_told_apart() -> None:
 def test_one_thing_on_another_is_left_together_and_said_so() -> None:
     upper = scenes.box((0.08, 0.06, 0.05), (0.58, 0.0))
     upper.apply_translation((0, 0, 0.06))
-    scene = sorted_scene(scenes.box((0.12, 0.16, 0.06), (0.6, 0.0)), upper)
+    scene = labelled(scenes.box((0.12, 0.16, 0.06), (0.6, 0.0)), upper)
     assert len(scene.listed) == 1
     (thing,) = scene.listed
     assert thing.unsplit
@@ -148,13 +148,11 @@ def test_no_table_is_said_so() -> None:
         find_support_plane(rng.uniform((-1, -1, 0.5), (1, 1, 2.5), (20_000, 3)))
 
 
-def _two() -> Scene:
-    return sorted_scene(
-        scenes.box((0.06, 0.06, 0.1), (0.6, 0.1)), scenes.can(0.03, 0.1, (0.6, -0.1))
-    )
+def _two() -> LabelledView:
+    return labelled(scenes.box((0.06, 0.06, 0.1), (0.6, 0.1)), scenes.can(0.03, 0.1, (0.6, -0.1)))
 
 
-def _chosen(scene: Scene, target: TargetChoice) -> Thing:
+def _chosen(scene: LabelledView, target: TargetChoice) -> Thing:
     return choose(scene.listed, target, scene.world, scene.things.label, scene.pixels, "a")
 
 
@@ -206,7 +204,7 @@ def test_what_could_not_be_told_apart_is_said_of_the_part_that_holds_it() -> Non
     # A can and a block touch; a box lies on the block, so that it does not stand by itself.
     on_top = scenes.box((0.08, 0.06, 0.05), (0.58, 0.0))
     on_top.apply_translation((0, 0, 0.06))
-    scene = sorted_scene(
+    scene = labelled(
         scenes.box((0.12, 0.12, 0.06), (0.6, 0.0)), on_top, scenes.can(0.035, 0.1, (0.6, -0.095))
     )
     assert len(scene.listed) == 2
@@ -218,7 +216,7 @@ def test_what_could_not_be_told_apart_is_said_of_the_part_that_holds_it() -> Non
 
 def test_the_middle_one_of_a_row_is_meant_although_another_is_a_little_larger() -> None:
     middle = scenes.box((0.05, 0.07, 0.12), (0.6, 0.0))
-    scene = sorted_scene(
+    scene = labelled(
         middle, scenes.box((0.06, 0.08, 0.13), (0.6, 0.14)), scenes.can(0.045, 0.13, (0.6, -0.14))
     )
     assert scene.listed[0].centre[1] == pytest.approx(0.0, abs=0.01)
@@ -231,7 +229,7 @@ def test_a_wall_far_behind_the_table_does_not_stand_on_it() -> None:
     small.apply_translation((0.6, 0, -0.01))
     view = scenes.cloud(scenes.seen(small, wall, scenes.can(0.035, 0.12, (0.6, 0.0))))
     anywhere = SegmentationConfig(low=(-5.0, -5.0, -0.05), high=(5.0, 5.0, 0.6))
-    scene = sort_scene(view, "a", anywhere)
+    scene = label_view(view, "a", anywhere)
     assert len(scene.listed) == 2
     assert [thing.stands for thing in scene.listed] == [True, False]
 

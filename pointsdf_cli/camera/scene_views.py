@@ -18,7 +18,7 @@ from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster
 from pointsdf_cli.camera.seen_object import SeenObject, SegmentationErrors, segment_scene
 from pointsdf_cli.camera.sensor_presets import SENSORS, load_sensor
-from pointsdf_cli.camera.table_scene import OBJECT, Scene, SceneConfig, draw_scene
+from pointsdf_cli.camera.table_scene import OBJECT, RenderedScene, SceneConfig, draw_scene
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.stable_poses import StablePose, stable_poses
 from pointsdf_cli.geometry.visibility import ViewEvidence
@@ -143,7 +143,7 @@ class SceneViews:
         )
 
 
-def _hidden(scene: Scene) -> float:
+def _hidden(scene: RenderedScene) -> float:
     """Share of the object's pixels that something else hides."""
     total = int(scene.object_alone.sum())
     return 1.0 if total == 0 else 1.0 - int((scene.label == OBJECT).sum()) / total

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from pointsdf_cli.camera.pinhole import Camera
-from pointsdf_cli.camera.table_scene import OBJECT, OTHER, Scene
+from pointsdf_cli.camera.table_scene import OBJECT, OTHER, RenderedScene
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.visibility import (
@@ -91,7 +91,7 @@ class SeenObject:
 
 
 def segment_scene(
-    scene: Scene,
+    scene: RenderedScene,
     measured: NDArray[np.float32],
     camera: Camera,
     errors: SegmentationErrors,
@@ -127,7 +127,7 @@ def segment_scene(
 
 
 def _without_return(
-    scene: Scene, errors: SegmentationErrors, rng: np.random.Generator
+    scene: RenderedScene, errors: SegmentationErrors, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
     """bool [h, w]: pixels of the object from which nothing returns, whatever the sensor."""
     visible = scene.label == OBJECT
@@ -164,7 +164,7 @@ def _known_plane(
 
 
 def _erring_mask(
-    scene: Scene, camera: Camera, errors: SegmentationErrors, rng: np.random.Generator
+    scene: RenderedScene, camera: Camera, errors: SegmentationErrors, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
     """bool [h, w]: the object's visible pixels, too few or too many at the silhouette."""
     visible = scene.label == OBJECT

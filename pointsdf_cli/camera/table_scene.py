@@ -64,7 +64,7 @@ class SceneConfig:
 
 
 @dataclass(frozen=True)
-class Scene:
+class RenderedScene:
     """One scene in a window of the image.
 
     Attributes:
@@ -90,7 +90,7 @@ def draw_scene(
     camera: Camera,
     config: SceneConfig,
     rng: np.random.Generator,
-) -> Scene:
+) -> RenderedScene:
     """Draw a random scene around the mesh.
 
     Args:
@@ -184,7 +184,7 @@ def _compose(
     camera: Camera,
     config: SceneConfig,
     rng: np.random.Generator,
-) -> Scene:
+) -> RenderedScene:
     """The nearest of everything in each pixel."""
     bounds = caster.window_around(T_camera_object, MARGIN)
     alone = caster.cast_window(T_camera_object, window=bounds)
@@ -219,7 +219,7 @@ def _compose(
         behind = float(T_camera_object[2, 3]) + rng.uniform(*WALL_BEHIND)
         _put(depth, cosine, label, np.full(depth.shape, behind), 1.0 / length, OTHER)
     window = DepthWindow(alone.origin, depth, cosine)
-    return Scene(window, label, object_alone, T_camera_object, plane)
+    return RenderedScene(window, label, object_alone, T_camera_object, plane)
 
 
 def _length(vectors: Array) -> Array:

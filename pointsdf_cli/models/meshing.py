@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.field import FieldFunction
@@ -54,7 +53,6 @@ def mesh_reconstruction(
     resolution: int = 128,
     smallest_part: float = 0.05,
     smoothing: int = SMOOTHING,
-    low_precision: torch.dtype | None = None,
     field: FieldFunction | None = None,
     exact: bool = False,
 ) -> ReconstructedMesh:
@@ -70,7 +68,6 @@ def mesh_reconstruction(
         resolution: Cells along the box: 32 times a power of two, up to 512.
         smallest_part: Parts smaller than this share of the largest one's volume are dropped.
         smoothing: Number of smoothing passes (see `SMOOTHING`).
-        low_precision: Type of the network's products, such as bfloat16; None for float32.
         field: Distances [N] m at points [N, 3] m of the cloud's frame to mesh instead of the
             reconstruction's own, within its box: the field of several views.
         exact: Evaluate every corner that decides the surface; otherwise some are interpolated (see
@@ -93,12 +90,7 @@ def mesh_reconstruction(
         newton=smoothing == 0,
         smallest_part=smallest_part,
     )
-    if low_precision is not None:
-        reduced = model.in_precision(reconstruction.encoding, low_precision)
-        reconstruction = replace(reconstruction, encoding=reduced)
-    device = reconstruction.encoding.embedding.device.type
-    with torch.autocast(device, low_precision, enabled=low_precision is not None):
-        surface = extract_isosurface(network_field(reconstruction, field), config)
+    surface = extract_isosurface(network_field(reconstruction, field), config)
     return ReconstructedMesh(
         vertices=_in_cloud_frame(
             reconstruction, taubin_smooth(surface.vertices, surface.faces, smoothing)

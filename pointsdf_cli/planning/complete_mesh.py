@@ -10,11 +10,11 @@ import torch
 
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.models.meshing import ReconstructedMesh, mesh_reconstruction
+from pointsdf_cli.models.precision import autocast_dtype
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_view import ObjectView
-from pointsdf_cli.training.precision import autocast_dtype
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,13 @@ def complete_mesh(
     started = time.perf_counter()
     reconstruction = Reconstruction.from_cloud(
         model, view.points, np.zeros(3), seed=choices.seed, evidence=view.evidence
-    )
+    ).in_precision(low_precision)
     try:
         made = mesh_reconstruction(
             reconstruction,
             choices.resolution,
             0.0 if choices.all_parts else 0.05,
             choices.smooth,
-            low_precision,
             exact=choices.exact,
         )
     except EmptySurfaceError as error:

@@ -191,14 +191,15 @@ class GraspPlanner:
         made: list[Reconstruction] = []
         resampled: tuple[Field, ...] = ()
         if self._shape is not None:
-            made = completed(self._shape, views, seed)
+            made = [completed(self._shape, view, seed) for view in views]
             own = reconstructed_object(made, grid, world)
             if field is None:
                 others = range(1, 1 + self.options.resampled_views)
                 size = self._shape.cloud_size
                 again = [[redrawn(view, size, (seed, draw)) for view in views] for draw in others]
                 resampled = tuple(
-                    completed_field(completed(self._shape, each, seed)) for each in again
+                    completed_field([completed(self._shape, view, seed) for view in each])
+                    for each in again
                 )
         else:
             own = seen_object(world, grid)

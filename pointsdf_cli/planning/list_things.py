@@ -8,9 +8,9 @@ from pathlib import Path
 from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.io.clouds import check_scene_cloud
 from pointsdf_cli.planning.cloud_checks import in_world, require_pose
+from pointsdf_cli.planning.labelled_view import LabelledView, label_view
 from pointsdf_cli.planning.object_choice import NoObjectError, Thing, reach_of
 from pointsdf_cli.planning.plausibility import require_table_at_zero
-from pointsdf_cli.planning.scene import Scene, sort_scene
 from pointsdf_cli.planning.scene_input import read_scene
 from pointsdf_cli.planning.table_top import chosen_thing, workspace_of
 from pointsdf_cli.robot.description import load_robot
@@ -22,13 +22,13 @@ class Listing:
     """List of the objects on a table.
 
     Attributes:
-        scene: View with a label for each point.
+        view: View with a label for each point.
         things: The objects, best to grasp first.
         points: Number of the file's points on each object, by its number.
         notes: Sentences for the user.
     """
 
-    scene: Scene
+    view: LabelledView
     things: tuple[Thing, ...]
     points: dict[int, int]
     notes: tuple[str, ...]
@@ -64,7 +64,7 @@ def list_things(
     require_pose(cloud, str(path))
     require_table_at_zero([in_world(cloud)], [str(path)], "there is nothing to list")
     own = robot_points(described, described.home)
-    scene = sort_scene(
+    view = label_view(
         check_scene_cloud(cloud, path),
         str(path),
         around,
@@ -72,11 +72,11 @@ def list_things(
         reach_of(described),
         cleaned,
     )
-    first = chosen_thing(scene, None, around)
-    things = tuple(thing for thing in scene.listed if thing.stands)
-    if scene.mask is not None:
+    first = chosen_thing(view, None, around)
+    things = tuple(thing for thing in view.listed if thing.stands)
+    if view.mask is not None:
         things = (first,)
     if not things:
         raise NoObjectError("nothing stands on the table", where=path)
-    counts = {thing.number: int((scene.label == thing.label).sum()) for thing in things}
-    return Listing(scene, things, counts, given.notes)
+    counts = {thing.number: int((view.label == thing.label).sum()) for thing in things}
+    return Listing(view, things, counts, given.notes)

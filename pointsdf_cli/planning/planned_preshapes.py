@@ -22,7 +22,7 @@ from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.simulation.attempt import SCENE_ATTEMPTS, PlannedPreshape, Propose, Scene
+from pointsdf_cli.simulation.attempt import SCENE_ATTEMPTS, ObservedScene, PlannedPreshape, Propose
 
 UNLIKELY = ("low_success_probability", "objective")
 """Reasons of candidates that meet all constraints: they are tried as well."""
@@ -66,14 +66,14 @@ class PlannedPreshapes:
         config = replace(self.options.planner, successive_halving=(), synthesis=search)
         planner = GraspPlanner(replace(self.options, planner=config))
 
-        def propose(scene: Scene, rng: np.random.Generator) -> list[PlannedPreshape]:
+        def propose(scene: ObservedScene, rng: np.random.Generator) -> list[PlannedPreshape]:
             return _proposals(planner, search, scene, rng)
 
         return propose
 
 
 def _proposals(
-    planner: GraspPlanner, search: SynthesisConfig, scene: Scene, rng: np.random.Generator
+    planner: GraspPlanner, search: SynthesisConfig, scene: ObservedScene, rng: np.random.Generator
 ) -> list[PlannedPreshape]:
     """A few of the solutions that meet all constraints, at random: not only the best ones."""
     view = View(scene.cloud, scene.T_world_camera, scene.evidence)

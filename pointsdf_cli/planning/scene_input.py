@@ -18,9 +18,9 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
+from pointsdf_cli.planning.labelled_view import ANYWHERE, WORKSPACE, label_view
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
 from pointsdf_cli.planning.pose_mistakes import require_no_mistaken_pose
-from pointsdf_cli.planning.scene import ANYWHERE, WORKSPACE, sort_scene
 from pointsdf_cli.planning.table_top import chosen_thing
 from pointsdf_cli.robot.description import RobotDescription
 
@@ -215,7 +215,7 @@ def _centre(
     reach: tuple[float, float] | None,
 ) -> Array:
     """Centre [3] of the chosen object in the world of the cloud's pose."""
-    scene = sort_scene(cloud, name, workspace, None, reach, cleaned)
+    scene = label_view(cloud, name, workspace, None, reach, cleaned)
     return chosen_thing(scene, target, workspace).centre
 
 

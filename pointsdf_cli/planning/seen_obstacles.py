@@ -23,12 +23,12 @@ from pointsdf_cli.geometry.inside import Inside
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.models.meshing import mesh_reconstruction
-from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
+from pointsdf_cli.planning.completed_views import completed
 from pointsdf_cli.planning.environment import Obstacle
+from pointsdf_cli.planning.labelled_view import LabelledView, sighting
 from pointsdf_cli.planning.robot_geometry import coal_mesh
-from pointsdf_cli.planning.scene import Scene, sighting
 from pointsdf_cli.planning.table_top import WIDEST, TableTop, level_width, view_of
 
 RESOLUTION = 32
@@ -74,11 +74,11 @@ def seen_obstacles(
         surfaces = hulls(seen.others)
     else:
         surfaces = []
-        for scene, target in seen.scenes:
-            for view in _other_views(scene, target, cleaned):
+        for labelled, target in seen.labelled:
+            for view in _other_views(labelled, target, cleaned):
                 stop_if_cancelled()
                 surfaces += obstacle_surfaces(network, view, seed)
-            surfaces += hulls(scene.world[scene.things.label == LOOSE])
+            surfaces += hulls(labelled.world[labelled.things.label == LOOSE])
     names = (name for k in count(1) if (name := f"seen_{k}") not in taken)
     made = tuple(
         Obstacle(next(names), "mesh", (), np.eye(4), vertices, faces)
@@ -87,10 +87,10 @@ def seen_obstacles(
     return made, time.perf_counter() - began
 
 
-def _other_views(scene: Scene, target: int, cleaned: bool) -> Iterator[View]:
-    for thing in scene.listed:
+def _other_views(labelled: LabelledView, target: int, cleaned: bool) -> Iterator[View]:
+    for thing in labelled.listed:
         if thing.label != target:
-            yield view_of(sighting(scene, thing, cleaned, is_target=False))
+            yield view_of(sighting(labelled, thing, cleaned, is_target=False))
 
 
 def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Surface]:
@@ -103,10 +103,7 @@ def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Su
     points = points[thin(points, VOXEL).first] if len(points) else points
     if len(points) < FEWEST_MISSED or level_width(points) > WIDEST:
         return hulls(points)
-    rotation, position = view.T_world_camera[:3, :3], view.T_world_camera[:3, 3]
-    shape = Reconstruction.from_cloud(
-        network, view.in_world, position, rotation, seed, view.evidence
-    )
+    shape = completed(network, view, seed)
     try:
         mesh = mesh_reconstruction(shape, RESOLUTION, field=lambda x: shape.sdf(x) - KEPT_OFF)
     except EmptySurfaceError:

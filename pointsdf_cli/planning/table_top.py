@@ -23,16 +23,16 @@ from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud, check_scene_cloud
 from pointsdf_cli.planning.cloud_checks import require_pose
-from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, Thing, choose, reach_of
-from pointsdf_cli.planning.option_checks import check_segment
-from pointsdf_cli.planning.scene import (
+from pointsdf_cli.planning.labelled_view import (
     WORKSPACE,
-    Scene,
+    LabelledView,
     Sighting,
     describe,
+    label_view,
     sighting,
-    sort_scene,
 )
+from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, Thing, choose, reach_of
+from pointsdf_cli.planning.option_checks import check_segment
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 
@@ -64,7 +64,7 @@ class TableTop:
         others: [N, 3], points on other objects above the table, world, m.
         report: Sentences, one a cloud, about points kept and dropped.
         table_height: Height of the observed plane [m]; None without one.
-        scenes: Each camera's labelled view, with the label of the object in it; -1 if the camera
+        labelled: Each camera's labelled view, with the label of the object in it; -1 if the camera
             does not see it.
     """
 
@@ -72,7 +72,7 @@ class TableTop:
     others: Array
     report: tuple[str, ...]
     table_height: float | None
-    scenes: tuple[tuple[Scene, int], ...] = ()
+    labelled: tuple[tuple[LabelledView, int], ...] = ()
 
 
 def look_at_table(
@@ -110,46 +110,46 @@ def look_at_table(
         return _bare_objects(clouds, names, cleaned)
     own, reach = robot_points(robot, start), reach_of(robot)
 
-    def sorted_scene(cloud: Cloud, name: str) -> Scene:
+    def label(cloud: Cloud, name: str) -> LabelledView:
         require_pose(cloud, name)
         usable = check_scene_cloud(cloud, name)
-        return sort_scene(
+        return label_view(
             usable, name, workspace, lambda world: ~off_robot(world, own), reach, cleaned
         )
 
-    scenes = ((sorted_scene(cloud, name), name) for cloud, name in zip(clouds, names, strict=True))
-    return _look(scenes, wanted, workspace, cleaned)
+    labelled = ((label(cloud, name), name) for cloud, name in zip(clouds, names, strict=True))
+    return _look(labelled, wanted, workspace, cleaned)
 
 
 def _look(
-    named_scenes: Iterable[tuple[Scene, str]],
+    named_views: Iterable[tuple[LabelledView, str]],
     wanted: TargetChoice | None,
     workspace: SegmentationConfig,
     cleaned: bool,
 ) -> TableTop:
-    """Find the object in each scene: in the other cameras, the one that the first camera chose."""
+    """Find the object in each view: in the other cameras, the one that the first camera chose."""
     seen: list[Sighting] = []
     others, report = [], []
-    scenes: list[tuple[Scene, int]] = []
+    labelled: list[tuple[LabelledView, int]] = []
     problem: NoObjectError | None = None
     first: tuple[Array, Array] | None = None
-    for scene, name in named_scenes:
+    for view, name in named_views:
         try:
-            thing = chosen_thing(scene, wanted, workspace, first is not None)
-            found = sighting(scene, thing, cleaned)
+            thing = chosen_thing(view, wanted, workspace, first is not None)
+            found = sighting(view, thing, cleaned)
             in_world = apply_transform(found.T_world_camera, found.object_points)
             _check_sighting(in_world, first, name)
         except NoObjectError as error:
             problem = problem or error
             report.append(f"{name}: the object is not seen")
             # What it saw stands there all the same.
-            others.append(scene.world[scene.things.label >= 0])
-            scenes.append((scene, -1))
+            others.append(view.world[view.things.label >= 0])
+            labelled.append((view, -1))
             continue
-        report.append(f"{name}: {describe(scene, thing, found)}")
+        report.append(f"{name}: {describe(view, thing, found)}")
         seen.append(found)
         others.append(found.others_in_world)
-        scenes.append((scene, thing.label))
+        labelled.append((view, thing.label))
         if first is None:
             first = in_world, found.others_in_world
             wanted = TargetChoice(place=np.median(in_world, axis=0))
@@ -157,7 +157,7 @@ def _look(
         raise problem
     views = tuple(view_of(each) for each in seen)
     return TableTop(
-        views, np.concatenate(others), tuple(report), _table_height(scenes), tuple(scenes)
+        views, np.concatenate(others), tuple(report), _table_height(labelled), tuple(labelled)
     )
 
 
@@ -174,9 +174,9 @@ def _check_sighting(in_world: Array, first: tuple[Array, Array] | None, name: st
         )
 
 
-def _table_height(scenes: Sequence[tuple[Scene, int]]) -> float | None:
-    """Height of the table in the scenes that show the object [m]; None without a table."""
-    planes = [scene.things.plane for scene, label in scenes if label >= 0]
+def _table_height(labelled: Sequence[tuple[LabelledView, int]]) -> float | None:
+    """Height of the table in the views that show the object [m]; None without a table."""
+    planes = [view.things.plane for view, label in labelled if label >= 0]
     heights = [float(plane[3]) for plane in planes if plane is not None]
     return float(np.median(heights)) if heights else None
 
@@ -260,34 +260,37 @@ def bare_object(cloud: Cloud, cleaned: bool = True) -> tuple[Array, str]:
 
 
 def chosen_thing(
-    scene: Scene, wanted: TargetChoice | None, workspace: SegmentationConfig, again: bool = False
+    view: LabelledView,
+    wanted: TargetChoice | None,
+    workspace: SegmentationConfig,
+    again: bool = False,
 ) -> Thing:
-    """The chosen object of a scene.
+    """The chosen object of a view.
 
     Args:
-        scene: The labelled view.
+        view: The labelled view.
         wanted: The user's choice; the best object to grasp if None.
         workspace: Workspace of the segmentation, for messages.
         again: The target comes from another camera and overrides a mask.
 
     Raises:
         InputError: No object has this number, or both a mask and a target are given.
-        NoObjectError: The scene shows no object.
+        NoObjectError: The view shows no object.
     """
-    if scene.mask is not None and not again:
+    if view.mask is not None and not again:
         if wanted is not None:
             raise InputError("--target and --mask", hint="leave one of the two out")
-        last = scene.things.count - 1
-        return next(thing for thing in scene.listed if thing.label == last)
-    if not scene.listed:
-        count = np.bincount(-np.minimum(scene.label, 0), minlength=6)
+        last = view.things.count - 1
+        return next(thing for thing in view.listed if thing.label == last)
+    if not view.listed:
+        count = np.bincount(-np.minimum(view.label, 0), minlength=6)
         raise NoObjectError(
-            f"no object in the cloud: of {len(scene.label)} points {count[1]} are outside the "
+            f"no object in the cloud: of {len(view.label)} points {count[1]} are outside the "
             f"workspace, {count[2]} on the table, {count[3]} in groups too small, {count[4]} on "
             "the robot",
-            where=scene.name,
+            where=view.name,
             allowed=f"at least {FEWEST} points of an object above the table, between "
             f"{workspace.low} and {workspace.high} m in the world",
             hint="check the camera's pose (--camera-pose), the cloud's unit, or --workspace",
         )
-    return choose(scene.listed, wanted, scene.world, scene.things.label, scene.pixels, scene.name)
+    return choose(view.listed, wanted, view.world, view.things.label, view.pixels, view.name)

@@ -8,8 +8,8 @@ import numpy as np
 import scipy
 
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.planning.labelled_view import LabelledView
 from pointsdf_cli.planning.object_choice import Thing
-from pointsdf_cli.planning.scene import Scene
 
 HAND_ROOM = 0.10
 """Distance [m] within which another object blocks a hand that comes from its side."""
@@ -40,19 +40,19 @@ class Turn(NamedTuple):
         return f"object {self.thing.number} ({where}, {self.free:.0%} of the directions free)"
 
 
-def take_order(scene: Scene, reach: tuple[float, float] | None = None) -> list[Turn]:
-    """The standing objects of a scene, the easiest to grasp first.
+def take_order(view: LabelledView, reach: tuple[float, float] | None = None) -> list[Turn]:
+    """The standing objects of a view, the easiest to grasp first.
 
     Args:
-        scene: The labelled view.
+        view: The labelled view.
         reach: Result of `object_choice.reach_of`; None if the robot's pose is not known.
     """
-    label = scene.things.label
-    standing = [thing for thing in scene.listed if thing.stands]
+    label = view.things.label
+    standing = [thing for thing in view.listed if thing.stands]
     turns = []
     for thing in standing:
         mine = label == thing.label
-        free = free_share(scene.world[mine], scene.world[(label >= 0) & ~mine])
+        free = free_share(view.world[mine], view.world[(label >= 0) & ~mine])
         level = float(np.linalg.norm(thing.centre[:2]))
         turns.append(Turn(thing, free, reach is None or reach[0] <= level <= reach[1]))
     # Objects that are about equally free keep the order of their numbers.

@@ -13,15 +13,15 @@ from pointsdf_cli.viz.segment_picture import segment_picture
 
 def draw_things(picture: Path, listing: Listing, colour: Path | None = None) -> None:
     """Draw the objects with their numbers, on a colour image if there is one."""
-    scene = listing.scene
-    number = np.zeros(scene.things.count, dtype=np.int64)
+    view = listing.view
+    number = np.zeros(view.things.count, dtype=np.int64)
     for thing in listing.things:
         number[thing.label] = thing.number
-    label = scene.label
+    label = view.label
     mine = np.where(label >= 0, number[np.maximum(label, 0)], 0) if len(number) else label * 0
-    points = scene.all_points
-    if scene.all_pixels is not None and scene.image is not None:
-        pixels, size = scene.all_pixels, scene.image.depth.shape[::-1]
+    points = view.all_points
+    if view.all_pixels is not None and view.image is not None:
+        pixels, size = view.all_pixels, view.image.depth.shape[::-1]
     else:
         pixels, size = points[:, :2] / points[:, 2:], None
     at = [

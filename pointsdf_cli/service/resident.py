@@ -18,10 +18,10 @@ from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.object_view import ObjectView
+from pointsdf_cli.planning.plan_on_table import answer_request
 from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest, PlanResult
 from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
-from pointsdf_cli.planning.table_session import answer_request
 from pointsdf_cli.planning.table_top import look_at_table, workspace_of
 from pointsdf_cli.planning.variables import Variables
 from pointsdf_cli.robot.start import start_configuration

@@ -63,7 +63,7 @@ class AttemptConfig:
 
 
 @dataclass(frozen=True)
-class Scene:
+class ObservedScene:
     """An object on the table, and its observation by the camera.
 
     Attributes:
@@ -93,7 +93,7 @@ class PlannedPreshape:
     q: Array
 
 
-Propose = Callable[[Scene, np.random.Generator], list[PlannedPreshape]]
+Propose = Callable[[ObservedScene, np.random.Generator], list[PlannedPreshape]]
 """Function from a scene, of which it sees only the view, to at most `SCENE_ATTEMPTS` preshapes."""
 
 
@@ -112,7 +112,7 @@ class Attempt:
     """One attempt with one object; `Grasps` stores it."""
 
     index: int
-    scene: Scene
+    scene: ObservedScene
     cloud: NDArray[np.float32]
     kind: str
     T_world_palm: Array

@@ -32,9 +32,9 @@ from pointsdf_cli.simulation.attempt import (
     SCENE_ATTEMPTS,
     Attempt,
     AttemptConfig,
+    ObservedScene,
     PlannedPreshape,
     Propose,
-    Scene,
 )
 from pointsdf_cli.simulation.executor import Executor
 from pointsdf_cli.simulation.feet import nearest_pose, on_its_foot
@@ -89,9 +89,9 @@ class Attempter:
         self._hand = hand_of(robot)
         self._settled: dict[tuple[str, int], Array | None] = {}
         self._feet: tuple[SimObject, dict[int, SimObject]] | None = None
-        self._last_scene: tuple[tuple[str, str, int], Scene] | None = None
+        self._last_scene: tuple[tuple[str, str, int], ObservedScene] | None = None
         self._propose = propose
-        self._proposed: tuple[Scene, list[PlannedPreshape]] | None = None
+        self._proposed: tuple[ObservedScene, list[PlannedPreshape]] | None = None
 
     def close(self) -> None:
         """Close the physics clients."""
@@ -153,7 +153,7 @@ class Attempter:
     def _planned(
         self,
         item: SimObject,
-        scene: Scene,
+        scene: ObservedScene,
         index: int,
         rng: np.random.Generator,
         watch: Callable[[World, str], None] | None,
@@ -202,7 +202,9 @@ class Attempter:
             raise InputError("the arm has no room to lift from this configuration")
         return path
 
-    def _proposals(self, item: SimObject, scene: Scene, index: int) -> list[PlannedPreshape]:
+    def _proposals(
+        self, item: SimObject, scene: ObservedScene, index: int
+    ) -> list[PlannedPreshape]:
         """Preshapes of a scene, cached for its attempts."""
         assert self._propose is not None
         if self._proposed is None or self._proposed[0] is not scene:
@@ -252,7 +254,7 @@ class Attempter:
         lift = self._lift(q) if planned else self._reacher.lift(q, grasps.T_world_palm[row])
         return self.execute(item, grasps.T_world_object[row], q, lift, watch)
 
-    def scene(self, item: SimObject, index: int) -> Scene:
+    def scene(self, item: SimObject, index: int) -> ObservedScene:
         """Make scene `index` of an object.
 
         Raises:
@@ -265,7 +267,7 @@ class Attempter:
         self._last_scene = (key, scene)
         return scene
 
-    def _draw_scene(self, item: SimObject, rng: np.random.Generator) -> Scene:
+    def _draw_scene(self, item: SimObject, rng: np.random.Generator) -> ObservedScene:
         problem = InputError("never comes to rest on a table", where=item.mesh.name)
         for _ in range(SCENE_TRIES):
             which, _ = draw_pose(item.poses, STANDING, rng)
@@ -287,7 +289,7 @@ class Attempter:
                     "is not what the segmentation finds on the table", where=item.mesh.name
                 )
                 continue
-            return Scene(pose, T_world_camera, view.points, view.evidence or ViewEvidence())
+            return ObservedScene(pose, T_world_camera, view.points, view.evidence or ViewEvidence())
         raise problem
 
     def _resting(self, item: SimObject, which: int) -> Array | None:

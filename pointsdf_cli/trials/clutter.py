@@ -19,8 +19,8 @@ from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.geometry.stable_poses import STANDING, draw_pose
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.trials import TrialRow
+from pointsdf_cli.planning.labelled_view import WORKSPACE, label_view
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
-from pointsdf_cli.planning.scene import WORKSPACE, sort_scene
 from pointsdf_cli.planning.table_top import TableTop, look_at_table
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
@@ -197,7 +197,7 @@ def target_number(
         robot: The robot, at home.
     """
     own = robot_points(robot, robot.home)
-    scene = sort_scene(
+    scene = label_view(
         cloud, "the view", WORKSPACE, lambda world: ~off_robot(world, own), reach_of(robot)
     )
     label = scene.things.label

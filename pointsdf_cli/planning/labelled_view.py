@@ -38,7 +38,7 @@ ROBOT, UNCLEAN = -4, -5
 
 
 @dataclass(frozen=True)
-class Scene:
+class LabelledView:
     """One camera's view, thinned to M of its N points.
 
     Attributes:
@@ -118,14 +118,14 @@ class Sighting:
     object_rays: Array | None
 
 
-def sort_scene(
+def label_view(
     cloud: Cloud,
     name: str,
     workspace: SegmentationConfig,
     on_robot: Callable[[Array], Mask] | None = None,
     reach: tuple[float, float] | None = None,
     cleaned: bool = True,
-) -> Scene:
+) -> LabelledView:
     """Thin and clean a cloud with a pose, and segment the objects on its table.
 
     Args:
@@ -158,7 +158,7 @@ def sort_scene(
     pixels = None if cloud.pixels is None else cloud.pixels[thinned.first]
     place = image_place(few, pixels, cloud.image)
     listed = numbered(world, place, things, things.standing(world), reach)
-    return Scene(
+    return LabelledView(
         name=name,
         all_points=points,
         all_pixels=cloud.pixels,
@@ -217,44 +217,46 @@ def image_place(points: Array, pixels: Array | None, image: DepthImage | None) -
     return np.asarray(direction / half)
 
 
-def sighting(scene: Scene, thing: Thing, cleaned: bool = True, is_target: bool = True) -> Sighting:
+def sighting(
+    view: LabelledView, thing: Thing, cleaned: bool = True, is_target: bool = True
+) -> Sighting:
     """All points of an object, and the other evidence of the view.
 
     Args:
-        scene: The labelled view.
+        view: The labelled view.
         thing: One of its objects.
         cleaned: Drop specks and outliers of the object.
         is_target: Whether a mask applies to this object.
     """
-    mine = scene.label == thing.label
+    mine = view.label == thing.label
     rays = None
-    if scene.mask is not None and is_target:
-        mine &= scene.mask
-        rays = scene.mask_rays
-    points = scene.all_points[mine]
+    if view.mask is not None and is_target:
+        mine &= view.mask
+        rays = view.mask_rays
+    points = view.all_points[mine]
     cleaning = clean(points) if cleaned else Cleaning(np.ones(len(points), dtype=bool))
-    label = scene.things.label
+    label = view.things.label
     above = (label >= 0) | (label == LOOSE)
     return Sighting(
         object_points=points[cleaning.kept],
-        other_points=scene.points[label != thing.label],
-        support_plane=scene.plane_in_camera(),
-        T_world_camera=scene.T_world_camera,
-        image=scene.image,
-        others_in_world=scene.world[above & (label != thing.label)],
+        other_points=view.points[label != thing.label],
+        support_plane=view.plane_in_camera(),
+        T_world_camera=view.T_world_camera,
+        image=view.image,
+        others_in_world=view.world[above & (label != thing.label)],
         cleaning=cleaning,
         object_rays=rays,
     )
 
 
-def describe(scene: Scene, thing: Thing, seen: Sighting) -> str:
+def describe(view: LabelledView, thing: Thing, seen: Sighting) -> str:
     """Summary for the user: points kept, and points dropped by reason."""
-    label = scene.label
+    label = view.label
     count = {
         "outside the workspace": OUTSIDE,
         "on the table": TABLE,
         "in groups too small to be a thing": LOOSE,
-        "in the robot's place" if scene.over_table else "on the robot": ROBOT,
+        "in the robot's place" if view.over_table else "on the robot": ROBOT,
     }
     dropped = [f"{n} {words}" for words, k in count.items() if (n := int((label == k).sum()))]
     kept = len(seen.object_points)
@@ -264,8 +266,8 @@ def describe(scene: Scene, thing: Thing, seen: Sighting) -> str:
         dropped.append(f"{others} on other things")
     if unclean:
         dropped.append(f"{unclean} by cleaning")
-    total = sum(other.stands for other in scene.listed)
-    which = "the masked object" if scene.mask is not None else f"object {thing.number} of {total}"
+    total = sum(other.stands for other in view.listed)
+    which = "the masked object" if view.mask is not None else f"object {thing.number} of {total}"
     said = f"{which}, {thing.describe()}: kept {kept} of {len(label)} points"
     said += f"; dropped {', '.join(dropped)}" if dropped else ""
     if thing.unsplit:

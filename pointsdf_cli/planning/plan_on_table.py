@@ -16,11 +16,11 @@ from pointsdf_cli.planning.answer import Answer, PlanNotes
 from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
+from pointsdf_cli.planning.labelled_view import label_view
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
 from pointsdf_cli.planning.option_checks import RECONSTRUCTION
 from pointsdf_cli.planning.plan_request import Corners, PlanRequest, PlanResult
 from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
-from pointsdf_cli.planning.scene import sort_scene
 from pointsdf_cli.planning.seen_obstacles import seen_obstacles
 from pointsdf_cli.planning.table_top import TableTop, look_at_table, workspace_of
 from pointsdf_cli.planning.take_order import Turn, take_order
@@ -35,7 +35,7 @@ BELOW, MUCH = 0.01, 0.1
 
 
 @dataclass(frozen=True)
-class TableSession:
+class TablePlan:
     """An answer and its inputs.
 
     Attributes:
@@ -76,7 +76,7 @@ def answer_request(
     planner: GraspPlanner, request: PlanRequest, warn: Callable[[str], None] | None = None
 ) -> PlanResult:
     """Answer a checked request; see `plan_on_table`."""
-    return _session(planner, request, warn).result(planner.options)
+    return _plan(planner, request, warn).result(planner.options)
 
 
 def plan_on_table(
@@ -93,7 +93,7 @@ def plan_on_table(
     cleaned: bool = True,
     warn: Callable[[str], None] | None = None,
     obstacles: str = RECONSTRUCTION,
-) -> TableSession:
+) -> TablePlan:
     """Find the object in the clouds and plan a grasp of it.
 
     Args:
@@ -124,12 +124,12 @@ def plan_on_table(
         segment=segment, target=target, others=others, workspace=workspace, cleaned=cleaned,
         obstacles=obstacles,
     )  # fmt: skip
-    return _session(planner, request, warn)
+    return _plan(planner, request, warn)
 
 
-def _session(
+def _plan(
     planner: GraspPlanner, request: PlanRequest, warn: Callable[[str], None] | None
-) -> TableSession:
+) -> TablePlan:
     """Answer a request, whose choices are the planner's own; see `plan_on_table`."""
     q = start_configuration(request.start, planner.robot)
     if request.segment == "auto" and request.environment.table:
@@ -147,7 +147,7 @@ def _plan_for(
     q: Array,
     target: TargetChoice | None,
     warn: Callable[[str], None] | None = None,
-) -> TableSession:
+) -> TablePlan:
     """Plan for one object of a request, from the start q [J]."""
     clouds, environment, segment = request.clouds, request.environment, request.segment
     workspace, cleaned = workspace_of(request.workspace), request.cleaned
@@ -173,20 +173,20 @@ def _plan_for(
     answer = planner.plan(seen.views, environment, q, request.seed, notes=notes)
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
-    return TableSession(
+    return TablePlan(
         answer, tuple(report), q, points, camera, environment.obstacles, tuple(warnings)
     )
 
 
 def _without_object(
     planner: GraspPlanner, request: PlanRequest, error: NoObjectError, q: Array
-) -> TableSession:
-    """The session for clouds that show no object."""
+) -> TablePlan:
+    """The result for clouds that show no object."""
     world = np.concatenate([in_world(cloud) for cloud in request.clouds])
     camera = np.asarray(request.clouds[0].T_world_camera)[:3, 3]
     answer = planner.nothing(f"{error.what}; {error.hint or error.allowed}")
     said = (f"{error.where}: {error.what}",)
-    return TableSession(answer, said, q, world, camera, request.environment.obstacles)
+    return TablePlan(answer, said, q, world, camera, request.environment.obstacles)
 
 
 def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: bool) -> list[str]:
@@ -206,7 +206,7 @@ def _turns(planner: GraspPlanner, request: PlanRequest, q: Array) -> list[Turn]:
     cloud, name = request.clouds[0], request.names[0]
     require_pose(cloud, name)
     own, reach = robot_points(planner.robot, q), reach_of(planner.robot)
-    scene = sort_scene(
+    view = label_view(
         check_scene_cloud(cloud, name),
         name,
         workspace_of(request.workspace),
@@ -214,16 +214,16 @@ def _turns(planner: GraspPlanner, request: PlanRequest, q: Array) -> list[Turn]:
         reach,
         request.cleaned,
     )
-    return take_order(scene, reach)
+    return take_order(view, reach)
 
 
 def _first_good(
     turns: list[Turn],
-    attempt: Callable[..., TableSession],
+    attempt: Callable[..., TablePlan],
     enough: float,
     warn: Callable[[str], None] | None,
-) -> TableSession:
-    """The session of the first object with a good grasp, or else of the best grasp.
+) -> TablePlan:
+    """The result for the first object with a good grasp, or else of the best grasp.
 
     Args:
         turns: The objects, the easiest to grasp first.
@@ -235,23 +235,23 @@ def _first_good(
         return attempt(None, warn)
     said, best = [], None
     for turn in turns:
-        session = attempt(TargetChoice(number=turn.thing.number))
-        plan = session.answer.plan
+        found = attempt(TargetChoice(number=turn.thing.number))
+        plan = found.answer.plan
         success = plan.success_probability if plan.status == OK else -1.0
-        found = f"success {success:.2f}" if plan.status == OK else f"no plan ({plan.reason})"
-        said.append(f"{turn.describe()}: {found}")
+        outcome = f"success {success:.2f}" if plan.status == OK else f"no plan ({plan.reason})"
+        said.append(f"{turn.describe()}: {outcome}")
         if best is None or success > best[0]:
-            best = success, session, turn
+            best = success, found, turn
         if success >= enough:
             break
     assert best is not None
-    success, session, turn = best
+    success, found, turn = best
     why = "the first good grasp" if success >= enough else "the best of all"
     said.append(f"object {turn.thing.number} is taken: {why}")
     if warn is not None:
-        for sentence in session.warnings:
+        for sentence in found.warnings:
             warn(sentence)
-    return replace(session, report=(*said, *session.report))
+    return replace(found, report=(*said, *found.report))
 
 
 def table_doubt(height: float | None, clouds: Sequence[Cloud]) -> str:
