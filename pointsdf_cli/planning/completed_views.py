@@ -10,7 +10,6 @@ import numpy as np
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
-from pointsdf_cli.models.precision import autocast_dtype
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.grid import GridConfig
@@ -19,9 +18,8 @@ from pointsdf_cli.planning.target import ObjectField, absent_object, given_objec
 
 
 def completed(network: ShapeModel, view: View, seed: int | Sequence[int]) -> Reconstruction:
-    """The object of one view in the world, from points sampled with `seed`, in the precision that
-    the processor multiplies fastest."""
-    made = Reconstruction.from_cloud(
+    """The object of one view in the world, from points sampled with `seed`."""
+    return Reconstruction.from_cloud(
         network,
         view.in_world,
         view.T_world_camera[:3, 3],
@@ -29,7 +27,6 @@ def completed(network: ShapeModel, view: View, seed: int | Sequence[int]) -> Rec
         seed,
         view.evidence,
     )
-    return made.in_precision(autocast_dtype("auto", next(network.parameters()).device))
 
 
 def unseen_support(shape: ObjectField, views: Sequence[View]) -> Array:
