@@ -5,11 +5,11 @@
 CAPTURES holds folders with depth.png (0.1 mm a step), K.json, truth.json and either label.png or
 T_world_camera.json; MESHES the scans that truth.json names. Prints IoU and Chamfer distance of
 
-1. each registered object in each capture, cut out by its label (2 px too small) or by the table's
-   plane: the bare cloud, the cloud cleaned, then also with the depth image around it, then also
-   with the support plane;
-2. exact views of the meshes at 1 m (fx 1067) whose masks are too small by 0, 1, 2 and 4 px, bare
-   and with evidence.
+1. each registered object in each capture, cut out by its label (2 px too small, grown to the
+   depth's edge) or by the table's plane: the bare cloud, the cloud cleaned, then also with the
+   depth image around it, then also with the support plane;
+2. exact views of the meshes at 1 m (fx 1067) whose masks are too small by 0, 1, 2 and 4 px and
+   grown as `plan` does, bare and with evidence.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from registered import registered_objects
 from scipy import ndimage
 
 from pointsdf_cli.camera.cleaning import clean
+from pointsdf_cli.camera.mask_edge import grown_mask
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster
 from pointsdf_cli.geometry.arrays import Array
@@ -79,6 +80,9 @@ def real_cases(captures: Path, meshes: Path) -> Iterator[Case]:
         else:
             label = np.asarray(Image.open(one.folder / "label.png"))
             mask = ndimage.binary_erosion(label == one.label, iterations=2)
+            above = np.zeros(depth.shape, dtype=bool)
+            above[v, u] = points @ plane[:3] - plane[3] > PLANE_BAND
+            mask = grown_mask(mask, depth, camera.fx, above)
             mine = mask[v, u]
             rays = camera.rays_of(mask & (depth <= 0))
         yield Case(one.name, points[mine], points[~mine], plane, one.mesh, one.T_camera_mesh, rays)
@@ -96,8 +100,9 @@ def exact_cases(meshes: Path, erosion: int, most: int = 13) -> Iterator[Case]:
         pose = transform(rotation, np.array([0, 0, 1.0]) - rotation @ centre)
         window = MeshCaster(mesh.vertices, mesh.faces, camera).cast_window(pose, margin=0.45)
         full = np.isfinite(window.depth)
-        mask = ndimage.binary_erosion(full, iterations=erosion) if erosion else full
         depth = np.where(full, window.depth, 1.5)
+        mask = ndimage.binary_erosion(full, iterations=erosion) if erosion else full
+        mask = grown_mask(mask, depth, camera.fx)
         rows, columns = np.indices(depth.shape).reshape(2, -1)
         points = camera.back_project(
             columns + window.origin[0], rows + window.origin[1], depth.ravel()

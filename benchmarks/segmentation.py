@@ -34,20 +34,20 @@ from pointsdf_cli.trials.protocol import (
     choose_objects,
     make_trials,
 )
-from pointsdf_cli.trials.scenes import SceneConfig, load_object, place_camera, place_object
+from pointsdf_cli.trials.scenes import load_object, place_camera, place_object
 
 SENSORS = ("structured-light", "stereo")
 NEAR, COVERED = 0.012, 0.006
 """Distances [m] up to which a point is the object's, and is covered by another."""
 
 
-def is_found(scene: LabelledView, surface: Array) -> bool:
+def is_found(view: LabelledView, surface: Array) -> bool:
     """Whether number 1 is the object whose surface points [S, 3] are given, world, m."""
-    if not scene.listed:
+    if not view.listed:
         return False
-    found = scene.world[scene.things.label == scene.listed[0].label]
+    found = view.world[view.things.label == view.listed[0].label]
     tree = cKDTree(surface)
-    seen = scene.world[(tree.query(scene.world)[0] < 0.01) & (scene.world[:, 2] > NEAR)]
+    seen = view.world[(tree.query(view.world)[0] < 0.01) & (view.world[:, 2] > NEAR)]
     if not len(seen):
         return False
     pure = float((tree.query(found)[0] < NEAR).mean())
@@ -64,24 +64,24 @@ def main() -> None:
     options = parser.parse_args()
     robot = load_robot()
     own, reach = robot_points(robot, robot.home), reach_of(robot)
-    world, placing = World(robot, PhysicsConfig()), SceneConfig()
+    world = World(robot, PhysicsConfig())
     observers = {name: Observer(robot, CameraPlacement(sensor=name)) for name in SENSORS}
     right: dict[tuple[str, str], list[bool]] = {}
     listed: dict[tuple[str, str], list[int]] = {}
     objects = choose_objects(options.meshes, options.objects)
     variants = [PlannerVariant(RECONSTRUCTION)]
     for trial in make_trials(objects, variants, 1, list(CAMERAS), seed=options.seed):
-        item, pose, _ = place_object(world, load_object(trial.object, placing), trial, placing)
-        T_world_camera = place_camera(item, pose, trial, placing)
+        item, pose, _ = place_object(world, load_object(trial.object), trial)
+        T_world_camera = place_camera(item, pose, trial)
         solid = trimesh.Trimesh(apply_transform(pose, item.mesh.vertices), item.mesh.faces)
         surface, _ = trimesh.sample.sample_surface(solid, 20_000, seed=0)
         for name, observer in observers.items():
             depth = observer.depth([(item, pose)], T_world_camera, trial.rng("view"))
             cloud = cloud_of_depth(depth, observer.placement.camera, T_world_camera)
-            scene = label_view(cloud, name, WORKSPACE, lambda at: ~off_robot(at, own), reach)
+            view = label_view(cloud, name, WORKSPACE, lambda at: ~off_robot(at, own), reach)
             key = name, trial.camera
-            right.setdefault(key, []).append(is_found(scene, np.asarray(surface)))
-            listed.setdefault(key, []).append(len(scene.listed))
+            right.setdefault(key, []).append(is_found(view, np.asarray(surface)))
+            listed.setdefault(key, []).append(len(view.listed))
     for (sensor, camera), found in right.items():
         print(
             f"{sensor:17s} {camera:5s} right {sum(found)} of {len(found)}, "

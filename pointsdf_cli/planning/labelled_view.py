@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.cleaning import Cleaning, clean, flying_pixels
+from pointsdf_cli.camera.mask_edge import grown_mask
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.things import (
     LOOSE,
@@ -54,7 +55,8 @@ class LabelledView:
         flying: Counts of flying pixels and outliers among the N points.
         T_world_camera: [4, 4].
         image: The depth image; None where there was none.
-        mask: bool [N], points under the user's mask; None without one.
+        mask: bool [N], points under the user's mask, extended to the edge of the depth; None
+            without one.
         mask_rays: [K, 2], as in `Cloud`.
         over_table: The pose was made from the table: no robot was seen, some points lie where the
             robot will stand.
@@ -153,8 +155,10 @@ def label_view(
     found = find_things(world[~own], camera, workspace)
     label[~own] = found.label
     things = Things(label, found.plane, found.unsplit)
+    mask = None
     if cloud.mask is not None:
-        things = masked_thing(cloud.mask[thinned.first], things)
+        mask = _to_depth_edge(cloud, cloud.mask, thinned.voxel, label)
+        things = masked_thing(mask[thinned.first], things)
     pixels = None if cloud.pixels is None else cloud.pixels[thinned.first]
     place = image_place(few, pixels, cloud.image)
     listed = numbered(world, place, things, things.standing(world), reach)
@@ -171,10 +175,32 @@ def label_view(
         flying=flying,
         T_world_camera=cloud.T_world_camera,
         image=cloud.image,
-        mask=cloud.mask,
+        mask=mask,
         mask_rays=cloud.mask_rays,
         over_table=cloud.over_table,
     )
+
+
+def _to_depth_edge(
+    cloud: Cloud, mask: Mask, voxel: NDArray[np.int64], label: NDArray[np.int64]
+) -> Mask:
+    """A mask [N] of a cloud's points extended to the edge of the depth, above the table only.
+
+    Args:
+        cloud: The cloud; without an image, the mask stays as it is.
+        mask: bool [N].
+        voxel: [N], as in `Thinned`.
+        label: [M], labels of the thinned points.
+    """
+    if cloud.image is None or cloud.pixels is None:
+        return mask
+    u, v = cloud.pixels.astype(np.int64).T
+    above = (label >= 0) | (label == LOOSE)
+    marked, allowed = np.zeros((2, *cloud.image.depth.shape), dtype=bool)
+    marked[v, u] = mask
+    allowed[v, u] = (voxel >= 0) & above[voxel]
+    focal = float(cloud.image.K[0, 0])
+    return grown_mask(marked, cloud.image.depth, focal, allowed)[v, u]
 
 
 def thin_and_clean(points: Array, cloud: Cloud, cleaned: bool) -> tuple[Thinned, Cleaning]:
