@@ -217,8 +217,8 @@ def compare(planner: Planner, scenes: list[Target]) -> None:
             rows[name].append((took, len(accepted), best))
     print(f"{len(rows['sqp'])} scenes, the same seeds: seconds, accepted solutions, best objective")
     for name, values in rows.items():
-        seconds, accepted, best = (np.array(column) for column in zip(*values, strict=True))
-        print(f"  {name:6} {seconds.mean():.2f} s, {accepted.sum()}, {np.median(best):.3f}")
+        seconds, counts, bests = (np.array(column) for column in zip(*values, strict=True))
+        print(f"  {name:6} {seconds.mean():.2f} s, {counts.sum()}, {np.median(bests):.3f}")
     ratio = sum(r[0] for r in rows["slsqp"]) / sum(r[0] for r in rows["sqp"])
     print(f"  sqp is {ratio:.1f} times faster")
 
