@@ -5,11 +5,11 @@
 CAPTURES holds folders with depth.png (0.1 mm a step), K.json, truth.json and either label.png or
 T_world_camera.json; MESHES the scans that truth.json names. Prints IoU and Chamfer distance of
 
-1. each registered object in each capture, cut out by its label (2 px too small, grown to the
-   depth's edge) or by the table's plane: the bare cloud, the cloud cleaned, then also with the
-   depth image around it, then also with the support plane;
-2. exact views of the meshes at 1 m (fx 1067) whose masks are too small by 0, 1, 2 and 4 px and
-   grown as `plan` does, bare and with evidence.
+1. each registered object in each capture, cut out by its label (2 px too small) or by the table's
+   plane: the bare cloud; cleaned; with the depth image around it, as `mesh` without a pose; with
+   the support plane and the mask grown to the depth's edge, as `plan`, and `mesh` with a pose;
+2. exact views of the meshes at 1 m (fx 1067) whose masks are too small by 0, 1, 2 and 4 px, with
+   the image around them: the mask as it is, and grown.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ class Case(NamedTuple):
     """[K, 2], tangents of the mask's pixels without depth."""
 
 
-def real_cases(captures: Path, meshes: Path) -> Iterator[Case]:
-    """Every object of the captures whose pose is known."""
+def real_cases(captures: Path, meshes: Path, grown: bool = False) -> Iterator[Case]:
+    """Every object of the captures whose pose is known; masks `grown` or as they are."""
     for one in registered_objects(captures, meshes):
         depth = np.asarray(Image.open(one.folder / "depth.png")) * 1e-4
         K = np.array(json.loads((one.folder / "K.json").read_text()))
@@ -82,13 +82,13 @@ def real_cases(captures: Path, meshes: Path) -> Iterator[Case]:
             mask = ndimage.binary_erosion(label == one.label, iterations=2)
             above = np.zeros(depth.shape, dtype=bool)
             above[v, u] = points @ plane[:3] - plane[3] > PLANE_BAND
-            mask = grown_mask(mask, depth, camera.fx, above)
+            mask = grown_mask(mask, depth, camera.fx, above) if grown else mask
             mine = mask[v, u]
             rays = camera.rays_of(mask & (depth <= 0))
         yield Case(one.name, points[mine], points[~mine], plane, one.mesh, one.T_camera_mesh, rays)
 
 
-def exact_cases(meshes: Path, erosion: int, most: int = 13) -> Iterator[Case]:
+def exact_cases(meshes: Path, erosion: int, grown: bool = False, most: int = 13) -> Iterator[Case]:
     """One exact view of each of `most` meshes, seen from above before a wall 0.5 m behind."""
     camera = Camera(640, 480, 1067.0, 1067.0, 319.5, 239.5)
     rng = np.random.default_rng(0)
@@ -102,7 +102,7 @@ def exact_cases(meshes: Path, erosion: int, most: int = 13) -> Iterator[Case]:
         full = np.isfinite(window.depth)
         depth = np.where(full, window.depth, 1.5)
         mask = ndimage.binary_erosion(full, iterations=erosion) if erosion else full
-        mask = grown_mask(mask, depth, camera.fx)
+        mask = grown_mask(mask, depth, camera.fx) if grown else mask
         rows, columns = np.indices(depth.shape).reshape(2, -1)
         points = camera.back_project(
             columns + window.origin[0], rows + window.origin[1], depth.ravel()
@@ -154,17 +154,17 @@ def main() -> None:
     options = parser.parse_args()
     model = load_model(options.checkpoint)
 
-    print(
-        "real depth: IoU (Chamfer mm)   bare | cleaned | with the image around it | and the plane"
-    )
+    print("real depth: IoU (Chamfer mm)   bare | cleaned | with the image | with plane, mask grown")
     rows, table = [], []
-    for case in real_cases(options.captures, options.meshes):
+    folders = options.captures, options.meshes
+    for case, grown in zip(real_cases(*folders), real_cases(*folders, True), strict=True):
         kept = case.points[clean(case.points).kept]
+        more = grown.points[clean(grown.points).kept]
         found = [
             completed(model, case, case.points, None),
             completed(model, case, kept, None),
             completed(model, case, kept, evidence_of(case, kept, with_plane=False)),
-            completed(model, case, kept, evidence_of(case, kept)),
+            completed(model, grown, more, evidence_of(grown, more)),
         ]
         table.append([[score.iou, score.chamfer] for score, _ in found])
         said = " | ".join(f"{score.iou:.3f} ({1e3 * score.chamfer:.1f})" for score, _ in found)
@@ -176,17 +176,14 @@ def main() -> None:
     if options.picture:
         draw_gallery(options.picture, rows)
 
-    print("exact views, mask too small by:   bare | with evidence")
+    print("exact views, mask too small by:   as it is | grown")
     for erosion in (0, 1, 2, 4):
-        ious = [
-            (
-                completed(model, case, case.points, None)[0].iou,
-                completed(model, case, case.points, evidence_of(case, case.points))[0].iou,
-            )
-            for case in exact_cases(options.meshes, erosion)
-        ]
-        bare, known = np.mean(ious, axis=0)
-        print(f"{erosion} px{'':36s} {bare:.3f} | {known:.3f}", flush=True)
+        ious = []
+        for grows in (False, True):
+            cases = exact_cases(options.meshes, erosion, grows)
+            known = [(case, evidence_of(case, case.points)) for case in cases]
+            ious.append(np.mean([completed(model, c, c.points, e)[0].iou for c, e in known]))
+        print(f"{erosion} px{'':36s} {ious[0]:.3f} | {ious[1]:.3f}", flush=True)
 
 
 if __name__ == "__main__":
