@@ -142,6 +142,7 @@ def test_a_mesh_is_closed_and_where_the_cloud_is(server: Server) -> None:
         ({"clouds": [{"points": "many"}]}, "not numbers"),
         ({"clouds": [{"points": [[0, 0, 1]] * 9}]}, "the camera's pose is not known"),
         ({"clouds": [{"points": [[0, 0, 1]], "pose": 3}]}, "pose"),
+        ({"clouds": [{"points": [[0, 0, 1]], "depth": [[1]], "K": np.zeros((3, 3))}]}, "focal"),
         ({**cloud_body(MUG), "method": "guess"}, "reconstruction, partial-view"),
         ({**cloud_body(MUG), "margin": -1}, "--margin"),
         ({**cloud_body(MUG), "target": [1, 2, 3, 4]}, "target"),

@@ -22,6 +22,9 @@ STEEPEST = 3.0
 NOISE = 0.001
 """Depth step [m] of a camera's noise, in addition."""
 
+FARTHEST = 8
+"""Largest growth [px], whatever the focal length."""
+
 
 def grown_mask(
     mask: Mask, depth: NDArray[np.floating], focal: float, allowed: Mask | None = None
@@ -31,7 +34,7 @@ def grown_mask(
     Args:
         mask: [height, width].
         depth: [height, width], m along z; 0 where nothing returned.
-        focal: Focal length [px].
+        focal: Focal length [px], above 0.
         allowed: [height, width], pixels that may be the object's, such as those above the table;
             all if None.
 
@@ -40,7 +43,7 @@ def grown_mask(
     """
     grown = np.array(mask, dtype=bool)
     free = depth > 0 if allowed is None else allowed & (depth > 0)
-    for _ in range(max(1, round(focal / SENSOR_FOCAL))):
+    for _ in range(int(np.clip(round(focal / SENSOR_FOCAL), 1, FARTHEST))):
         known = np.pad(np.where(grown, depth, 0.0), 1)
         new = np.zeros_like(grown)
         for down, right in ((0, 1), (2, 1), (1, 0), (1, 2)):

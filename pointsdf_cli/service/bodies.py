@@ -77,6 +77,8 @@ class CloudBody(_Body):
             raise InputError("T_world_camera is not a rigid transform", where=self.name)
         if (self.depth is None) != (self.K is None):
             raise InputError("a depth image without its K, or K alone", where=self.name)
+        if self.K is not None and not (self.K[0, 0] > 0 and self.K[1, 1] > 0):
+            raise InputError("focal lengths of K that are not above 0", where=self.name)
         for part in (self.pixels, self.mask):
             if part is not None and len(part) != len(self.points):
                 raise InputError(
