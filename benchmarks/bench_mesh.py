@@ -36,10 +36,10 @@ from pointsdf_cli.geometry.mise import SearchRules
 from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.io.views import read_views
 from pointsdf_cli.models.meshing import mesh_reconstruction, network_field
-from pointsdf_cli.models.precision import autocast_dtype
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model, use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.precision import autocast_dtype
 
 REPEATS = 3
 

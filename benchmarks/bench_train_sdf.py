@@ -21,9 +21,9 @@ from textbook_pointconv import TextbookPointSDF
 
 from pointsdf_cli.models.pointsdf import PRESETS, PointSDF
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
-from pointsdf_cli.models.precision import autocast_dtype
 from pointsdf_cli.models.processor import keep_large_allocations
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.precision import autocast_dtype
 from pointsdf_cli.training.sdf_data import augment, predict, read_batch
 from pointsdf_cli.training.sdf_loss import SdfLoss
 from pointsdf_cli.training.sdf_pack import Pack, pack_views

@@ -10,11 +10,11 @@ import torch
 
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.models.meshing import ReconstructedMesh, mesh_reconstruction
-from pointsdf_cli.models.precision import autocast_dtype
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_view import ObjectView
+from pointsdf_cli.training.precision import autocast_dtype
 
 
 @dataclass(frozen=True)

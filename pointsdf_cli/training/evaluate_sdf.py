@@ -28,10 +28,10 @@ from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
 from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.io.views import Views, read_views, read_views_header
 from pointsdf_cli.models.meshing import mesh_reconstruction
-from pointsdf_cli.models.precision import autocast_dtype
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model, use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.precision import autocast_dtype
 from pointsdf_cli.training.sdf_table import PUBLISHED, ScoredView, summarise, table_lines
 from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 

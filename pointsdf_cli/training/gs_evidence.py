@@ -29,12 +29,12 @@ from pointsdf_cli.models.grasp_checkpoint import weights_hash
 from pointsdf_cli.models.grasp_features import BODY_SIZE, GraspFeatures, object_body
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
 from pointsdf_cli.models.normalise import network_frame
-from pointsdf_cli.models.precision import autocast_dtype
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model, use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.robot.description import load_robot, robot_digest
 from pointsdf_cli.training.gs_data import GraspData
+from pointsdf_cli.training.precision import autocast_dtype
 
 RECIPE = 3
 """Version of the cache; increases when the same inputs give other numbers."""

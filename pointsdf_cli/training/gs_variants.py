@@ -32,7 +32,6 @@ from pointsdf_cli.models.grasp_features import GraspFeatures
 from pointsdf_cli.models.grasp_prior import KINDS, GraspPrior, ObjectPlace
 from pointsdf_cli.models.grasp_success import EmbeddingNet, GeometryNet
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
-from pointsdf_cli.models.precision import autocast_dtype
 from pointsdf_cli.models.registry import build_model, default_checkpoint, load_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.robot.description import RobotDescription, load_robot
@@ -46,6 +45,7 @@ from pointsdf_cli.training.gs_inputs import (
     geometry_features,
 )
 from pointsdf_cli.training.gs_prior import FEWEST, fit_prior
+from pointsdf_cli.training.precision import autocast_dtype
 
 GEOMETRY, POINTSDF, VOXELCNN = "geometry", "pointsdf", "voxelcnn"
 ARCHITECTURES = {

@@ -14,11 +14,11 @@ import torch
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.checkpoints import read_train_state, write_checkpoint
 from pointsdf_cli.io.provenance import data_sha256
-from pointsdf_cli.models.precision import autocast_dtype
 from pointsdf_cli.models.processor import keep_large_allocations
 from pointsdf_cli.models.shape_model import ShapeModel, has_batch_norm
 from pointsdf_cli.training.distributed import ALONE, Workers
 from pointsdf_cli.training.ema import WeightAverage
+from pointsdf_cli.training.precision import autocast_dtype
 from pointsdf_cli.training.resuming import (
     progress_of,
     put_back_optimiser,

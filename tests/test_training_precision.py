@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.models import precision
+from pointsdf_cli.training import precision
 
 CPU = torch.device("cpu")
 
