@@ -24,7 +24,7 @@ pages: setup
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(RUN)/mkdocs build
 
-# Scripts must call what there is; what they pass is not checked.
+# Of scripts only names and parameters are checked, not types.
 LOOSE := $(addprefix --disable-error-code=,arg-type assignment call-overload operator override return-value var-annotated) --no-warn-unused-ignores
 
 lint: setup

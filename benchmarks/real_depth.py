@@ -63,8 +63,8 @@ class Case(NamedTuple):
     """[K, 2], tangents of the mask's pixels without depth."""
 
 
-def real_cases(captures: Path, meshes: Path, grown: bool = False) -> Iterator[Case]:
-    """Every object of the captures whose pose is known; masks `grown` or as they are."""
+def real_cases(captures: Path, meshes: Path) -> Iterator[tuple[Case, Case]]:
+    """Every object of the captures whose pose is known: by its mask as it is, and grown."""
     for one in registered_objects(captures, meshes):
         depth = np.asarray(Image.open(one.folder / "depth.png")) * 1e-4
         K = np.array(json.loads((one.folder / "K.json").read_text()))
@@ -73,19 +73,24 @@ def real_cases(captures: Path, meshes: Path, grown: bool = False) -> Iterator[Ca
         v, u = np.nonzero(depth > 0)
         points = camera.back_project(u, v, depth[v, u])
         plane = table_plane(points[points[:, 2] < 1.6])
+        height_above = points @ plane[:3] - plane[3]
+
         rays = None
         if one.label is None:
-            above = points @ plane[:3] - plane[3]
-            mine = (above > PLANE_BAND) & (above < 0.4) & (points[:, 2] < 0.9)
+            mine = (height_above > PLANE_BAND) & (height_above < 0.4) & (points[:, 2] < 0.9)
+            masks = mine, mine
         else:
             label = np.asarray(Image.open(one.folder / "label.png"))
             mask = ndimage.binary_erosion(label == one.label, iterations=2)
             above = np.zeros(depth.shape, dtype=bool)
-            above[v, u] = points @ plane[:3] - plane[3] > PLANE_BAND
-            mask = grown_mask(mask, depth, camera.fx, above) if grown else mask
-            mine = mask[v, u]
+            above[v, u] = height_above > PLANE_BAND
+            masks = mask[v, u], grown_mask(mask, depth, camera.fx, above)[v, u]
             rays = camera.rays_of(mask & (depth <= 0))
-        yield Case(one.name, points[mine], points[~mine], plane, one.mesh, one.T_camera_mesh, rays)
+        as_it_is, grown = (
+            Case(one.name, points[m], points[~m], plane, one.mesh, one.T_camera_mesh, rays)
+            for m in masks
+        )
+        yield as_it_is, grown
 
 
 def exact_cases(meshes: Path, erosion: int, grown: bool = False, most: int = 13) -> Iterator[Case]:
@@ -156,8 +161,7 @@ def main() -> None:
 
     print("real depth: IoU (Chamfer mm)   bare | cleaned | with the image | with plane, mask grown")
     rows, table = [], []
-    folders = options.captures, options.meshes
-    for case, grown in zip(real_cases(*folders), real_cases(*folders, True), strict=True):
+    for case, grown in real_cases(options.captures, options.meshes):
         kept = case.points[clean(case.points).kept]
         more = grown.points[clean(grown.points).kept]
         found = [

@@ -167,19 +167,19 @@ class Page:
         poses = [] if capture.pose is None else [capture.pose]
         given = read_scene([capture.path], poses, [capture.files], robot=robot)
         alone = capture.files.frame == "world"
-        session = plan_on_table(
+        planned = plan_on_table(
             self._planner,
             given.clouds,
             [capture.name],
             target=given.target,
             segment="none" if alone else "auto",
         )
-        said.append(outcome(session))
+        said.append(outcome(planned))
         path = stem.with_suffix(".plan.png")
-        plan = session.answer.plan
-        q = session.start if plan.reason else plan.q
+        plan = planned.answer.plan
+        q = planned.start if plan.reason else plan.q
         plan_picture(
-            path, RobotMeshes(robot), q, scene_of_plan(session.result(PlanOptions())), "", ""
+            path, RobotMeshes(robot), q, scene_of_plan(planned.result(PlanOptions())), "", ""
         )
         return path
 
@@ -207,9 +207,9 @@ class Page:
         figure.savefig(out, dpi=70)
 
 
-def outcome(session: TablePlan) -> str:
+def outcome(planned: TablePlan) -> str:
     """The plan or its reason in one sentence."""
-    plan = session.answer.plan
+    plan = planned.answer.plan
     if plan.reason:
         return f"no plan: {plan.reason}. {plan.sentence}"
     return f"plan: {plan.kind} grasp, probability {plan.success_probability:.2f}"

@@ -1,8 +1,8 @@
 """Masks that end before the object does: the edge of a mask moved outwards to the depth's edge.
 
 A mask drawn in the colour image, or by a network, is often a few pixels too small, and the network
-would take the object's rim for free space. Where the depth beside the mask continues the object's,
-the pixel is the object's too.
+would take the object's rim for free space. A pixel beside the mask is the object's too if its depth
+continues that of the mask.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ SENSOR_FOCAL = 570.0
 of masks in them."""
 
 STEEPEST = 3.0
-"""Steps of depth from pixel to pixel up to those of a surface at 72° continue a surface."""
+"""Tangent of the steepest angle, 72°: larger depth steps from pixel to pixel end a surface."""
 
 NOISE = 0.001
 """Depth step [m] of a camera's noise, in addition."""
