@@ -144,6 +144,28 @@ def test_out_of_a_chimney_there_is_no_motion(planner: Planner) -> None:
     assert "motion" in plan.rejected.reasons
 
 
+def test_fingers_that_would_meet_an_obstacle_are_a_reason(planner: Planner) -> None:
+    """A post behind the can: only grasps whose fingers keep clear of it are accepted."""
+    found, good = found_for_the_can(planner)
+    assert good.closing_slack == np.inf  # without obstacles nothing is checked
+    behind = transform(np.eye(3), [CAN[0] + 0.035 + 0.045, CAN[1], CAN[2]])
+    post = Environment((Obstacle("post", "cylinder", (0.005, 0.24), behind),))
+    near = planner.search(target(), post)
+    assert near.found.accepted
+    assert all(0 <= c.closing_slack < 0.5 for c in near.found.accepted)
+    met = [c for c in near.found.rejected if c.reason == "closing"]
+    assert all(c.closing_slack < 0 for c in met)
+    poor = replace(good, reason="closing", closing_slack=-0.004)
+    assert poor.is_fallback(AcceptanceConfig())
+    assert not replace(poor, success=0.01).is_fallback(AcceptanceConfig())
+    fallback = replace(found, accepted=[], fallbacks=[poor], best=None, reason="closing")
+    checker = PathChecker(planner.geometry, target().field, post)
+    best, _, rest = planner._with_motion(checker, fallback, planner.robot.home, 0)
+    assert best is poor
+    assert "4 mm" in rest.sentence
+    assert "obstacle" in rest.sentence
+
+
 def test_out_of_reach_has_a_reason_and_no_motion(planner: Planner) -> None:
     plan = plan_of(planner.search(target((1.5, 0.0, 0.12))))
     assert (plan.status, plan.reason) == ("no_plan", "inverse_kinematics")

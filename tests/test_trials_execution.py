@@ -69,6 +69,19 @@ def test_a_good_plan_holds_without_touching_before(world: World, can: SimObject)
     ]
 
 
+def test_the_lift_is_the_plans_own(world: World, can: SimObject) -> None:
+    """A lift that stays where it is raises nothing; a plan without a lift is not tried."""
+    path = approach((0, -0.06, 0), (0, -0.03, 0), (0, 0, 0))
+    pose = transform(np.eye(3), [*CAN_AT, 0.0752])
+    times = np.linspace(0.0, 1.0, len(path))
+    stays = execute_plan(world, can, pose, path, times, lift=np.repeat(path[-1:], 3, axis=0))
+    assert stays.outcome is not None
+    assert stays.outcome.lift_height == pytest.approx(0.0, abs=0.01)
+    assert not stays.outcome.lifted
+    none = execute_plan(world, can, pose, path, times, lift=np.zeros((0, path.shape[1])))
+    assert none.outcome is None
+
+
 def test_a_path_through_the_can_bumps_it(world: World, can: SimObject) -> None:
     done = execute(world, can, approach((0, -0.06, 0), (0, 0.12, 0), (0, 0.2, 0)), 1.0)
     # What is pushed ahead may be held in the end: it is the contact that is judged here.

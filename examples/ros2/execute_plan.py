@@ -6,7 +6,7 @@
         --arm-controller /arm_controller --hand-controller /hand_controller
 
 Both controllers are joint_trajectory_controllers (ros2_control); positions are read from
-/joint_states. Ctrl-C cancels what is running, and the controllers stop. See docs/robot.md.
+/joint_states. Ctrl-C or an error cancels the running goals. See docs/robot.md.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionClient
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectories import (
@@ -71,6 +73,11 @@ class Executor(Node):
                 missing = sorted(set(names) - (self.positions.keys() & self.velocities.keys()))
                 sys.exit(f"/joint_states has no position and velocity of {', '.join(missing)}")
 
+    def wait(self, future: Future) -> None:
+        """Wait for a future, in short steps, so that Ctrl-C is noticed."""
+        while not future.done():
+            rclpy.spin_once(self, timeout_sec=0.05)
+
     def send(self, controller: str, trajectory: Trajectory) -> None:
         """Start a trajectory on a controller."""
         client = self.controllers[controller]
@@ -78,24 +85,23 @@ class Executor(Node):
             sys.exit(f"no action server {controller}/follow_joint_trajectory")
         goal = FollowJointTrajectory.Goal(trajectory=message(trajectory, TYPES))
         future = client.send_goal_async(goal)
-        rclpy.spin_until_future_complete(self, future)
+        self.wait(future)
         if not future.result().accepted:
             sys.exit(f"{controller} refused the trajectory")
         self.running.append(future.result())
 
     def finish(self) -> None:
-        """Wait for what runs, and stop if a controller fails."""
+        """Wait for the running goals, and exit if a controller fails."""
         for handle in self.running:
             future = handle.get_result_async()
-            rclpy.spin_until_future_complete(self, future)
+            self.wait(future)
             result = future.result().result
             if result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
-                self.cancel()
                 sys.exit(f"a controller failed: {result.error_string} ({result.error_code})")
         self.running = []
 
     def cancel(self) -> None:
-        """Stop what runs; the controllers hold where they are."""
+        """Cancel the running goals; the controllers hold their positions."""
         for handle in self.running:
             rclpy.spin_until_future_complete(self, handle.cancel_goal_async(), timeout_sec=1.0)
         self.running = []
@@ -135,7 +141,8 @@ def main() -> None:
     motion, lift = read_motion(options.motion), read_lift(options.plan, options.lift_speed)
     arm, hand = read_hand(options.robot)
     fingers = tuple(name for name in motion.names if name not in arm)
-    rclpy.init()
+    # rclpy's own handler would shut the context down on Ctrl-C, and no goal could be cancelled.
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Executor(options.arm_controller, options.hand_controller)
     try:
         node.wait_for(motion.names)
@@ -151,9 +158,8 @@ def main() -> None:
         else:
             node.send(node.arm, lift.of(arm))
             node.finish()
-    except KeyboardInterrupt:
-        node.cancel()
     finally:
+        node.cancel()
         node.destroy_node()
         rclpy.try_shutdown()
 

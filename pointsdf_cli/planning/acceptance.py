@@ -57,6 +57,8 @@ class Candidate:
             [m]; negative if too near, infinite without anything to touch.
         reason: One of `reasons.REASONS`; empty for an accepted solution.
         kind: Kind of its seed, "side" or "top".
+        closing_slack: The same as `obstacle_slack` while the hand closes [m]; infinite if not
+            checked.
     """
 
     x: Array
@@ -70,10 +72,12 @@ class Candidate:
     self_slack: float
     reason: str
     kind: str = ""
+    closing_slack: float = np.inf
 
     def is_fallback(self, config: AcceptanceConfig) -> bool:
-        """Whether it meets all constraints and fails by success probability or objective alone."""
-        poor = self.reason in ("low_success_probability", "objective")
+        """Whether the open hand meets all constraints, and success probability, objective or the
+        closing motion alone is the reason."""
+        poor = self.reason in ("low_success_probability", "objective", "closing")
         return poor and self.success > min(config.floor, config.least)
 
     @property

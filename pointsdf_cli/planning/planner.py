@@ -14,6 +14,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.models.processor import one_thread
 from pointsdf_cli.planning.acceptance import Candidate
+from pointsdf_cli.planning.closing_check import ClosingCheck
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
@@ -181,7 +182,13 @@ class Planner:
         field_time = time.perf_counter() - began
         rng = np.random.default_rng(seed)
         asked = search or self.config.synthesis
-        found = synthesise(problems, target.prior, self.inverse, self.solver, rng, asked, stop)
+        closing = None
+        if environment.obstacles:
+            quick, least = problems.quick, self.config.clearances.environment
+            closing = ClosingCheck(self.geometry, quick.object.field, quick.bodies, least)
+        found = synthesise(
+            problems, target.prior, self.inverse, self.solver, rng, asked, stop, closing
+        )
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began
         if rank is not None and (found.accepted or found.fallbacks):

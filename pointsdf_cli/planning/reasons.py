@@ -21,6 +21,7 @@ REASONS = (
     "self_collision",
     "low_success_probability",
     "objective",
+    "closing",
     "motion",
     "solver",
     "not_tried",
@@ -134,6 +135,12 @@ def few_grasps(learned_from: int | None) -> list[str]:
 
 def warning(chosen: Candidate, seeds_tried: int) -> str:
     """Warning for a plan whose grasp would not have been accepted."""
+    if chosen.reason == "closing":
+        return (
+            f"Of {seeds_tried} grasps none closes without touching an obstacle; this one comes "
+            f"{-chosen.closing_slack * 1000:.0f} mm too near to it. Clear the space around the "
+            "object, or turn it."
+        )
     return (
         f"Of {seeds_tried} grasps none looks good; this is the best that touches nothing, "
         f"predicted to hold with probability {chosen.success:.2f} only. Turn the object, or look "
@@ -203,6 +210,12 @@ def explain(
         return (
             f"The best of {seeds_tried} grasps has an objective of {best.objective:.2f}, not below "
             f"{config.objective:g}: it is unlike the grasps that the prior was learned from."
+        )
+    if reason == "closing":
+        return (
+            f"The fingers of all {seeds_tried} grasps that were tried meet an obstacle when they "
+            f"close (the best by {max(0.0, -best.closing_slack) * 1000:.1f} mm): clear the space "
+            "around the object."
         )
     if reason == "motion":
         return (

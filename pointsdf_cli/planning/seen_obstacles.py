@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from pointsdf_cli.camera.segmentation import FEWEST, GAP, clusters
+from pointsdf_cli.camera.segmentation import GAP, clusters
 from pointsdf_cli.camera.things import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
@@ -45,6 +45,10 @@ larger all round by this [m]."""
 MISSED, FEWEST_MISSED = 0.006, 20
 """Seen points farther than this [m] from a reconstruction are a part that it misses, if so many lie
 together, one a voxel."""
+
+SMALLEST = 12
+"""Number of points, one a voxel, from which a group of them is an obstacle: a die 2 cm wide has 23
+at 1.2 m. Smaller groups are mostly noise on the table (docs/notebook.md)."""
 
 Surface = tuple[Array, NDArray[np.int32]]
 """Vertices [V, 3] m in the world and faces [F, 3]."""
@@ -133,7 +137,7 @@ def _missed(points: Array, vertices: Array, faces: NDArray[np.integer]) -> Array
     return np.asarray(far[missed])
 
 
-def hulls(points: Array, fewest: int = FEWEST, to_table: bool = True) -> list[Surface]:
+def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[Surface]:
     """The convex hull of each cluster of points.
 
     Args:

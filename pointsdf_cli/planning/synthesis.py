@@ -20,6 +20,7 @@ from pointsdf_cli.planning.acceptance import (
     judge,
 )
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
+from pointsdf_cli.planning.closing_check import ClosingCheck
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.nonlinear import Solutions, Solver
 from pointsdf_cli.planning.reasons import SeedStatistics, is_hemmed_in, why_none
@@ -134,6 +135,7 @@ def synthesise(
     rng: np.random.Generator,
     config: SynthesisConfig | None = None,
     stop: StopCondition | None = None,
+    closing: ClosingCheck | None = None,
 ) -> Synthesis:
     """Search for the best acceptable configuration; equal generators give equal results.
 
@@ -144,6 +146,7 @@ def synthesise(
         config: Effort of the search.
         stop: Stop condition, evaluated after every round that has added accepted candidates; by
             default the configuration's.
+        closing: Check of the closing motion; none if None.
     """
     config = config or SynthesisConfig()
     timings = dict.fromkeys(("seeds", "solve", "polish", "check"), 0.0)
@@ -171,6 +174,10 @@ def synthesise(
         _lap(timings, "check", start)
         best = min((c.objective for c in [*accepted, *candidates] if not c.reason), default=np.inf)
         _polish(problems, candidates, kinds, best, solver, config, timings)
+        if closing is not None:
+            start = time.perf_counter()
+            candidates = closing.judged(candidates)
+            _lap(timings, "check", start)
         new = [c for c in candidates if not c.reason]
         accepted += new
         before = _best_fallback(rejected, config)

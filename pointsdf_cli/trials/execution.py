@@ -52,6 +52,7 @@ def execute_plan(
     config: ExecutorConfig | None = None,
     watch: Watch | None = None,
     others: Sequence[tuple[SimObject, Array]] = (),
+    lift: Array | None = None,
 ) -> Executed:
     """Follow a timed trajectory to a grasp, then close, grip, lift, hold, push and judge.
 
@@ -65,6 +66,7 @@ def execute_plan(
         config: As in the collection of grasps.
         watch: Called after every step.
         others: Further free objects, each with its T_world_object [4, 4].
+        lift: [K, J], the plan's lift, empty if it has none; a lift that heeds no obstacles if None.
 
     Raises:
         InputError: There is no trajectory.
@@ -74,14 +76,17 @@ def execute_plan(
         raise InputError(f"a trajectory of {len(trajectory)} points", allowed="one or more")
     q = trajectory[-1]
     last = _Last(watch)
-    lift = lift_path(world.chain, q)
+    if lift is None:
+        arm = lift_path(world.chain, q)
+    else:
+        arm = lift[:, world.robot.arm] if len(lift) else None
     world.reset(item, T_world_object, trajectory[0], others=others)
     stood = world.object_centre()
     contact, lag = _follow(world, trajectory, times, last)
     moved = float(np.linalg.norm(world.object_centre() - stood))
-    if lift is None:
+    if arm is None:
         return Executed(None, contact, moved, lag, last.moments)
-    outcome = Executor(world, config, last).run(q, lift)
+    outcome = Executor(world, config, last).run(q, arm)
     return Executed(outcome, contact, moved, lag, last.moments)
 
 

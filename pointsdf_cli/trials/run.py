@@ -171,6 +171,7 @@ class TrialRunner:
                 self.config.execution,
                 recorder,
                 others,
+                plan.lift,
             )
         row = self._row(trial, yaw, plan, answer, executed, spent, truth)
         if others:

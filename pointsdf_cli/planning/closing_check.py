@@ -1,0 +1,92 @@
+"""Distance of the closing fingers to obstacles.
+
+The solver's constraints hold for the open hand alone. Here the hand closes step by step without
+physics: all closing joints advance at their speeds, and a joint stops when a link that it moves
+meets the object. The simulated hand stalls in the same way (`simulation/executor.py`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
+from pointsdf_cli.planning.acceptance import Candidate
+from pointsdf_cli.planning.bodies import BodyDistances
+from pointsdf_cli.planning.contacts import WORLD, link_poses
+from pointsdf_cli.planning.object_distance import ObjectDistances
+from pointsdf_cli.planning.robot_geometry import RobotGeometry
+from pointsdf_cli.robot.closing import beyond
+
+STEPS = 20
+"""Steps from the preshape to the end of the slowest joint: a fingertip moves about 5 mm in each."""
+CONTACT = 0.0005
+"""Distance to the object [m] at which a link counts as touching it."""
+
+
+class ClosingCheck:
+    """Check of the closing motion in one scene.
+
+    Args:
+        geometry: Geometry of the robot.
+        field: Field of the object, world frame.
+        bodies: Distances to the environment.
+        clearance: Least distance to obstacles [m].
+    """
+
+    def __init__(
+        self, geometry: RobotGeometry, field: Field, bodies: BodyDistances, clearance: float
+    ) -> None:
+        kinematics = self._kinematics = geometry.kinematics
+        robot = self._robot = kinematics.robot
+        self._object, self._bodies = ObjectDistances(geometry, field), bodies
+        self._clearance = clearance
+        moved = [{kinematics.index(x) for x in beyond(robot, j)} for j in robot.closing_joints]
+        links = sorted(set().union(*moved))
+        self._moves = np.array([[link in one for link in links] for one in moved])
+        self._patches = np.flatnonzero(np.isin(self._object.link, links))
+        self._patch_link = np.searchsorted(links, self._object.link[self._patches])
+        obstacle = (bodies.other_link == WORLD) & ~bodies.is_table
+        self._pairs = np.flatnonzero(obstacle & np.isin(bodies.link, links))
+
+    def judged(self, candidates: list[Candidate]) -> list[Candidate]:
+        """The candidates, with the reason "closing" where fingers come too near to an obstacle."""
+        free = [k for k, one in enumerate(candidates) if not one.reason]
+        slacks = self.slack(np.array([candidates[k].q for k in free]))
+        judged = list(candidates)
+        for k, slack in zip(free, slacks, strict=True):
+            reason = "" if slack >= 0 else "closing"
+            judged[k] = replace(judged[k], closing_slack=float(slack), reason=reason)
+        return judged
+
+    def slack(self, q: Array) -> Array:
+        """Least distance less clearance [B] m to the obstacles while the hand closes from q [B, J];
+        infinite without obstacles."""
+        least = np.full(len(q), np.inf)
+        if not len(self._pairs) or not len(q):
+            return least
+        robot, columns = self._robot, self._robot.closing_columns
+        low, high = robot.hard_lower[columns], robot.hard_upper[columns]
+        speeds = robot.closing_speeds
+        q = np.array(q, dtype=np.float64)
+        ends = np.where(speeds > 0, high, low)
+        step = float(np.max((ends - q[:, columns]) / speeds)) / STEPS * speeds
+        moving = np.ones((len(q), len(columns)), dtype=bool)
+        for _ in range(STEPS):
+            q[:, columns] = np.clip(q[:, columns] + step * moving, low, high)
+            poses = link_poses(self._kinematics, q)
+            rows = np.repeat(np.arange(len(q)), len(self._pairs))
+            found = self._bodies.of(poses, rows, np.tile(self._pairs, len(q)))
+            least = np.minimum(least, found.reshape(len(q), -1).min(axis=1))
+            rows = np.repeat(np.arange(len(q)), len(self._patches))
+            near = self._object.of(poses, rows, np.tile(self._patches, len(q))) < CONTACT
+            touching = np.zeros((len(q), self._moves.shape[1]), dtype=bool)
+            for link in range(touching.shape[1]):
+                here = self._patch_link == link
+                touching[:, link] = near.reshape(len(q), -1)[:, here].any(axis=1)
+            moving &= ~(touching @ self._moves.T)
+            if not moving.any():
+                break
+        return least - self._clearance
