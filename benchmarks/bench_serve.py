@@ -120,7 +120,8 @@ def asked(url: str, body: bytes) -> tuple[float, float]:
             break
         time.sleep(float(answer.headers["retry-after"]))
     timings = answer.raise_for_status().json()["timings"]
-    planning = timings["configuration"] + timings["motion"] + timings.get("surface", 0.0)
+    stages = ("configuration", "motion", "surface", "obstacles")
+    planning = sum(timings.get(stage, 0.0) for stage in stages)
     return time.perf_counter() - began, planning
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,17 @@ from conftest import run_cli
 from test_cli_mesh import POINTS, constant_network
 
 from pointsdf_cli.assets import asset_path
+from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
 from pointsdf_cli.io.plans import read_plan
+from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.mesh_choices import MeshChoices
+from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
+from pointsdf_cli.service.each_mesh import MeshSettings, MeshTask
+from pointsdf_cli.service.each_plan import PlanTask
+from pointsdf_cli.service.identity import PlannerFiles
+from pointsdf_cli.service.plan_settings import PlanSettings
 
 MUG = asset_path("clouds/mug.ply")
 
@@ -60,6 +69,39 @@ def test_every_scene_is_planned_by_itself_and_kept(tmp_path: Path) -> None:
     alone = tmp_path / "alone.h5"
     assert run_cli("plan", scenes / "near.ply", "--out", alone, "--no-picture").code == 0
     np.testing.assert_array_equal(read_plan(alone).trajectory, near.trajectory)
+
+
+def test_each_option_and_file_of_a_plan_is_part_of_its_record(tmp_path: Path) -> None:
+    """What a plan depends on must change its record: else a rerun keeps the old plan."""
+    pose, camera, mask = (tmp_path / name for name in ("pose.json", "K.json", "mask.png"))
+    for file in (pose, camera, mask):
+        file.write_text("first")
+    files = SceneFileOptions(intrinsics=str(camera), mask=f"{mask}:7")
+    settings = PlanSettings(PlanRequest(), None, PlannerFiles())
+    task = PlanTask(MUG, files, str(pose), tmp_path / "out.h5", None, settings)
+    mesh = MeshTask(MUG, files, str(pose), tmp_path / "out.ply", MeshSettings(MeshChoices()))
+    others: dict[str, object] = {
+        "choices": PlanChoices(margin=0.003),
+        "environment": Environment(table=False),
+        "start": np.zeros(23),
+        "seed": 1,
+        "segment": "none",
+        "others": False,
+        "workspace": ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
+        "cleaned": False,
+        "obstacles": "hull",
+    }
+    # Clouds, names and target come from the scene's own files, which are there by content.
+    assert others.keys() | {"clouds", "names", "target"} == vars(PlanRequest()).keys()
+    for name, value in others.items():
+        request = replace(PlanRequest(), **{name: value})
+        other = replace(task, settings=replace(settings, request=request))
+        assert other.config() != task.config(), name
+    for file in (pose, camera, mask):
+        before = task.config(), mesh.config()
+        file.write_text("second")
+        assert task.config() != before[0], file
+        assert mesh.config() != before[1], file
 
 
 @pytest.mark.parametrize(

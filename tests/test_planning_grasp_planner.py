@@ -30,6 +30,7 @@ from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.plan_artifact import plan_of
 from pointsdf_cli.planning.planner import PlannerConfig
+from pointsdf_cli.planning.reasons import never_held
 from pointsdf_cli.planning.rehearsed import believed_surface
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
@@ -40,6 +41,7 @@ from pointsdf_cli.planning.target import (
     missed_points,
     surface_of,
 )
+from pointsdf_cli.simulation.rehearsal import Rehearsed
 from pointsdf_cli.viz.shading import look_at
 
 Array = np.ndarray
@@ -235,11 +237,21 @@ def test_low_things_are_grasped_from_the_top_first(planner: GraspPlanner) -> Non
     assert planner.kinds(high) == ("either",)
 
 
-def test_what_no_ranking_wants_is_no_plan(planner: GraspPlanner) -> None:
+def test_what_a_ranking_leaves_out_counts_as_rejected(planner: GraspPlanner) -> None:
     target = planner.see([VIEW], seed=1).target
-    plan = plan_of(planner.planner.search(target, seed=1, rank=lambda candidates: []))
-    assert (plan.status, plan.reason) == ("no_plan", "low_success_probability")
-    assert not len(plan.accepted.q)
+    all_of_them = plan_of(planner.planner.search(target, seed=1))
+    plan = plan_of(planner.planner.search(target, seed=1, rank=lambda candidates: candidates[-1:]))
+    assert len(all_of_them.accepted.q) > 1
+    np.testing.assert_array_equal(plan.accepted.q, all_of_them.accepted.q[-1:])
+    left = [reason == "not_tried" for reason in plan.rejected.reasons]
+    assert sum(left) == len(all_of_them.accepted.q) - 1
+
+
+def test_a_grasp_that_never_held_in_rehearsals_is_doubted() -> None:
+    assert never_held(Rehearsed(3, 1, 0.1)) == []
+    assert never_held(Rehearsed(0, 0, 0.0)) == []
+    (said,) = never_held(Rehearsed(1, 0, 0.0))
+    assert "no rehearsal" in said
 
 
 def test_the_surface_is_where_the_field_is_zero() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.planning.environment import Obstacle, read_environment
+from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
 from pointsdf_cli.planning.plan_on_table import table_doubt
 from pointsdf_cli.planning.seen_obstacles import hulls
@@ -65,6 +67,35 @@ def test_another_camera_is_asked_for_the_same_thing() -> None:
     assert len(seen.views) == 2
     for view in seen.views:
         np.testing.assert_allclose(view.in_world.mean(axis=0)[:2], LARGE[:2], atol=0.01)
+
+
+def test_a_number_of_the_first_camera_is_not_looked_for_in_another() -> None:
+    """An object of one camera that is too wide to be grasped: no other object is taken for it."""
+    wide = cloud(np.concatenate([TABLE, sheet((0.6, 0.0, 0.05), (0.32, 0.32, 0.05))]))
+    other = cloud(np.concatenate([TABLE, THINGS]))
+    number = TargetChoice(number=1)
+    with pytest.raises(NoObjectError, match="wide or more"):
+        look_at_table([wide, other], ["a", "b"], ROBOT, HOME, target=number)
+    # A place is meant in every camera alike.
+    place = np.array(LARGE)
+    seen = look_at_table([cloud(TABLE), other], ["a", "b"], ROBOT, HOME, target=place)
+    assert len(seen.views) == 1
+
+
+def test_a_mask_of_another_object_in_the_second_camera_is_told() -> None:
+    first = cloud(np.concatenate([TABLE, THINGS]))
+    wrong = replace(first, mask=first_mask(first, SMALL))
+    right = replace(first, mask=first_mask(first, LARGE))
+    seen = look_at_table([right, wrong], ["a", "b"], ROBOT, HOME)
+    assert len(seen.views) == 1
+    assert "b: the object is not seen" in seen.report[1]
+    assert len(look_at_table([right, right], ["a", "b"], ROBOT, HOME).views) == 2
+
+
+def first_mask(view: Cloud, centre: tuple[float, float, float]) -> np.ndarray:
+    """Mask of a view's points above the table within 6 cm of a place."""
+    world = apply_transform(POSE, view.points)
+    return (np.linalg.norm(world[:, :2] - centre[:2], axis=1) < 0.06) & (world[:, 2] > 0.01)
 
 
 def test_the_robot_is_no_object() -> None:

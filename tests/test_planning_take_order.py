@@ -8,7 +8,7 @@ from scenes import POSE, box, cloud, seen, table
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.labelled_view import WORKSPACE, label_view
-from pointsdf_cli.planning.object_choice import TargetChoice
+from pointsdf_cli.planning.object_choice import Reach, TargetChoice
 from pointsdf_cli.planning.scene_input import parse_target
 from pointsdf_cli.planning.table_top import look_at_table
 from pointsdf_cli.planning.take_order import HAND_ROOM, free_share, take_order
@@ -32,7 +32,7 @@ def test_what_stands_free_goes_before_what_is_enclosed_and_what_is_far() -> None
     beside = [box((0.05, 0.05, 0.08), (0.6 + x, -0.2 + y)) for x, y in ((0, 0.1), (0, -0.1))]
     things = [box((0.06, 0.06, 0.12), place) for place in (enclosed, free, far)]
     scene = label_view(cloud(seen(table(), *things, *beside)), "view", WORKSPACE)
-    turns = take_order(scene, reach=(0.5, 0.8))
+    turns = take_order(scene, reach=Reach(np.zeros(2), 0.5, 0.8))
     assert len(turns) == 5
     first, last = turns[0], turns[-1]
     np.testing.assert_allclose(first.thing.centre[:2], free, atol=0.03)

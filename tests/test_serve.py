@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 
 import httpx
@@ -22,17 +23,22 @@ import pytest
 import trimesh
 
 from pointsdf_cli.assets import asset_path
-from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
+from pointsdf_cli.io.clouds import Cloud, DepthImage, read_cloud, write_cloud
 from pointsdf_cli.io.hdf5 import read_artifact
 from pointsdf_cli.io.plans import read_plan
 from pointsdf_cli.io.trees import tree_of_npz, tree_to_npz
 from pointsdf_cli.planning.cancellation import CancelledError, stop_if_cancelled
+from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.object_choice import TargetChoice
+from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
+from pointsdf_cli.service.client import request_tree
 from pointsdf_cli.service.desk import BusyError, ClosingError, Desk
 
 pytest.importorskip("fastapi", reason="the extra `serve` is not installed")
 pytest.importorskip("uvicorn", reason="the extra `serve` is not installed")
 
 from pointsdf_cli.models.registry import use_threads
+from pointsdf_cli.service.bodies import PlanBody, read_body
 from pointsdf_cli.service.resident import Resident
 from pointsdf_cli.service.server import Server
 
@@ -93,6 +99,41 @@ def test_a_served_plan_is_the_commands_to_the_bit(
     likely, unlikely = scored.json()["success_probability"]
     assert likely == pytest.approx(plan.success_probability, abs=1e-3)
     assert unlikely < likely
+
+
+def test_a_request_arrives_as_it_was_sent() -> None:
+    """Every field of a cloud that planning reads, and every option."""
+    rng = np.random.default_rng(0)
+    cloud = Cloud(
+        rng.normal(size=(60, 3)) * 0.05 + [0, 0, 1],
+        T_world_camera=np.eye(4),
+        pixels=rng.integers(0, 4, (60, 2)).astype(float),
+        image=DepthImage(rng.uniform(0.5, 1, (4, 5)), np.diag([600.0, 610.0, 1.0])),
+        mask=rng.random(60) < 0.5,
+        mask_rays=rng.normal(size=(7, 2)),
+        over_table=True,
+    )
+    unread = {"normals", "colours", "notes"}
+    plain = Cloud(cloud.points)
+    for name in vars(cloud).keys() - unread - {"points", "frame"}:
+        assert getattr(cloud, name) is not getattr(plain, name), f"{name} is not tried"
+    sent = PlanRequest(
+        [cloud],
+        ["a"],
+        PlanChoices(kind="side", margin=0.002, speed=0.1, rehearse=3, min_success=0.2),
+        Environment(table=False),
+        np.arange(23.0),
+        7,
+        "auto",
+        TargetChoice(pixel=(2.0, 3.0)),
+        False,
+        ((0.1, -0.5, 0.0), (1.0, 0.5, 0.4)),
+        False,
+        "hull",
+    )
+    body = tree_to_npz(request_tree(sent))
+    back = read_body(PlanBody, body, "application/x-npz").request()
+    np.testing.assert_equal(asdict(back), asdict(sent))
 
 
 def test_no_plan_has_the_same_message_and_code(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -204,6 +205,18 @@ def test_another_robot_needs_no_code(box: SimObject) -> None:
         assert small.collisions(small.robot.home) == set()
         small.step(10)
         assert len(small.configuration()) == 6
+
+
+def test_a_world_that_nobody_holds_is_disconnected() -> None:
+    """A planner that a server drops takes its physics client along."""
+    world = World(load_robot())
+    bullet, client, folder = world._bullet, world._client, world._folder
+    assert bullet.getConnectionInfo(client)["isConnected"]
+    assert folder.exists()
+    del world
+    gc.collect()
+    assert not bullet.getConnectionInfo(client)["isConnected"]
+    assert not folder.exists()
 
 
 def test_reset_forgets_everything(box: SimObject) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,13 @@ from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.planning.labelled_view import LabelledView, describe, label_view, sighting
 from pointsdf_cli.planning.object_choice import (
     NoObjectError,
+    Reach,
     TargetChoice,
     Thing,
     choose,
@@ -69,14 +73,22 @@ def test_the_middle_of_the_image_is_meant_and_not_the_largest() -> None:
 
 
 def test_what_the_robot_reaches_is_meant() -> None:
-    near, far = reach_of(load_robot())
-    assert 0.1 < near < 0.6 < far < 1.3
+    robot = load_robot()
+    reach = reach_of(robot)
+    assert 0.1 < reach.near < 0.6 < reach.far < 1.3
+    # The reach goes with the robot's base, wherever that stands.
+    moved = reach_of(replace(robot, T_world_base=transform(np.eye(3), [0.25, -0.5, 0.0])))
+    np.testing.assert_allclose(moved.base, [0.25, -0.5])
+    assert moved[1:] == pytest.approx(reach[1:], abs=1e-9)
+    assert reach.beyond(np.array([reach.far + 0.1, 0.0])) == pytest.approx(0.1)
+    assert moved.beyond(np.array([0.25, reach.far - 0.5 + 0.1, 0.3])) == pytest.approx(0.1)
+    assert moved.beyond(np.array([0.25 + reach.near, -0.5])) == 0.0
     beyond, reached = scenes.can(0.03, 0.1, (1.15, 0.0)), scenes.can(0.03, 0.1, (0.6, 0.12))
     pose = look_at((1.6, 0.0, 0.8), (1.1, 0.0, 0.0))
     view = scenes.cloud(scenes.seen(scenes.table(), beyond, reached, pose=pose), pose)
     middle = label_view(view, "a", WORKSPACE).listed[0]
     assert middle.centre[0] == pytest.approx(1.15, abs=0.02)
-    arm = label_view(view, "a", WORKSPACE, reach=(0.3, 0.75)).listed[0]
+    arm = label_view(view, "a", WORKSPACE, reach=Reach(np.zeros(2), 0.3, 0.75)).listed[0]
     assert arm.centre[0] == pytest.approx(0.6, abs=0.02)
 
 

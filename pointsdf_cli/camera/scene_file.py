@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +17,14 @@ from pointsdf_cli.camera.intrinsics import read_intrinsics
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, Cloud, read_cloud
-from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES, read_colour, read_depth, read_mask
+from pointsdf_cli.io.depth_images import (
+    DEPTH_SUFFIXES,
+    mask_file,
+    read_colour,
+    read_depth,
+    read_mask,
+)
+from pointsdf_cli.io.provenance import file_sha256
 
 
 @dataclass(frozen=True)
@@ -46,6 +54,24 @@ class SceneFileOptions:
     unit: str = "m"
     frame: str | None = None
     drop_invalid: bool = False
+
+    def digests(self, pose: str | None) -> dict[str, str]:
+        """SHA-256 of the contents of the named files, by option; names of cameras and typed numbers
+        have none.
+
+        Args:
+            pose: Camera pose as typed, a file or numbers.
+
+        Raises:
+            InputError: One cannot be read.
+        """
+        mask = None if self.mask is None else mask_file(self.mask)[0]
+        named = {"camera_pose": pose, "intrinsics": self.intrinsics, "mask": mask}
+        return {
+            f"{option}_sha256": file_sha256(file)
+            for option, file in named.items()
+            if file is not None and os.path.isfile(file)
+        }
 
 
 def options_of_views(

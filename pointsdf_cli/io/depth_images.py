@@ -74,6 +74,14 @@ LABELS = 64
 edges."""
 
 
+def mask_file(text: str) -> tuple[Path, int | None]:
+    """The image and the number in `PATH` or `PATH:NUMBER`; None without a number."""
+    before, colon, after = text.rpartition(":")
+    if colon and after.isdigit() and not Path(text).exists():
+        return Path(before), int(after)
+    return Path(text), None
+
+
 def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.bool_]:
     """A mask bool [height, width]: where an image is not 0, or has one number.
 
@@ -85,10 +93,7 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
     Raises:
         InputError: No such image, another size, nothing in it, or the numbers of several objects.
     """
-    path, number = Path(text), None
-    before, colon, after = text.rpartition(":")
-    if colon and after.isdigit() and not path.exists():
-        path, number = Path(before), int(after)
+    path, number = mask_file(text)
     if path.suffix.lower() == ".npy":
         values = _array(path)
     else:

@@ -51,8 +51,8 @@ class TrialRow:
         reason: Reason code without a plan, else empty.
         kind: "side" or "top"; empty without a plan.
         cause: "held", or how it ended: a cause of the executor, or "no_plan".
-        planning_time: Wall time from the cloud to the trajectory [s].
-        planning_cpu: Processor time from the cloud to the trajectory [s], independent of the load.
+        planning_time: Wall time from the object's points to the trajectory [s]; 0 if none is seen.
+        planning_cpu: The same in processor time [s], which the load of the machine hardly changes.
         success_probability: Predicted probability; NaN without a plan.
         rehearsed: Share of rehearsals in which the grasp held; NaN without rehearsals.
         contact: Whether the robot touched the object before the hand closed.

@@ -50,7 +50,7 @@ from pointsdf_cli.planning.option_checks import (
 )
 from pointsdf_cli.planning.plan_artifact import no_plan, plan_of
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
-from pointsdf_cli.planning.reasons import few_grasps, too_large
+from pointsdf_cli.planning.reasons import few_grasps, never_held, too_large
 from pointsdf_cli.planning.resampled_views import redrawn
 from pointsdf_cli.planning.screen import narrowest
 from pointsdf_cli.planning.seeds import EITHER, GraspSampler
@@ -267,10 +267,7 @@ class GraspPlanner:
 
         Args:
             perceived: Result of `see`.
-            environment: As in `plan`.
-            start: As in `plan`.
-            seed: As in `plan`.
-            notes: As in `plan`.
+            environment, start, seed, notes: As in `plan`.
             surface: Surface to rehearse on instead of the reconstruction's, world frame.
         """
         points, choice = perceived.points, None
@@ -281,17 +278,20 @@ class GraspPlanner:
             environment,
             start,
             seed,
-            self.search(points),
+            self.search_settings(points),
             rank=None if choice is None else choice.ranked,
             stop=None if choice is None else choice.stop,
         )
         found = outcome.found
-        if found.reason not in ("", "inverse_kinematics", "motion") and self.too_large(points):
+        if found.reason not in ("", "inverse_kinematics", "motion") and self.is_too_large(points):
             reason, sentence = too_large(narrowest(points), self.planner.geometry.hand.span)
             found = replace(found, reason=reason, sentence=sentence)
         timings = {**perceived.timings, **outcome.timings}
         timings["configuration"] += sum(perceived.timings.values())
-        timings |= ({} if choice is None else choice.timings) | dict(notes.timings)
+        if choice is not None:
+            timings |= choice.timings
+            timings["configuration"] += timings["rehearsal_surface"]
+        timings |= dict(notes.timings)
         drawn, warnings = None, list(notes.warnings)
         if notes.surface:
             began = time.perf_counter()
@@ -299,23 +299,26 @@ class GraspPlanner:
             warnings += missed_points(drawn, points)
             timings["surface"] = time.perf_counter() - began
         outcome = replace(outcome, found=found, timings=timings)
+        rehearsed = None if choice is None else choice.of(outcome.best)
+        if rehearsed is not None:
+            warnings += never_held(rehearsed)
         return Answer(
             plan_of(outcome, warnings, drawn),
             perceived.target,
             perceived.reconstruction,
-            None if choice is None else choice.of(outcome.best),
+            rehearsed,
             None if choice is None else choice.surface,
         )
 
-    def too_large(self, points: Array) -> bool:
+    def is_too_large(self, points: Array) -> bool:
         """Whether an object seen at points [N, 3] is wider than the opened hand in all
         directions."""
         return narrowest(points) > self.planner.geometry.hand.span
 
-    def search(self, points: Array) -> SynthesisConfig:
+    def search_settings(self, points: Array) -> SynthesisConfig:
         """Search settings for an object seen at points [N, 3] of the world."""
         search = replace(self.options.planner.synthesis, kinds=self.kinds(points))
-        if not self.too_large(points):
+        if not self.is_too_large(points):
             return search
         # It may have a rim or a handle, but a long search seldom finds it, and a grasp that
         # touches nothing only stands beside the object.

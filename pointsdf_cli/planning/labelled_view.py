@@ -24,7 +24,7 @@ from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.frames import apply_transform, plane_in_camera
 from pointsdf_cli.geometry.voxels import Thinned, thin
 from pointsdf_cli.io.clouds import Cloud, DepthImage
-from pointsdf_cli.planning.object_choice import Thing, numbered
+from pointsdf_cli.planning.object_choice import Reach, Thing, numbered
 
 WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
 """Default workspace. Wider than the bundled arm's reach, so that objects beyond are seen and
@@ -125,7 +125,7 @@ def label_view(
     name: str,
     workspace: SegmentationConfig,
     on_robot: Callable[[Array], Mask] | None = None,
-    reach: tuple[float, float] | None = None,
+    reach: Reach | None = None,
     cleaned: bool = True,
 ) -> LabelledView:
     """Thin and clean a cloud with a pose, and segment the objects on its table.
@@ -292,7 +292,7 @@ def describe(view: LabelledView, thing: Thing, seen: Sighting) -> str:
         dropped.append(f"{others} on other things")
     if unclean:
         dropped.append(f"{unclean} by cleaning")
-    total = sum(other.stands for other in view.listed)
+    total = len(view.listed)
     which = "the masked object" if view.mask is not None else f"object {thing.number} of {total}"
     said = f"{which}, {thing.describe()}: kept {kept} of {len(label)} points"
     said += f"; dropped {', '.join(dropped)}" if dropped else ""

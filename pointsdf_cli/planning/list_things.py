@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
-from pointsdf_cli.io.clouds import check_scene_cloud
 from pointsdf_cli.planning.cloud_checks import in_world, require_pose
-from pointsdf_cli.planning.labelled_view import LabelledView, label_view
-from pointsdf_cli.planning.object_choice import NoObjectError, Thing, reach_of
+from pointsdf_cli.planning.labelled_view import LabelledView
+from pointsdf_cli.planning.object_choice import NoObjectError, Thing
 from pointsdf_cli.planning.plausibility import require_table_at_zero
 from pointsdf_cli.planning.scene_input import read_scene
-from pointsdf_cli.planning.table_top import chosen_thing, workspace_of
+from pointsdf_cli.planning.table_top import chosen_thing, label_table, workspace_of
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.robot.own_points import off_robot, robot_points
 
 
 @dataclass(frozen=True)
@@ -63,15 +61,7 @@ def list_things(
     (cloud,) = given.clouds
     require_pose(cloud, str(path))
     require_table_at_zero([in_world(cloud)], [str(path)], "there is nothing to list")
-    own = robot_points(described, described.home)
-    view = label_view(
-        check_scene_cloud(cloud, path),
-        str(path),
-        around,
-        lambda world: ~off_robot(world, own),
-        reach_of(described),
-        cleaned,
-    )
+    view = label_table(cloud, str(path), described, described.home, around, cleaned)
     first = chosen_thing(view, None, around)
     things = tuple(thing for thing in view.listed if thing.stands)
     if view.mask is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,8 +81,26 @@ class Thing:
         return f"at {x:.2f},{y:.2f},{z:.2f} m, {a:.0f} × {b:.0f} × {c:.0f} cm"
 
 
-def reach_of(robot: RobotDescription) -> tuple[float, float]:
-    """Level distances [m] from the robot's base between which its palm gets near the table."""
+class Reach(NamedTuple):
+    """Part of the table that a robot's palm reaches.
+
+    Attributes:
+        base: [2], place of the robot's base, world, m.
+        near, far: Level distances from it between which the palm gets near the table [m].
+    """
+
+    base: Array
+    near: float
+    far: float
+
+    def beyond(self, place: Array) -> float:
+        """Level distance [m] of a place [2 or 3] of the world from the reach; 0 within it."""
+        level = float(np.linalg.norm(place[:2] - self.base))
+        return max(self.near - level, level - self.far, 0.0)
+
+
+def reach_of(robot: RobotDescription) -> Reach:
+    """The reach of a robot, from random configurations of its arm."""
     import torch
 
     from pointsdf_cli.robot.kinematics import Kinematics
@@ -96,8 +115,9 @@ def reach_of(robot: RobotDescription) -> tuple[float, float]:
     near = palm[(palm[:, 2] > 0.0) & (palm[:, 2] < 0.4)]
     if len(near) < 50:
         near = palm
-    level = np.linalg.norm(near[:, :2], axis=1)
-    return float(np.percentile(level, 20)), float(np.percentile(level, 90))
+    base = robot.T_world_base[:2, 3]
+    level = np.linalg.norm(near[:, :2] - base, axis=1)
+    return Reach(base, float(np.percentile(level, 20)), float(np.percentile(level, 90)))
 
 
 def numbered(
@@ -105,7 +125,7 @@ def numbered(
     image: Array,
     things: Things,
     standing: NDArray[np.bool_],
-    reach: tuple[float, float] | None = None,
+    reach: Reach | None = None,
 ) -> list[Thing]:
     """Number the objects, best to grasp first.
 
@@ -221,14 +241,12 @@ def _sides(points: Array) -> Array:
     return np.array([a, b, high - min(low, 0.0) if low < 0.03 else high - low])
 
 
-def _merit(thing: Thing, reach: tuple[float, float] | None) -> float:
+def _merit(thing: Thing, reach: Reach | None) -> float:
     """Merit of an object as a target: 1 is the best."""
     centred = float(np.exp(-((np.linalg.norm(thing.image) / 0.6) ** 2)))
     near = 1.0
     if reach is not None:
-        level = float(np.linalg.norm(thing.centre[:2]))
-        beyond = max(reach[0] - level, level - reach[1], 0.0)
-        near = float(np.exp(-((beyond / 0.12) ** 2)))
+        near = float(np.exp(-((reach.beyond(thing.centre) / 0.12) ** 2)))
     longest = float(thing.size.max())
     fits = 1.0 if SMALLEST_THING < longest < LARGEST_THING else 0.3
     return centred * near * fits

@@ -10,21 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
+from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import OK
 from pointsdf_cli.planning.answer import Answer, PlanNotes
-from pointsdf_cli.planning.cloud_checks import in_world, require_pose
+from pointsdf_cli.planning.cloud_checks import in_world
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
-from pointsdf_cli.planning.labelled_view import label_view
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
 from pointsdf_cli.planning.option_checks import RECONSTRUCTION
 from pointsdf_cli.planning.plan_request import Corners, PlanRequest, PlanResult
 from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
 from pointsdf_cli.planning.seen_obstacles import seen_obstacles
-from pointsdf_cli.planning.table_top import TableTop, look_at_table, workspace_of
+from pointsdf_cli.planning.table_top import TableTop, label_table, look_at_table, workspace_of
 from pointsdf_cli.planning.take_order import Turn, take_order
-from pointsdf_cli.robot.own_points import off_robot, robot_points
 from pointsdf_cli.robot.start import start_configuration
 
 TABLE_OFF = 0.005
@@ -204,17 +202,9 @@ def _said_of(beside: Sequence[Obstacle], reconstructed: bool, seconds: float) ->
 def _turns(planner: GraspPlanner, request: PlanRequest, q: Array) -> list[Turn]:
     """Objects in the first camera's view, the easiest to grasp first."""
     cloud, name = request.clouds[0], request.names[0]
-    require_pose(cloud, name)
-    own, reach = robot_points(planner.robot, q), reach_of(planner.robot)
-    view = label_view(
-        check_scene_cloud(cloud, name),
-        name,
-        workspace_of(request.workspace),
-        lambda world: ~off_robot(world, own),
-        reach,
-        request.cleaned,
-    )
-    return take_order(view, reach)
+    workspace = workspace_of(request.workspace)
+    view = label_table(cloud, name, planner.robot, q, workspace, request.cleaned)
+    return take_order(view, reach_of(planner.robot))
 
 
 def _first_good(

@@ -43,7 +43,7 @@ from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.lift import lift_path
 
 Rank = Callable[[list[Candidate]], list[Candidate]]
-"""Order in which motions to accepted candidates are searched; may leave some out."""
+"""Order in which motions to accepted candidates are searched; may leave out all but one."""
 
 SUCCESSIVE_HALVING = (6, 11)
 """Iterations of `sqp` after which the worse half of the seeds stops: seeds that cost three times as
@@ -328,9 +328,5 @@ def _ranked(found: Synthesis, rank: Rank) -> Synthesis:
         return replace(found, fallbacks=rank(list(found.fallbacks)))
     kept = rank(list(found.accepted))
     left = [c for c in found.accepted if not any(c is k for k in kept)]
-    dropped = [replace(c, reason="not_tried" if kept else "low_success_probability") for c in left]
-    found = replace(found, accepted=kept, rejected=found.rejected + dropped)
-    if kept:
-        return replace(found, best=kept[0])
-    sentence = f"None of {len(dropped)} grasps that meet the constraints passed the rehearsal."
-    return replace(found, best=None, reason="low_success_probability", sentence=sentence)
+    dropped = [replace(c, reason="not_tried") for c in left]
+    return replace(found, best=kept[0], accepted=kept, rejected=found.rejected + dropped)

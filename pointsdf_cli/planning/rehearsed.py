@@ -179,7 +179,7 @@ class RehearsedChoice:
         meshing: float,
     ) -> None:
         self.surface = surface
-        self.timings = {"surface": meshing, "rehearsal": 0.0}
+        self.timings = {"rehearsal_surface": meshing, "rehearsal": 0.0}
         self._rehearse, self._count, self._least_slack = rehearse, count, least_slack
         self._are_contradicted = contradicted
         self._candidates: list[Candidate] = []

@@ -19,7 +19,7 @@ from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
 from pointsdf_cli.planning.labelled_view import ANYWHERE, WORKSPACE, label_view
-from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
+from pointsdf_cli.planning.object_choice import NoObjectError, Reach, TargetChoice, reach_of
 from pointsdf_cli.planning.pose_mistakes import require_no_mistaken_pose
 from pointsdf_cli.planning.table_top import chosen_thing
 from pointsdf_cli.robot.description import RobotDescription
@@ -157,7 +157,7 @@ def stand_on_table(
     target: TargetChoice | None = None,
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
-    reach: tuple[float, float] | None = None,
+    reach: Reach | None = None,
 ) -> tuple[Cloud, TargetChoice | None]:
     """Give a cloud the pose in which z = 0 is its table and the object stands at `place`.
 
@@ -212,7 +212,7 @@ def _centre(
     target: TargetChoice | None,
     workspace: SegmentationConfig,
     cleaned: bool,
-    reach: tuple[float, float] | None,
+    reach: Reach | None,
 ) -> Array:
     """Centre [3] of the chosen object in the world of the cloud's pose."""
     scene = label_view(cloud, name, workspace, None, reach, cleaned)

@@ -75,6 +75,33 @@ class TableTop:
     labelled: tuple[tuple[LabelledView, int], ...] = ()
 
 
+def label_table(
+    cloud: Cloud,
+    name: str,
+    robot: RobotDescription,
+    q: Array,
+    workspace: SegmentationConfig = WORKSPACE,
+    cleaned: bool = True,
+) -> LabelledView:
+    """The labelled view of a robot's table.
+
+    Args:
+        cloud: Cloud of the table.
+        name: Name of the cloud, for messages.
+        robot: The robot.
+        q: [J], its configuration: points on it are dropped.
+        workspace, cleaned: As in `look_at_table`.
+
+    Raises:
+        InputError: The cloud has no pose, or is none of a scene.
+    """
+    require_pose(cloud, name)
+    usable, own = check_scene_cloud(cloud, name), robot_points(robot, q)
+    return label_view(
+        usable, name, workspace, lambda world: ~off_robot(world, own), reach_of(robot), cleaned
+    )
+
+
 def look_at_table(
     clouds: Sequence[Cloud],
     names: Sequence[str],
@@ -108,16 +135,10 @@ def look_at_table(
     )
     if segment == "none":
         return _bare_objects(clouds, names, cleaned)
-    own, reach = robot_points(robot, start), reach_of(robot)
-
-    def label(cloud: Cloud, name: str) -> LabelledView:
-        require_pose(cloud, name)
-        usable = check_scene_cloud(cloud, name)
-        return label_view(
-            usable, name, workspace, lambda world: ~off_robot(world, own), reach, cleaned
-        )
-
-    labelled = ((label(cloud, name), name) for cloud, name in zip(clouds, names, strict=True))
+    labelled = (
+        (label_table(cloud, name, robot, start, workspace, cleaned), name)
+        for cloud, name in zip(clouds, names, strict=True)
+    )
     return _look(labelled, wanted, workspace, cleaned)
 
 
@@ -137,9 +158,13 @@ def _look(
         try:
             thing = chosen_thing(view, wanted, workspace, first is not None)
             found = sighting(view, thing, cleaned)
+            if not len(found.object_points):
+                raise NoObjectError("the mask shows another object", where=name)
             in_world = apply_transform(found.T_world_camera, found.object_points)
             _check_sighting(in_world, first, name)
         except NoObjectError as error:
+            if first is None and wanted is not None and wanted.place is None:
+                raise  # a number or a pixel says nothing about other cameras
             problem = problem or error
             report.append(f"{name}: the object is not seen")
             # What it saw stands there all the same.

@@ -9,7 +9,7 @@ import scipy
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.labelled_view import LabelledView
-from pointsdf_cli.planning.object_choice import Thing
+from pointsdf_cli.planning.object_choice import Reach, Thing
 
 HAND_ROOM = 0.10
 """Distance [m] within which another object blocks a hand that comes from its side."""
@@ -40,7 +40,7 @@ class Turn(NamedTuple):
         return f"object {self.thing.number} ({where}, {self.free:.0%} of the directions free)"
 
 
-def take_order(view: LabelledView, reach: tuple[float, float] | None = None) -> list[Turn]:
+def take_order(view: LabelledView, reach: Reach | None = None) -> list[Turn]:
     """The standing objects of a view, the easiest to grasp first.
 
     Args:
@@ -53,8 +53,7 @@ def take_order(view: LabelledView, reach: tuple[float, float] | None = None) -> 
     for thing in standing:
         mine = label == thing.label
         free = free_share(view.world[mine], view.world[(label >= 0) & ~mine])
-        level = float(np.linalg.norm(thing.centre[:2]))
-        turns.append(Turn(thing, free, reach is None or reach[0] <= level <= reach[1]))
+        turns.append(Turn(thing, free, reach is None or reach.beyond(thing.centre) == 0))
     # Objects that are about equally free keep the order of their numbers.
     turns.sort(key=lambda turn: (not turn.reached, -round(turn.free / EQUALLY_FREE)))
     return turns

@@ -65,6 +65,9 @@ class CloudBody(_Body):
     mask_rays: _numbers(None, 2) | None = Field(  # type: ignore[valid-type]
         None, description="[K, 2], tangents x/z, y/z of the mask's pixels without depth"
     )
+    over_table: bool = Field(
+        False, description="The pose was made from the table and is unrelated to the robot"
+    )
 
     def cloud(self) -> Cloud:
         """The view.
@@ -104,6 +107,7 @@ class CloudBody(_Body):
             image=image,
             mask=mask,
             mask_rays=None if mask is None else self.mask_rays,
+            over_table=self.over_table,
         )
 
 

@@ -100,6 +100,7 @@ def _cloud_tree(cloud: Cloud, name: str) -> dict[str, Any]:
         "K": None if image is None else image.K,
         "mask": cloud.mask,
         "mask_rays": cloud.mask_rays,
+        "over_table": cloud.over_table,
     }
 
 

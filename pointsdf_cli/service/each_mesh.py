@@ -82,8 +82,10 @@ class MeshTask:
             "cloud_sha256": file_sha256(self.cloud),
             "camera_pose": self.pose,
             "weights": bundled_digest() if weights is None else weights_digest(weights),
+            "robot": PlannerFiles(robot=settings.robot).identity()["robot"],
+            **self.files.digests(self.pose),
         }
-        same = ("segment", "target", "workspace", "cleaned", "robot", "device")
+        same = ("segment", "target", "workspace", "cleaned", "device")
         shared = {name: getattr(settings, name) for name in same}
         config: dict[str, Any] = plain(asdict(self.files) | asdict(settings.choices) | shared | own)
         return config

@@ -58,8 +58,9 @@ class PlanTask:
             "environment_sha256": hashlib.sha256(around.encode()).hexdigest(),
             "planner": asked.files.identity(),
             "bundled_weights": bundled_digest(),
+            **self.files.digests(self.pose),
         }
-        same = ("seed", "segment", "others", "workspace", "cleaned")
+        same = ("seed", "segment", "others", "obstacles", "workspace", "cleaned")
         shared = {name: getattr(request, name) for name in same}
         config: dict[str, Any] = plain(asdict(self.files) | asdict(request.choices) | shared | own)
         return config

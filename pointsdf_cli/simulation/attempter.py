@@ -66,7 +66,6 @@ class Attempter:
         robot: The robot.
         config: Settings that determine the outcome.
         seed: Random seed.
-        gui: Open PyBullet's window.
         propose: Source of preshapes; the heuristic if None.
     """
 
@@ -75,13 +74,12 @@ class Attempter:
         robot: RobotDescription,
         config: AttemptConfig | None = None,
         seed: int = 0,
-        gui: bool = False,
         propose: Propose | None = None,
     ) -> None:
         self.robot = robot
         self.config = config or AttemptConfig()
         self.seed = seed
-        self.world = World(robot, self.config.physics, gui)
+        self.world = World(robot, self.config.physics)
         # Never stepped, so it is not rebuilt for each attempt.
         self.checks = World(robot, self.config.physics)
         self._observer = Observer(robot, self.config.placement)

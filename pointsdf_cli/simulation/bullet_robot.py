@@ -29,7 +29,6 @@ class BulletRobot:
         files: URDFs of the robot's parts.
         T_world_root: [4, 4], pose of their roots.
         recovery: Share of a joint's position error that is corrected in a step.
-        visible: Load the visual shapes; without them loading is a third faster.
     """
 
     def __init__(
@@ -40,10 +39,8 @@ class BulletRobot:
         files: Sequence[Path],
         T_world_root: Array,
         recovery: float,
-        visible: bool = True,
     ) -> None:
         self._bullet, self._client, self.robot = bullet, client, robot
-        self._visible = visible
         self._recovery = recovery
         self.bodies: list[int] = []
         self.links: dict[str, tuple[int, int]] = {}
@@ -93,8 +90,7 @@ class BulletRobot:
         b = self._bullet
         wxyz = wxyz_from_rotation(T_world_root[:3, :3])
         flags = b.URDF_USE_SELF_COLLISION | b.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
-        if not self._visible:
-            flags |= b.URDF_IGNORE_VISUAL_SHAPES
+        flags |= b.URDF_IGNORE_VISUAL_SHAPES  # loading takes two thirds of the time
         try:
             with silence():
                 return int(
@@ -218,13 +214,12 @@ class CarriedHand(BulletRobot):
         chain: ArmChain,
         q: Array,
         step: float,
-        visible: bool = True,
     ) -> None:
         self._chain, self._step = chain, step
         self._T_palm_link = invert_transform(robot.T_link_palm)
         self._q = np.array(q, dtype=float)
         T_world_palm_link = self._palm_links(self._q[None])[0]
-        super().__init__(bullet, client, robot, files, T_world_palm_link, recovery, visible)
+        super().__init__(bullet, client, robot, files, T_world_palm_link, recovery)
         self._absent = [k for k, at in enumerate(self._joints) if at is None]
 
     def place(self, q: ArrayLike) -> None:

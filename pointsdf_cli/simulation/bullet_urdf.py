@@ -20,14 +20,13 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.scratch import temporary_files
 from pointsdf_cli.io.untrusted import read_xml
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.shapes import Shape
-from pointsdf_cli.robot.urdf import MOVING, mesh_file
+from pointsdf_cli.robot.urdf import MOVING
 from pointsdf_cli.simulation.skin import shrunk, shrunk_cylinder
 
 LINK_DENSITY = 1000.0
@@ -36,14 +35,13 @@ FRAME_MASS, FRAME_INERTIA = 1e-3, 1e-6
 """Mass [kg] and inertia [kg m²] of a link without shape or mass: PyBullet needs some."""
 
 
-def bullet_urdf(robot: RobotDescription, folder: Path, skin: float, visible: bool = False) -> Path:
+def bullet_urdf(robot: RobotDescription, folder: Path, skin: float) -> Path:
     """URDF file to load: the robot's own if PyBullet reads it correctly, else one in `folder`.
 
     Args:
         robot: The robot.
         folder: Folder for the URDF and the hulls.
         skin: `PhysicsConfig.skin`.
-        visible: Keep the visual shapes.
     """
     root = read_xml(robot.urdf)
     links = root.findall("link")
@@ -51,25 +49,22 @@ def bullet_urdf(robot: RobotDescription, folder: Path, skin: float, visible: boo
     hulls = [*root.iterfind(geometry + "mesh"), *root.iterfind(geometry + "cylinder")]
     if not hulls and all(link.find("inertial") is not None for link in links):
         return robot.urdf
-    return _written(_readable(robot, folder, skin, visible), folder / "robot.urdf")
+    return _written(_readable(robot, folder, skin), folder / "robot.urdf")
 
 
-def hand_urdfs(
-    robot: RobotDescription, folder: Path, skin: float, visible: bool = False
-) -> list[Path]:
+def hand_urdfs(robot: RobotDescription, folder: Path, skin: float) -> list[Path]:
     """Write the hand as several bodies, each with its root at the palm link's pose.
 
     Args:
         robot: The robot.
         folder: Folder for the URDFs and the hulls.
         skin: `PhysicsConfig.skin`.
-        visible: Keep the visual shapes.
 
     Returns:
         First the links fixed to the palm, a flange in front of it included; then one file for each
         moving joint at these links, or for each group of coupled joints.
     """
-    root = _readable(robot, folder, skin, visible)
+    root = _readable(robot, folder, skin)
     links = {str(link.get("name")): link for link in root.findall("link")}
     joints = {str(joint.find("child").get("link")): joint for joint in root.findall("joint")}  # type: ignore[union-attr]
     carrier, base = _free_name("carrier", links), _free_name("base", links)
@@ -197,8 +192,8 @@ def _written(root: ET.Element, path: Path) -> Path:
     return path
 
 
-def _readable(robot: RobotDescription, folder: Path, skin: float, visible: bool) -> ET.Element:
-    """The URDF with hulls and masses, and with those visual meshes that exist."""
+def _readable(robot: RobotDescription, folder: Path, skin: float) -> ET.Element:
+    """The URDF with hulls and masses, without visual meshes, which need not exist."""
     root = read_xml(robot.urdf)
     for number, link in enumerate(root.findall("link")):
         shapes = robot.tree.shapes[str(link.get("name"))]
@@ -214,8 +209,7 @@ def _readable(robot: RobotDescription, folder: Path, skin: float, visible: bool)
         if link.find("inertial") is None:
             link.append(_inertial(shapes))
         for visual in link.findall("visual"):
-            if not visible or not _at_its_place(visual, robot.urdf):
-                link.remove(visual)
+            link.remove(visual)
     return root
 
 
@@ -235,16 +229,6 @@ def _draw_in_cylinder(node: ET.Element, skin: float) -> None:
     radius, length = shrunk_cylinder(radius, length, skin)
     cylinder.set("radius", f"{radius:.9g}")
     cylinder.set("length", f"{length:.9g}")
-
-
-def _at_its_place(visual: ET.Element, urdf: Path) -> bool:
-    """Set a visual's mesh to its absolute path; False if it does not exist."""
-    for mesh in visual.findall("geometry/mesh"):
-        try:
-            mesh.set("filename", str(mesh_file(str(mesh.get("filename", "")), urdf).resolve()))
-        except InputError:
-            return False
-    return True
 
 
 def _inertial(shapes: tuple[Shape, ...]) -> ET.Element:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -40,7 +41,6 @@ class World:
     Args:
         robot: The robot.
         physics: Step, iterations, friction; all but its skin may be changed later.
-        gui: Open PyBullet's window.
 
     Attributes:
         chain: Kinematics of the robot's arm.
@@ -50,29 +50,25 @@ class World:
         RgraspError: PyBullet is not installed.
     """
 
-    def __init__(
-        self, robot: RobotDescription, physics: PhysicsConfig | None = None, gui: bool = False
-    ) -> None:
+    def __init__(self, robot: RobotDescription, physics: PhysicsConfig | None = None) -> None:
         self.robot = robot
         self.physics = physics or PhysicsConfig()
         self._skin = self.physics.skin  # of files, which are written once
         self.chain = ArmChain(robot)
         self._bullet = import_bullet()
-        self._client = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
+        self._client = self._bullet.connect(self._bullet.DIRECT)
+        self._end = weakref.finalize(self, self._bullet.disconnect, self._client)
         self._scratch = Scratch()
         self._folder = self._scratch.path
-        self._whole = [bullet_urdf(robot, self._folder, self._skin, visible=gui)]
-        self._gui = gui
+        self._whole = [bullet_urdf(robot, self._folder, self._skin)]
         self._object_file: tuple[Pieces, Path] | None = None
         self._shown: Pieces | None = None
         self._steps = 0
         self.others: tuple[BulletObject, ...] = ()
 
     def close(self) -> None:
-        """Disconnect and remove temporary files."""
-        if self._client >= 0:
-            self._bullet.disconnect(self._client)
-            self._client = -1
+        """Disconnect and remove temporary files; so does the end of the world's own life."""
+        self._end()
         self._scratch.close()
 
     def __enter__(self) -> World:
@@ -282,7 +278,7 @@ class World:
 
     @cached_property
     def _hand(self) -> list[Path]:
-        return hand_urdfs(self.robot, self._folder, self._skin, visible=self._gui)
+        return hand_urdfs(self.robot, self._folder, self._skin)
 
     def _add_table(self) -> None:
         b, c = self._bullet, self._client
@@ -300,13 +296,9 @@ class World:
         self._robot: BulletRobot
         if hand_alone:
             step = self.physics.step
-            self._robot = CarriedHand(
-                b, c, robot, self._hand, recovery, self.chain, q, step, self._gui
-            )
+            self._robot = CarriedHand(b, c, robot, self._hand, recovery, self.chain, q, step)
         else:
-            self._robot = BulletRobot(
-                b, c, robot, self._whole, robot.T_world_base, recovery, self._gui
-            )
+            self._robot = BulletRobot(b, c, robot, self._whole, robot.T_world_base, recovery)
         links = self._robot.links
         for link in sorted(robot.links_on_table & set(links)):
             body, number = links[link]

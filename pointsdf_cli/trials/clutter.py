@@ -19,11 +19,9 @@ from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.geometry.stable_poses import STANDING, draw_pose
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.trials import TrialRow
-from pointsdf_cli.planning.labelled_view import WORKSPACE, label_view
-from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
-from pointsdf_cli.planning.table_top import TableTop, look_at_table
+from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice
+from pointsdf_cli.planning.table_top import TableTop, label_table, look_at_table
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.own_points import off_robot, robot_points
 from pointsdf_cli.simulation.feet import on_its_foot
 from pointsdf_cli.simulation.observe import Observer
 from pointsdf_cli.simulation.places import placed
@@ -196,10 +194,7 @@ def target_number(
         standing: The true objects, the target first.
         robot: The robot, at home.
     """
-    own = robot_points(robot, robot.home)
-    scene = label_view(
-        cloud, "the view", WORKSPACE, lambda world: ~off_robot(world, own), reach_of(robot)
-    )
+    scene = label_table(cloud, "the view", robot, robot.home)
     label = scene.things.label
     things = label >= 0
     if not things.any():

@@ -149,12 +149,11 @@ class TrialRunner:
         vertices = apply_transform(T_world_object, item.mesh.vertices)
         truth = vertices, item.mesh.faces
         planner = self._planner(trial.variant)
-        began = time.perf_counter(), time.process_time()
         standing = [(item, T_world_object), *others]
         view, seen = look(self._observer, self.robot, standing, T_world_camera, rng)
         answer, around = None, Environment()
+        began = time.perf_counter(), time.process_time()
         if len(view.points):
-            began = time.perf_counter(), time.process_time()
             seed = int(trial.rng("view").integers(2**31))
             around = around if seen is None else planner.surroundings(seen, seed)
             answer = planner.plan(view, lambda: truth, seed, around)
