@@ -202,7 +202,7 @@ def _scene_views(
         T_camera_object=np.stack([view.T_camera_object for view, _ in drawn]),
         K=config.camera.K,
         image_size=(config.camera.width, config.camera.height),
-        noise=config.noise.sigma,
+        noise=float(np.mean([load_sensor(s).deviation(REFERENCE_DEPTH) for s in scene.sensors])),
         mesh_file=mesh.name,
         mesh_hash=mesh.sha256,
         mesh_repair=mesh.repair,

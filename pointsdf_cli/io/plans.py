@@ -111,10 +111,10 @@ class Plan:
         rejected: Every rejected seed with its residuals.
         kind: "side" or "top"; empty without a grasp.
         accepted: The grasp and its alternatives.
-        lift: f8 [K, J], path from the grasp that raises the palm by the requested height with the
-            hand's joints unchanged; K = 0 if the robot cannot, or none was requested.
-        object_vertices: f4 [V, 3], world, m: the reconstructed surface; V = 0 without one, or in an
-            older file.
+        lift: f8 [K, J], path from the grasp that raises the palm by 15 cm with the hand's joints
+            unchanged; K = 0 if there is none.
+        object_vertices: f4 [V, 3], world, m: the surface that constrains the plan; V = 0 without
+            one.
         object_faces: i4 [F, 3], its triangles, seen counter-clockwise from outside.
     """
 

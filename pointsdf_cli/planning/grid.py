@@ -119,10 +119,6 @@ class GridField:
         """The nodes [N, 3] of the finest level whose values are negative, m."""
         return self._low + self.config.step * np.argwhere(self._values < 0)
 
-    def nodes(self) -> tuple[Array, Array]:
-        """Kept values [X, Y, Z] on nodes `config.step` apart, and the first node's place [3]."""
-        return self._values, self._low
-
     def _build(self, field: Field, cells: NDArray[np.int64], step: float) -> None:
         slope, band = SLOPE, self.config.band
         exact = np.ones(cells + 1, dtype=bool)

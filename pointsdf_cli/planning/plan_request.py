@@ -64,10 +64,10 @@ class PlanChoices:
         """Default thresholds, or `min_success` as the least probability, of fallbacks too."""
         from pointsdf_cli.planning.acceptance import AcceptanceConfig
 
-        least = self.min_success
+        least, default = self.min_success, AcceptanceConfig()
         if least is None:
-            return AcceptanceConfig()
-        return AcceptanceConfig(max(least, 0.6), least, floor=least)
+            return default
+        return AcceptanceConfig(max(least, default.success), least, floor=least)
 
 
 @dataclass(frozen=True)

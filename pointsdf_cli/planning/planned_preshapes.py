@@ -18,7 +18,7 @@ from pointsdf_cli.models.bundled_success import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import reconstruction_for, weights_hash
 from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
-from pointsdf_cli.planning.seeds import SeedConfig
+from pointsdf_cli.planning.seeds import MANY_SEEDS
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import load_robot
@@ -27,8 +27,6 @@ from pointsdf_cli.simulation.attempt import SCENE_ATTEMPTS, ObservedScene, Plann
 UNLIKELY = ("low_success_probability", "objective")
 """Reasons of candidates that meet all constraints: they are tried as well."""
 ROUNDS = 2
-SEEDS = SeedConfig(palms=40, seeds=12)
-"""As many as `plan --rehearse` solves in a round."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ class PlannedPreshapes:
 
     def load(self) -> Propose:
         """Load the networks."""
-        search = replace(self.options.planner.synthesis, rounds=ROUNDS, seeds=SEEDS)
+        search = replace(self.options.planner.synthesis, rounds=ROUNDS, seeds=MANY_SEEDS)
         config = replace(self.options.planner, successive_halving=(), synthesis=search)
         planner = GraspPlanner(replace(self.options, planner=config))
 

@@ -54,8 +54,9 @@ MARGIN = 0.004
 millimetres on the unseen side, and arms lag behind their trajectory by as much."""
 
 PREFERRED_SLACK = 0.006
-"""Distance to the object [m] up to which a candidate's slack is exact, for any clearance; rehearsal
-prefers grasps with this much."""
+"""Distance to the object [m] up to which a candidate's slack is exact, for any clearance. Of
+equally good grasps those with this much are rehearsed first: the unseen side may be nearer than
+predicted."""
 
 QUICK_CHECKS = 1000
 """Configurations checked at most by a brief motion search, with the margin and without: most

@@ -29,9 +29,9 @@ from pointsdf_cli.planning.grasp_planner import (
     PlanOptions,
     SuccessModel,
 )
-from pointsdf_cli.planning.planner import Planner
+from pointsdf_cli.planning.planner import PREFERRED_SLACK, Planner
 from pointsdf_cli.planning.resampled_views import ResampledViewCheck
-from pointsdf_cli.planning.seeds import SeedConfig
+from pointsdf_cli.planning.seeds import MANY_SEEDS
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.simulation.executor import ExecutorConfig
@@ -45,9 +45,6 @@ from pointsdf_cli.simulation.world import try_robot
 
 ENOUGH = 0.75
 """Share of rehearsals in which a grasp must hold to end the search."""
-SLACK = 0.006
-"""Distance [m] to the object; of equally good grasps, those that keep it until the hand closes are
-rehearsed first, because the unseen side may be nearer than predicted."""
 RESAMPLED_VIEWS = 3
 """Number of further samples of the cloud for the resampled-view check. A grasp that violates the
 clearance in any of them never ends the search."""
@@ -58,7 +55,7 @@ RESOLUTION = 64
 """Cells along the network's box for the surface to rehearse on."""
 CONTRADICTED = 0.5
 """Factor on the rehearsed score of a grasp that the resampled-view check rejects."""
-REHEARSED_SEARCH = SynthesisConfig(rounds=5, seeds=SeedConfig(palms=40, seeds=12))
+REHEARSED_SEARCH = SynthesisConfig(rounds=5, seeds=MANY_SEEDS)
 """Search settings: more grasps per round than in the paper, because rehearsals distinguish them."""
 
 
@@ -74,7 +71,7 @@ def rehearsed_planner(
         options: Options with the method "reconstruction": partial views have no closed surface.
         grasps: The success network to use instead of a checkpoint's.
         count: Number of grasps of a round to rehearse, the best by the objective.
-        execution: Execution of grasps; rehearsals use it without hold and pushes.
+        execution: Execution of grasps; rehearsals use its lift alone.
 
     Raises:
         InputError: Another method, no grasps to rehearse, or a robot or checkpoint that cannot be
@@ -153,7 +150,7 @@ class GraspRehearsal:
 
         rehearse = partial(self._rehearsal, *surface, seed=seed)
         return RehearsedChoice(
-            rehearse, surface, self._count, SLACK - clearance, contradicted, meshing
+            rehearse, surface, self._count, PREFERRED_SLACK - clearance, contradicted, meshing
         )
 
 

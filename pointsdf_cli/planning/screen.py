@@ -78,9 +78,14 @@ def depth_in(field: Field, outline: Array, palm: Array) -> Array:
     return np.asarray(np.maximum(0.0, -values.min(axis=1)))
 
 
-def narrowest(points: Array) -> float:
-    """Smallest width [m] of points [N, 3] over all level directions, or their height if that is
-    less."""
+def level_width(points: Array) -> float:
+    """Least width [m] of points [N, 3] of the world over all level directions."""
     angle = np.linspace(0, np.pi, 18, endpoint=False)
     level = points[:, :2] @ np.stack([np.cos(angle), np.sin(angle)])
-    return min(float(np.ptp(level, axis=0).min()), float(np.ptp(points[:, 2])))
+    return float(np.ptp(level, axis=0).min())
+
+
+def narrowest(points: Array) -> float:
+    """Least width [m] of points [N, 3] over all level directions, or their height if that is
+    less."""
+    return min(level_width(points), float(np.ptp(points[:, 2])))

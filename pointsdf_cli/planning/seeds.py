@@ -59,6 +59,10 @@ class SeedConfig:
     seeds: int = 8
 
 
+MANY_SEEDS = SeedConfig(palms=40, seeds=12)
+"""For rehearsals, and for grasps to learn from: more in a round than in the paper."""
+
+
 @dataclass(frozen=True)
 class Seeds:
     """Starts for the solver, best first.

@@ -29,7 +29,8 @@ from pointsdf_cli.planning.completed_views import completed
 from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.planning.labelled_view import LabelledView, sighting
 from pointsdf_cli.planning.robot_geometry import coal_mesh
-from pointsdf_cli.planning.table_top import WIDEST, TableTop, level_width, view_of
+from pointsdf_cli.planning.screen import level_width
+from pointsdf_cli.planning.table_top import WIDEST, TableTop, view_of
 
 RESOLUTION = 32
 """Cells along the network's box for an obstacle's surface: 0.2 s a thing on one core, where 64 take

@@ -33,6 +33,7 @@ from pointsdf_cli.planning.labelled_view import (
 )
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, Thing, choose, reach_of
 from pointsdf_cli.planning.option_checks import check_segment
+from pointsdf_cli.planning.screen import level_width
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 
@@ -214,13 +215,6 @@ def view_of(seen: Sighting) -> View:
     )
     evidence = ViewEvidence(image, seen.support_plane)
     return View(seen.object_points, seen.T_world_camera, evidence)
-
-
-def level_width(points: Array) -> float:
-    """Least width [m] of points [N, 3] of the world over all level directions."""
-    angle = np.linspace(0, np.pi, 18, endpoint=False)
-    level = points[:, :2] @ np.stack([np.cos(angle), np.sin(angle)])
-    return float(np.ptp(level, axis=0).min())
 
 
 def _require_same(points: Array, first: tuple[Array, Array], name: str) -> None:

@@ -15,13 +15,11 @@ class RobotContact:
         links: Number of the robot's links that touch the object.
         hand_links: Number of the hand's links that touch it.
         depth: Deepest overlap of any robot link with the object [m], 0 if none.
-        force: Sum of normal forces [N].
     """
 
     links: int
     hand_links: int
     depth: float
-    force: float
 
 
 def contact_of(
@@ -47,7 +45,6 @@ def contact_of(
         links=len(links),
         hand_links=len(links & hand),
         depth=max((max(0.0, -point[8]) for point in points), default=0.0),
-        force=float(sum(point[9] for point in points)),
     )
 
 

@@ -77,9 +77,9 @@ class ExecutorConfig:
         if not 0 <= self.push <= 1000:
             raise InputError(f"{self.push:g} N", where="--push", allowed="0 to 1000 N")
 
-    def without_tests(self) -> ExecutorConfig:
-        """Settings without hold and pushes."""
-        return replace(self, hold=0.0, push=0.0)
+    def lift_only(self) -> ExecutorConfig:
+        """Settings without shake, hold and pushes."""
+        return replace(self, shake=0.0, hold=0.0, push=0.0)
 
 
 LOOK = 1 / 60
@@ -129,7 +129,7 @@ class Executor:
         self._look_every = max(1, round(LOOK / world.physics.step))
 
     def run(self, q: ArrayLike, lift: Array) -> Outcome:
-        """Close, grip, lift along a path, settle, hold, push, judge.
+        """Close, grip, lift along a path, settle, shake, hold, push, judge.
 
         Args:
             q: [J], configuration in which the hand begins to close, that of the world's robot.

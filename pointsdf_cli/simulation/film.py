@@ -15,7 +15,8 @@ class Moment:
     """The scene at one time.
 
     Attributes:
-        phase: "close", "grip", "lift", "settle", "shake", "hold" or a push ("push +x").
+        phase: "approach", "close", "grip", "lift", "settle", "shake", "hold", or a push
+            ("push +x").
         time: Time since the world was built [s]; in a trial this includes the approach.
         q: [J], configuration of the robot.
         T_world_object: [4, 4].

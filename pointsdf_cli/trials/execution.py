@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -127,7 +127,7 @@ class _Last:
         if self._steps % 8 == 0 or not self.moments or self.moments[-1].phase != phase:
             moment = moment_of(world, phase)
             if self.moments and self.moments[-1].phase == phase:
-                self.moments[-1] = replace(moment)
+                self.moments[-1] = moment
             else:
                 self.moments.append(moment)
         if self._watch:

@@ -92,6 +92,7 @@ def write_results(
         "lifted": {s.name: s.lifted.value for s in summaries},
         "held": {s.name: s.held.value for s in summaries},
         "unshaken": {s.name: s.unshaken.value for s in summaries if s.unshaken.trials},
+        "succeeded": {s.name: s.succeeded.value for s in summaries},
         "no_plan": {s.name: s.no_plan.value for s in summaries},
         "contact": {s.name: s.contact.value for s in summaries},
     }

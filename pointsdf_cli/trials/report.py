@@ -96,7 +96,7 @@ def success_figure(summaries: Sequence[Summary]) -> Figure:
     width = 0.8 / (2 * len(summaries))
     for i, summary in enumerate(summaries):
         colour = COLOURS[summary.method]
-        shares = [(summary.by_camera | {"all": summary.held}).get(c, none) for c in cameras]
+        shares = [(summary.by_camera | {"all": summary.succeeded}).get(c, none) for c in cameras]
         _bars(left, np.arange(len(cameras)) + 2 * i * width, shares, width, colour, summary.name)
         published = [_published(summary.method, cameras).get(c, np.nan) for c in cameras]
         at = np.arange(len(cameras)) + (2 * i + 1) * width
@@ -128,7 +128,7 @@ def _success(summaries: Sequence[Summary]) -> Table:
         (
             s.name,
             *(percent(s.by_camera[c]) if c in s.by_camera else "–" for c in cameras),
-            percent(s.held),
+            percent(s.succeeded),
         )
         for s in summaries
     ]
@@ -136,7 +136,11 @@ def _success(summaries: Sequence[Summary]) -> Table:
         rates = _published(method, cameras)
         published = [f"{rates[c]:.0%}" if c in rates else "–" for c in (*cameras, "all")]
         body.append((f"{method}, published", *published))
-    return "Success: held (95% Wilson interval)", ("planner", *cameras, "all"), body
+    return (
+        "Success: held, no other object disturbed (95% Wilson interval)",
+        ("planner", *cameras, "all"),
+        body,
+    )
 
 
 def _verdicts(summaries: Sequence[Summary]) -> Table:
@@ -233,7 +237,7 @@ def _ablations(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
         body.append(
             (
                 s.name,
-                percent(s.held),
+                percent(s.succeeded),
                 percent(s.no_plan),
                 percent(s.contact),
                 f"{1000 * s.penetration[1]:.1f} mm",
@@ -243,7 +247,7 @@ def _ablations(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
         )
     header = (
         "planner",
-        "held",
+        "success",
         "no plan",
         "touched before closing",
         "mean depth in the truth",
@@ -261,9 +265,9 @@ def _clutter(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
         body.append(
             (
                 s.name,
-                percent(wilson(sum(row.held for row in mine), len(mine))),
+                percent(s.held),
                 percent(wilson(sum(not row.disturbed for row in planned), len(planned))),
-                percent(wilson(sum(row.succeeded for row in mine), len(mine))),
+                percent(s.succeeded),
                 f"{1000 * max((row.largest_move for row in planned), default=0.0):.0f} mm",
             )
         )

@@ -55,8 +55,9 @@ LOOK_HEIGHT = 0.08
 """Height above the table of the point that it looks at [m]."""
 LOWEST = 0.03
 """Height below which an upright object is laid on its side [m]."""
-STANDING = 1.0
-"""Probability of a standing pose: objects that can stand always do."""
+TARGET_STANDING = 1.0
+"""Probability of a standing pose of the target, which always stands if it can; neighbours lie more
+often (`clutter.py`)."""
 
 
 def load_object(item: TrialObject) -> SimObject:
@@ -104,7 +105,7 @@ def place_object(world: World, item: SimObject, trial: Trial) -> tuple[SimObject
         if trial.object.upright:
             pose = upright_pose(item)
         else:
-            pose = item.poses[draw_pose(item.poses, STANDING, rng)[0]]
+            pose = item.poses[draw_pose(item.poses, TARGET_STANDING, rng)[0]]
         standing = on_its_foot(item, pose)
         resting = settle(world, standing, pose)
         if resting is not None or trial.object.upright:

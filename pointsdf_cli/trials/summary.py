@@ -22,8 +22,9 @@ class Summary:
         name: "method" or "method/ablation".
         method, ablation: Its parts.
         lifted, held, unshaken: Shares of trials with each verdict; `unshaken` of the trials with
-            pushes. `held` counts only trials without a disturbed object.
-        by_camera, by_object: `held` by camera and object.
+            pushes.
+        succeeded: Share of trials that held and disturbed no other object.
+        by_camera, by_object: `succeeded` by camera and object.
         lost_in: Count of each step in which an object was lost.
         no_plan: Share of trials without a plan.
         contact: Share of trials with a plan in which the robot touched the object early.
@@ -40,6 +41,7 @@ class Summary:
     lifted: Share
     held: Share
     unshaken: Share
+    succeeded: Share
     by_camera: dict[str, Share]
     by_object: dict[str, Share]
     lost_in: dict[str, int]
@@ -104,7 +106,7 @@ def _summary(name: str, rows: list[TrialRow]) -> Summary:
     pushed = [row for row in rows if row.unshaken != UNTRIED]
     depths = np.array([row.penetration for row in planned] or [0.0])
 
-    def held(chosen: list[TrialRow]) -> Share:
+    def succeeded(chosen: list[TrialRow]) -> Share:
         return wilson(sum(row.succeeded for row in chosen), len(chosen))
 
     return Summary(
@@ -112,14 +114,15 @@ def _summary(name: str, rows: list[TrialRow]) -> Summary:
         method=rows[0].method,
         ablation=rows[0].ablation,
         lifted=wilson(sum(row.lifted for row in rows), len(rows)),
-        held=held(rows),
+        held=wilson(sum(row.held for row in rows), len(rows)),
         unshaken=wilson(sum(row.unshaken == 1 for row in pushed), len(pushed)),
+        succeeded=succeeded(rows),
         by_camera={
-            camera: held([row for row in rows if row.camera == camera])
+            camera: succeeded([row for row in rows if row.camera == camera])
             for camera in dict.fromkeys(row.camera for row in rows)
         },
         by_object={
-            item: held([row for row in rows if row.object == item])
+            item: succeeded([row for row in rows if row.object == item])
             for item in dict.fromkeys(row.object for row in rows)
         },
         lost_in=dict(Counter(row.lost_in for row in rows if row.lost_in).most_common()),
