@@ -49,6 +49,10 @@ class DepthWindow:
     cosine: NDArray[np.float32]
 
 
+THREADS = 1
+"""Threads of the ray tracer: commands run a process on each core."""
+
+
 class MeshCaster:
     """Ray caster of a pinhole camera for one mesh.
 
@@ -56,16 +60,12 @@ class MeshCaster:
         vertices: [V, 3], mesh frame, m.
         faces: [F, 3].
         camera: The intrinsics.
-        threads: Threads of the ray tracer; 0 takes all cores.
     """
 
-    def __init__(
-        self, vertices: ArrayLike, faces: ArrayLike, camera: Camera, threads: int = 1
-    ) -> None:
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike, camera: Camera) -> None:
         self._vertices = np.asarray(vertices, dtype=np.float64)
         self._camera = camera
-        self._threads = threads
-        self._scene = o3d.t.geometry.RaycastingScene(threads)
+        self._scene = o3d.t.geometry.RaycastingScene(THREADS)
         self._scene.add_triangles(
             o3d.core.Tensor.from_numpy(np.ascontiguousarray(self._vertices, dtype=np.float32)),
             o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, dtype=np.uint32)),
@@ -132,7 +132,7 @@ class MeshCaster:
         rays[..., :3] = invert_transform(T_camera_object)[:3, 3]
         for k in range(3):  # one by one: sums of many short rows take three times as long
             rays[..., 3 + k] = x[:, k] + y[:, None, k] + rotation[2, k]
-        return self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), self._threads), rays
+        return self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), THREADS), rays
 
     def _window(self, T_camera_object: NDArray[np.float64]) -> tuple[int, int, int, int]:
         """Columns [left, right) and rows [top, bottom) that can see the mesh's bounding box."""

@@ -68,21 +68,21 @@ def write_pose(path: Path, pose: NDArray[np.float64]) -> None:
     write_text_atomic(path, f"[{rows}]\n")
 
 
-def target_numbers(text: str, where: str = "--target") -> NDArray[np.float64]:
+def target_numbers(text: str) -> NDArray[np.float64]:
     """An object's number [1] (from 1), a pixel [2] (u, v) or a place [3] in the world, m.
 
     Raises:
         InputError: None of these.
     """
     allowed = "an object's number from 1, a pixel U,V, a place X,Y,Z in the world (m), or any"
-    numbers = numbers_in(text, where, allowed)
+    numbers = numbers_in(text, "--target", allowed)
     whole_number = len(numbers) == 1 and numbers[0] >= 1 and numbers[0] % 1 == 0
     if not (whole_number or len(numbers) in (2, 3)):
-        raise InputError(f"{text[:60]!r} is none of these", where=where, allowed=allowed)
+        raise InputError(f"{text[:60]!r} is none of these", where="--target", allowed=allowed)
     return numbers
 
 
-def table_place(text: str, option: str = "--camera-pose") -> tuple[float, float] | None:
+def table_place(text: str) -> tuple[float, float] | None:
     """Place of the object in the world [m] for `table` or `table:X,Y`; None for another pose.
 
     Raises:
@@ -94,9 +94,9 @@ def table_place(text: str, option: str = "--camera-pose") -> tuple[float, float]
     if not rest:
         return TABLE_PLACE
     allowed = "table, or table:X,Y with the object's place in the world, m"
-    numbers = numbers_in(rest, option, allowed)
+    numbers = numbers_in(rest, "--camera-pose", allowed)
     if len(numbers) != 2:
-        raise InputError(f"{len(numbers)} numbers", where=option, allowed=allowed)
+        raise InputError(f"{len(numbers)} numbers", where="--camera-pose", allowed=allowed)
     return float(numbers[0]), float(numbers[1])
 
 

@@ -40,16 +40,20 @@ class LocalFeatures(nn.Module):
         return self.out(read.flatten(-2))
 
 
+HEAD_SIZE = 32
+"""Width of each head of the attention."""
+
+
 class CentreAttention(nn.Module):
     """Multi-head attention of queries over the centres of one encoder level."""
 
-    def __init__(self, width: int, channels: int, heads: int, size: int = 32) -> None:
+    def __init__(self, width: int, channels: int, heads: int) -> None:
         super().__init__()
-        self.heads, self.size = heads, size
+        self.heads, self.size = heads, HEAD_SIZE
         self.norm = nn.LayerNorm(width)
-        self.query = nn.Linear(width, heads * size)
-        self.key_value = nn.Linear(channels + 3, 2 * heads * size)
-        self.out = nn.Linear(heads * size, width)
+        self.query = nn.Linear(width, heads * HEAD_SIZE)
+        self.key_value = nn.Linear(channels + 3, 2 * heads * HEAD_SIZE)
+        self.out = nn.Linear(heads * HEAD_SIZE, width)
 
     def keys_and_values(self, features: Tensor, centres: Tensor) -> dict[str, Tensor]:
         """Keys and values [B, heads, M, size] of features [B, M, C] at centres [B, M, 3]."""

@@ -103,8 +103,8 @@ SEARCHES: dict[str, Callable[[Tensor, Tensor, int], Tensor]] = {
 
 
 @torch.no_grad()
-def farthest_point_order(points: Tensor, count: int, start: int = 0) -> Tensor:
-    """Farthest point sampling: each next point is the one farthest from all before it.
+def farthest_point_order(points: Tensor, count: int) -> Tensor:
+    """Farthest point sampling from the first point: each next one is the farthest from all before.
 
     The order is nested: its first m entries are the farthest point sample of size m, so one call
     serves every level of an encoder.
@@ -112,7 +112,6 @@ def farthest_point_order(points: Tensor, count: int, start: int = 0) -> Tensor:
     Args:
         points: [B, N, 3].
         count: Number of points, at most N.
-        start: Index of the first point.
 
     Returns:
         int64 indices [B, count].
@@ -122,7 +121,7 @@ def farthest_point_order(points: Tensor, count: int, start: int = 0) -> Tensor:
     coordinates = points.float().transpose(1, 2).contiguous()
     order = torch.empty(batch, count, dtype=torch.int64, device=points.device)
     nearest = torch.full((batch, total), torch.inf, device=points.device)
-    current = torch.full((batch,), start, dtype=torch.int64, device=points.device)
+    current = torch.zeros(batch, dtype=torch.int64, device=points.device)
     for step in range(count):
         order[:, step] = current
         chosen = coordinates.gather(2, current[:, None, None].expand(-1, 3, 1))

@@ -30,6 +30,9 @@ from pointsdf_cli.planning.objective import Cost, GraspScore, Objective
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.variables import Variables
 
+CRITICAL = 32
+"""Number of constraints that `GraspProblem.evaluate` reports for each configuration."""
+
 
 @dataclass(frozen=True)
 class Clearances:
@@ -68,9 +71,6 @@ class GraspProblem:
         field: Field of the object for the solver: the network, or a grid of it.
         environment: Obstacles and table.
         clearances: Margins.
-        critical: Number of constraints that `evaluate` reports for each configuration.
-        slope: Largest slope of the field.
-        reach: Distances to the object up to this [m] are computed; larger ones are bounded below.
     """
 
     def __init__(
@@ -80,9 +80,6 @@ class GraspProblem:
         field: Field,
         environment: Environment | None = None,
         clearances: Clearances | None = None,
-        critical: int = 32,
-        slope: float = 1.0,
-        reach: float = 0.05,
     ) -> None:
         kinematics = self.kinematics = geometry.kinematics
         self.variables = Variables(kinematics.robot)
@@ -91,7 +88,7 @@ class GraspProblem:
         self.geometry, self.environment = geometry, environment or Environment()
         self.objective = Objective(kinematics, self.variables, score)
         self.bodies = BodyDistances(geometry, self.environment)
-        self.object = ObjectDistances(geometry, field, reach, slope)
+        self.object = ObjectDistances(geometry, field)
         self._jacobian = ContactJacobian(kinematics)
         self.names = self.object.names + self.bodies.names
         # By index, not by name: an obstacle may have any name.
@@ -101,7 +98,7 @@ class GraspProblem:
         self.is_table = np.concatenate([np.zeros(count, bool), self.bodies.is_table])
         self._margin = self._margins()
         self._relevant = self._movable()
-        self._critical = min(critical, int(self._relevant.sum()))
+        self._critical = min(CRITICAL, int(self._relevant.sum()))
         self._groups = self._make_groups()
 
     def with_field(self, field: Field, clearances: Clearances, reach: float) -> GraspProblem:

@@ -25,7 +25,6 @@ class ObjectDistances:
         geometry: Geometry of the robot.
         field: Field of the object, world frame.
         reach: Patches with a lower bound above this [m] keep the bound.
-        slope: Largest slope of the field: 1 for a distance.
 
     Attributes:
         link: [M], each patch's link.
@@ -37,9 +36,8 @@ class ObjectDistances:
         geometry: RobotGeometry,
         field: Field,
         reach: float = 0.05,
-        slope: float = 1.0,
     ) -> None:
-        self.field, self._reach, self._slope = field, reach, slope
+        self.field, self._reach = field, reach
         patches, links = geometry.patches, geometry.kinematics.links
         self.link: Indices = patches.link
         self.names = tuple((links[i], "object") for i in patches.link)
@@ -63,7 +61,7 @@ class ObjectDistances:
         count, patches = rotation.shape[:2]
         point = (rotation @ self._centre[:, :, None])[..., 0] + position
         distance = self.field(point.reshape(-1, 3)).reshape(count, patches)
-        distance = distance - self._slope * self._radius
+        distance = distance - self._radius
         normal = np.zeros_like(point)
         rows, columns = np.nonzero(distance < self._reach)
         if len(rows):
@@ -95,7 +93,7 @@ class ObjectDistances:
         links = self.link[columns]
         rotation, position = poses.rotation[rows, links], poses.position[rows, links]
         centre = (rotation @ self._centre[columns, :, None])[..., 0] + position
-        distance = self.field(centre) - self._slope * self._radius[columns]
+        distance = self.field(centre) - self._radius[columns]
         near = np.flatnonzero(distance < self._reach)
         if len(near):
             world = self._points[columns[near]] @ rotation[near].transpose(0, 2, 1)

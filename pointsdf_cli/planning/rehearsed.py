@@ -71,7 +71,7 @@ def rehearsed_planner(
         options: Options with the method "reconstruction": partial views have no closed surface.
         grasps: The success network to use instead of a checkpoint's.
         count: Number of grasps of a round to rehearse, the best by the objective.
-        execution: Execution of grasps; rehearsals use its lift alone.
+        execution: Execution of grasps; rehearsals use it without hold and pushes.
 
     Raises:
         InputError: Another method, no grasps to rehearse, or a robot or checkpoint that cannot be

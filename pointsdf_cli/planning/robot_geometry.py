@@ -64,7 +64,6 @@ class RobotGeometry:
 
     Args:
         kinematics: Kinematics of the robot.
-        spacing: No surface point is farther than this [m] from a sample.
 
     Attributes:
         bodies: Bodies, one for each shape.
@@ -73,7 +72,7 @@ class RobotGeometry:
         hand: The hand's surface for any preshape.
     """
 
-    def __init__(self, kinematics: Kinematics, spacing: float = SPACING) -> None:
+    def __init__(self, kinematics: Kinematics) -> None:
         self.kinematics = kinematics
         tree = kinematics.robot.tree
         self.bodies = tuple(
@@ -82,7 +81,7 @@ class RobotGeometry:
             for shape in tree.shapes[link]
         )
         links, patches = [], []
-        for link, points in robot_surface(kinematics.robot, spacing).items():
+        for link, points in robot_surface(kinematics.robot, SPACING).items():
             for patch in _split(points):
                 links.append(kinematics.index(link))
                 # Repeats make all patches equally long; they change no minimum.

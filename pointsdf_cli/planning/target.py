@@ -240,19 +240,18 @@ def absent_object(points: Array) -> ObjectField:
     return ObjectField.of(NoField(), points.min(axis=0), points.max(axis=0) + BOX_MARGIN)
 
 
-def surface_of(target: Target, step: float = 0.004) -> tuple[Array, NDArray[np.int32]] | None:
-    """Surface of the target's field: vertices [V, 3] m in the world and faces [F, 3], or None
-    without one.
+CELL = 0.004
+"""Side of the cells of marching cubes [m]."""
 
-    Args:
-        target: The object.
-        step: Side of the cells of marching cubes [m].
-    """
+
+def surface_of(target: Target) -> tuple[Array, NDArray[np.int32]] | None:
+    """Surface of the target's field: vertices [V, 3] m in the world and faces [F, 3], or None
+    without one."""
     middle, side = (target.low + target.high) / 2, float((target.high - target.low).max())
     cells = COARSE_CELLS
-    while cells * step < side and cells < MAX_RESOLUTION:
+    while cells * CELL < side and cells < MAX_RESOLUTION:
         cells *= 2
-    half = max(cells * step, side) / 2
+    half = max(cells * CELL, side) / 2
     config = IsosurfaceConfig(
         cells,
         coarse=COARSE_CELLS,

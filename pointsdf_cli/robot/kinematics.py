@@ -22,22 +22,16 @@ class Kinematics:
 
     Args:
         robot: The robot.
-        dtype: Type of the results; float64 agrees with a physics engine to rounding.
-        device: Device of the computation.
     """
 
-    def __init__(
-        self,
-        robot: RobotDescription,
-        dtype: torch.dtype = torch.float64,
-        device: str | torch.device = "cpu",
-    ) -> None:
+    def __init__(self, robot: RobotDescription) -> None:
         self.robot = robot
         self.links = robot.tree.links
         self._index = {link: i for i, link in enumerate(self.links)}
 
         def tensor(array: NDArray[np.float64]) -> Tensor:
-            return torch.tensor(np.array(array), dtype=dtype, device=device)
+            # float64 agrees with a physics engine to rounding.
+            return torch.tensor(np.array(array), dtype=torch.float64)
 
         # Level by level, so that a level's joints are a slice.
         levels = self._tree_levels()
@@ -45,7 +39,7 @@ class Kinematics:
         columns = {name: i for i, name in enumerate(robot.joint_names)}
         # Joints that are not part of q rest at 0, through a column that is always zero.
         spare = len(columns)
-        self._columns = torch.tensor([columns.get(j.name, spare) for j in joints], device=device)
+        self._columns = torch.tensor([columns.get(j.name, spare) for j in joints])
         axes = np.array([j.axis for j in joints])
         cross = np.zeros((len(joints), 3, 3))
         cross[:, [2, 0, 1], [1, 2, 0]] = axes
@@ -62,7 +56,7 @@ class Kinematics:
         self._slide = tensor(np.einsum("jab,jb->ja", fixed, axes) * sliding)
         ends = np.cumsum([0, *(len(here) for here, _ in levels)])
         self._levels = [
-            (slice(int(begin), int(end)), None if above is None else torch.tensor(above).to(device))
+            (slice(int(begin), int(end)), None if above is None else torch.tensor(above))
             for begin, end, (_, above) in zip(ends, ends[1:], levels, strict=False)
         ]
         by_level = [self.links[0], *(joint.child for joint in joints)]

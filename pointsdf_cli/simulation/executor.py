@@ -77,9 +77,9 @@ class ExecutorConfig:
         if not 0 <= self.push <= 1000:
             raise InputError(f"{self.push:g} N", where="--push", allowed="0 to 1000 N")
 
-    def lift_only(self) -> ExecutorConfig:
-        """Settings without shake, hold and pushes."""
-        return replace(self, shake=0.0, hold=0.0, push=0.0)
+    def without_hold_and_push(self) -> ExecutorConfig:
+        """Settings without hold and pushes; a shake stays."""
+        return replace(self, hold=0.0, push=0.0)
 
 
 LOOK = 1 / 60

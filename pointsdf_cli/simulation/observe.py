@@ -85,10 +85,9 @@ class Observer:
         T_world_object: Array,
         T_world_camera: Array,
         rng: np.random.Generator,
-        q: Array | None = None,
     ) -> Array:
         """Noisy cloud [N, 3] of the whole scene, camera frame, m."""
-        depth = self.depth([(item, T_world_object)], T_world_camera, rng, q)
+        depth = self.depth([(item, T_world_object)], T_world_camera, rng)
         v, u = np.nonzero(depth)
         return self.placement.camera.back_project(u, v, depth[v, u])
 
@@ -97,7 +96,6 @@ class Observer:
         standing: Sequence[tuple[SimObject, Array]],
         T_world_camera: Array,
         rng: np.random.Generator,
-        q: Array | None = None,
     ) -> Array:
         """Noisy depth image [height, width] of the scene, m along z, 0 without a return.
 
@@ -105,13 +103,12 @@ class Observer:
             standing: Objects, each with its T_world_object [4, 4].
             T_world_camera: [4, 4].
             rng: Random generator of the sensor's errors.
-            q: [J], configuration of the robot; its home if None.
         """
         parts: list[tuple[Array, NDArray[np.int64]]] = [
             (apply_transform(pose, item.mesh.vertices), item.mesh.faces.astype(np.int64))
             for item, pose in standing
         ]
-        parts += [(p.vertices, p.faces) for p in self._robot.at(self._home if q is None else q)]
+        parts += [(p.vertices, p.faces) for p in self._robot.at(self._home)]
         parts.append(_table())
         vertices = np.concatenate([vertices for vertices, _ in parts])
         starts = np.cumsum([0] + [len(vertices) for vertices, _ in parts[:-1]])

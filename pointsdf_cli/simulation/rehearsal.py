@@ -88,7 +88,7 @@ class Rehearsal:
 
     Args:
         robot: The robot.
-        execution: Execution of grasps, as in trials; of this the lift alone.
+        execution: Execution of grasps, as in trials but without hold and pushes.
         repeats: Number of tries of a grasp; the first is undisturbed.
     """
 
@@ -99,9 +99,9 @@ class Rehearsal:
         repeats: int = REPEATS,
     ) -> None:
         self._repeats = repeats
-        # An object at rest in the hand after half a second mostly stays there, and further tests
+        # An object at rest in the hand after half a second mostly stays there, and hold and pushes
         # take several times as long as the rest.
-        execution = (execution or ExecutorConfig()).lift_only()
+        execution = (execution or ExecutorConfig()).without_hold_and_push()
         self._execution = replace(execution, longest_settling=0.6)
         self._world = World(robot, PHYSICS)
         self._tries = 0

@@ -115,7 +115,6 @@ class TrialPlanner:
     Args:
         variant: The variant.
         options: Options shared by all variants.
-        grasps: Success network to use instead of a checkpoint's.
         execution: Execution of its grasps, for rehearsals.
     """
 
@@ -123,17 +122,14 @@ class TrialPlanner:
         self,
         variant: PlannerVariant,
         options: VariantOptions,
-        grasps: SuccessModel | None = None,
         execution: ExecutorConfig | None = None,
     ) -> None:
         self.variant = variant
-        ablation = variant.ablation
-        if ablation == protocol.NO_SUCCESS:
+        grasps: SuccessModel | None = None
+        if variant.ablation == protocol.NO_SUCCESS:
             plan = options.plan
             robot = load_robot(plan.robot)
-            grasps = Indifferent(
-                grasps or load_grasp_model(plan.grasp_checkpoint, None, plan.device, robot)
-            )
+            grasps = Indifferent(load_grasp_model(plan.grasp_checkpoint, None, plan.device, robot))
         asked = plan_options(variant, options)
         count = rehearsals_of(variant, options)
         if count:

@@ -29,7 +29,6 @@ from pointsdf_cli.planning.answer import Answer, Surface
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
-from pointsdf_cli.planning.grasp_planner import SuccessModel
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.description import load_robot, robot_digest
@@ -117,17 +116,15 @@ class TrialRunner:
 
     Args:
         config: Settings.
-        grasps: Success network to use instead of checkpoints.
     """
 
-    def __init__(self, config: TrialConfig, grasps: SuccessModel | None = None) -> None:
+    def __init__(self, config: TrialConfig) -> None:
         self.config = config
         self.robot = load_robot(config.variants.plan.robot)
         self._world = World(self.robot, config.physics)
         self._kinematics = Kinematics(self.robot)
         self._geometry = RobotGeometry(self._kinematics)
         self._observer = Observer(self.robot, CameraPlacement(sensor=config.sensor))
-        self._grasps = grasps
         self._planners: dict[PlannerVariant, TrialPlanner] = {}
         self._objects: OrderedDict[TrialObject, SimObject] = OrderedDict()
 
@@ -209,7 +206,7 @@ class TrialRunner:
     def _planner(self, variant: PlannerVariant) -> TrialPlanner:
         if variant not in self._planners:
             self._planners[variant] = TrialPlanner(
-                variant, self.config.variants, self._grasps, self.config.execution
+                variant, self.config.variants, self.config.execution
             )
         return self._planners[variant]
 

@@ -11,6 +11,9 @@ from scipy.stats import binomtest, norm
 
 from pointsdf_cli.errors import InputError
 
+CONFIDENCE = 0.95
+"""Confidence of all intervals."""
+
 
 class Share(NamedTuple):
     """Successes of trials with their Wilson score interval.
@@ -31,20 +34,17 @@ class Share(NamedTuple):
         return self.successes / self.trials if self.trials else float("nan")
 
 
-def wilson(successes: int, trials: int, confidence: float = 0.95) -> Share:
-    """A share with its Wilson (1927) score interval, which stays within 0 and 1.
+def wilson(successes: int, trials: int) -> Share:
+    """A share with its 95% Wilson (1927) score interval, which stays within 0 and 1.
 
     Raises:
-        InputError: More successes than trials, or a confidence outside of 0 to 1.
+        InputError: More successes than trials.
     """
-    if not 0 <= successes <= trials or not 0 < confidence < 1:
-        raise InputError(
-            f"{successes} of {trials} at confidence {confidence}",
-            allowed="0 ≤ successes ≤ trials, a confidence between 0 and 1",
-        )
+    if not 0 <= successes <= trials:
+        raise InputError(f"{successes} of {trials}", allowed="0 ≤ successes ≤ trials")
     if trials == 0:
         return Share(0, 0, float("nan"), float("nan"))
-    z = float(norm.ppf(0.5 + confidence / 2))
+    z = float(norm.ppf(0.5 + CONFIDENCE / 2))
     p, n = successes / trials, trials
     middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
