@@ -29,7 +29,8 @@ from pointsdf_cli.io.plans import OK, Plan, write_plan
 from pointsdf_cli.planning.answer import Answer
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import RefinedField
-from pointsdf_cli.planning.grasp_planner import METHODS, GraspPlanner, PlanOptions
+from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
+from pointsdf_cli.planning.option_checks import METHODS
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.robot.description import RobotDescription

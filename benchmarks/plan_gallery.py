@@ -23,7 +23,7 @@ from plan_scenes import TableScene, table_scenes
 
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.plans import OK, Plan, read_plan
-from pointsdf_cli.planning.grasp_planner import METHODS
+from pointsdf_cli.planning.option_checks import METHODS
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.plan_picture import PlanScene, close_up
 from pointsdf_cli.viz.robot_picture import RobotMeshes

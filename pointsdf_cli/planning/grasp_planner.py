@@ -43,11 +43,7 @@ from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed, given_constraint, unseen_support
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.objective import GraspScore
-from pointsdf_cli.planning.option_checks import METHODS as METHODS
-from pointsdf_cli.planning.option_checks import (
-    PARTIAL_VIEW,
-    RECONSTRUCTION,
-)
+from pointsdf_cli.planning.option_checks import PARTIAL_VIEW, RECONSTRUCTION
 from pointsdf_cli.planning.plan_artifact import no_plan, plan_of
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.reasons import few_grasps, never_held, too_large
@@ -99,7 +95,7 @@ class PlanOptions:
     """Options that are fixed before any cloud is read.
 
     Attributes:
-        method: One of `METHODS`.
+        method: One of `choices.Method`.
         kind: "side", "top", or "auto": the more promising; low objects from the top first.
         robot: YAML file of the robot; the bundled one if None.
         checkpoint: Reconstruction network; if None the bundled one that the success network was
@@ -267,7 +263,10 @@ class GraspPlanner:
 
         Args:
             perceived: Result of `see`.
-            environment, start, seed, notes: As in `plan`.
+            environment: As in `plan`.
+            start: As in `plan`.
+            seed: As in `plan`.
+            notes: As in `plan`.
             surface: Surface to rehearse on instead of the reconstruction's, world frame.
         """
         points, choice = perceived.points, None
@@ -311,8 +310,7 @@ class GraspPlanner:
         )
 
     def is_too_large(self, points: Array) -> bool:
-        """Whether an object seen at points [N, 3] is wider than the opened hand in all
-        directions."""
+        """Whether an object seen at points [N, 3] is wider than the open hand everywhere."""
         return narrowest(points) > self.planner.geometry.hand.span
 
     def search_settings(self, points: Array) -> SynthesisConfig:
