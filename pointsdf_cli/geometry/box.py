@@ -1,9 +1,11 @@
-"""Boxes along the axes."""
+"""Boxes along the axes, and widths of clouds."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from pointsdf_cli.geometry.arrays import Array
 
 
 def strictly_inside(points: ArrayLike, low: ArrayLike, high: ArrayLike) -> NDArray[np.bool_]:
@@ -18,3 +20,10 @@ def strictly_inside(points: ArrayLike, low: ArrayLike, high: ArrayLike) -> NDArr
     for axis, (least, most) in enumerate(zip(np.asarray(low), np.asarray(high), strict=True)):
         inside &= (points[:, axis] > least) & (points[:, axis] < most)
     return inside
+
+
+def level_width(points: Array) -> float:
+    """Least width [m] of points [N, 3] of the world over all level directions."""
+    angle = np.linspace(0, np.pi, 18, endpoint=False)
+    level = points[:, :2] @ np.stack([np.cos(angle), np.sin(angle)])
+    return float(np.ptp(level, axis=0).min())

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.box import level_width
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.robot.jaws import jaws_of
@@ -76,13 +77,6 @@ def depth_in(field: Field, outline: Array, palm: Array) -> Array:
     world = outline @ palm[:, :3, :3].transpose(0, 2, 1) + palm[:, None, :3, 3]
     values = field(world.reshape(-1, 3)).reshape(count, points)
     return np.asarray(np.maximum(0.0, -values.min(axis=1)))
-
-
-def level_width(points: Array) -> float:
-    """Least width [m] of points [N, 3] of the world over all level directions."""
-    angle = np.linspace(0, np.pi, 18, endpoint=False)
-    level = points[:, :2] @ np.stack([np.cos(angle), np.sin(angle)])
-    return float(np.ptp(level, axis=0).min())
 
 
 def narrowest(points: Array) -> float:

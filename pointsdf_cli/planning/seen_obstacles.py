@@ -19,6 +19,7 @@ from pointsdf_cli.camera.segmentation import GAP, clusters
 from pointsdf_cli.camera.things import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.box import level_width
 from pointsdf_cli.geometry.inside import Inside
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.voxels import thin
@@ -29,7 +30,6 @@ from pointsdf_cli.planning.completed_views import completed
 from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.planning.labelled_view import LabelledView, sighting
 from pointsdf_cli.planning.robot_geometry import coal_mesh
-from pointsdf_cli.planning.screen import level_width
 from pointsdf_cli.planning.table_top import WIDEST, TableTop, view_of
 
 RESOLUTION = 32

@@ -18,6 +18,7 @@ from pointsdf_cli.camera.things import VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.box import level_width
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.geometry.voxels import thin
@@ -33,7 +34,6 @@ from pointsdf_cli.planning.labelled_view import (
 )
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, Thing, choose, reach_of
 from pointsdf_cli.planning.option_checks import check_segment
-from pointsdf_cli.planning.screen import level_width
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
 
