@@ -45,9 +45,10 @@ class ClosingCheck:
         self._clearance = clearance
         moved = [{kinematics.index(x) for x in beyond(robot, j)} for j in robot.closing_joints]
         links = sorted(set().union(*moved))
-        self._moves = np.array([[link in one for link in links] for one in moved])
         self._patches = np.flatnonzero(np.isin(self._object.link, links))
-        self._patch_link = np.searchsorted(links, self._object.link[self._patches])
+        # [P, C], the closing joints that a touching patch stops.
+        patch_links = self._object.link[self._patches]
+        self._stops = np.array([[link in one for one in moved] for link in patch_links])
         obstacle = (bodies.other_link == WORLD) & ~bodies.is_table
         self._pairs = np.flatnonzero(obstacle & np.isin(bodies.link, links))
 
@@ -82,11 +83,7 @@ class ClosingCheck:
             least = np.minimum(least, found.reshape(len(q), -1).min(axis=1))
             rows = np.repeat(np.arange(len(q)), len(self._patches))
             near = self._object.of(poses, rows, np.tile(self._patches, len(q))) < CONTACT
-            touching = np.zeros((len(q), self._moves.shape[1]), dtype=bool)
-            for link in range(touching.shape[1]):
-                here = self._patch_link == link
-                touching[:, link] = near.reshape(len(q), -1)[:, here].any(axis=1)
-            moving &= ~(touching @ self._moves.T)
+            moving &= ~(near.reshape(len(q), -1) @ self._stops)
             if not moving.any():
                 break
         return least - self._clearance
