@@ -1,6 +1,7 @@
 """Quality of completion on a table, for seen and hidden parts separately.
 
     python benchmarks/table_views.py MESHES [--checkpoint DIR] [--views N] [--sensor NAME]
+        [--no-vessels]
 
 Each mesh rests on a table in random stable poses, seen by one camera at 0.4 to 1.6 m from 11° to
 75° above, alone and exactly segmented; with another --sensor than ideal, among neighbours and with
@@ -39,6 +40,8 @@ from pointsdf_cli.models.shape_model import ShapeModel
 
 SAMPLES = 20_000
 WITHIN = 0.003
+VESSEL_WALLS = True
+"""Whether vessels are completed by their axis (`--no-vessels`)."""
 VESSELS = ("bowl", "mug", "cup", "plate", "pitcher", "pot", "glass", "jar")
 
 
@@ -67,7 +70,7 @@ class Row(NamedTuple):
 def meshed(model: ShapeModel, view: SceneView, seed: int) -> tuple[Array, NDArray[np.int64]] | None:
     """Vertices and faces in the camera's frame; None where the network sees nothing."""
     shape = Reconstruction.from_cloud(
-        model, view.points, np.zeros(3), seed=seed, evidence=view.evidence
+        model, view.points, np.zeros(3), seed=seed, evidence=view.evidence, vessels=VESSEL_WALLS
     )
     try:
         made = mesh_reconstruction(shape, 64)
@@ -148,7 +151,10 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=2)
     parser.add_argument("--sensor", default="ideal")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--no-vessels", action="store_true", help="The network alone.")
     options = parser.parse_args()
+    global VESSEL_WALLS
+    VESSEL_WALLS = not options.no_vessels
     model = load_model(options.checkpoint)
     config = SceneViewConfig(
         (options.sensor,),

@@ -11,11 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.field import FieldFunction
-from pointsdf_cli.geometry.isosurface import MAX_RESOLUTION, IsosurfaceConfig, extract_isosurface
+from pointsdf_cli.geometry.isosurface import (
+    MAX_RESOLUTION,
+    EmptySurfaceError,
+    IsosurfaceConfig,
+    extract_isosurface,
+)
 from pointsdf_cli.geometry.mise import SearchRules
 from pointsdf_cli.geometry.sampled_grid import NetworkField
 from pointsdf_cli.geometry.smoothing import taubin_smooth
 from pointsdf_cli.models.reconstruction import Reconstruction
+from pointsdf_cli.models.vessel_field import VesselField
+from pointsdf_cli.models.vessel_surface import vessel_surface
 
 SMOOTHING = 25
 """Default number of smoothing passes, chosen on held-out training objects: it raises normal
@@ -77,6 +84,9 @@ def mesh_reconstruction(
         EmptySurfaceError: The field has no inside.
         InputError: The resolution is not supported.
     """
+    vessel = reconstruction.vessel
+    if vessel is not None and field is None:
+        return _vessel_mesh(reconstruction, vessel, resolution, smallest_part, smoothing)
     model = reconstruction.model
     rules = SearchRules() if model.gives_distances else SearchRules(slope=np.inf)
     interpolated = model.gives_distances and not exact and resolution > rules.smooth_from
@@ -99,6 +109,31 @@ def mesh_reconstruction(
         queries=surface.queries,
         parts_dropped=surface.parts_dropped,
     )
+
+
+def _vessel_mesh(
+    reconstruction: Reconstruction,
+    vessel: VesselField,
+    resolution: int,
+    smallest_part: float,
+    smoothing: int,
+) -> ReconstructedMesh:
+    """The wall, however thin, and the network's mesh of the other parts, united."""
+    queries, others = 0, None
+    try:
+        others = mesh_reconstruction(
+            reconstruction,
+            resolution,
+            smallest_part,
+            smoothing,
+            lambda x: vessel.other_parts(x, reconstruction.network_sdf),
+        )
+        queries = others.queries
+    except EmptySurfaceError:
+        pass  # a vessel without handles
+    parts = None if others is None else (others.vertices, others.faces)
+    vertices, faces, dropped = vessel_surface(vessel.vessel, parts, smallest_part)
+    return ReconstructedMesh(vertices, faces, queries, dropped)
 
 
 def network_field(

@@ -75,6 +75,7 @@ class PointSDFRay(ShapeModel):
     """
 
     architecture = "pointsdf-ray"
+    completes_vessels = True
     frequencies: Tensor
 
     def __init__(

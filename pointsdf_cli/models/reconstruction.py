@@ -26,6 +26,7 @@ from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.processor import even_parts, one_thread, side_by_side
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 from pointsdf_cli.models.surroundings import surroundings_of
+from pointsdf_cli.models.vessel_field import VesselField, vessel_in
 
 CHUNK = 4096
 """Number of queries decoded at once: small enough for intermediate layers to stay in the cache."""
@@ -43,6 +44,7 @@ class Reconstruction:
         R_frame_camera: f8 [3, 3], the camera's axes in the cloud's frame.
         size: f8 [3], extents of the partial cloud along the camera's axes, m.
         low_precision: Type of the products in `sdf`, and the encoding for it; None for float32.
+        vessel: Wall of a cup, bowl or mug in the cloud's frame, where the cloud shows one.
     """
 
     model: ShapeModel
@@ -52,6 +54,7 @@ class Reconstruction:
     R_frame_camera: NDArray[np.float64]
     size: NDArray[np.float64]
     low_precision: tuple[torch.dtype, Encoding] | None = None
+    vessel: VesselField | None = None
 
     @classmethod
     def from_cloud(
@@ -62,6 +65,7 @@ class Reconstruction:
         R_frame_camera: ArrayLike | None = None,
         seed: int | Sequence[int] = 0,
         evidence: ViewEvidence | None = None,
+        vessels: bool = True,
     ) -> Reconstruction:
         """Read one partial cloud.
 
@@ -73,6 +77,8 @@ class Reconstruction:
                 None if the frame already has the camera's axes.
             seed: Random seed of the points that are read.
             evidence: Observed space around the object, camera frame; ignored if None.
+            vessels: Complete cups, bowls and mugs by their axis (`vessel_field.py`), if the
+                architecture does.
 
         Raises:
             InputError: The points are not a cloud, or the rotation is not one.
@@ -94,7 +100,7 @@ class Reconstruction:
                 _tensor(frame.to_network(np.zeros(3)), device)[None],
                 surroundings=surroundings_of([evidence or ViewEvidence()], [frame], device),
             )
-        return cls(
+        shape = cls(
             model=model,
             encoding=encoding,
             centre=rotation @ frame.centre + position,
@@ -102,6 +108,11 @@ class Reconstruction:
             R_frame_camera=rotation,
             size=np.ptp(in_camera, axis=0),
         )
+        if not (vessels and model.completes_vessels):
+            return shape
+        plane = None if evidence is None else evidence.support_plane
+        vessel = vessel_in(in_camera, plane, lambda x: shape.network_sdf(x @ rotation.T + position))
+        return replace(shape, vessel=vessel and vessel.moved(rotation, position))
 
     @property
     def embedding(self) -> NDArray[np.float32]:
@@ -116,7 +127,6 @@ class Reconstruction:
         reduced = self.model.in_precision(self.encoding, precision)
         return replace(self, low_precision=(precision, reduced))
 
-    @torch.no_grad()
     def sdf(self, x: ArrayLike, chunk: int = CHUNK) -> NDArray[np.float32]:
         """Signed distances, m.
 
@@ -127,6 +137,31 @@ class Reconstruction:
         Returns:
             f4 [...].
         """
+        if self.vessel is None:
+            return self.network_sdf(x, chunk)
+        places = np.asarray(x, dtype=np.float64)
+        values = self.vessel.sdf(places.reshape(-1, 3), lambda y: self.network_sdf(y, chunk))
+        return values.astype(np.float32).reshape(places.shape[:-1])
+
+    def sdf_and_gradient(
+        self, x: ArrayLike, chunk: int = CHUNK
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Signed distances [...] m and their gradients [..., 3] at x [..., 3] m, in one pass."""
+        if self.vessel is None:
+            return self._network_sdf_and_gradient(x, chunk)
+        places = np.asarray(x, dtype=np.float64)
+        values, gradients = self.vessel.sdf_and_gradient(
+            places.reshape(-1, 3), lambda y: self._network_sdf_and_gradient(y, chunk)
+        )
+        shape = places.shape
+        return (
+            values.astype(np.float32).reshape(shape[:-1]),
+            gradients.astype(np.float32).reshape(shape),
+        )
+
+    @torch.no_grad()
+    def network_sdf(self, x: ArrayLike, chunk: int = CHUNK) -> NDArray[np.float32]:
+        """The network's own signed distances; as `sdf`."""
         places = self._to_network(x)
         parts = even_parts(places, chunk)
         dtype, encoding = self.low_precision or (None, self.encoding)
@@ -134,11 +169,9 @@ class Reconstruction:
             values = side_by_side(lambda part: self.model.decode(encoding, part[None])[0], parts)
         return self._distances(values, np.shape(x)[:-1])
 
-    def sdf_and_gradient(
-        self, x: ArrayLike, chunk: int = CHUNK
+    def _network_sdf_and_gradient(
+        self, x: ArrayLike, chunk: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Signed distances [...] m and their gradients [..., 3] at x [..., 3] m, in one pass."""
-
         def both(part: Tensor) -> Tensor:
             place = part[None].requires_grad_(True)
             with torch.enable_grad():

@@ -46,6 +46,8 @@ class ShapeModel(nn.Module, ABC):
     """Half the side of the box about the origin that holds the surface."""
     gives_distances: bool = True
     """Whether the values are distances; otherwise only their sign is right."""
+    completes_vessels: bool = False
+    """Whether reconstructions complete vessels by their axis; the published networks' do not."""
     embedding_size: int = 256
     cloud_size: int = 1000
     packed_neighbours: tuple[int, int] | None = None

@@ -1,0 +1,110 @@
+"""Body of revolution: signed distance of an outline that is turned about an axis.
+
+The distance in space is the distance in the half plane of radius and height. It is tabulated there
+once and interpolated, so that a query costs two lookups.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pointsdf_cli.geometry.arrays import Array
+
+CELLS = (160, 200)
+"""Cells of the table along radius and height."""
+MARGIN = 0.5
+"""Width of the table beyond the outline, over the outline's larger extent."""
+
+
+@dataclass(frozen=True)
+class Lathe:
+    """A body of revolution.
+
+    Attributes:
+        direction: [3], of unit length.
+        point: [3], on the axis at height 0, m.
+        outline: [K, 2], radius and height [m], counter-clockwise from the axis back to the axis;
+            its ends have radius 0.
+    """
+
+    direction: Array
+    point: Array
+    outline: Array
+
+    def sdf(self, points: Array) -> Array:
+        """Signed distances [N] m at points [N, 3], negative inside."""
+        radius, height, _ = self._place(points)
+        return self._look_up(radius, height)[0]
+
+    def sdf_and_gradient(self, points: Array) -> tuple[Array, Array]:
+        """Signed distances [N] m and their gradients [N, 3]."""
+        radius, height, radial = self._place(points)
+        values, by_radius, by_height = self._look_up(radius, height)
+        return values, by_radius[:, None] * radial + by_height[:, None] * self.direction
+
+    def moved(self, rotation: Array, translation: Array) -> Lathe:
+        """The body in another frame: rotation [3, 3], then translation [3]."""
+        point = rotation @ self.point + translation
+        return replace(self, direction=rotation @ self.direction, point=point)
+
+    def _place(self, points: Array) -> tuple[Array, Array, Array]:
+        away = np.asarray(points, dtype=np.float64) - self.point
+        height = away @ self.direction
+        across = away - height[:, None] * self.direction
+        radius = np.linalg.norm(across, axis=1)
+        return radius, height, across / np.maximum(radius, 1e-9)[:, None]
+
+    @cached_property
+    def _table(self) -> tuple[Array, Array, Array]:
+        """Distances [R, H], the corner of lowest radius and height [2], the cells' sides [2]."""
+        low, high = self.outline.min(axis=0), self.outline.max(axis=0)
+        margin = MARGIN * float((high - low).max())
+        low, high = np.array([0.0, low[1] - margin]), high + margin
+        sides = (high - low) / CELLS
+        axes = [low[k] + sides[k] * np.arange(CELLS[k] + 1) for k in (0, 1)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        values = np.stack([outline_distance(column, self.outline) for column in grid])
+        return values, low, sides
+
+    def _look_up(self, radius: Array, height: Array) -> tuple[Array, Array, Array]:
+        """Values [N] and their derivatives [N] by radius and height."""
+        values, low, sides = self._table
+        place = (np.stack([radius, height], axis=1) - low) / sides
+        inside = np.clip(place, 0.0, np.array(CELLS))
+        beyond = (place - inside) * sides
+        cell = np.minimum(inside.astype(np.int64), np.array(CELLS) - 1)
+        x, y = (inside - cell).T
+        i, j = cell.T
+        a, b = values[i, j], values[i, j + 1]
+        c, d = values[i + 1, j], values[i + 1, j + 1]
+        value = (1 - x) * ((1 - y) * a + y * b) + x * ((1 - y) * c + y * d)
+        by_radius = ((1 - y) * (c - a) + y * (d - b)) / sides[0]
+        by_height = ((1 - x) * (b - a) + x * (d - c)) / sides[1]
+        # Beyond the table, where nothing needs exact values: its edge's value and the way there.
+        out = np.linalg.norm(beyond, axis=1)
+        away = out > 0
+        if away.any():
+            value = value + out
+            by_radius = np.where(away, beyond[:, 0] / np.maximum(out, 1e-12), by_radius)
+            by_height = np.where(away, beyond[:, 1] / np.maximum(out, 1e-12), by_height)
+        return value, by_radius, by_height
+
+
+def outline_distance(places: Array, outline: Array) -> Array:
+    """Signed distances [N] at radii and heights [N, 2] to an outline [K, 2]; the axis between its
+    ends is no surface."""
+    begin, way = outline[:-1], np.diff(outline, axis=0)
+    from_begin = places[:, None] - begin
+    share = (from_begin * way).sum(axis=-1) / np.maximum((way * way).sum(axis=-1), 1e-18)
+    gap = from_begin - np.clip(share, 0.0, 1.0)[..., None] * way
+    distance = np.sqrt((gap * gap).sum(axis=-1).min(axis=1))
+    # Crossings of a ray to larger radii, whose parity tells inside; the axis is never crossed.
+    x, y = places[:, None, 0], places[:, None, 1]
+    end = outline[1:]
+    crosses = (begin[:, 1] > y) != (end[:, 1] > y)
+    rise = np.where(np.abs(way[:, 1]) < 1e-15, 1e-15, way[:, 1])
+    crossed = crosses & (x < begin[:, 0] + way[:, 0] * (y - begin[:, 1]) / rise)
+    return np.asarray(np.where(crossed.sum(axis=1) % 2 == 1, -distance, distance))

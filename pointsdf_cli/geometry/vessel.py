@@ -1,0 +1,259 @@
+"""Cups, bowls and mugs: a thin wall of revolution, completed from the two sides that are seen.
+
+A network's field is least certain where a wall is thinner than the error of its distances: walls
+vanish there. But a camera that looks into a vessel of revolution sees the near outside and the far
+inside, which together are the whole wall. So the axis is fitted (`axis_fit.py`), the wall's outline
+is read off (`vessel_outline.py`), and turned about the axis (`lathe.py`). Parts that are not of
+revolution, such as handles, are left to the network: `others` are the seen points of them.
+
+Only clouds that show the inside of a surface of revolution are completed so; every other cloud
+raises `NoVesselError`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pointsdf_cli.geometry.arrays import Array, Mask
+from pointsdf_cli.geometry.axis_fit import (
+    APART,
+    NEAR,
+    AxisFit,
+    OrientedPoints,
+    Turned,
+    axis_point,
+    azimuth_distance,
+    normal_directions,
+    oriented_points,
+    perpendicular,
+    refined_axis,
+    turned,
+)
+from pointsdf_cli.geometry.cloud_sampling import systematic_sample
+from pointsdf_cli.geometry.lathe import Lathe
+from pointsdf_cli.geometry.vessel_outline import (
+    NoVesselError,
+    Outline,
+    Section,
+    wall_outline,
+)
+
+SAMPLE = 3000
+"""Number of points used."""
+UPRIGHT = 2.0
+"""Preference for an axis along the support plane's normal, as a ratio of residuals."""
+FACING = 0.25
+"""Least component of a wall's normal towards or away from the axis."""
+FEWEST_INSIDE = 0.02
+"""Least share of points on the inside."""
+AZIMUTHS = 60.0
+"""Least angle [deg] about the axis in which the inside is seen."""
+MOST_OUTSIDE = 240.0
+"""Largest angle [deg] in which the outside can be seen where the inside is seen too."""
+CONSISTENT, CONTRADICTING = 0.7, 0.06
+"""Least share of points that agree with points of other azimuths, and largest that do not."""
+ON_WALL = 0.9
+"""Least share, of the points that do not lie beyond it, on the completed wall."""
+NEAR_WALL = 0.05
+"""Largest distance of points on the wall, over the vessel's radius."""
+MOST_OTHERS = 0.3
+"""Largest share of points beyond the wall."""
+FLOOR_SEEN = 0.6
+"""Least share of a floor's visible places at which points were measured; else it has a hole."""
+TABLE_BAND = 0.006
+"""Points nearer to the support plane than this [m] are the table's: a thinner floor is not seen."""
+CLEAR = 0.001
+"""Distance [m] of places in the cavity from the wall."""
+FEWEST_OTHERS = 10
+"""Fewer points beyond the wall are noise."""
+
+
+@dataclass(frozen=True)
+class Vessel:
+    """A vessel of revolution.
+
+    Attributes:
+        wall: Wall and floor.
+        filled: The same with its cavity filled up to the rim.
+        others: [M, 3], seen points outside of `filled`: handles, lids, spoons; m.
+        thickness: Thickness of the wall [m].
+    """
+
+    wall: Lathe
+    filled: Lathe
+    others: Array
+    thickness: float
+
+    def moved(self, rotation: Array, translation: Array) -> Vessel:
+        """The vessel in another frame: rotation [3, 3], then translation [3]."""
+        return replace(
+            self,
+            wall=self.wall.moved(rotation, translation),
+            filled=self.filled.moved(rotation, translation),
+            others=self.others @ rotation.T + translation,
+        )
+
+    def cavity(self, count: int = 500) -> Array:
+        """Places [K, 3] within the cavity, a millimetre or more from the wall and the opening."""
+        (low, high), radius = np.quantile(self.filled.outline[:, 1], [0, 1]), self.radius
+        rng = np.random.default_rng(0)
+        away = radius * np.sqrt(rng.random(8 * count))
+        turn = 2 * np.pi * rng.random(8 * count)
+        around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        height = low + (high - low) * rng.random((8 * count, 1))
+        across = away[:, None] * around @ perpendicular(self.wall.direction)
+        places = self.wall.point + height * self.wall.direction + across
+        inside = (self.wall.sdf(places) > CLEAR) & (self.filled.sdf(places) < -CLEAR)
+        return places[inside][:count]
+
+    @property
+    def radius(self) -> float:
+        """Largest radius [m]."""
+        return float(self.filled.outline[:, 0].max())
+
+
+def fit_vessel(points: Array, support_plane: Array | None = None) -> Vessel:
+    """Complete a partial cloud of a vessel of revolution.
+
+    Args:
+        points: [N, 3], camera frame, m.
+        support_plane: [4], unit normal n upwards and offset d: n·x = d on the plane it stands on.
+
+    Raises:
+        NoVesselError: The points do not show one, or not enough of its inside.
+    """
+    rng = np.random.default_rng(0)
+    rays = points[:, :2] / np.maximum(points[:, 2:], 1e-9)
+    few = points[systematic_sample(rays, SAMPLE, rng)] if len(points) > SAMPLE else points
+    seen = oriented_points(few)
+    fit = _best_axis(seen, support_plane)
+    around = turned(seen, fit.direction, fit.point)
+    tolerance = max(3 * seen.noise, 0.0012)
+    agree = _agreeing(around, tolerance, float(np.ptp(few, axis=0).max()))
+    # The points themselves: means over neighbours lie nearer to the axis than a curved wall.
+    raw = turned(seen._replace(points=few), fit.direction, fit.point)
+    section = Section(
+        raw.radius,
+        raw.height,
+        agree & (around.outward < -FACING),
+        agree & (around.outward > FACING),
+        agree & (around.upward > 0.7),
+        agree,
+    )
+    _check_sides(section, around)
+    base = _base_height(fit, support_plane)
+    outline = wall_outline(section, base)
+    wall = Lathe(fit.direction, fit.point, outline.wall)
+    filled = Lathe(fit.direction, fit.point, outline.filled)
+    _check_floor(few, wall, outline, base is not None)
+    beyond = filled.sdf(few) > max(0.006, 3 * tolerance)
+    near = max(0.002, 2 * tolerance, NEAR_WALL * float(outline.filled[:, 0].max()))
+    on_wall = np.abs(wall.sdf(few)) < near
+    if beyond.mean() > MOST_OTHERS or on_wall[~beyond].mean() < ON_WALL:
+        raise NoVesselError("the wall misses points")
+    others = few[beyond] if beyond.sum() >= FEWEST_OTHERS else few[:0]
+    return Vessel(wall, filled, others, outline.thickness)
+
+
+def _best_axis(seen: OrientedPoints, support_plane: Array | None) -> AxisFit:
+    """The axis with the least residual for its pairs: the support plane's normal, kept as it is, or
+    one that starts from the directions that normals meet."""
+    starts = [(each, False) for each in normal_directions(seen)[:2]]
+    if support_plane is not None:
+        starts.append((support_plane[:3], True))
+    fits = []
+    for direction, upright in starts:
+        point = axis_point(seen, direction)
+        # Of convex bodies no normal points to the axis: they are dismissed here, at little cost.
+        if point is None or not _some_inside(turned(seen, direction, point)):
+            continue
+        fit = refined_axis(seen, direction, point, upright)
+        if fit is not None:
+            cost = fit.residual / max(fit.paired, 0.05)
+            # Errors of depth tilt an axis that is free to.
+            fits.append((cost / UPRIGHT if upright else cost, fit))
+    if not fits:
+        raise NoVesselError("no inside is seen")
+    return min(fits, key=lambda each: each[0])[1]
+
+
+def _some_inside(around: Turned) -> bool:
+    return float((around.outward < -FACING).mean()) >= FEWEST_INSIDE
+
+
+def _agreeing(around: Turned, tolerance: float, size: float) -> Mask:
+    """Mask [N] of points near which points of other azimuths lie on the same outline.
+
+    Raises:
+        NoVesselError: Too few agree, or too many contradict.
+    """
+    places = np.stack([around.radius, around.height], axis=1)
+    distance, index = cKDTree(places).query(places, k=min(24, len(places)))
+    apart = azimuth_distance(around.azimuth[index], around.azimuth[:, None]) > APART
+    alike = around.outward[index] * around.outward[:, None]
+    alike = alike + around.upward[index] * around.upward[:, None] > 0.5
+    used = apart & alike & (distance < NEAR * size)
+    gap = around.outward[:, None] * (around.radius[index] - around.radius[:, None])
+    gap = gap + around.upward[:, None] * (around.height[index] - around.height[:, None])
+    paired = used.any(axis=1)
+    masked = np.sort(np.where(used, np.abs(gap), np.inf), axis=1)
+    middle = masked[np.arange(len(masked)), (used.sum(axis=1) - 1).clip(min=0) // 2]
+    agree = paired & (middle < tolerance)
+    if agree.mean() < CONSISTENT:
+        raise NoVesselError("few points agree with an axis of revolution")
+    if (paired & ~agree).mean() > CONTRADICTING:
+        raise NoVesselError("points contradict an axis of revolution")
+    return np.asarray(agree)
+
+
+def _check_sides(section: Section, around: Turned) -> None:
+    """Require that the inside is seen, and the outside from one side only."""
+    if section.inside.mean() < FEWEST_INSIDE or section.inside.sum() < 40:
+        raise NoVesselError("little of an inside is seen")
+    if _seen_angle(around.azimuth[section.inside]) < AZIMUTHS:
+        raise NoVesselError("the inside is seen in a narrow sector")
+    if _seen_angle(around.azimuth[section.outside]) > MOST_OUTSIDE:
+        raise NoVesselError("the outside is seen all around")
+
+
+def _seen_angle(azimuth: Array) -> float:
+    """Angle [deg] in which there are points, in sectors of 10°."""
+    return 10.0 * len(np.unique(np.floor(np.rad2deg(azimuth) / 10.0)))
+
+
+def _base_height(fit: AxisFit, support_plane: Array | None) -> float | None:
+    """Height of the support plane on the axis [m]; None if the axis is not upright on it."""
+    if support_plane is None or fit.direction @ support_plane[:3] < 0.97:
+        return None
+    gap = support_plane[3] - fit.point @ support_plane[:3]
+    return float(gap / (fit.direction @ support_plane[:3]))
+
+
+def _check_floor(points: Array, wall: Lathe, outline: Outline, standing: bool) -> None:
+    """Require that the floor was measured where the camera looks at it: else there is a hole."""
+    if standing and outline.thickness < TABLE_BAND:
+        return
+    turns = 2 * np.pi * np.arange(24) / 24
+    around = np.stack([np.cos(turns), np.sin(turns)], axis=1) @ perpendicular(wall.direction)
+    inner = outline.cavity[outline.cavity[:, 0] < 0.6 * outline.cavity[:, 0].max()]
+    middle = inner[0] * [[0.3, 1.0], [0.6, 1.0]]
+    places = np.concatenate([inner[::3], middle])
+    heights = places[:, 1, None, None] * wall.direction
+    floor = (heights + places[:, 0, None, None] * around).reshape(-1, 3)
+    # Such a place is seen through the opening.
+    eye, rim = -wall.point, outline.cavity[-1]
+    low, high = floor @ wall.direction, eye @ wall.direction
+    if high <= rim[1]:
+        return
+    crossing = floor + ((rim[1] - low) / (high - low))[:, None] * (eye - floor)
+    crossing -= rim[1] * wall.direction
+    free = np.linalg.norm(crossing, axis=1) < rim[0]
+    if free.sum() < 10:
+        return
+    radius = float(outline.filled[:, 0].max())
+    found = cKDTree(points).query(floor[free] + wall.point)[0] < max(0.004, 0.1 * radius)
+    if found.mean() < FLOOR_SEEN:
+        raise NoVesselError("the floor has a hole")
