@@ -84,6 +84,11 @@ class PerceivedObject:
     resampled: tuple[Field, ...] = ()
     fused: Field | None = None
 
+    @property
+    def only_reconstruction(self) -> Reconstruction | None:
+        """The reconstruction, if there is one view."""
+        return self.reconstruction if self.fused is None else None
+
 
 @dataclass(frozen=True)
 class Answer:

@@ -294,7 +294,7 @@ class GraspPlanner:
         drawn, warnings = None, list(notes.warnings)
         if notes.surface:
             began = time.perf_counter()
-            drawn = surface_of(perceived.target)
+            drawn = surface_of(perceived.target, perceived.only_reconstruction)
             warnings += missed_points(drawn, points)
             timings["surface"] = time.perf_counter() - began
         outcome = replace(outcome, found=found, timings=timings)

@@ -20,7 +20,7 @@ from pointsdf_cli.geometry.isosurface import (
 )
 from pointsdf_cli.geometry.mise import SearchRules
 from pointsdf_cli.geometry.smoothing import taubin_smooth
-from pointsdf_cli.models.meshing import SMOOTHING
+from pointsdf_cli.models.meshing import SMOOTHING, mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.planning.fields import (
     MeanField,
@@ -193,7 +193,9 @@ def _network_box(reconstructions: Sequence[Reconstruction]) -> tuple[Array, Arra
 
 
 def _mean_field(reconstructions: Sequence[Reconstruction]) -> Field:
-    fields = [ReconstructionField(reconstruction) for reconstruction in reconstructions]
+    # The mean of two walls thinner than their distance has no inside.
+    walls = [reconstruction for reconstruction in reconstructions if reconstruction.vessel]
+    fields = [ReconstructionField(each) for each in walls[:1] or reconstructions]
     return fields[0] if len(fields) == 1 else MeanField(fields)
 
 
@@ -240,13 +242,25 @@ def absent_object(points: Array) -> ObjectField:
     return ObjectField.of(NoField(), points.min(axis=0), points.max(axis=0) + BOX_MARGIN)
 
 
+COARSE_RESOLUTION = 64
+"""Cells along the box of a vessel's handle."""
 CELL = 0.004
 """Side of the cells of marching cubes [m]."""
 
 
-def surface_of(target: Target) -> tuple[Array, NDArray[np.int32]] | None:
+def surface_of(
+    target: Target, reconstruction: Reconstruction | None = None
+) -> tuple[Array, NDArray[np.int32]] | None:
     """Surface of the target's field: vertices [V, 3] m in the world and faces [F, 3], or None
-    without one."""
+    without one.
+
+    Args:
+        target: The target.
+        reconstruction: Its only reconstruction, whose wall the cells may be too coarse for.
+    """
+    if reconstruction is not None and reconstruction.vessel is not None:
+        made = mesh_reconstruction(reconstruction, COARSE_RESOLUTION)
+        return made.vertices, made.faces
     middle, side = (target.low + target.high) / 2, float((target.high - target.low).max())
     cells = COARSE_CELLS
     while cells * CELL < side and cells < MAX_RESOLUTION:
