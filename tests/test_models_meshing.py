@@ -85,9 +85,9 @@ def test_voxels_are_meshed_in_their_own_box() -> None:
 
 @pytest.fixture(scope="module")
 def mug() -> Reconstruction:
-    """The bundled network's, of the bundled cloud."""
+    """The bundled network alone, of the bundled cloud."""
     points, _ = read_cloud(asset_path("clouds/mug.ply")).in_camera_frame()
-    return Reconstruction.from_cloud(load_model(), points, np.zeros(3))
+    return Reconstruction.from_cloud(load_model(), points, np.zeros(3), vessels=False)
 
 
 @pytest.mark.parametrize("resolution", [128, 256])
