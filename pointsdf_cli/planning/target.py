@@ -259,8 +259,8 @@ def surface_of(
         reconstruction: Its only reconstruction, whose wall the cells may be too coarse for.
     """
     if reconstruction is not None and reconstruction.vessel is not None:
-        made = mesh_reconstruction(reconstruction, COARSE_RESOLUTION)
-        return made.vertices, made.faces
+        wall = mesh_reconstruction(reconstruction, COARSE_RESOLUTION)
+        return wall.vertices, wall.faces
     middle, side = (target.low + target.high) / 2, float((target.high - target.low).max())
     cells = COARSE_CELLS
     while cells * CELL < side and cells < MAX_RESOLUTION:
