@@ -177,6 +177,14 @@ def test_other_bodies_are_refused(solid):
         fit_vessel(seen(solid, pose), plane_of(pose))
 
 
+@pytest.mark.parametrize("count", [1, 20, 150])
+@pytest.mark.parametrize("spread", [[0, 0, 0], [0.04, 0, 0], [0.04, 0.04, 0]])
+def test_degenerate_clouds_are_refused(count, spread):
+    points = np.random.default_rng(0).normal(size=(count, 3)) * spread + [0, 0, 0.6]
+    with pytest.raises(NoVesselError):
+        fit_vessel(points, np.array([0, 0, -1.0, -0.7]))
+
+
 def test_a_recessed_can_is_left_to_the_network():
     """A hollow end looks like a cup's opening: the network says whether the body is solid."""
     pose = camera()

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.axis_fit import perpendicular
 
 CELLS = (160, 200)
 """Cells of the table along radius and height."""
@@ -44,6 +45,17 @@ class Lathe:
         radius, height, radial = self._place(points)
         values, by_radius, by_height = self._look_up(radius, height)
         return values, by_radius[:, None] * radial + by_height[:, None] * self.direction
+
+    def at(self, radius: Array, height: Array, azimuth: Array) -> Array:
+        """Points [..., 3] at radii and heights [...] m and azimuths [...] rad."""
+        around = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+        across = radius[..., None] * (around @ perpendicular(self.direction))
+        return np.asarray(self.point + height[..., None] * self.direction + across)
+
+    @property
+    def radius(self) -> float:
+        """Largest radius [m]."""
+        return float(self.outline[:, 0].max())
 
     def moved(self, rotation: Array, translation: Array) -> Lathe:
         """The body in another frame: rotation [3, 3], then translation [3]."""

@@ -28,7 +28,6 @@ from pointsdf_cli.geometry.axis_fit import (
     azimuth_distance,
     normal_directions,
     oriented_points,
-    perpendicular,
     refined_axis,
     turned,
 )
@@ -40,9 +39,12 @@ from pointsdf_cli.geometry.vessel_outline import (
     Section,
     wall_outline,
 )
+from pointsdf_cli.geometry.visibility import PLANE_BAND
 
 SAMPLE = 3000
 """Number of points used."""
+FEWEST, SMALLEST = 100, 0.005
+"""Least number of points, and least extent [m] of a cloud that is looked at."""
 UPRIGHT = 2.0
 """Preference for an axis along the support plane's normal, as a ratio of residuals."""
 FACING = 0.25
@@ -63,8 +65,6 @@ MOST_OTHERS = 0.3
 """Largest share of points beyond the wall."""
 FLOOR_SEEN = 0.6
 """Least share of a floor's visible places at which points were measured; else it has a hole."""
-TABLE_BAND = 0.006
-"""Points nearer to the support plane than this [m] are the table's: a thinner floor is not seen."""
 CLEAR = 0.001
 """Distance [m] of places in the cavity from the wall."""
 FEWEST_OTHERS = 10
@@ -98,21 +98,12 @@ class Vessel:
 
     def cavity(self, count: int = 500) -> Array:
         """Places [K, 3] within the cavity, a millimetre or more from the wall and the opening."""
-        (low, high), radius = np.quantile(self.filled.outline[:, 1], [0, 1]), self.radius
-        rng = np.random.default_rng(0)
-        away = radius * np.sqrt(rng.random(8 * count))
-        turn = 2 * np.pi * rng.random(8 * count)
-        around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        height = low + (high - low) * rng.random((8 * count, 1))
-        across = away[:, None] * around @ perpendicular(self.wall.direction)
-        places = self.wall.point + height * self.wall.direction + across
+        low, high = np.quantile(self.filled.outline[:, 1], [0, 1])
+        away, turn, up = np.random.default_rng(0).random((3, 8 * count))
+        radius = self.filled.radius * np.sqrt(away)
+        places = self.wall.at(radius, low + (high - low) * up, 2 * np.pi * turn)
         inside = (self.wall.sdf(places) > CLEAR) & (self.filled.sdf(places) < -CLEAR)
         return places[inside][:count]
-
-    @property
-    def radius(self) -> float:
-        """Largest radius [m]."""
-        return float(self.filled.outline[:, 0].max())
 
 
 def fit_vessel(points: Array, support_plane: Array | None = None) -> Vessel:
@@ -125,6 +116,8 @@ def fit_vessel(points: Array, support_plane: Array | None = None) -> Vessel:
     Raises:
         NoVesselError: The points do not show one, or not enough of its inside.
     """
+    if len(points) < FEWEST or np.ptp(points, axis=0).max() < SMALLEST:
+        raise NoVesselError("too few points, or all in one place")
     rng = np.random.default_rng(0)
     rays = points[:, :2] / np.maximum(points[:, 2:], 1e-9)
     few = points[systematic_sample(rays, SAMPLE, rng)] if len(points) > SAMPLE else points
@@ -150,7 +143,7 @@ def fit_vessel(points: Array, support_plane: Array | None = None) -> Vessel:
     filled = Lathe(fit.direction, fit.point, outline.filled)
     _check_floor(few, wall, outline, base is not None)
     beyond = filled.sdf(few) > max(0.006, 3 * tolerance)
-    near = max(0.002, 2 * tolerance, NEAR_WALL * float(outline.filled[:, 0].max()))
+    near = max(0.002, 2 * tolerance, NEAR_WALL * wall.radius)
     on_wall = np.abs(wall.sdf(few)) < near
     if beyond.mean() > MOST_OTHERS or on_wall[~beyond].mean() < ON_WALL:
         raise NoVesselError("the wall misses points")
@@ -234,26 +227,24 @@ def _base_height(fit: AxisFit, support_plane: Array | None) -> float | None:
 
 def _check_floor(points: Array, wall: Lathe, outline: Outline, standing: bool) -> None:
     """Require that the floor was measured where the camera looks at it: else there is a hole."""
-    if standing and outline.thickness < TABLE_BAND:
+    # Points of a thinner floor count as the table's.
+    if standing and outline.thickness < PLANE_BAND:
         return
     turns = 2 * np.pi * np.arange(24) / 24
-    around = np.stack([np.cos(turns), np.sin(turns)], axis=1) @ perpendicular(wall.direction)
     inner = outline.cavity[outline.cavity[:, 0] < 0.6 * outline.cavity[:, 0].max()]
     middle = inner[0] * [[0.3, 1.0], [0.6, 1.0]]
     places = np.concatenate([inner[::3], middle])
-    heights = places[:, 1, None, None] * wall.direction
-    floor = (heights + places[:, 0, None, None] * around).reshape(-1, 3)
-    # Such a place is seen through the opening.
-    eye, rim = -wall.point, outline.cavity[-1]
-    low, high = floor @ wall.direction, eye @ wall.direction
+    floor = wall.at(places[:, :1], places[:, 1:], turns).reshape(-1, 3)
+    # Such a place is seen, from the origin, through the opening.
+    rim = outline.cavity[-1]
+    low, high = (floor - wall.point) @ wall.direction, -wall.point @ wall.direction
     if high <= rim[1]:
         return
-    crossing = floor + ((rim[1] - low) / (high - low))[:, None] * (eye - floor)
-    crossing -= rim[1] * wall.direction
+    crossing = floor * (1.0 - (rim[1] - low) / (high - low))[:, None]
+    crossing -= wall.point + rim[1] * wall.direction
     free = np.linalg.norm(crossing, axis=1) < rim[0]
     if free.sum() < 10:
         return
-    radius = float(outline.filled[:, 0].max())
-    found = cKDTree(points).query(floor[free] + wall.point)[0] < max(0.004, 0.1 * radius)
+    found = cKDTree(points).query(floor[free])[0] < max(0.004, 0.1 * wall.radius)
     if found.mean() < FLOOR_SEEN:
         raise NoVesselError("the floor has a hole")
