@@ -85,7 +85,7 @@ def cup():
 
 def test_sphere_and_gradient_in_closed_form():
     turn = np.linspace(-np.pi / 2, np.pi / 2, 400)
-    ball = Lathe(
+    ball = Lathe.of(
         np.array([0, 0.6, 0.8]),
         np.array([0.1, -0.2, 0.5]),
         0.05 * np.stack([np.cos(turn), np.sin(turn)], axis=1),

@@ -7,17 +7,34 @@ once and interpolated, so that a query costs two lookups.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.axis_fit import perpendicular
 
 CELLS = (160, 200)
 """Cells of the table along radius and height."""
+STEP = 0.0005
+"""Distance [m] of the samples by which the nearest segment is found."""
 MARGIN = 0.5
 """Width of the table beyond the outline, over the outline's larger extent."""
+
+
+class Table(NamedTuple):
+    """Distances in the half plane.
+
+    Attributes:
+        values: [R, H], m.
+        low: [2], lowest radius and height, m.
+        sides: [2], sides of the cells, m.
+    """
+
+    values: Array
+    low: Array
+    sides: Array
 
 
 @dataclass(frozen=True)
@@ -29,11 +46,18 @@ class Lathe:
         point: [3], on the axis at height 0, m.
         outline: [K, 2], radius and height [m], counter-clockwise from the axis back to the axis;
             its ends have radius 0.
+        table: Its distances.
     """
 
     direction: Array
     point: Array
     outline: Array
+    table: Table
+
+    @classmethod
+    def of(cls, direction: Array, point: Array, outline: Array) -> Lathe:
+        """Turn an outline about an axis; see the attributes."""
+        return cls(direction, point, outline, _table(outline))
 
     def sdf(self, points: Array) -> Array:
         """Signed distances [N] m at points [N, 3], negative inside."""
@@ -69,21 +93,9 @@ class Lathe:
         radius = np.linalg.norm(across, axis=1)
         return radius, height, across / np.maximum(radius, 1e-9)[:, None]
 
-    @cached_property
-    def _table(self) -> tuple[Array, Array, Array]:
-        """Distances [R, H], the corner of lowest radius and height [2], the cells' sides [2]."""
-        low, high = self.outline.min(axis=0), self.outline.max(axis=0)
-        margin = MARGIN * float((high - low).max())
-        low, high = np.array([0.0, low[1] - margin]), high + margin
-        sides = (high - low) / CELLS
-        axes = [low[k] + sides[k] * np.arange(CELLS[k] + 1) for k in (0, 1)]
-        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        values = np.stack([outline_distance(column, self.outline) for column in grid])
-        return values, low, sides
-
     def _look_up(self, radius: Array, height: Array) -> tuple[Array, Array, Array]:
         """Values [N] and their derivatives [N] by radius and height."""
-        values, low, sides = self._table
+        values, low, sides = self.table
         place = (np.stack([radius, height], axis=1) - low) / sides
         inside = np.clip(place, 0.0, np.array(CELLS))
         beyond = (place - inside) * sides
@@ -105,18 +117,41 @@ class Lathe:
         return value, by_radius, by_height
 
 
+def _table(outline: Array) -> Table:
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    margin = MARGIN * float((high - low).max())
+    low, high = np.array([0.0, low[1] - margin]), high + margin
+    sides = (high - low) / CELLS
+    radii, heights = (low[k] + sides[k] * np.arange(CELLS[k] + 1) for k in (0, 1))
+    places = np.stack(np.meshgrid(radii, heights, indexing="ij"), axis=-1).reshape(-1, 2)
+    distance = outline_distance(places, outline).reshape(len(radii), len(heights))
+    inside = np.stack([_inside(radii, height, outline) for height in heights], axis=1)
+    return Table(np.where(inside, -distance, distance), low, sides)
+
+
 def outline_distance(places: Array, outline: Array) -> Array:
-    """Signed distances [N] at radii and heights [N, 2] to an outline [K, 2]; the axis between its
-    ends is no surface."""
+    """Distances [N] of radii and heights [N, 2] to an outline [K, 2]; the axis between its ends is
+    no part of it."""
     begin, way = outline[:-1], np.diff(outline, axis=0)
-    from_begin = places[:, None] - begin
-    share = (from_begin * way).sum(axis=-1) / np.maximum((way * way).sum(axis=-1), 1e-18)
-    gap = from_begin - np.clip(share, 0.0, 1.0)[..., None] * way
-    distance = np.sqrt((gap * gap).sum(axis=-1).min(axis=1))
-    # Crossings of a ray to larger radii, whose parity tells inside; the axis is never crossed.
-    x, y = places[:, None, 0], places[:, None, 1]
-    end = outline[1:]
-    crosses = (begin[:, 1] > y) != (end[:, 1] > y)
-    rise = np.where(np.abs(way[:, 1]) < 1e-15, 1e-15, way[:, 1])
-    crossed = crosses & (x < begin[:, 0] + way[:, 0] * (y - begin[:, 1]) / rise)
-    return np.asarray(np.where(crossed.sum(axis=1) % 2 == 1, -distance, distance))
+    length = np.linalg.norm(way, axis=1)
+    counts = np.ceil(length / STEP).astype(int).clip(min=1)
+    segment = np.repeat(np.arange(len(counts)), counts)
+    share = np.arange(len(segment)) - np.repeat(counts.cumsum() - counts, counts) + 0.5
+    samples = begin[segment] + (share / counts[segment])[:, None] * way[segment]
+    nearest = segment[cKDTree(samples).query(places)[1]]
+    # The nearest point lies on the sample's segment or on one beside it.
+    asked = np.clip(nearest[:, None] + [-1, 0, 1], 0, len(way) - 1)
+    away = places[:, None] - begin[asked]
+    along = (away * way[asked]).sum(axis=-1) / np.maximum(length[asked] ** 2, 1e-18)
+    gap = away - np.clip(along, 0.0, 1.0)[..., None] * way[asked]
+    return np.asarray(np.sqrt((gap * gap).sum(axis=-1).min(axis=1)))
+
+
+def _inside(radii: Array, height: float, outline: Array) -> Mask:
+    """Whether places of these radii [R] at one height are inside: to larger radii the outline is
+    crossed an odd number of times."""
+    begin, end = outline[:-1], outline[1:]
+    crossed = (begin[:, 1] > height) != (end[:, 1] > height)
+    begin, way = begin[crossed], end[crossed] - begin[crossed]
+    at = begin[:, 0] + way[:, 0] * (height - begin[:, 1]) / way[:, 1]
+    return np.asarray((radii[:, None] < at).sum(axis=1) % 2 == 1)
