@@ -68,7 +68,7 @@ def _versions() -> tuple[bool, str]:
 def _processor() -> tuple[bool, str]:
     import torch
 
-    from pointsdf_cli.training.precision import bfloat16_is_faster
+    from pointsdf_cli.models.processor import bfloat16_is_faster
 
     cores = len(os.sched_getaffinity(0))
     return True, (

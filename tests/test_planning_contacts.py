@@ -277,3 +277,29 @@ def test_environment_mistakes_are_named(tmp_path: Path, text: str, message: str)
     file.write_text(text)
     with pytest.raises(InputError, match=message):
         read_environment(file)
+
+
+def test_a_links_distance_is_that_of_its_nearest_sample(
+    geometry: RobotGeometry, kinematics: Kinematics, robot: RobotDescription
+) -> None:
+    ball = SphereField(0.05, (0.5, 0.1, 0.3))
+    asked: list[int] = []
+
+    class Counted(SphereField):
+        def __call__(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+            asked.append(len(points))
+            return super().__call__(points)
+
+    distances = ObjectDistances(geometry, Counted(0.05, (0.5, 0.1, 0.3)))
+    patches = geometry.patches
+    for q in draw(robot, 5):
+        poses = link_poses(kinematics, q[None])
+        asked.clear()
+        found = distances.by_link(poses)
+        turn, at = poses.rotation[0, patches.link], poses.position[0, patches.link]
+        world = patches.points @ turn.transpose(0, 2, 1) + at[:, None]
+        values = ball(world.reshape(-1, 3)).reshape(len(world), -1).min(axis=1)
+        for link in range(len(found)):
+            expected = values[patches.link == link].min(initial=np.inf)
+            assert found[link] == pytest.approx(expected)
+        assert sum(asked) < patches.points.size / 3 / 2

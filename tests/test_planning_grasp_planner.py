@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from planning_worlds import AroundObject, CylinderField, NearPalm
 from torch import Tensor
@@ -19,6 +20,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.plans import OK
+from pointsdf_cli.planning import completed_views
 from pointsdf_cli.planning.fields import (
     MeanField,
     NearField,
@@ -167,7 +169,7 @@ def test_two_views_are_the_mean_of_both_and_what_they_saw(planner: GraspPlanner)
     other = can_view(2.0)
     first, second = (planner.see([view]) for view in (VIEW, other))
     joint = planner.see([VIEW, other])
-    completed = [ReconstructionField(perceived.reconstruction) for perceived in (first, second)]
+    completed = [ReconstructionField(s.reconstruction.in_float32) for s in (first, second)]
     both = UnionField(MeanField(completed), SeenField(joint.points))
     points = np.random.default_rng(0).uniform(-0.08, 0.08, (50, 3)) + CAN
     np.testing.assert_allclose(joint.target.field(points), both(points), atol=1e-6)
@@ -262,6 +264,20 @@ def test_the_surface_is_where_the_field_is_zero() -> None:
     assert made is not None
     assert np.abs(truth(made[0])).max() < 0.004
     assert trimesh.Trimesh(*made).is_watertight
+
+
+def test_surfaces_come_from_quick_products_and_constraints_from_exact_ones(
+    planner: GraspPlanner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(completed_views, "fast_products", lambda device: torch.bfloat16)
+    quick = planner.see([VIEW]).target
+    monkeypatch.setattr(completed_views, "fast_products", lambda device: None)
+    exact = planner.see([VIEW]).target
+    points = np.random.default_rng(0).uniform(-0.08, 0.08, (200, 3)) + CAN
+    np.testing.assert_allclose(quick.field(points), exact.field(points), atol=1e-6)
+    assert quick.quick is not None
+    off = np.abs(quick.quick(points) - exact.field(points))
+    assert 0 < off.max() < 0.001
 
 
 def test_a_surface_that_lacks_what_was_seen_is_doubted() -> None:

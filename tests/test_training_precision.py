@@ -2,40 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 import torch
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.models import processor
 from pointsdf_cli.training import precision
 
 CPU = torch.device("cpu")
 
 
 @pytest.fixture(autouse=True)
-def _asked_anew() -> None:
-    precision.bfloat16_is_faster.cache_clear()
+def _asked_anew() -> Iterator[None]:
+    processor.bfloat16_is_faster.cache_clear()
+    yield
+    processor.bfloat16_is_faster.cache_clear()
 
 
-@pytest.mark.parametrize(("bfloat16_seconds", "chosen"), [(0.2, torch.bfloat16), (1.7, None)])
+@pytest.mark.parametrize(
+    ("described", "chosen"),
+    [
+        ("vendor_id: AuthenticAMD flags: avx512f avx512_bf16", torch.bfloat16),
+        ("vendor_id: GenuineIntel flags: avx512f avx512_bf16 amx_bf16", torch.bfloat16),
+        ("vendor_id: GenuineIntel flags: avx512f avx512_bf16", None),
+        ("vendor_id: AuthenticAMD flags: avx512f", None),
+    ],
+)
 def test_auto_takes_the_faster_type(
-    monkeypatch: pytest.MonkeyPatch, bfloat16_seconds: float, chosen: torch.dtype | None
+    monkeypatch: pytest.MonkeyPatch, described: str, chosen: torch.dtype | None
 ) -> None:
-    seconds = {torch.float32: 1.0, torch.bfloat16: bfloat16_seconds}
-    monkeypatch.setattr(precision, "_product_seconds", lambda rows, weights: seconds[rows.dtype])
-    monkeypatch.setattr(
-        precision.Path, "read_text", lambda *args, **options: "flags: avx512f avx512_bf16"
-    )
+    monkeypatch.setattr(processor.Path, "read_text", lambda *args, **options: described)
     assert precision.autocast_dtype("auto", CPU) is chosen
 
 
-def test_a_processor_without_bfloat16_is_not_timed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(precision.Path, "read_text", lambda *args, **options: "flags: avx512f")
-    monkeypatch.setattr(precision, "_product_seconds", lambda *args: pytest.fail("timed"))
+def test_an_unknown_processor_uses_float32(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unreadable(*args: object, **options: object) -> str:
+        raise OSError
+
+    monkeypatch.setattr(processor.Path, "read_text", unreadable)
     assert precision.autocast_dtype("auto", CPU) is None
-
-
-def test_the_timed_products_are_done() -> None:
-    assert precision._product_seconds(torch.ones(64, 32), torch.ones(32, 32)) > 0
 
 
 def test_what_is_asked_for_is_used() -> None:

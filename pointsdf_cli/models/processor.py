@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -57,6 +59,28 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+@functools.cache
+def bfloat16_is_faster() -> bool:
+    """Whether this processor multiplies matrices faster in bfloat16 than in float32.
+
+    By its name and flags, so that results do not depend on a measured time. With `avx512_bf16` an
+    AMD Zen 5 is four times as fast, an Intel Sapphire Rapids without AMX takes 1.7 times as long;
+    with AMX it is eight times as fast.
+    """
+    try:
+        described = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return False
+    return "amx_bf16" in described or ("avx512_bf16" in described and "AuthenticAMD" in described)
+
+
+def fast_products(device: torch.device) -> torch.dtype | None:
+    """Type of the fastest products on a device; None for float32."""
+    if device.type == "cuda":
+        return torch.bfloat16 if torch.cuda.is_bf16_supported() else None
+    return torch.bfloat16 if device.type == "cpu" and bfloat16_is_faster() else None
 
 
 FEWEST = 256

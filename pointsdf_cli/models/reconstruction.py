@@ -127,6 +127,11 @@ class Reconstruction:
         reduced = self.model.in_precision(self.encoding, precision)
         return replace(self, low_precision=(precision, reduced))
 
+    @property
+    def in_float32(self) -> Reconstruction:
+        """The same with products in float32."""
+        return self if self.low_precision is None else replace(self, low_precision=None)
+
     def sdf(self, x: ArrayLike, chunk: int = CHUNK) -> NDArray[np.float32]:
         """Signed distances, m.
 

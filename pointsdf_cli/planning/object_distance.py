@@ -81,10 +81,17 @@ class ObjectDistances:
         """Exact distance [L] of each link of one configuration: the least of its samples; infinite
         for a link without samples."""
         rotation, position = poses.rotation[0, self.link], poses.position[0, self.link]
-        world = self._points @ rotation.transpose(0, 2, 1) + position[:, None]
+        centres = self.field((rotation @ self._centre[:, :, None])[..., 0] + position)
+        bound = centres - self._radius
         least = np.full(poses.rotation.shape[1], np.inf)
-        values = self.field(world.reshape(-1, 3)).reshape(len(self.link), PATCH)
-        np.minimum.at(least, self.link, values.min(axis=1))
+        # Each link's patch of the lowest bound first: most others are then known to be farther.
+        order = np.argsort(bound, kind="stable")
+        first = order[np.unique(self.link[order], return_index=True)[1]]
+        for patches in (first, np.setdiff1d(order, first)):
+            near = patches[bound[patches] < least[self.link[patches]]]
+            world = self._points[near] @ rotation[near].transpose(0, 2, 1) + position[near, None]
+            values = self.field(world.reshape(-1, 3)).reshape(len(near), PATCH)
+            np.minimum.at(least, self.link[near], values.min(axis=1))
         return least
 
     def of(self, poses: Poses, rows: Indices, columns: Indices) -> Array:

@@ -81,21 +81,30 @@ class ObjectField:
 
     Attributes:
         field: Its signed distance field, world frame.
+        quick: The same field in the processor's fastest precision, for surfaces.
         low, high: [3], a box [m] around its surface.
-        kept: The same field on a grid, for frequent evaluations that need not be exact.
+        kept: The quick field on a grid, for frequent evaluations that need not be exact.
     """
 
     field: Field
+    quick: Field
     low: Array
     high: Array
     kept: GridField
 
     @classmethod
     def of(
-        cls, field: Field, low: Array, high: Array, grid: GridConfig | None = None
+        cls,
+        field: Field,
+        low: Array,
+        high: Array,
+        grid: GridConfig | None = None,
+        quick: Field | None = None,
     ) -> ObjectField:
-        """Sample `field` on a grid within the box of `low` and `high` [3]."""
-        return cls(field, low, high, GridField(field, low, high, grid or KEPT_GRID))
+        """Sample a field on a grid within the box of `low` and `high` [3]; `quick` is `field` if
+        None."""
+        quick = quick or field
+        return cls(field, quick, low, high, GridField(quick, low, high, grid or KEPT_GRID))
 
 
 @dataclass(frozen=True)
@@ -108,6 +117,7 @@ class Target:
         score: Score of its grasps.
         prior: Source of seeds.
         kept: The field on a grid; the planner makes one where it is None.
+        quick: The field for surfaces; `field` where it is None.
     """
 
     field: Field
@@ -116,11 +126,12 @@ class Target:
     score: GraspScore
     prior: GraspSampler
     kept: GridField | None = None
+    quick: Field | None = None
 
     @classmethod
     def of(cls, shape: ObjectField, score: GraspScore, prior: GraspSampler) -> Target:
         """A target that occupies `shape`."""
-        return cls(shape.field, shape.low, shape.high, score, prior, shape.kept)
+        return cls(shape.field, shape.low, shape.high, score, prior, shape.kept, shape.quick)
 
 
 def grid_for(thickness: float) -> GridConfig:
@@ -146,7 +157,7 @@ def reconstructed_object(
     """
     low, high, step = _network_box(reconstructions)
     shape = _boxed(_mean_field(reconstructions), low, high, step, grid, seen)
-    return replace(shape, field=NearField(shape.field, shape.low, shape.high))
+    return _near(shape, reconstructions)
 
 
 def enclosing(
@@ -166,8 +177,16 @@ def enclosing(
     high = np.maximum(shape.high, seen.max(axis=0) + BOX_MARGIN)
     if (low == shape.low).all() and (high == shape.high).all():
         return shape
-    wider = ObjectField.of(_mean_field(reconstructions), low, high, grid)
-    return replace(wider, field=NearField(wider.field, low, high))
+    return _near(ObjectField.of(_mean_field(reconstructions), low, high, grid), reconstructions)
+
+
+def _near(shape: ObjectField, reconstructions: Sequence[Reconstruction]) -> ObjectField:
+    """The object of a quick field, with its exact field, both asked near its box only."""
+    quick = NearField(shape.field, shape.low, shape.high)
+    if all(each.low_precision is None for each in reconstructions):
+        return replace(shape, field=quick, quick=quick)
+    exact = _mean_field([each.in_float32 for each in reconstructions])
+    return replace(shape, field=NearField(exact, shape.low, shape.high), quick=quick)
 
 
 def completed_field(reconstructions: Sequence[Reconstruction]) -> Field:
@@ -209,7 +228,10 @@ def with_seen_points(shape: ObjectField, seen: Array) -> ObjectField:
     """
     points = SeenField(seen)
     return replace(
-        shape, field=UnionField(shape.field, points), kept=shape.kept.minimum_with(points)
+        shape,
+        field=UnionField(shape.field, points),
+        quick=UnionField(shape.quick, points),
+        kept=shape.kept.minimum_with(points),
     )
 
 
@@ -275,8 +297,9 @@ def surface_of(
         smallest_part=0.0,
     )
     # Not of the field on its grid: that has no inside where walls are thin.
+    field = target.quick or target.field
     try:
-        made = extract_isosurface(lambda x: target.field(x.astype(np.float64) + middle), config)
+        made = extract_isosurface(lambda x: field(x.astype(np.float64) + middle), config)
     except EmptySurfaceError:
         return None
     return taubin_smooth(made.vertices + middle, made.faces, SMOOTHING), made.faces
