@@ -9,15 +9,21 @@ import numpy as np
 import pytest
 import trimesh
 
+from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.planning.grasp_planner import PlanOptions
 from pointsdf_cli.planning.rehearsed import GraspRehearsal, rehearsed_planner
+from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.executor import ExecutorConfig
+from pointsdf_cli.trials.planner_variants import TrialPlanner
 from pointsdf_cli.trials.protocol import (
     CAMERAS,
+    NO_CLEANING,
+    NO_FREE_SPACE,
     NO_SUCCESS,
+    NO_SUPPORT_PLANE,
     ORACLE,
     PlannerVariant,
     Trial,
@@ -87,6 +93,44 @@ def test_contenders_of_a_pair_see_the_same_points(runner: TrialRunner, can: Tria
     np.testing.assert_array_equal(one.T_world_object[0], two.T_world_object[0])
     # Whoever thinks all grasps equally good predicts that each holds.
     assert row.success_probability == pytest.approx(1.0)
+
+
+def test_ablations_of_the_view_leave_out_what_they_say(
+    can: TrialObject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: dict[str, View] = {}
+    runner = TrialRunner(TrialConfig(sensor="structured-light"))
+
+    class Nothing:
+        shape = None
+
+        def __init__(self, variant: PlannerVariant) -> None:
+            self._kept = TrialPlanner.__new__(TrialPlanner)
+            self._kept.variant, self._kept._planner = variant, self
+
+        def see(self, views: list[View], *_: object) -> None:
+            seen[self._kept.variant.ablation] = views[0]
+            raise EmptyFieldError("nothing")
+
+        def nothing(self, what: str) -> None:
+            return None
+
+    monkeypatch.setattr(runner, "_planner", lambda variant: Nothing(variant)._kept)
+    for ablation in ("", NO_CLEANING, NO_FREE_SPACE, NO_SUPPORT_PLANE):
+        runner.run(one_trial(can, "reconstruction", ablation))
+    runner.close()
+    whole = seen[""].evidence
+    assert whole is not None
+    assert whole.visibility is not None
+    assert whole.support_plane is not None
+    assert len(seen[NO_CLEANING].points) > len(seen[""].points)
+    bare, floating = seen[NO_FREE_SPACE].evidence, seen[NO_SUPPORT_PLANE].evidence
+    assert bare is not None
+    assert floating is not None
+    assert bare.visibility is None
+    np.testing.assert_array_equal(bare.support_plane, whole.support_plane)
+    assert floating.support_plane is None
+    np.testing.assert_array_equal(floating.visibility.free, whole.visibility.free)
 
 
 def test_grasps_that_will_be_shaken_are_rehearsed_so() -> None:

@@ -35,7 +35,8 @@ def trial(
         list[str] | None,
         typer.Option(
             help="Ablation of the reconstruction method to add: oracle, no-object-constraint, "
-            "no-success-network, no-rehearsal, all (of these), checkpoint=PATH.",
+            "no-success-network, no-rehearsal, no-cleaning, no-free-space, no-support-plane, all "
+            "(of these), checkpoint=PATH.",
             show_default=False,
         ),
     ] = None,

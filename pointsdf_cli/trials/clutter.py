@@ -153,6 +153,7 @@ def look(
     standing: Sequence[Standing],
     T_world_camera: Array,
     rng: np.random.Generator,
+    cleaned: bool = True,
 ) -> tuple[View, TableTop | None]:
     """View of the target, empty if it is not seen, and the table top around it.
 
@@ -165,6 +166,7 @@ def look(
         standing: The true objects, the target first.
         T_world_camera: [4, 4].
         rng: Random generator of the sensor's errors.
+        cleaned: Drop flying pixels, outliers and specks.
     """
     nothing = View(np.zeros((0, 3)), T_world_camera)
     try:
@@ -176,7 +178,9 @@ def look(
             if number is None:
                 return nothing, None
             wanted = TargetChoice(number=number)
-        seen = look_at_table([cloud], ["the view"], robot, robot.home, target=wanted)
+        seen = look_at_table(
+            [cloud], ["the view"], robot, robot.home, target=wanted, cleaned=cleaned
+        )
     except (InputError, NoObjectError):
         return nothing, None
     return seen.views[0], seen

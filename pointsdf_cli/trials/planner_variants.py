@@ -17,6 +17,7 @@ from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
+from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.checkpoints import CONFIG, WEIGHTS, read_checkpoint
 from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
@@ -160,6 +161,7 @@ class TrialPlanner:
             surface = truth()
             field = MeshField(*surface)
         planner = self._planner
+        view = replace(view, evidence=_remaining(view.evidence, self.variant.ablation))
         try:
             perceived = planner.see([view], seed, field)
         except EmptyFieldError as error:
@@ -182,6 +184,17 @@ class TrialPlanner:
         if reconstruction is None:
             return None
         return believed_surface(reconstruction)
+
+
+def _remaining(evidence: ViewEvidence | None, ablation: str) -> ViewEvidence | None:
+    """The evidence of a view that an ablation leaves."""
+    if evidence is None:
+        return None
+    if ablation == protocol.NO_FREE_SPACE:
+        return replace(evidence, visibility=None)
+    if ablation == protocol.NO_SUPPORT_PLANE:
+        return replace(evidence, support_plane=None)
+    return evidence
 
 
 class Indifferent:

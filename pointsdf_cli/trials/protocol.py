@@ -88,8 +88,17 @@ class PlannerVariant:
 
 
 ORACLE, NO_CONSTRAINT, NO_SUCCESS = "oracle", "no-object-constraint", "no-success-network"
-NO_REHEARSAL = "no-rehearsal"
-ABLATIONS = (ORACLE, NO_CONSTRAINT, NO_SUCCESS, NO_REHEARSAL)
+NO_REHEARSAL, NO_CLEANING = "no-rehearsal", "no-cleaning"
+NO_FREE_SPACE, NO_SUPPORT_PLANE = "no-free-space", "no-support-plane"
+ABLATIONS = (
+    ORACLE,
+    NO_CONSTRAINT,
+    NO_SUCCESS,
+    NO_REHEARSAL,
+    NO_CLEANING,
+    NO_FREE_SPACE,
+    NO_SUPPORT_PLANE,
+)
 CHECKPOINT = "checkpoint="
 
 

@@ -54,7 +54,7 @@ from pointsdf_cli.trials.planner_variants import (
     rehearsals_of,
     weights_of,
 )
-from pointsdf_cli.trials.protocol import PlannerVariant, Trial, TrialObject
+from pointsdf_cli.trials.protocol import NO_CLEANING, PlannerVariant, Trial, TrialObject
 from pointsdf_cli.trials.scenes import (
     load_object,
     object_mesh,
@@ -147,7 +147,8 @@ class TrialRunner:
         truth = vertices, item.mesh.faces
         planner = self._planner(trial.variant)
         standing = [(item, T_world_object), *others]
-        view, seen = look(self._observer, self.robot, standing, T_world_camera, rng)
+        cleaned = trial.variant.ablation != NO_CLEANING
+        view, seen = look(self._observer, self.robot, standing, T_world_camera, rng, cleaned)
         answer, around = None, Environment()
         began = time.perf_counter(), time.process_time()
         if len(view.points):
