@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.axis_fit import perpendicular
 from pointsdf_cli.geometry.lathe import Lathe
 from pointsdf_cli.geometry.vessel import Vessel
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 SECTORS = 96
 """Faces around the axis."""
-
-Surface = tuple[Array, NDArray[np.int32]]
 
 
 def vessel_surface(

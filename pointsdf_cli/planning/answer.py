@@ -6,10 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.reconstruction import Reconstruction
@@ -18,9 +15,6 @@ from pointsdf_cli.planning.target import Target
 
 if TYPE_CHECKING:
     from pointsdf_cli.simulation.rehearsal import Rehearsed
-
-Surface = tuple[Array, NDArray[np.int32]]
-"""Vertices [V, 3] m and faces [F, 3]."""
 
 
 @dataclass(frozen=True)

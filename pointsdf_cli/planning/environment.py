@@ -46,7 +46,7 @@ class Obstacle:
     size: tuple[float, ...]
     pose: Array
     vertices: Array | None = None
-    faces: NDArray[np.int32] | None = None
+    faces: NDArray[np.integer] | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in (*SIZES, "mesh"):

@@ -23,7 +23,7 @@ import numpy as np
 from pointsdf_cli import choices
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.choices import require_choice
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.models.bundled_success import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import reconstruction_for
@@ -37,7 +37,6 @@ from pointsdf_cli.planning.answer import (
     Choice,
     PerceivedObject,
     PlanNotes,
-    Surface,
 )
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed, given_constraint, unseen_support

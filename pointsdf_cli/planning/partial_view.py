@@ -6,17 +6,16 @@ It leaves the unseen side free: the baseline of the reconstruction method.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Surface
 
 RESOLUTION = 32
 SPAN = 26
 """Number of voxels along the cloud's longest side, as in the voxel network's input."""
 
 
-def partial_mesh(points: Array) -> tuple[Array, NDArray[np.int32]]:
+def partial_mesh(points: Array) -> Surface:
     """A closed surface around the voxels that hold points.
 
     Args:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pointsdf_cli.geometry.arrays import Surface
 from pointsdf_cli.io.plans import NO_PLAN, OK, AcceptedGrasps, Plan, RejectedSeeds
 from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.planning.answer import Surface
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.motion import Motion
 from pointsdf_cli.planning.plan_request import as_sentences

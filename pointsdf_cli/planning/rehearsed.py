@@ -15,13 +15,13 @@ from functools import partial
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.planning.answer import PerceivedObject, Surface
+from pointsdf_cli.planning.answer import PerceivedObject
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.grasp_planner import (
     RECONSTRUCTION,

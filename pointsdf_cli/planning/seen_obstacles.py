@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.camera.segmentation import GAP, clusters
 from pointsdf_cli.camera.things import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.box import level_width
 from pointsdf_cli.geometry.inside import Inside
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
@@ -50,9 +50,6 @@ together, one a voxel."""
 SMALLEST = 12
 """Number of points, one a voxel, from which a group of them is an obstacle: a die 2 cm wide has 23
 at 1.2 m. Smaller groups are mostly noise on the table (docs/notebook.md)."""
-
-Surface = tuple[Array, NDArray[np.int32]]
-"""Vertices [V, 3] m in the world and faces [F, 3]."""
 
 
 def seen_obstacles(

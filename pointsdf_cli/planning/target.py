@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError, RgraspError
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.isosurface import (
     MAX_RESOLUTION,
@@ -270,9 +270,7 @@ CELL = 0.004
 """Side of the cells of marching cubes [m]."""
 
 
-def surface_of(
-    target: Target, reconstruction: Reconstruction | None = None
-) -> tuple[Array, NDArray[np.int32]] | None:
+def surface_of(target: Target, reconstruction: Reconstruction | None = None) -> Surface | None:
     """Surface of the target's field: vertices [V, 3] m in the world and faces [F, 3], or None
     without one.
 
@@ -305,7 +303,7 @@ def surface_of(
     return taubin_smooth(made.vertices + middle, made.faces, SMOOTHING), made.faces
 
 
-def missed_points(surface: tuple[Array, NDArray[np.int32]] | None, seen: Array) -> list[str]:
+def missed_points(surface: Surface | None, seen: Array) -> list[str]:
     """A sentence if a surface lacks many of the seen points [N, 3]; world frame, m."""
     missed = 1.0
     if surface is not None and len(surface[0]):

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Surface
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.metrics import SAMPLES, Score, Shape, compare, failure
@@ -37,8 +38,6 @@ from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 
 PARTIAL_HULL = "convex hull of the partial cloud"
 TRUTH_HULL = "convex hull of the truth"
-
-Surface = tuple[NDArray[np.float64], NDArray[np.integer]]
 
 
 @dataclass(frozen=True)

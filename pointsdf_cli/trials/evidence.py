@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.io.plans import OK, Plan
 from pointsdf_cli.io.trials import Evidence
-from pointsdf_cli.planning.answer import Surface
 from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
 from pointsdf_cli.trials.execution import Executed

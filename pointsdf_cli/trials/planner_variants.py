@@ -15,14 +15,14 @@ from torch import Tensor
 
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.view import View
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.checkpoints import CONFIG, WEIGHTS, read_checkpoint
 from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_score import load_grasp_model
-from pointsdf_cli.planning.answer import Answer, Surface
+from pointsdf_cli.planning.answer import Answer
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
 from pointsdf_cli.planning.grasp_planner import (

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from pointsdf_cli.camera.sensor_presets import load_sensor, without_ideal
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.hdf5 import is_complete
 from pointsdf_cli.io.plans import OK, Plan
@@ -25,7 +25,7 @@ from pointsdf_cli.io.trials import (
     read_trial,
     write_trial,
 )
-from pointsdf_cli.planning.answer import Answer, Surface
+from pointsdf_cli.planning.answer import Answer
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
