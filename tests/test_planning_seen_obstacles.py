@@ -11,7 +11,7 @@ from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.object_choice import TargetChoice
-from pointsdf_cli.planning.seen_obstacles import hulls, seen_obstacles
+from pointsdf_cli.planning.seen_obstacles import KEPT_OFF, hulls, seen_obstacles
 from pointsdf_cli.planning.table_top import TableTop, look_at_table
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.shading import look_at
@@ -73,6 +73,13 @@ def test_a_reconstructed_obstacle_holds_what_the_camera_cannot_see(two_boxes: Ta
     # The box in front is the object, and no obstacle; nor is the space between the two.
     free = np.array([[*FRONT, 0.05], [0.62, 0.02, 0.05], [BEHIND[0], BEHIND[1] + 0.12, 0.05]])
     assert not holds(whole, free).any()
+
+
+def test_obstacles_are_little_larger_than_the_things(two_boxes: TableTop) -> None:
+    whole, _ = seen_obstacles(two_boxes, load_model(None, "cpu"))
+    volume = sum(trimesh.Trimesh(one.vertices, one.faces).volume for one in whole)
+    grown = np.prod(np.array([0.08, 0.1, 0.14]) + 2 * KEPT_OFF)
+    assert 0.8 * grown < volume < 1.8 * grown
 
 
 def holds(obstacles: tuple[Obstacle, ...], points: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.box import level_width
 from pointsdf_cli.geometry.inside import Inside
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
+from pointsdf_cli.geometry.offset import offset_surface
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
@@ -42,6 +43,11 @@ ON_TABLE = 0.02
 KEPT_OFF = 0.004
 """Reconstructions err by a few millimetres on the unseen side, and arms lag as much: obstacles are
 larger all round by this [m]."""
+
+LEVEL = 0.001
+"""Value of the field [m] where an obstacle ends. Where nothing was seen the field stays near zero:
+its level of 4 mm encloses six times the object's volume, its level of 0 lacks a third of it
+(docs/notebook.md)."""
 
 MISSED, FEWEST_MISSED = 0.006, 20
 """Seen points farther than this [m] from a reconstruction are a part that it misses, if so many lie
@@ -107,10 +113,10 @@ def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Su
         return hulls(points)
     shape = completed(network, view, seed)
     try:
-        mesh = mesh_reconstruction(shape, RESOLUTION, field=lambda x: shape.sdf(x) - KEPT_OFF)
+        mesh = mesh_reconstruction(shape, RESOLUTION, field=lambda x: shape.sdf(x) - LEVEL)
     except EmptySurfaceError:
         return hulls(points)
-    vertices, faces = mesh.vertices, mesh.faces
+    vertices, faces = offset_surface((mesh.vertices, mesh.faces), KEPT_OFF - LEVEL)
     if vertices[:, 2].min() > ON_TABLE:
         return hulls(np.concatenate([points, vertices]))
     missed = _missed(points, vertices, faces)
