@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from pointsdf_cli.models.processor import ALIGNED, FEWEST, even_parts, side_by_side
+from pointsdf_cli.models.processor import ALIGNED, FEWEST, even_parts, in_steps, side_by_side
 
 PARTS = torch.arange(40.0).reshape(-1, 1).split(6)
 
@@ -128,3 +128,13 @@ def test_one_thread_takes_few_parts() -> None:
 def test_what_is_not_on_the_processor_is_not_cut_for_threads() -> None:
     rows = torch.zeros(5000, 3, device="meta")
     assert [len(part) for part in even_parts(rows, 4096)] == [4096, 904]
+
+
+def test_rows_are_padded_to_steps() -> None:
+    rows = torch.arange(10.0).reshape(5, 2)
+    padded = in_steps(rows, 4)
+    assert padded.shape == (8, 2)
+    assert torch.equal(padded[:5], rows)
+    assert torch.equal(padded[5:], rows[-1:].expand(3, 2))
+    assert in_steps(rows, 5) is rows
+    assert len(in_steps(rows[:0], 4)) == 0

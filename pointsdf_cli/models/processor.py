@@ -102,6 +102,16 @@ def even_parts(rows: Tensor, most: int) -> list[Tensor]:
     return list(rows.split(min(length, most)))
 
 
+def in_steps(rows: Tensor, step: int) -> Tensor:
+    """Rows [N, ...] with the last one repeated up to a multiple of `step`.
+
+    oneDNN makes and keeps a kernel for each number of rows of a product in bfloat16: hundreds of
+    them take a quarter of a second and half a gigabyte.
+    """
+    missing = -len(rows) % step
+    return torch.cat([rows, rows[-1:].expand(missing, *rows.shape[1:])]) if missing else rows
+
+
 def side_by_side(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) -> list[Tensor]:
     """Compute `[function(part) for part in parts]`, each part in one of PyTorch's threads.
 

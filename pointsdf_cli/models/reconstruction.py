@@ -23,13 +23,15 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.models.normalise import network_frame
-from pointsdf_cli.models.processor import even_parts, one_thread, side_by_side
+from pointsdf_cli.models.processor import even_parts, in_steps, one_thread, side_by_side
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 from pointsdf_cli.models.surroundings import surroundings_of
 from pointsdf_cli.models.vessel_field import VesselField, vessel_in
 
 CHUNK = 4096
 """Number of queries decoded at once: small enough for intermediate layers to stay in the cache."""
+STEP = 128
+"""Queries in bfloat16 are decoded in multiples of this."""
 
 
 @dataclass(frozen=True)
@@ -170,8 +172,14 @@ class Reconstruction:
         places = self._to_network(x)
         parts = even_parts(places, chunk)
         dtype, encoding = self.low_precision or (None, self.encoding)
+
+        def values_of(part: Tensor) -> Tensor:
+            if dtype is None:
+                return self.model.decode(encoding, part[None])[0]
+            return self.model.decode(encoding, in_steps(part, STEP)[None])[0, : len(part)]
+
         with torch.autocast(places.device.type, dtype, enabled=dtype is not None):
-            values = side_by_side(lambda part: self.model.decode(encoding, part[None])[0], parts)
+            values = side_by_side(values_of, parts)
         return self._distances(values, np.shape(x)[:-1])
 
     def _network_sdf_and_gradient(
