@@ -7,7 +7,9 @@ import pytest
 import trimesh
 from scenes import box, cloud, seen, table
 
+from pointsdf_cli.assets import asset_path
 from pointsdf_cli.geometry.signed_distance import SignedDistance
+from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.object_choice import TargetChoice
@@ -88,3 +90,14 @@ def holds(obstacles: tuple[Obstacle, ...], points: np.ndarray) -> np.ndarray:
     for one in obstacles:
         inside |= SignedDistance(one.vertices, one.faces)(points) < 0
     return inside
+
+
+def test_a_mug_is_an_obstacle_without_holes() -> None:
+    scene = read_cloud(asset_path("clouds/table.ply"))
+    top = look_at_table([scene], ["scene"], ROBOT, ROBOT.home)
+    found, _ = seen_obstacles(top, load_model(None, "cpu"))
+    bodies = [trimesh.Trimesh(one.vertices, one.faces) for one in found]
+    low = min(bodies, key=lambda body: body.centroid[1])
+    assert low.is_watertight
+    # A wall, a floor and a cavity open to above are one ball in topology.
+    assert low.euler_number == 2

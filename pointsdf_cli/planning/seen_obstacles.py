@@ -112,11 +112,14 @@ def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Su
     if len(points) < FEWEST_MISSED or level_width(points) > WIDEST:
         return hulls(points)
     shape = completed(network, view, seed)
+    # A vessel's wall is known, and thinner than these cells.
+    level = LEVEL if shape.vessel is None else 0.0
+    field = (lambda x: shape.sdf(x) - level) if level else None
     try:
-        mesh = mesh_reconstruction(shape, RESOLUTION, field=lambda x: shape.sdf(x) - LEVEL)
+        mesh = mesh_reconstruction(shape, RESOLUTION, field=field)
     except EmptySurfaceError:
         return hulls(points)
-    vertices, faces = offset_surface((mesh.vertices, mesh.faces), KEPT_OFF - LEVEL)
+    vertices, faces = offset_surface((mesh.vertices, mesh.faces), KEPT_OFF - level)
     if vertices[:, 2].min() > ON_TABLE:
         return hulls(np.concatenate([points, vertices]))
     missed = _missed(points, vertices, faces)
