@@ -83,6 +83,20 @@ def cup():
     return pose, fit_vessel(seen(body(CUP), pose), plane_of(pose))
 
 
+def test_a_revolved_outline_is_closed_and_faces_outwards() -> None:
+    outline = np.array([[0.0, -0.02], [0.05, -0.02], [0.03, 0.06], [0.0, 0.06]])
+    direction = np.array([0.6, 0.0, 0.8])
+    frustum = Lathe.of(direction, np.array([0.1, 0.2, 0.3]), outline)
+    vertices, faces = frustum.surface(400)
+    body = trimesh.Trimesh(vertices, faces)
+    assert body.is_watertight
+    assert body.euler_number == 2
+    volume = np.pi * 0.08 / 3 * (0.05**2 + 0.05 * 0.03 + 0.03**2)
+    assert body.volume == pytest.approx(volume, rel=1e-3)
+    # The table interpolates distances over cells of a millimetre.
+    assert np.abs(frustum.sdf(body.triangles_center)).max() < 0.001
+
+
 def test_sphere_and_gradient_in_closed_form():
     turn = np.linspace(-np.pi / 2, np.pi / 2, 400)
     ball = Lathe.of(

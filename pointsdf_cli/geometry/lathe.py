@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pointsdf_cli.geometry.arrays import Array, Mask
+from pointsdf_cli.geometry.arrays import Array, Mask, Surface
 from pointsdf_cli.geometry.axis_fit import perpendicular
 
 CELLS = (160, 200)
@@ -75,6 +75,26 @@ class Lathe:
         around = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
         across = radius[..., None] * (around @ perpendicular(self.direction))
         return np.asarray(self.point + height[..., None] * self.direction + across)
+
+    def surface(self, sectors: int = 48) -> Surface:
+        """The outline revolved, with this number of faces around the axis."""
+        turns = 2 * np.pi * np.arange(sectors) / sectors
+        inner = self.outline[1:-1]
+        rings = self.at(inner[:, :1], inner[:, 1:], turns).reshape(-1, 3)
+        ends = self.point + self.outline[[0, -1], 1:] * self.direction
+        here = np.arange(sectors)
+        beside = (here + 1) % sectors
+        below = sectors * np.arange(len(inner) - 1)[:, None]
+        first, last = len(rings) + np.zeros((2, sectors), dtype=np.int64) + [[0], [1]]
+        top = sectors * (len(inner) - 1)
+        corners = [
+            (below + here, below + beside, below + sectors + here),
+            (below + beside, below + sectors + beside, below + sectors + here),
+            (first, beside, here),
+            (top + here, top + beside, last),
+        ]
+        faces = [np.stack([c.ravel() for c in three], axis=1) for three in corners]
+        return np.concatenate([rings, ends]), np.concatenate(faces)
 
     @property
     def radius(self) -> float:

@@ -25,6 +25,7 @@ from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.offset import offset_surface
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.models.meshing import mesh_reconstruction
+from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed
@@ -46,7 +47,7 @@ larger all round by this [m]."""
 
 LEVEL = 0.001
 """Value of the field [m] where an obstacle ends. Where nothing was seen the field stays near zero:
-its level of 4 mm encloses six times the object's volume, its level of 0 lacks a third of it
+its level of 4 mm encloses six times the object's volume, its level of 0 misses a third of it
 (docs/notebook.md)."""
 
 MISSED, FEWEST_MISSED = 0.006, 20
@@ -112,18 +113,23 @@ def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Su
     if len(points) < FEWEST_MISSED or level_width(points) > WIDEST:
         return hulls(points)
     shape = completed(network, view, seed)
-    # A vessel's wall is known, and thinner than these cells.
-    level = LEVEL if shape.vessel is None else 0.0
-    field = (lambda x: shape.sdf(x) - level) if level else None
     try:
-        mesh = mesh_reconstruction(shape, RESOLUTION, field=field)
+        vertices, faces = _enlarged(shape)
     except EmptySurfaceError:
         return hulls(points)
-    vertices, faces = offset_surface((mesh.vertices, mesh.faces), KEPT_OFF - level)
     if vertices[:, 2].min() > ON_TABLE:
         return hulls(np.concatenate([points, vertices]))
     missed = _missed(points, vertices, faces)
     return [(vertices, faces), *hulls(missed, FEWEST_MISSED, to_table=False)]
+
+
+def _enlarged(shape: Reconstruction) -> Surface:
+    """The reconstruction, larger all round. Of a vessel the outside alone: its wall is thinner than
+    the cells."""
+    if shape.vessel is not None:
+        return offset_surface(shape.vessel.vessel.filled.surface(), KEPT_OFF)
+    mesh = mesh_reconstruction(shape, RESOLUTION, field=lambda x: shape.sdf(x) - LEVEL)
+    return offset_surface((mesh.vertices, mesh.faces), KEPT_OFF - LEVEL)
 
 
 def _missed(points: Array, vertices: Array, faces: NDArray[np.integer]) -> Array:

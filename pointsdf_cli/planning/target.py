@@ -94,17 +94,10 @@ class ObjectField:
 
     @classmethod
     def of(
-        cls,
-        field: Field,
-        low: Array,
-        high: Array,
-        grid: GridConfig | None = None,
-        quick: Field | None = None,
+        cls, field: Field, low: Array, high: Array, grid: GridConfig | None = None
     ) -> ObjectField:
-        """Sample a field on a grid within the box of `low` and `high` [3]; `quick` is `field` if
-        None."""
-        quick = quick or field
-        return cls(field, quick, low, high, GridField(quick, low, high, grid or KEPT_GRID))
+        """Sample `field` on a grid within the box of `low` and `high` [3]."""
+        return cls(field, field, low, high, GridField(field, low, high, grid or KEPT_GRID))
 
 
 @dataclass(frozen=True)
