@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -210,22 +210,26 @@ class Planner:
         timings["motion"] = time.perf_counter() - began
         return Outcome(problems.exact, self.inverse.chain, found, best, motion, timings)
 
-    def _motion_to(
-        self, checker: PathChecker, candidate: Candidate, start: Array, seed: int, thorough: bool
-    ) -> Motion:
-        """A motion that keeps the grasp's own distance to the object, at most the margin, if a
-        brief search finds one; otherwise, and in a thorough search, one that keeps the
-        clearance."""
-        config, least = self.config.motion, self.config.clearances.object
-        quick = replace(config, attempts=1, checks=QUICK_CHECKS)
-        kept = min(self.config.margin, least + candidate.object_slack) - SOLVER_MARGIN
-        if kept > least and not thorough:
-            wide = checker.with_clearance(kept)
-            motion = plan_motion(wide, self.inverse, start, candidate.q, seed, quick)
-            if motion.trajectory is not None:
-                return motion
-        asked = config if thorough else quick
-        return plan_motion(checker, self.inverse, start, candidate.q, seed, asked)
+    def _searches(
+        self, checker: PathChecker, best: list[Candidate]
+    ) -> Iterator[tuple[int, PathChecker, MotionConfig]]:
+        """Motion searches in turn: number of the candidate, checker, effort.
+
+        The best few get a brief search before any gets a thorough one: if the way to one is narrow,
+        the next is hardly worse and often reached at once. Brief searches first keep the grasp's
+        own distance to the object, at most the margin, then the clearance.
+        """
+        thorough, least = self.config.motion, self.config.clearances.object
+        brief = replace(thorough, attempts=1, checks=QUICK_CHECKS)
+        slack = [candidate.object_slack for candidate in best]
+        kept = [min(self.config.margin, least + each) - SOLVER_MARGIN for each in slack]
+        for k in range(len(best[:BRIEFLY])):
+            yield k, checker.with_clearance(max(kept[k], least)), brief
+        for k in range(len(best[:BRIEFLY])):
+            if kept[k] > least:
+                yield k, checker, brief
+        for k in range(len(best)):
+            yield k, checker, thorough
 
     def _with_motion(
         self,
@@ -234,21 +238,18 @@ class Planner:
         start: Array,
         seed: int,
     ) -> tuple[Candidate | None, Motion | None, Synthesis]:
-        """Choose the best accepted candidate with a motion, or failing that, a fallback.
+        """Choose the first accepted candidate with a motion, or failing that, a fallback.
 
-        The best few get a brief search before any gets a thorough one: if the way to one is narrow,
-        the next is hardly worse and often reached at once. A candidate without a lift is chosen
-        only if no other has a motion.
+        A candidate without a lift is chosen only if no other has a motion.
         """
         best = [*found.accepted, *found.fallbacks]
-        turns = [(k, candidate, False) for k, candidate in enumerate(best[:BRIEFLY])]
-        turns += [(k, candidate, True) for k, candidate in enumerate(best)]
         failure = ""
         stuck: dict[int, Motion] = {}
-        for k, candidate, thorough in turns:
+        for k, asked, effort in self._searches(checker, best):
             if k in stuck:
                 continue
-            motion = self._motion_to(checker, candidate, start, seed, thorough)
+            candidate = best[k]
+            motion = plan_motion(asked, self.inverse, start, candidate.q, seed, effort)
             failure = failure or motion.failure
             if motion.trajectory is None:
                 continue
