@@ -174,7 +174,7 @@ def test_evidence_knows_behind_from_in_front_and_inside_from_outside_the_silhoue
     cloud, camera = plane.view(1, -1, 3), torch.tensor([[0.0, 0.0, -20.0]])
     x = torch.tensor([[[0.0, 0.0, 0.2], [0.0, 0.0, -0.2], [0.6, 0.0, 0.0]]])
     image = image_coordinates(cloud, camera)
-    seen = ray_evidence(x, cloud, camera, image, image[..., :2])[0]
+    seen = ray_evidence(x, image_coordinates(x, camera), cloud, image, image[..., :2], camera)[0]
     distance, lateral, behind = seen[:, 0], seen[:, 2], seen[:, 4]
     torch.testing.assert_close(distance, torch.tensor([0.2, 0.2, 0.2]), atol=0.01, rtol=0.0)
     torch.testing.assert_close(behind, torch.tensor([0.2, -0.2, 0.0]), atol=1e-3, rtol=0.0)

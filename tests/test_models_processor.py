@@ -10,7 +10,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from pointsdf_cli.models.processor import ALIGNED, FEWEST, even_parts, in_steps, side_by_side
+from pointsdf_cli.models.processor import (
+    ALIGNED,
+    FEWEST,
+    at_once,
+    even_parts,
+    in_steps,
+    side_by_side,
+    timed,
+)
+from pointsdf_cli.planning.cancellation import CancelledError, cancellable, stop_if_cancelled
 
 PARTS = torch.arange(40.0).reshape(-1, 1).split(6)
 
@@ -138,3 +147,43 @@ def test_rows_are_padded_to_steps() -> None:
     assert torch.equal(padded[5:], rows[-1:].expand(3, 2))
     assert in_steps(rows, 5) is rows
     assert len(in_steps(rows[:0], 4)) == 0
+
+
+def test_tasks_run_at_once_with_one_thread_each() -> None:
+    both = threading.Barrier(2, timeout=20)  # passed only if both tasks run at a time
+
+    def task(number: int) -> tuple[int, int]:
+        both.wait()
+        return number, torch.get_num_threads()
+
+    assert at_once([lambda k=k: task(k) for k in range(2)]) == [(0, 1), (1, 1)]
+    assert torch.get_num_threads() == 2
+
+
+def test_a_tasks_error_is_the_callers_after_the_others_end() -> None:
+    ended = []
+
+    def late() -> None:
+        time.sleep(0.05)
+        ended.append(True)
+
+    with pytest.raises(ZeroDivisionError):
+        at_once([lambda: 1 // 0, late])
+    assert ended
+
+
+def test_tasks_see_that_their_caller_is_cancelled() -> None:
+    with cancellable(lambda: True), pytest.raises(CancelledError):
+        at_once([stop_if_cancelled, int])
+
+
+def test_with_one_thread_tasks_run_here_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
+    here = threading.get_ident()
+    assert at_once([threading.get_ident, threading.get_ident]) == [here, here]
+
+
+def test_a_timed_task_gives_its_result_and_seconds() -> None:
+    result, seconds = timed(divmod, 7, 2)
+    assert result == (3, 1)
+    assert 0 <= seconds < 1

@@ -13,6 +13,7 @@ from planning_worlds import CylinderField, SphereField
 
 import pointsdf_cli
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.planning import motion as motion_module
 from pointsdf_cli.planning.approach import LENGTH, retreat
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.motion import MotionConfig, plan_motion
@@ -142,6 +143,24 @@ def behind_a_wall() -> tuple[PathChecker, np.ndarray, np.ndarray]:
     return checker, start, q
 
 
+@pytest.fixture
+def search_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Motions without the way over a place above the approach."""
+    monkeypatch.setattr(motion_module, "ABOVE", ())
+
+
+def test_behind_a_wall_the_hand_comes_from_above_without_a_search() -> None:
+    checker, start, q = behind_a_wall()
+    motion = plan_motion(checker, IK, start, q, config=MotionConfig(checks=1))
+    assert checker.is_free(motion.corners)
+    shaped, above, begins, *approach = motion.corners[1:]
+    np.testing.assert_array_equal(shaped[:7], start[:7])
+    rise = IK.chain.palm(above) - IK.chain.palm(begins)
+    assert rise[2, 3] == pytest.approx(0.1, abs=0.003)
+    assert len(approach) == 8
+
+
+@pytest.mark.usefixtures("search_alone")
 def test_a_wall_is_driven_around_and_equal_seeds_give_equal_motions() -> None:
     motions = []
     for _ in range(2):
@@ -155,6 +174,7 @@ def test_a_wall_is_driven_around_and_equal_seeds_give_equal_motions() -> None:
 CLOCKS = ("time", "monotonic", "perf_counter", "process_time", "thread_time")
 
 
+@pytest.mark.usefixtures("search_alone")
 def test_a_motion_does_not_depend_on_any_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     checker, start, q = behind_a_wall()
     usual = plan_motion(checker, IK, start, q, seed=1)
@@ -167,6 +187,7 @@ def test_a_motion_does_not_depend_on_any_clock(monkeypatch: pytest.MonkeyPatch) 
     np.testing.assert_array_equal(slow.corners, usual.corners)
 
 
+@pytest.mark.usefixtures("search_alone")
 def test_a_search_ends_with_its_number_of_checks() -> None:
     checker, start, q = behind_a_wall()
     before = checker.checked

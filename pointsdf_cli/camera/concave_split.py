@@ -92,7 +92,7 @@ def _valley(points: Array, camera: Array, tree: scipy.spatial.cKDTree) -> NDArra
     near = points[neighbour]
     centre = (near * weight[..., None]).sum(axis=1) / total
     away = (near - centre[:, None]) * weight[..., None]
-    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", away, away))
+    _, axes = np.linalg.eigh(away.transpose(0, 2, 1) @ away)
     normal = axes[:, :, 0]
     normal = normal * np.where(((camera - points) * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     # The centre of the neighbours is above a valley's bottom and below a ridge's top.

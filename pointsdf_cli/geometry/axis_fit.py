@@ -131,7 +131,11 @@ def axis_point(seen: OrientedPoints, direction: Array) -> Array | None:
 
 
 def refined_axis(
-    seen: OrientedPoints, direction: Array, point: Array, upright: bool = False
+    seen: OrientedPoints,
+    direction: Array,
+    point: Array,
+    upright: bool = False,
+    rounds: int = ROUNDS,
 ) -> AxisFit | None:
     """Refine an axis by registering the points to themselves; None where few points have a partner.
 
@@ -140,11 +144,12 @@ def refined_axis(
         direction: [3], of unit length.
         point: [3], on the axis, m.
         upright: Keep the direction.
+        rounds: Largest number of rounds of pairing.
     """
     size = float(np.ptp(seen.points, axis=0).max())
     regular = 1e-6 * len(seen.points) * np.diag([1.0, 1.0, 0.0025, 0.0025])
     residual, paired = np.inf, 0.0
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         basis = perpendicular(direction)
         around = turned(seen, direction, point)
         first, second = _pairs(around, NEAR * size)

@@ -16,7 +16,7 @@ SHRINK, GROW = 0.5, -0.53
 
 
 def taubin_smooth(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], iterations: int
+    vertices: NDArray[np.float64], faces: NDArray[np.integer], iterations: int
 ) -> NDArray[np.float64]:
     """Vertices [V, 3] after `iterations` pairs of a shrinking and a growing pass; the faces stay.
 

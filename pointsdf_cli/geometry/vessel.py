@@ -47,6 +47,8 @@ FEWEST, SMALLEST = 100, 0.005
 """Least number of points, and least extent [m] of a cloud that is looked at."""
 UPRIGHT = 2.0
 """Preference for an axis along the support plane's normal, as a ratio of residuals."""
+BRIEF, CLOSE = 3, 1.3
+"""Rounds after which only starts within this ratio of the best one's cost are refined further."""
 FACING = 0.25
 """Least component of a wall's normal towards or away from the axis."""
 FEWEST_INSIDE = 0.02
@@ -96,7 +98,7 @@ class Vessel:
             others=self.others @ rotation.T + translation,
         )
 
-    def cavity(self, count: int = 500) -> Array:
+    def cavity(self, count: int = 250) -> Array:
         """Places [K, 3] within the cavity, a millimetre or more from the wall and the opening."""
         low, high = np.quantile(self.filled.outline[:, 1], [0, 1])
         away, turn, up = np.random.default_rng(0).random((3, 8 * count))
@@ -161,16 +163,23 @@ def _best_axis(seen: OrientedPoints, support_plane: Array | None) -> AxisFit:
     for direction, upright in starts:
         point = axis_point(seen, direction)
         # Of convex bodies no normal points to the axis: they are dismissed here, at little cost.
-        if point is None or not _some_inside(turned(seen, direction, point)):
-            continue
-        fit = refined_axis(seen, direction, point, upright)
-        if fit is not None:
-            cost = fit.residual / max(fit.paired, 0.05)
-            # Errors of depth tilt an axis that is free to.
-            fits.append((cost / UPRIGHT if upright else cost, fit))
-    if not fits:
+        if point is not None and _some_inside(turned(seen, direction, point)):
+            fits.append((refined_axis(seen, direction, point, upright, BRIEF), upright))
+    least = min((_cost(*each) for each in fits), default=np.inf)
+    close = [(fit, up) for fit, up in fits if fit and _cost(fit, up) <= CLOSE * least]
+    fits = [(refined_axis(seen, fit.direction, fit.point, up), up) for fit, up in close]
+    best, _ = min(fits, key=lambda each: _cost(*each), default=(None, False))
+    if best is None:
         raise NoVesselError("no inside is seen")
-    return min(fits, key=lambda each: each[0])[1]
+    return best
+
+
+def _cost(fit: AxisFit | None, upright: bool) -> float:
+    """Residual of the pairs [m], larger the fewer there are."""
+    if fit is None:
+        return np.inf
+    # Errors of depth tilt an axis that is free to.
+    return fit.residual / max(fit.paired, 0.05) / (UPRIGHT if upright else 1.0)
 
 
 def _some_inside(around: Turned) -> bool:

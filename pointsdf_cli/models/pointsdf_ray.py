@@ -256,43 +256,49 @@ class PointSDFRay(ShapeModel):
         return encoding._replace(evidence=known | {name: known[name].to(dtype) for name in tables})
 
     def decode(self, encoding: Encoding, x: Tensor) -> Tensor:
-        known = encoding.evidence
-        camera = known["camera"]
+        known, count = encoding.evidence, x.shape[1]
+        camera, search = known["camera"], SEARCHES[self.search]
         with torch.autocast(x.device.type, enabled=False):
-            seen = self._ray_evidence(known, x)
             angles = (x.unsqueeze(-1) * self.frequencies).flatten(-2)
-            x_image = image_coordinates(x, camera)
-        search = SEARCHES[self.search]
-        near_fine = search(x, known["fine_at"], 8)
+            both = x
+            if self.revolution:
+                axis = _axis(known)
+                symmetric, trust = symmetric_points(
+                    x, axis, known["cloud"], known["places"], self.search
+                )
+                # In one pass: operations on small tensors take a time of their own.
+                both = torch.cat([x, symmetric], dim=1)
+            both_image = image_coordinates(both, camera)
+            seen = ray_evidence(
+                both, both_image, known["cloud"], known["cloud_image"], known["cloud_plane"],
+                camera, self.search,
+            )  # fmt: skip
+        near = search(both, known["fine_at"], 8)
+        local = self.local_fine(both, known["fine"], near).to(x.dtype)
         near_coarse = search(x, known["coarse_at"], 4)
+        x_image = both_image[:, :count]
         near_image = search(x_image[..., :2], known["coarse_plane"], 4)
         inputs = [
             x,
             torch.sin(angles),
             torch.cos(angles),
-            seen,
-            self.local_fine(x, known["fine"], near_fine).to(x.dtype),
+            seen[:, :count],
+            local[:, :count],
             self.local_coarse(x, known["coarse"], near_coarse).to(x.dtype),
             self.local_image(x, known["image"], near_image).to(x.dtype),
         ]
         if self.revolution:
-            with torch.autocast(x.device.type, enabled=False):
-                symmetric, trust = symmetric_points(
-                    x, _axis(known), known["cloud"], known["places"], self.search
-                )
-            inputs += [trust, *self._symmetric_evidence(known, symmetric)]
-        if self.has_box:
-            box = BoxFrame(*(known[f"box_{name}"] for name in BoxFrame._fields))
-            with torch.autocast(x.device.type, enabled=False):
+            inputs += [trust, seen[:, count:], local[:, count:]]
+        with torch.autocast(x.device.type, enabled=False):
+            if self.has_box:
+                box = BoxFrame(*(known[f"box_{name}"] for name in BoxFrame._fields))
                 inputs.append(box_evidence(x, box, _axis(known)))
-        if self.reads_surroundings:
-            around = Surroundings(*(known[f"around_{name}"] for name in Surroundings._fields))
-            with torch.autocast(x.device.type, enabled=False):
-                inputs.append(visibility_evidence(x_image, camera, around))
-                inputs.append(plane_evidence(x, known["cloud"], around))
+            if self.reads_surroundings:
+                around = Surroundings(*(known[f"around_{name}"] for name in Surroundings._fields))
+                visible = visibility_evidence(both_image, camera, around)
+                inputs += [visible[:, :count], plane_evidence(x, known["cloud"], around)]
                 if self.revolution:
-                    symmetric_image = image_coordinates(symmetric, camera)
-                    inputs.append(visibility_evidence(symmetric_image, camera, around))
+                    inputs.append(visible[:, count:])
         h = self.enter(torch.cat(inputs, dim=-1))
         h = h + self.embed_first(encoding.embedding).unsqueeze(1)
         for step, block in enumerate(self.trunk):
@@ -302,16 +308,6 @@ class PointSDFRay(ShapeModel):
                     h = h + self.attention(h, known["keys"], known["values"])
             h = block(h)
         return self.leave(torch.nn.functional.gelu(self.leave_norm(h))).squeeze(-1).to(x.dtype)
-
-    def _ray_evidence(self, known: dict[str, Tensor], x: Tensor) -> Tensor:
-        cloud, image, plane = known["cloud"], known["cloud_image"], known["cloud_plane"]
-        return ray_evidence(x, cloud, known["camera"], image, plane, self.search)
-
-    def _symmetric_evidence(self, known: dict[str, Tensor], symmetric: Tensor) -> list[Tensor]:
-        with torch.autocast(symmetric.device.type, enabled=False):
-            seen = self._ray_evidence(known, symmetric)
-        near = SEARCHES[self.search](symmetric, known["fine_at"], 8)
-        return [seen, self.local_fine(symmetric, known["fine"], near).to(symmetric.dtype)]
 
 
 def _axis(known: dict[str, Tensor]) -> Axis:

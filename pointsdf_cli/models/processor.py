@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import copy_context
 from pathlib import Path
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
+
+T = TypeVar("T")
 
 
 def use_threads(count: int) -> None:
@@ -88,6 +93,35 @@ FEWEST = 256
 ALIGNED = 64
 """Divisor of the number of rows in a part: kernels compute remainders by other instructions, and
 values must not depend on the number of threads."""
+
+
+def at_once(tasks: Sequence[Callable[[], T]]) -> list[T]:
+    """Results of tasks, in order. As many run at a time as PyTorch has threads, one thread each:
+    short operations gain more from it than from being split.
+
+    Args:
+        tasks: Functions that do not depend on each other. A free thread begins the next one.
+
+    Raises:
+        Exception: A task's own, the first in order; the others end first.
+    """
+    threads = min(torch.get_num_threads(), len(tasks))
+    if threads <= 1:
+        return [task() for task in tasks]
+
+    def alone(task: Callable[[], T]) -> T:
+        with one_thread():
+            return task()
+
+    with ThreadPoolExecutor(threads) as pool:
+        begun = [pool.submit(copy_context().run, alone, task) for task in tasks]
+    return [each.result() for each in begun]
+
+
+def timed(task: Callable[..., T], *arguments: Any) -> tuple[T, float]:
+    """A task's result and how long it took [s]."""
+    began = time.perf_counter()
+    return task(*arguments), time.perf_counter() - began
 
 
 def even_parts(rows: Tensor, most: int) -> list[Tensor]:

@@ -47,20 +47,22 @@ def image_coordinates(points: Tensor, camera: Tensor) -> Tensor:
 
 def ray_evidence(
     x: Tensor,
+    x_image: Tensor,
     cloud: Tensor,
-    camera: Tensor,
     cloud_image: Tensor,
     cloud_plane: Tensor,
+    camera: Tensor,
     search: str = "exact",
 ) -> Tensor:
     """The evidence of each query.
 
     Args:
         x: [B, Q, 3], network frame.
+        x_image: [B, Q, 3], their `image_coordinates`.
         cloud: [B, P, 3], network frame.
-        camera: [B, 3], network frame.
         cloud_image: [B, P, 3], `image_coordinates` of the cloud.
         cloud_plane: [B, P, 2], the first two of these.
+        camera: [B, 3], network frame.
         search: Neighbour search, a key of `SEARCHES`.
 
     Returns:
@@ -71,7 +73,6 @@ def ray_evidence(
     distance = _length(offset)
     closest = distance.detach().argmin(-1, keepdim=True)
 
-    x_image = image_coordinates(x, camera)
     seen = SEARCHES[search](x_image[..., :2], cloud_plane, IMAGE_NEIGHBOURS[search])
     gap = x_image.unsqueeze(2) - gather(cloud_image, seen)
     aside, behind = gap[..., :2], gap[..., 2]

@@ -11,7 +11,7 @@ from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.io.plans import Plan
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.planning.target import Target
+from pointsdf_cli.planning.target import Target, surface_of
 
 if TYPE_CHECKING:
     from pointsdf_cli.simulation.rehearsal import Rehearsed
@@ -78,10 +78,10 @@ class PerceivedObject:
     resampled: tuple[Field, ...] = ()
     fused: Field | None = None
 
-    @property
-    def only_reconstruction(self) -> Reconstruction | None:
-        """The reconstruction, if there is one view."""
-        return self.reconstruction if self.fused is None else None
+    def surface(self) -> Surface | None:
+        """The object's surface, world frame; None without one."""
+        # A mean field of several views has no single wall.
+        return surface_of(self.target, self.reconstruction if self.fused is None else None)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.models.bundled_success import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import reconstruction_for
 from pointsdf_cli.models.grasp_score import load_grasp_model
+from pointsdf_cli.models.processor import at_once, timed
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
@@ -41,14 +43,14 @@ from pointsdf_cli.planning.answer import (
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed, given_constraint, unseen_support
 from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.option_checks import PARTIAL_VIEW, RECONSTRUCTION
 from pointsdf_cli.planning.plan_artifact import no_plan, plan_of
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.reasons import few_grasps, never_held, too_large
 from pointsdf_cli.planning.resampled_views import redrawn
 from pointsdf_cli.planning.screen import narrowest
-from pointsdf_cli.planning.seeds import EITHER, GraspSampler
+from pointsdf_cli.planning.seeds import EITHER
+from pointsdf_cli.planning.success_model import SuccessModel
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import (
     EmptyFieldError,
@@ -59,27 +61,12 @@ from pointsdf_cli.planning.target import (
     missed_points,
     reconstructed_object,
     seen_object,
-    surface_of,
     with_seen_points,
 )
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 
 LOW_OBJECT = 0.03
 """An object lower than this [m] is grasped from the top first, as the paper's heuristic does."""
-
-
-class ObjectGrasps(GraspScore, GraspSampler, Protocol):
-    """Score and prior of the grasps of one object (models/grasp_score.py)."""
-
-
-class SuccessModel(Protocol):
-    """Protocol of a loaded success network."""
-
-    def on(
-        self, points: Array, T_world_camera: Array, field: Field | None = None, seed: int = 0
-    ) -> ObjectGrasps:
-        """The score of one object: points [N, 3] in the camera's frame, its pose in the world, and
-        the object's field in the world for features of its geometry."""
 
 
 Choose = Callable[
@@ -271,7 +258,8 @@ class GraspPlanner:
         points, choice = perceived.points, None
         if self._choose is not None:
             choice = self._choose(self.planner, perceived, environment, seed, surface)
-        outcome = self.planner.search(
+        search = partial(
+            self.planner.search,
             perceived.target,
             environment,
             start,
@@ -280,6 +268,11 @@ class GraspPlanner:
             rank=None if choice is None else choice.ranked,
             stop=None if choice is None else choice.stop,
         )
+        tasks: list[Callable[[], Any]] = [search]
+        if notes.surface:
+            tasks.append(partial(timed, perceived.surface))
+        outcome, *made = at_once(tasks)
+        drawn, seconds = made[0] if made else (None, 0.0)
         found = outcome.found
         if found.reason not in ("", "inverse_kinematics", "motion") and self.is_too_large(points):
             reason, sentence = too_large(narrowest(points), self.planner.geometry.hand.span)
@@ -290,12 +283,10 @@ class GraspPlanner:
             timings |= choice.timings
             timings["configuration"] += timings["rehearsal_surface"]
         timings |= dict(notes.timings)
-        drawn, warnings = None, list(notes.warnings)
+        warnings = list(notes.warnings)
         if notes.surface:
-            began = time.perf_counter()
-            drawn = surface_of(perceived.target, perceived.only_reconstruction)
             warnings += missed_points(drawn, points)
-            timings["surface"] = time.perf_counter() - began
+            timings["surface"] = seconds
         outcome = replace(outcome, found=found, timings=timings)
         rehearsed = None if choice is None else choice.of(outcome.best)
         if rehearsed is not None:

@@ -119,6 +119,25 @@ class GridField:
         """The nodes [N, 3] of the finest level whose values are negative, m."""
         return self._low + self.config.step * np.argwhere(self._values < 0)
 
+    def halved_at_surface(self, field: Field) -> tuple[Array, float]:
+        """Values [I, J, K] m on the nodes of halved cells, from the box's lowest corner, and their
+        step [m]: `field`'s own within a step of the surface, else interpolated."""
+        step, exact = self.config.step / 2, self._error == 0
+        wanted = _any_corner(self._values < 0) & _any_corner(self._values >= 0)
+        wanted |= _any_corner(np.abs(self._values) <= step)  # sheets between the nodes
+        known = np.zeros(2 * self._nodes - 1, dtype=bool)
+        known[::2, ::2, ::2] = exact
+        fine = _halve(self._values)
+        near = _corners_of(wanted.repeat(2, 0).repeat(2, 1).repeat(2, 2)) & (np.abs(fine) <= step)
+        new = np.argwhere(near & ~known)
+        fine[tuple(new.T)] = self._ask(field, new, step)
+        return fine, step
+
+    @property
+    def low(self) -> Array:
+        """Lowest corner [3] of the box, m."""
+        return self._low
+
     def _build(self, field: Field, cells: NDArray[np.int64], step: float) -> None:
         slope, band = SLOPE, self.config.band
         exact = np.ones(cells + 1, dtype=bool)

@@ -124,9 +124,7 @@ def _failed(why: str, attempts: int) -> Motion:
     return Motion(None, np.zeros((0, 0)), why, attempts)
 
 
-def _simple_path(
-    checker: PathChecker, chain: ArmChain, start: Array, goal: Array
-) -> Array | None:
+def _simple_path(checker: PathChecker, chain: ArmChain, start: Array, goal: Array) -> Array | None:
     """A free arm path [T, J] between two configurations with the same hand: the straight one, or
     one over a place above the goal; None if neither is free."""
     straight = np.stack([start, goal])

@@ -6,13 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import OK
-from pointsdf_cli.planning.answer import Answer, PlanNotes
+from pointsdf_cli.models.processor import at_once
+from pointsdf_cli.planning.answer import Answer, PerceivedObject, PlanNotes
 from pointsdf_cli.planning.cloud_checks import in_world
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
@@ -20,9 +22,10 @@ from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, rea
 from pointsdf_cli.planning.option_checks import RECONSTRUCTION
 from pointsdf_cli.planning.plan_request import Corners, PlanRequest, PlanResult
 from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
-from pointsdf_cli.planning.seen_obstacles import seen_obstacles
+from pointsdf_cli.planning.seen_obstacles import named_obstacles, obstacle_tasks
 from pointsdf_cli.planning.table_top import TableTop, label_table, look_at_table, workspace_of
 from pointsdf_cli.planning.take_order import Turn, take_order
+from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.start import start_configuration
 
 TABLE_OFF = 0.005
@@ -160,20 +163,36 @@ def _plan_for(
     if warn is not None:
         for sentence in warnings:
             warn(sentence)
-    seconds = 0.0
-    if request.others and len(seen.others):
-        network = planner.shape if request.obstacles == RECONSTRUCTION else None
-        known, seed = environment.obstacles, request.seed
-        beside, seconds = seen_obstacles(seen, network, [k.name for k in known], seed, cleaned)
-        report += _said_of(beside, network is not None, seconds)
-        environment = replace(environment, obstacles=(*known, *beside))
+    tasks: list[Callable[[], Any]] = [partial(_perceived, planner, seen, request)]
+    beside = request.others and len(seen.others) > 0
+    network = planner.shape if request.obstacles == RECONSTRUCTION else None
+    if beside:
+        tasks += obstacle_tasks(seen, network, request.seed, cleaned)
+    perceived, *found = at_once(tasks)
+    known = environment.obstacles
+    others, seconds = named_obstacles(found, [obstacle.name for obstacle in known])
+    if beside:
+        report += _said_of(others, network is not None, seconds)
+        environment = replace(environment, obstacles=(*known, *others))
     notes = PlanNotes(warnings, {"obstacles": seconds}, surface=True)
-    answer = planner.plan(seen.views, environment, q, request.seed, notes=notes)
+    if isinstance(perceived, EmptyFieldError):
+        answer = planner.nothing(perceived.what, notes)
+    else:
+        answer = planner.plan_seen(perceived, environment, q, request.seed, notes=notes)
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
     return TablePlan(
         answer, tuple(report), q, points, camera, environment.obstacles, tuple(warnings)
     )
+
+
+def _perceived(
+    planner: GraspPlanner, seen: TableTop, request: PlanRequest
+) -> PerceivedObject | EmptyFieldError:
+    try:
+        return planner.see(seen.views, request.seed, table=request.environment.table)
+    except EmptyFieldError as error:
+        return error
 
 
 def _without_object(

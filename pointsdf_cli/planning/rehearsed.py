@@ -27,11 +27,11 @@ from pointsdf_cli.planning.grasp_planner import (
     RECONSTRUCTION,
     GraspPlanner,
     PlanOptions,
-    SuccessModel,
 )
 from pointsdf_cli.planning.planner import PREFERRED_SLACK, Planner
 from pointsdf_cli.planning.resampled_views import ResampledViewCheck
 from pointsdf_cli.planning.seeds import MANY_SEEDS
+from pointsdf_cli.planning.success_model import SuccessModel
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.simulation.executor import ExecutorConfig

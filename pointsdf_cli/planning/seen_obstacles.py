@@ -6,8 +6,8 @@ from the view that shows it, with the evidence of that view.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from itertools import count
 
 import coal
@@ -25,12 +25,14 @@ from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.offset import offset_surface
 from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.models.meshing import mesh_reconstruction
+from pointsdf_cli.models.processor import at_once, timed
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed
 from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.planning.labelled_view import LabelledView, sighting
+from pointsdf_cli.planning.object_choice import Thing
 from pointsdf_cli.planning.robot_geometry import coal_mesh
 from pointsdf_cli.planning.table_top import WIDEST, TableTop, view_of
 
@@ -59,6 +61,10 @@ SMALLEST = 12
 at 1.2 m. Smaller groups are mostly noise on the table (docs/notebook.md)."""
 
 
+Found = tuple[list[Surface], float]
+"""Surfaces of things, and how long they took [s]."""
+
+
 def seen_obstacles(
     seen: TableTop,
     network: ShapeModel | None,
@@ -78,28 +84,44 @@ def seen_obstacles(
     Returns:
         The obstacles, called seen_1, seen_2, …, and how long they took [s].
     """
-    began = time.perf_counter()
+    return named_obstacles(at_once(obstacle_tasks(seen, network, seed, cleaned)), taken)
+
+
+def obstacle_tasks(
+    seen: TableTop, network: ShapeModel | None, seed: int = 0, cleaned: bool = True
+) -> list[Callable[[], Found]]:
+    """Tasks of `seen_obstacles`, which do not depend on each other."""
     if network is None:
-        surfaces = hulls(seen.others)
-    else:
-        surfaces = []
-        for labelled, target in seen.labelled:
-            for view in _other_views(labelled, target, cleaned):
-                stop_if_cancelled()
-                surfaces += obstacle_surfaces(network, view, seed)
-            surfaces += hulls(labelled.world[labelled.things.label == LOOSE])
+        return [partial(timed, hulls, seen.others)]
+    tasks: list[Callable[[], Found]] = []
+    for labelled, target in seen.labelled:
+        for thing in labelled.listed:
+            if thing.label != target:
+                tasks.append(partial(timed, _thing, network, labelled, thing, seed, cleaned))
+        tasks.append(partial(timed, hulls, labelled.world[labelled.things.label == LOOSE]))
+    return tasks
+
+
+def named_obstacles(
+    found: Sequence[Found], taken: Collection[str] = ()
+) -> tuple[tuple[Obstacle, ...], float]:
+    """The obstacles of `obstacle_tasks`' results, and how long they took in all [s]; `taken` are
+    names that other obstacles have."""
     names = (name for k in count(1) if (name := f"seen_{k}") not in taken)
     made = tuple(
         Obstacle(next(names), "mesh", (), np.eye(4), vertices, faces)
+        for surfaces, _ in found
         for vertices, faces in surfaces
     )
-    return made, time.perf_counter() - began
+    return made, sum(seconds for _, seconds in found)
 
 
-def _other_views(labelled: LabelledView, target: int, cleaned: bool) -> Iterator[View]:
-    for thing in labelled.listed:
-        if thing.label != target:
-            yield view_of(sighting(labelled, thing, cleaned, is_target=False))
+def _thing(
+    network: ShapeModel, labelled: LabelledView, thing: Thing, seed: int, cleaned: bool
+) -> list[Surface]:
+    stop_if_cancelled()
+    view = view_of(sighting(labelled, thing, cleaned, is_target=False))
+    return obstacle_surfaces(network, view, seed)
 
 
 def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Surface]:

@@ -37,7 +37,7 @@ def stands(field: Field, kept: GridField, solid: Array, low: Array, high: Array)
 
     Args:
         field: Signed distances, world, m.
-        kept: The same on a grid; where it rules out the inside, `field` is not evaluated.
+        kept: The same on a grid; `field` is evaluated where its bounds do not tell.
         solid: [N, 3], points spread evenly over its inside, m.
         low, high: [3], a box around the body [m].
     """
@@ -48,6 +48,8 @@ def stands(field: Field, kept: GridField, solid: Array, low: Array, high: Array)
     heights = np.arange(FINE / 2, FOOT, FINE)
     places = np.stack(np.meshgrid(*axes, heights, indexing="ij"), axis=-1).reshape(-1, 3)
     value, bound = kept.with_bound(places)
+    if _above(places[value + bound < 0, :2], centre):
+        return True
     places = places[value - bound < 0]
     return _above(places[field(places) < 0, :2], centre)
 

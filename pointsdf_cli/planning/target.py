@@ -12,13 +12,6 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.field import Field
-from pointsdf_cli.geometry.isosurface import (
-    MAX_RESOLUTION,
-    EmptySurfaceError,
-    IsosurfaceConfig,
-    extract_isosurface,
-)
-from pointsdf_cli.geometry.mise import SearchRules
 from pointsdf_cli.geometry.smoothing import taubin_smooth
 from pointsdf_cli.models.meshing import SMOOTHING, mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
@@ -31,6 +24,7 @@ from pointsdf_cli.planning.fields import (
     UnionField,
 )
 from pointsdf_cli.planning.grid import GridConfig, GridField, surface_box
+from pointsdf_cli.planning.grid_surface import grid_surface
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.partial_view import partial_mesh
 from pointsdf_cli.planning.seeds import GraspSampler
@@ -49,9 +43,6 @@ CELLS_ACROSS = 5
 """Number of cells across the thinnest side of an object: a fork lies between the nodes of a grid
 that is fine enough for a box."""
 
-
-COARSE_CELLS = 16
-"""Number of cells along the box in the first search for a surface."""
 
 MISSED, MOST_MISSED = 0.008, 0.2
 """Seen points farther than this [m] from the nearest vertex of the surface are missed, and the
@@ -259,8 +250,6 @@ def absent_object(points: Array) -> ObjectField:
 
 COARSE_RESOLUTION = 64
 """Cells along the box of a vessel's handle."""
-CELL = 0.004
-"""Side of the cells of marching cubes [m]."""
 
 
 def surface_of(target: Target, reconstruction: Reconstruction | None = None) -> Surface | None:
@@ -274,26 +263,10 @@ def surface_of(target: Target, reconstruction: Reconstruction | None = None) -> 
     if reconstruction is not None and reconstruction.vessel is not None:
         wall = mesh_reconstruction(reconstruction, COARSE_RESOLUTION)
         return wall.vertices, wall.faces
-    middle, side = (target.low + target.high) / 2, float((target.high - target.low).max())
-    cells = COARSE_CELLS
-    while cells * CELL < side and cells < MAX_RESOLUTION:
-        cells *= 2
-    half = max(cells * CELL, side) / 2
-    config = IsosurfaceConfig(
-        cells,
-        coarse=COARSE_CELLS,
-        half_width=half,
-        rules=SearchRules(slope=1.0),
-        newton=False,
-        smallest_part=0.0,
-    )
-    # Not of the field on its grid: that has no inside where walls are thin.
     field = target.quick or target.field
-    try:
-        made = extract_isosurface(lambda x: field(x.astype(np.float64) + middle), config)
-    except EmptySurfaceError:
-        return None
-    return taubin_smooth(made.vertices + middle, made.faces, SMOOTHING), made.faces
+    grid = target.kept or GridField(field, target.low, target.high, KEPT_GRID)
+    surface = grid_surface(grid, field)
+    return surface and (taubin_smooth(*surface, SMOOTHING), surface[1])
 
 
 def missed_points(surface: Surface | None, seen: Array) -> list[str]:

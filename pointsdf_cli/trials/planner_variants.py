@@ -27,13 +27,12 @@ from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
 from pointsdf_cli.planning.grasp_planner import (
     GraspPlanner,
-    ObjectGrasps,
     PlanOptions,
-    SuccessModel,
 )
 from pointsdf_cli.planning.partial_view import partial_mesh
 from pointsdf_cli.planning.rehearsed import believed_surface, rehearsed_planner
 from pointsdf_cli.planning.seen_obstacles import seen_obstacles
+from pointsdf_cli.planning.success_model import ObjectGrasps, SuccessModel
 from pointsdf_cli.planning.table_top import TableTop
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import load_robot
