@@ -120,6 +120,13 @@ def test_farthest_points_of_a_line_are_its_ends_then_its_middle() -> None:
     assert farthest_point_order(line, 3)[0].tolist() == [0, 100, 50]
 
 
+def test_one_cloud_has_the_order_that_it_has_among_others() -> None:
+    clouds = torch.randn(3, 1000, 3, generator=torch.Generator().manual_seed(5))
+    together = farthest_point_order(clouds, 256)
+    alone = [farthest_point_order(cloud[None], 256) for cloud in clouds]
+    assert torch.equal(torch.cat(alone), together)
+
+
 def test_farthest_points_are_nested_and_distinct() -> None:
     cloud = _cloud(0, 2, 300)
     long, short = farthest_point_order(cloud, 64), farthest_point_order(cloud, 16)

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from pointsdf_cli.models.search_trees import nearest_by_tree
@@ -117,6 +119,8 @@ def farthest_point_order(points: Tensor, count: int) -> Tensor:
         int64 indices [B, count].
     """
     batch, total, _ = points.shape
+    if batch == 1 and points.device.type == "cpu":
+        return torch.from_numpy(_order_of_one(points[0].detach().float().numpy(), count))[None]
     # Coordinates first: the inner loop then runs along contiguous memory.
     coordinates = points.float().transpose(1, 2).contiguous()
     order = torch.empty(batch, count, dtype=torch.int64, device=points.device)
@@ -127,6 +131,21 @@ def farthest_point_order(points: Tensor, count: int) -> Tensor:
         chosen = coordinates.gather(2, current[:, None, None].expand(-1, 3, 1))
         nearest = torch.minimum(nearest, (coordinates - chosen).square_().sum(1))
         current = nearest.argmax(1)
+    return order
+
+
+def _order_of_one(points: NDArray[np.float32], count: int) -> NDArray[np.int64]:
+    """The same of one cloud [N, 3]: NumPy's operations on a thousand numbers take a third of
+    PyTorch's time, and give the same values."""
+    x, y, z = np.ascontiguousarray(points.T)
+    order = np.empty(count, dtype=np.int64)
+    nearest = np.full(len(points), np.inf, dtype=np.float32)
+    current = 0
+    for step in range(count):
+        order[step] = current
+        across, along, up = x - x[current], y - y[current], z - z[current]
+        np.minimum(nearest, across * across + along * along + up * up, out=nearest)
+        current = int(nearest.argmax())
     return order
 
 
