@@ -15,9 +15,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.models.bundled_success import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import reconstruction_for
 from pointsdf_cli.models.grasp_score import load_grasp_model
-from pointsdf_cli.models.processor import at_once, timed
+from pointsdf_cli.models.processor import timed
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
@@ -258,8 +257,7 @@ class GraspPlanner:
         points, choice = perceived.points, None
         if self._choose is not None:
             choice = self._choose(self.planner, perceived, environment, seed, surface)
-        search = partial(
-            self.planner.search,
+        outcome = self.planner.search(
             perceived.target,
             environment,
             start,
@@ -268,11 +266,6 @@ class GraspPlanner:
             rank=None if choice is None else choice.ranked,
             stop=None if choice is None else choice.stop,
         )
-        tasks: list[Callable[[], Any]] = [search]
-        if notes.surface:
-            tasks.append(partial(timed, perceived.surface))
-        outcome, *made = at_once(tasks)
-        drawn, seconds = made[0] if made else (None, 0.0)
         found = outcome.found
         if found.reason not in ("", "inverse_kinematics", "motion") and self.is_too_large(points):
             reason, sentence = too_large(narrowest(points), self.planner.geometry.hand.span)
@@ -283,10 +276,10 @@ class GraspPlanner:
             timings |= choice.timings
             timings["configuration"] += timings["rehearsal_surface"]
         timings |= dict(notes.timings)
-        warnings = list(notes.warnings)
+        drawn, warnings = None, list(notes.warnings)
         if notes.surface:
+            drawn, timings["surface"] = timed(perceived.surface)
             warnings += missed_points(drawn, points)
-            timings["surface"] = seconds
         outcome = replace(outcome, found=found, timings=timings)
         rehearsed = None if choice is None else choice.of(outcome.best)
         if rehearsed is not None:
