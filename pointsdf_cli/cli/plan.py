@@ -41,8 +41,8 @@ def plan(
         typer.Option(
             metavar="N|U,V|X,Y,Z|any",
             help="The object: its number in the list of `rgrasp segment`, a pixel, a place in the "
-            "world [m], or any: the first that can be grasped [default: the most reachable one "
-            "near the middle of the image].",
+            "world [m], or any: the first that can be grasped [default: of those within "
+            "reach the nearest to the middle of the image].",
         ),
     ] = None,
     camera_pose: Annotated[
