@@ -20,7 +20,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.plans import OK
-from pointsdf_cli.planning import completed_views
+from pointsdf_cli.models import reconstruction as reconstruction_module
 from pointsdf_cli.planning.fields import (
     MeanField,
     NearField,
@@ -169,7 +169,7 @@ def test_two_views_are_the_mean_of_both_and_what_they_saw(planner: GraspPlanner)
     other = can_view(2.0)
     first, second = (planner.see([view]) for view in (VIEW, other))
     joint = planner.see([VIEW, other])
-    completed = [ReconstructionField(s.reconstruction.in_float32) for s in (first, second)]
+    completed = [ReconstructionField(s.reconstruction) for s in (first, second)]
     both = UnionField(MeanField(completed), SeenField(joint.points))
     points = np.random.default_rng(0).uniform(-0.08, 0.08, (50, 3)) + CAN
     np.testing.assert_allclose(joint.target.field(points), both(points), atol=1e-6)
@@ -266,15 +266,18 @@ def test_the_surface_is_where_the_field_is_zero() -> None:
     assert trimesh.Trimesh(*made).is_watertight
 
 
-def test_surfaces_come_from_quick_products_and_constraints_from_exact_ones(
+def test_pictures_come_from_quick_products_and_plans_from_exact_ones(
     planner: GraspPlanner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(completed_views, "fast_products", lambda device: torch.bfloat16)
+    monkeypatch.setattr(reconstruction_module, "fast_products", lambda device: torch.bfloat16)
     quick = planner.see([VIEW]).target
-    monkeypatch.setattr(completed_views, "fast_products", lambda device: None)
+    monkeypatch.setattr(reconstruction_module, "fast_products", lambda device: None)
     exact = planner.see([VIEW]).target
     points = np.random.default_rng(0).uniform(-0.08, 0.08, (200, 3)) + CAN
     np.testing.assert_allclose(quick.field(points), exact.field(points), atol=1e-6)
+    assert quick.kept is not None
+    assert exact.kept is not None
+    np.testing.assert_allclose(quick.kept(points), exact.kept(points), atol=1e-6)
     assert quick.quick is not None
     off = np.abs(quick.quick(points) - exact.field(points))
     assert 0 < off.max() < 0.001

@@ -23,7 +23,13 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.models.normalise import network_frame
-from pointsdf_cli.models.processor import even_parts, in_steps, one_thread, side_by_side
+from pointsdf_cli.models.processor import (
+    even_parts,
+    fast_products,
+    in_steps,
+    one_thread,
+    side_by_side,
+)
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 from pointsdf_cli.models.surroundings import surroundings_of
 from pointsdf_cli.models.vessel_field import VesselField, vessel_in
@@ -130,9 +136,9 @@ class Reconstruction:
         return replace(self, low_precision=(precision, reduced))
 
     @property
-    def in_float32(self) -> Reconstruction:
-        """The same with products in float32."""
-        return self if self.low_precision is None else replace(self, low_precision=None)
+    def in_fast_precision(self) -> Reconstruction:
+        """The same in the processor's fastest precision."""
+        return self.in_precision(fast_products(self.encoding.embedding.device))
 
     def sdf(self, x: ArrayLike, chunk: int = CHUNK) -> NDArray[np.float32]:
         """Signed distances, m.

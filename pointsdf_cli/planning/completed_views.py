@@ -10,7 +10,6 @@ import numpy as np
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
-from pointsdf_cli.models.processor import fast_products
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.grid import GridConfig
@@ -19,9 +18,8 @@ from pointsdf_cli.planning.target import ObjectField, absent_object, given_objec
 
 
 def completed(network: ShapeModel, view: View, seed: int | Sequence[int]) -> Reconstruction:
-    """The object of one view in the world, from points sampled with `seed`; in the processor's
-    fastest precision."""
-    made = Reconstruction.from_cloud(
+    """The object of one view in the world, from points sampled with `seed`."""
+    return Reconstruction.from_cloud(
         network,
         view.in_world,
         view.T_world_camera[:3, 3],
@@ -29,13 +27,12 @@ def completed(network: ShapeModel, view: View, seed: int | Sequence[int]) -> Rec
         seed,
         view.evidence,
     )
-    return made.in_precision(fast_products(made.encoding.embedding.device))
 
 
 def unseen_support(shape: ObjectField, views: Sequence[View]) -> Array:
     """Points [M, 3] in unseen space below a shape that could not stand; none if it could."""
     solid = shape.kept.inside()
-    if not len(solid) or stands(shape.quick, shape.kept, solid, shape.low, shape.high):
+    if not len(solid) or stands(shape.field, shape.kept, solid, shape.low, shape.high):
         return np.zeros((0, 3))
     return hidden_below(solid, [(view.T_world_camera[:3, 3], view.in_world) for view in views])
 

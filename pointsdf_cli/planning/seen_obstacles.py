@@ -134,7 +134,7 @@ def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Su
     points = points[thin(points, VOXEL).first] if len(points) else points
     if len(points) < FEWEST_MISSED or level_width(points) > WIDEST:
         return hulls(points)
-    shape = completed(network, view, seed)
+    shape = completed(network, view, seed).in_fast_precision
     try:
         vertices, faces = _enlarged(shape)
     except EmptySurfaceError:

@@ -72,9 +72,10 @@ class ObjectField:
 
     Attributes:
         field: Its signed distance field, world frame.
-        quick: The same field in the processor's fastest precision, for surfaces.
+        quick: The same field in the processor's fastest precision, for pictures. Where nothing was
+            seen the field is nearly flat, and its errors there change plans.
         low, high: [3], a box [m] around its surface.
-        kept: The quick field on a grid, for frequent evaluations that need not be exact.
+        kept: The field on a grid, for frequent evaluations that need not be exact.
     """
 
     field: Field
@@ -101,7 +102,7 @@ class Target:
         score: Score of its grasps.
         prior: Source of seeds.
         kept: The field on a grid; the planner makes one where it is None.
-        quick: The field for surfaces; `field` where it is None.
+        quick: The field for pictures; `field` where it is None.
     """
 
     field: Field
@@ -165,12 +166,10 @@ def enclosing(
 
 
 def _near(shape: ObjectField, reconstructions: Sequence[Reconstruction]) -> ObjectField:
-    """The object of a quick field, with its exact field, both asked near its box only."""
-    quick = NearField(shape.field, shape.low, shape.high)
-    if all(each.low_precision is None for each in reconstructions):
-        return replace(shape, field=quick, quick=quick)
-    exact = _mean_field([each.in_float32 for each in reconstructions])
-    return replace(shape, field=NearField(exact, shape.low, shape.high), quick=quick)
+    """The object with its field and the field's quick version, both asked near its box only."""
+    quick = _mean_field([each.in_fast_precision for each in reconstructions])
+    field, quick = (NearField(each, shape.low, shape.high) for each in (shape.field, quick))
+    return replace(shape, field=field, quick=quick)
 
 
 def completed_field(reconstructions: Sequence[Reconstruction]) -> Field:
