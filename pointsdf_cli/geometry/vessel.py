@@ -47,8 +47,10 @@ FEWEST, SMALLEST = 100, 0.005
 """Least number of points, and least extent [m] of a cloud that is looked at."""
 UPRIGHT = 2.0
 """Preference for an axis along the support plane's normal, as a ratio of residuals."""
-BRIEF, CLOSE = 3, 1.3
-"""Rounds after which only starts within this ratio of the best one's cost are refined further."""
+BRIEF = 3
+"""Number of rounds of pairing for every start of the axis."""
+CLOSE = 1.3
+"""Starts are refined further if their cost is then at most this many times the best one's."""
 FACING = 0.25
 """Least component of a wall's normal towards or away from the axis."""
 FEWEST_INSIDE = 0.02

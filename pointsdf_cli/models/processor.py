@@ -96,14 +96,15 @@ values must not depend on the number of threads."""
 
 
 def at_once(tasks: Sequence[Callable[[], T]]) -> list[T]:
-    """Results of tasks, in order. As many run at a time as PyTorch has threads, one thread each:
-    short operations gain more from it than from being split.
+    """Run tasks side by side, each on one of PyTorch's threads; return their results in order.
+
+    For tasks of many short operations, which are not faster when each is split between threads.
 
     Args:
-        tasks: Functions that do not depend on each other. A free thread begins the next one.
+        tasks: Functions that do not depend on each other.
 
     Raises:
-        Exception: A task's own, the first in order; the others end first.
+        Exception: Of the first task in order that failed, after all have ended.
     """
     threads = min(torch.get_num_threads(), len(tasks))
     if threads <= 1:

@@ -1,4 +1,4 @@
-"""Surface of a field that is known on a grid already: one more query, for nodes between."""
+"""Surface of a field from its grid: the field is evaluated once more, between the grid's nodes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def grid_surface(grid: GridField, field: Field) -> Surface | None:
 
     Args:
         grid: The field on a grid.
-        field: The field, which is asked near the surface.
+        field: The field; evaluated near the surface.
 
     Returns:
         None where the field is nowhere negative.

@@ -27,9 +27,8 @@ from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.lift import lift_path
 
 ABOVE = (0.1, 0.2, 0.3)
-"""Heights [m] above the beginning of the approach over which the arm may come, tried in turn. In
-clutter and on an empty table it nearly always can, in a fifth of a search's time
-(docs/notebook.md)."""
+"""Heights [m] of a place above the beginning of the approach, tried in turn. A way over such a
+place is nearly always free, and found in a fifth of a search's time (docs/notebook.md)."""
 LONGEST_EDGE = 0.8
 """Longest edge of the tree [rad]: longer ones are seldom free."""
 SHORTCUTS = 30

@@ -216,8 +216,8 @@ class Planner:
         """Motion searches in turn: number of the candidate, checker, effort.
 
         The best few get a brief search before any gets a thorough one: if the way to one is narrow,
-        the next is hardly worse and often reached at once. Brief searches first keep the grasp's
-        own distance to the object, at most the margin, then the clearance.
+        the next is hardly worse and often reached at once. The first brief searches keep the
+        grasp's own distance to the object, at most the margin; the second ones the clearance.
         """
         thorough, least = self.config.motion, self.config.clearances.object
         brief = replace(thorough, attempts=1, checks=QUICK_CHECKS)
