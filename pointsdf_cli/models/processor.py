@@ -104,7 +104,7 @@ def at_once(tasks: Sequence[Callable[[], T]]) -> list[T]:
         tasks: Functions that do not depend on each other.
 
     Raises:
-        Exception: Of the first task in order that failed, after all have ended.
+        Exception: The error of the first task that failed, after all tasks have ended.
     """
     threads = min(torch.get_num_threads(), len(tasks))
     if threads <= 1:
