@@ -131,7 +131,8 @@ def test_values_do_not_depend_on_the_number_of_threads(mug: Reconstruction, coun
     torch.set_num_threads(before)
     for values, values_too, gradients in answers:
         assert np.array_equal(values, answers[0][0])
-        assert np.array_equal(values_too, values)
+        assert np.array_equal(values_too, answers[0][1])
+        assert np.abs(values_too - values).max() < 1e-7  # products by another library
         assert np.array_equal(gradients, answers[0][2])
 
 

@@ -68,14 +68,15 @@ def test_a_can_gets_a_plan_with_a_motion(planner: Planner, plan: Plan, tmp_path:
     np.testing.assert_allclose(plan.T_world_palm[:3, :3], rotation[0], atol=1e-12)
     assert plan.link_clearance_object.min() >= 0.001
     assert plan.link_clearance_table.min() >= 0.002
-    # Every link's distance is the least of its samples', near or far.
+    # Every link's distance is the least of its samples': exact where it is small.
     poses, patches = link_poses(planner.kinematics, plan.q[None]), planner.geometry.patches
     for name, said in zip(plan.link_names, plan.link_clearance_object, strict=True):
         link = planner.kinematics.index(name)
         points = patches.points[patches.link == link].reshape(-1, 3)
         if len(points):
             points = points @ poses.rotation[0, link].T + poses.position[0, link]
-            assert said == pytest.approx(float(target().field(points).min()), abs=1e-9)
+            least = float(target().field(points).min())
+            assert said == pytest.approx(least, abs=1e-9 if least < 0.005 else 0.01 + 0.3 * least)
     assert plan.link_clearance_object.max() > 0.1
     write_plan(tmp_path / "plan.h5", plan, seed=0)
     assert read_plan(tmp_path / "plan.h5").status == "ok"

@@ -16,8 +16,13 @@ CPU = torch.device("cpu")
 
 @pytest.fixture(autouse=True)
 def _asked_anew() -> Iterator[None]:
-    processor.bfloat16_is_faster.cache_clear()
+    forget()
     yield
+    forget()
+
+
+def forget() -> None:
+    processor.cpu_features.cache_clear()
     processor.bfloat16_is_faster.cache_clear()
 
 

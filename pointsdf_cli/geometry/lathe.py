@@ -1,12 +1,13 @@
 """Body of revolution: signed distance of an outline that is turned about an axis.
 
-The distance in space is the distance in the half plane of radius and height. It is tabulated there
-once and interpolated, so that a query costs two lookups.
+The distance in space is the distance in the half plane of radius and height. For many queries it is
+tabulated there once and interpolated, so that a query costs two lookups.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,23 @@ class Table(NamedTuple):
     sides: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Half of a body of revolution's section.
+
+    Attributes:
+        outline: [K, 2], radius and height [m], counter-clockwise from the axis back to the axis;
+            its ends have radius 0.
+    """
+
+    outline: Array
+
+    @cached_property
+    def table(self) -> Table:
+        """Its distances, made when first asked for: 20 ms."""
+        return _table(self.outline)
+
+
 @dataclass(frozen=True)
 class Lathe:
     """A body of revolution.
@@ -44,25 +62,32 @@ class Lathe:
     Attributes:
         direction: [3], of unit length.
         point: [3], on the axis at height 0, m.
-        outline: [K, 2], radius and height [m], counter-clockwise from the axis back to the axis;
-            its ends have radius 0.
-        table: Its distances.
+        profile: Half of its section.
     """
 
     direction: Array
     point: Array
-    outline: Array
-    table: Table
+    profile: Profile
 
     @classmethod
     def of(cls, direction: Array, point: Array, outline: Array) -> Lathe:
-        """Turn an outline about an axis; see the attributes."""
-        return cls(direction, point, outline, _table(outline))
+        """Turn an outline [K, 2] about an axis; see the attributes."""
+        return cls(direction, point, Profile(outline))
+
+    @property
+    def outline(self) -> Array:
+        """Outline [K, 2] of the profile."""
+        return self.profile.outline
 
     def sdf(self, points: Array) -> Array:
         """Signed distances [N] m at points [N, 3], negative inside."""
         radius, height, _ = self._place(points)
         return self._look_up(radius, height)[0]
+
+    def exact_sdf(self, points: Array) -> Array:
+        """The same without the table, for up to some thousand points."""
+        radius, height, _ = self._place(points)
+        return _signed_distance(np.stack([radius, height], axis=1), self.outline)
 
     def sdf_and_gradient(self, points: Array) -> tuple[Array, Array]:
         """Signed distances [N] m and their gradients [N, 3]."""
@@ -115,7 +140,7 @@ class Lathe:
 
     def _look_up(self, radius: Array, height: Array) -> tuple[Array, Array, Array]:
         """Values [N] and their derivatives [N] by radius and height."""
-        values, low, sides = self.table
+        values, low, sides = self.profile.table
         place = (np.stack([radius, height], axis=1) - low) / sides
         inside = np.clip(place, 0.0, np.array(CELLS))
         beyond = (place - inside) * sides
@@ -144,9 +169,13 @@ def _table(outline: Array) -> Table:
     sides = (high - low) / CELLS
     radii, heights = (low[k] + sides[k] * np.arange(CELLS[k] + 1) for k in (0, 1))
     places = np.stack(np.meshgrid(radii, heights, indexing="ij"), axis=-1).reshape(-1, 2)
-    distance = outline_distance(places, outline).reshape(len(radii), len(heights))
-    inside = np.stack([_inside(radii, height, outline) for height in heights], axis=1)
-    return Table(np.where(inside, -distance, distance), low, sides)
+    values = _signed_distance(places, outline).reshape(len(radii), len(heights))
+    return Table(values, low, sides)
+
+
+def _signed_distance(places: Array, outline: Array) -> Array:
+    distance = outline_distance(places, outline)
+    return np.where(_inside(places, outline), -distance, distance)
 
 
 def outline_distance(places: Array, outline: Array) -> Array:
@@ -167,11 +196,12 @@ def outline_distance(places: Array, outline: Array) -> Array:
     return np.asarray(np.sqrt((gap * gap).sum(axis=-1).min(axis=1)))
 
 
-def _inside(radii: Array, height: float, outline: Array) -> Mask:
-    """Whether places of these radii [R] at one height are inside: to larger radii the outline is
-    crossed an odd number of times."""
-    begin, end = outline[:-1], outline[1:]
-    crossed = (begin[:, 1] > height) != (end[:, 1] > height)
-    begin, way = begin[crossed], end[crossed] - begin[crossed]
-    at = begin[:, 0] + way[:, 0] * (height - begin[:, 1]) / way[:, 1]
-    return np.asarray((radii[:, None] < at).sum(axis=1) % 2 == 1)
+def _inside(places: Array, outline: Array) -> Mask:
+    """Whether radii and heights [N, 2] are inside: to larger radii the outline is crossed an odd
+    number of times."""
+    begin, way = outline[:-1], np.diff(outline, axis=0)
+    above = outline[:, 1] > places[:, 1:]
+    row, segment = np.nonzero(above[:, :-1] != above[:, 1:])
+    share = (places[row, 1] - begin[segment, 1]) / way[segment, 1]
+    beyond = places[row, 0] < begin[segment, 0] + way[segment, 0] * share
+    return np.asarray(np.bincount(row[beyond], minlength=len(places)) % 2 == 1)

@@ -106,7 +106,8 @@ class Vessel:
         away, turn, up = np.random.default_rng(0).random((3, 8 * count))
         radius = self.filled.radius * np.sqrt(away)
         places = self.wall.at(radius, low + (high - low) * up, 2 * np.pi * turn)
-        inside = (self.wall.sdf(places) > CLEAR) & (self.filled.sdf(places) < -CLEAR)
+        outside = self.wall.exact_sdf(places) > CLEAR
+        inside = outside & (self.filled.exact_sdf(places) < -CLEAR)
         return places[inside][:count]
 
 
@@ -146,9 +147,9 @@ def fit_vessel(points: Array, support_plane: Array | None = None) -> Vessel:
     wall = Lathe.of(fit.direction, fit.point, outline.wall)
     filled = Lathe.of(fit.direction, fit.point, outline.filled)
     _check_floor(few, wall, outline, base is not None)
-    beyond = filled.sdf(few) > max(0.006, 3 * tolerance)
+    beyond = filled.exact_sdf(few) > max(0.006, 3 * tolerance)
     near = max(0.002, 2 * tolerance, NEAR_WALL * wall.radius)
-    on_wall = np.abs(wall.sdf(few)) < near
+    on_wall = np.abs(wall.exact_sdf(few)) < near
     if beyond.mean() > MOST_OTHERS or on_wall[~beyond].mean() < ON_WALL:
         raise NoVesselError("the wall misses points")
     others = few[beyond] if beyond.sum() >= FEWEST_OTHERS else few[:0]

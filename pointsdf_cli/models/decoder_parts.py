@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from pointsdf_cli.models.linear import Linear
 from pointsdf_cli.models.neighbours import gather
 
 HEADS = 4
@@ -20,10 +21,10 @@ class LocalFeatures(nn.Module):
     def __init__(self, channels: int, width: int, dimensions: int, radius: float) -> None:
         super().__init__()
         self.inverse_radius = 1.0 / radius
-        self.from_features = nn.Linear(channels, width)
-        self.from_offset = nn.Linear(dimensions, width, bias=False)
-        self.score = nn.Linear(width, HEADS)
-        self.out = nn.Linear(HEADS * width, width)
+        self.from_features = Linear(channels, width)
+        self.from_offset = Linear(dimensions, width, bias=False)
+        self.score = Linear(width, HEADS)
+        self.out = Linear(HEADS * width, width)
 
     def table(self, features: Tensor, centres: Tensor) -> Tensor:
         """[B, M, width] from features [B, M, C] at centres [B, M, 3]."""
@@ -51,9 +52,9 @@ class CentreAttention(nn.Module):
         super().__init__()
         self.heads, self.size = heads, HEAD_SIZE
         self.norm = nn.LayerNorm(width)
-        self.query = nn.Linear(width, heads * HEAD_SIZE)
-        self.key_value = nn.Linear(channels + 3, 2 * heads * HEAD_SIZE)
-        self.out = nn.Linear(heads * HEAD_SIZE, width)
+        self.query = Linear(width, heads * HEAD_SIZE)
+        self.key_value = Linear(channels + 3, 2 * heads * HEAD_SIZE)
+        self.out = Linear(heads * HEAD_SIZE, width)
 
     def keys_and_values(self, features: Tensor, centres: Tensor) -> dict[str, Tensor]:
         """Keys and values [B, heads, M, size] of features [B, M, C] at centres [B, M, 3]."""
@@ -75,8 +76,8 @@ class ResidualBlock(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(width)
-        self.first = nn.Linear(width, width)
-        self.second = nn.Linear(width, width)
+        self.first = Linear(width, width)
+        self.second = Linear(width, width)
 
     def forward(self, h: Tensor) -> Tensor:
         return h + self.second(torch.nn.functional.gelu(self.first(self.norm(h))))

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from pointsdf_cli.models.linear import Linear
 from pointsdf_cli.models.neighbours import gather
 
 
@@ -66,8 +67,8 @@ class PointConv(nn.Module):
         super().__init__()
         *hidden, out_channels = mlp
         self.inverse_radius = 1.0 / radius
-        self.from_offset = nn.Linear(3, hidden[0], bias=False)
-        self.from_features = nn.Linear(in_channels, hidden[0]) if in_channels else None
+        self.from_offset = Linear(3, hidden[0], bias=False)
+        self.from_features = Linear(in_channels, hidden[0]) if in_channels else None
         self.bias = None if in_channels else nn.Parameter(torch.zeros(hidden[0]))
         inner_norm = norm if norm == "batch" else "none"
         self.first_norm = ChannelNorm(hidden[0], inner_norm)
@@ -75,22 +76,22 @@ class PointConv(nn.Module):
             *[
                 layer
                 for a, b in itertools.pairwise(hidden)
-                for layer in (nn.Linear(a, b), ChannelNorm(b, inner_norm), nn.ReLU())
+                for layer in (Linear(a, b), ChannelNorm(b, inner_norm), nn.ReLU())
             ]
         )
         widths = [3, *weight_hidden, weight_channels]
         layers: list[nn.Module] = []
         for step, (a, b) in enumerate(itertools.pairwise(widths)):
-            layers += [nn.Linear(a, b), ChannelNorm(b, inner_norm)]
+            layers += [Linear(a, b), ChannelNorm(b, inner_norm)]
             if norm == "batch" or step < len(widths) - 2:
                 layers.append(nn.ReLU())
         self.weight_net = nn.Sequential(*layers)
         self.density_net = (
-            nn.Sequential(nn.Linear(1, 16), nn.ReLU(), nn.Linear(16, 1), nn.Sigmoid())
+            nn.Sequential(Linear(1, 16), nn.ReLU(), Linear(16, 1), nn.Sigmoid())
             if density
             else None
         )
-        self.out = nn.Linear(hidden[-1] * weight_channels, out_channels)
+        self.out = Linear(hidden[-1] * weight_channels, out_channels)
         self.out_norm = ChannelNorm(out_channels, norm)
 
     def forward(

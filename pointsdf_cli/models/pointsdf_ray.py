@@ -23,6 +23,7 @@ from torch import Tensor, nn
 
 from pointsdf_cli.models.box_frame import BOX_SIZE, BoxFrame, box_evidence, box_frame
 from pointsdf_cli.models.decoder_parts import CentreAttention, LocalFeatures, ResidualBlock
+from pointsdf_cli.models.linear import Linear
 from pointsdf_cli.models.neighbours import (
     SEARCHES,
     farthest_point_order,
@@ -117,20 +118,20 @@ class PointSDFRay(ShapeModel):
             )
         )
         self.to_embedding = nn.Sequential(
-            nn.Linear(centres[-1] * channels[-1], self.embedding_size),
+            Linear(centres[-1] * channels[-1], self.embedding_size),
             nn.LayerNorm(self.embedding_size),
             nn.ReLU(),
         )
         self.local_fine = LocalFeatures(channels[0], local, dimensions=3, radius=0.1)
         self.local_coarse = LocalFeatures(channels[1], local, dimensions=3, radius=0.2)
         self.local_image = LocalFeatures(channels[1], local, dimensions=3, radius=0.2)
-        self.enter = nn.Linear(self._input_size(), width)
-        self.embed_first = nn.Linear(self.embedding_size, width)
-        self.embed_middle = nn.Linear(self.embedding_size, width)
+        self.enter = Linear(self._input_size(), width)
+        self.embed_first = Linear(self.embedding_size, width)
+        self.embed_middle = Linear(self.embedding_size, width)
         self.attention = CentreAttention(width, channels[2], heads) if heads else None
         self.trunk = nn.ModuleList(ResidualBlock(width) for _ in range(blocks))
         self.leave_norm = nn.LayerNorm(width)
-        self.leave = nn.Linear(width, 1)
+        self.leave = Linear(width, 1)
         frequencies = 2.0 ** torch.arange(OCTAVES) * torch.pi
         self.register_buffer("frequencies", frequencies, persistent=False)
 

@@ -36,8 +36,9 @@ from pointsdf_cli.models.vessel_field import VesselField, vessel_in
 
 CHUNK = 4096
 """Number of queries decoded at once: small enough for intermediate layers to stay in the cache."""
-STEP = 128
-"""Queries in bfloat16 are decoded in multiples of this."""
+STEP, FINE_STEP = 128, 16
+"""Queries are decoded in multiples of the first, few queries in multiples of the second: oneDNN
+makes a kernel for each number of rows."""
 
 
 @dataclass(frozen=True)
@@ -180,9 +181,8 @@ class Reconstruction:
         dtype, encoding = self.low_precision or (None, self.encoding)
 
         def values_of(part: Tensor) -> Tensor:
-            if dtype is None:
-                return self.model.decode(encoding, part[None])[0]
-            return self.model.decode(encoding, in_steps(part, STEP)[None])[0, : len(part)]
+            step = STEP if len(part) > STEP // 2 else FINE_STEP
+            return self.model.decode(encoding, in_steps(part, step)[None])[0, : len(part)]
 
         with torch.autocast(places.device.type, dtype, enabled=dtype is not None):
             values = side_by_side(values_of, parts)

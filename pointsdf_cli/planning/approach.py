@@ -66,6 +66,8 @@ def _straight(
     path = path[: 1 + np.logical_and.accumulate(within & (off <= DEVIATION)).sum()]
     whole = np.tile(q, (len(path), 1))
     whole[:, robot.arm] = path
+    if checker.is_free(whole):
+        return whole
     free = 1
     while free < len(whole) and checker.is_free(whole[free - 1 : free + 1]):
         free += 1

@@ -116,6 +116,13 @@ class GraspProblem:
         other._margin = np.where(self.is_object, clearance, self._margin)
         return other
 
+    def violations(self, x: Array) -> Array:
+        """Negative part of the slack [4, B] of each kind of constraint at x [B, n], in the order of
+        `Residuals`; cheaper than `residuals`, as only what is too near is measured exactly."""
+        near, reach = copy(self), max(vars(self.clearances).values())
+        near.object, near.bodies = self.object.with_reach(reach), self.bodies.with_reach(reach)
+        return np.minimum(0.0, np.stack(near.residuals(x)))
+
     def clearances_by_link(self, x: Array, links: Sequence[str]) -> tuple[Array, Array]:
         """Distances [L] of these links to the object and to the table at x [n], however large; for
         reports, not for solvers. Infinite for links that are not measured."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -99,6 +100,7 @@ class Reach(NamedTuple):
         return max(self.near - level, level - self.far, 0.0)
 
 
+@functools.lru_cache(maxsize=8)
 def reach_of(robot: RobotDescription) -> Reach:
     """The reach of a robot, from random configurations of its arm."""
     import torch

@@ -78,8 +78,8 @@ class ObjectDistances:
         return Contacts(distance, self.link, point, normal, none, point)
 
     def by_link(self, poses: Poses) -> Array:
-        """Exact distance [L] of each link of one configuration: the least of its samples; infinite
-        for a link without samples."""
+        """Distance [L] of each link of one configuration: the least of its samples; infinite for a
+        link without samples."""
         rotation, position = poses.rotation[0, self.link], poses.position[0, self.link]
         centres = self.field((rotation @ self._centre[:, :, None])[..., 0] + position)
         bound = centres - self._radius

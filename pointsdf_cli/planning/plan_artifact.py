@@ -23,7 +23,7 @@ class Outcome:
     """Result of a search with motions.
 
     Attributes:
-        problem: Problem with the exact field and the requested clearances.
+        problem: Problem whose field is exact near the surface.
         chain: Kinematics of the arm, for the palm's pose.
         found: Result of the search.
         best, motion: Chosen grasp and its motion; both None without a plan.

@@ -208,7 +208,7 @@ class Planner:
         with one_thread():  # a few configurations at a time: nothing to share out
             best, motion, found = self._with_motion(checker, found, start, seed)
         timings["motion"] = time.perf_counter() - began
-        return Outcome(problems.exact, self.inverse.chain, found, best, motion, timings)
+        return Outcome(problems.polish, self.inverse.chain, found, best, motion, timings)
 
     def _searches(
         self, checker: PathChecker, best: list[Candidate]

@@ -116,7 +116,7 @@ def draw_seeds(
     x = np.clip(x, problem.lower, problem.upper)
     if not len(x):
         return Seeds(x, (), SeedStatistics(len(above), int(above.sum())))
-    slack = np.minimum(0.0, np.stack(list(problem.residuals(x))))
+    slack = problem.violations(x)
     rank = problem.cost(x).value - VIOLATION_WEIGHT * slack.sum(axis=0)
     # One seed a palm while there are palms: two elbows of one palm converge to similar solutions.
     order = np.argsort(rank, kind="stable")

@@ -25,6 +25,10 @@ uncertain."""
 FINE = 0.004
 """Grid step [m] of a second search for feet if a coarser grid shows none: cups have thin bases."""
 
+DIRECTIONS, BATCH = 16, 512
+"""Feet are looked for where they are likely: in each of these directions from the centre at the
+lowest value on the grid, then at so many places at a time in the order of their values there."""
+
 SPACING = 0.008
 """Spacing of the occupied points below the shape [m]: no finger passes between them."""
 
@@ -50,8 +54,29 @@ def stands(field: Field, kept: GridField, solid: Array, low: Array, high: Array)
     value, bound = kept.with_bound(places)
     if _above(places[value + bound < 0, :2], centre):
         return True
-    places = places[value - bound < 0]
-    return _above(places[field(places) < 0, :2], centre)
+    unsure = value - bound < 0
+    places, value = places[unsure], value[unsure]
+    if not _above(places[:, :2], centre):
+        return False
+    likely = places[_lowest_around(places[:, :2] - centre, value)]
+    feet = likely[field(likely) < 0]
+    if _above(feet[:, :2], centre):
+        return True
+    places = places[np.argsort(value, kind="stable")]
+    for begin in range(0, len(places), BATCH):
+        some = places[begin : begin + BATCH]
+        feet = np.concatenate([feet, some[field(some) < 0]])
+        if _above(feet[:, :2], centre):
+            return True
+    return False
+
+
+def _lowest_around(away: Array, value: Array) -> NDArray[np.intp]:
+    """Index of the lowest value [N] in each direction [N, 2] from a centre, of `DIRECTIONS`."""
+    turn = np.arctan2(away[:, 1], away[:, 0]) / (2 * np.pi)
+    order = np.argsort(value, kind="stable")
+    sector = np.floor(turn[order] * DIRECTIONS).astype(np.int64)
+    return order[np.unique(sector, return_index=True)[1]]
 
 
 def _above(feet: Array, centre: Array) -> bool:

@@ -141,8 +141,12 @@ def reconstructed_object(
         EmptyFieldError: The network sees nothing solid.
     """
     low, high, step = _network_box(reconstructions)
-    shape = _boxed(_mean_field(reconstructions), low, high, step, grid, seen)
-    return _near(shape, reconstructions)
+    quick = _mean_field([each.in_fast_precision for each in reconstructions])
+    low, high = _surface_box(quick, low, high, step)
+    if seen is not None:
+        low, high = np.minimum(low, seen.min(axis=0)), np.maximum(high, seen.max(axis=0))
+    low, high = low - BOX_MARGIN, high + BOX_MARGIN
+    return _near(ObjectField.of(_mean_field(reconstructions), low, high, grid), reconstructions)
 
 
 def enclosing(
@@ -239,7 +243,8 @@ def given_object(field: Field, points: Array, grid: GridConfig | None = None) ->
         EmptyFieldError: The field has no inside near the points.
     """
     low, high = points.min(axis=0) - GIVEN_REACH, points.max(axis=0) + GIVEN_REACH
-    return _boxed(field, low, high, 0.02, grid)
+    low, high = _surface_box(field, low, high, 0.02)
+    return ObjectField.of(field, low - BOX_MARGIN, high + BOX_MARGIN, grid)
 
 
 def absent_object(points: Array) -> ObjectField:
@@ -280,18 +285,8 @@ def missed_points(surface: Surface | None, seen: Array) -> list[str]:
     ]
 
 
-def _boxed(
-    field: Field,
-    low: Array,
-    high: Array,
-    step: float,
-    grid: GridConfig | None,
-    seen: Array | None = None,
-) -> ObjectField:
+def _surface_box(field: Field, low: Array, high: Array, step: float) -> tuple[Array, Array]:
     try:
-        low, high = surface_box(field, low, high, step)
+        return surface_box(field, low, high, step)
     except InputError as error:
         raise EmptyFieldError("the network sees nothing solid in this cloud") from error
-    if seen is not None:
-        low, high = np.minimum(low, seen.min(axis=0)), np.maximum(high, seen.max(axis=0))
-    return ObjectField.of(field, low - BOX_MARGIN, high + BOX_MARGIN, grid)

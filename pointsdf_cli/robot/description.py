@@ -22,7 +22,7 @@ from pointsdf_cli.robot.robot_keys import RobotKeys, read_only
 from pointsdf_cli.robot.urdf import MOVING, Joint, Tree, read_urdf
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RobotDescription:
     """An arm with a hand. A configuration q [J] is the arm's joints, then the hand's.
 

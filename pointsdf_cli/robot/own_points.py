@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+from typing import TYPE_CHECKING
+
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -9,6 +12,11 @@ from numpy.typing import NDArray
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import strictly_inside
 from pointsdf_cli.robot.description import RobotDescription
+
+if TYPE_CHECKING:
+    import torch
+
+    from pointsdf_cli.robot.kinematics import Kinematics
 
 ROBOT_MARGIN = 0.03
 """Distance [m] from the robot's surface within which points are its own."""
@@ -18,15 +26,24 @@ def robot_points(robot: RobotDescription, q: Array) -> Array:
     """Samples [N, 3] of the robot's surface at a configuration [J], 1 cm apart, world, m."""
     import torch
 
-    from pointsdf_cli.robot.kinematics import Kinematics
-    from pointsdf_cli.robot.surface import robot_surface
-
-    kinematics, surface = Kinematics(robot), robot_surface(robot)
-    links = [(link, torch.from_numpy(np.array(points))) for link, points in surface.items()]
+    kinematics, links = _surface_of(robot)
     with torch.no_grad():
         return np.asarray(
             torch.cat(kinematics.points(torch.from_numpy(np.array(q)), links)).numpy()
         )
+
+
+@functools.lru_cache(maxsize=8)
+def _surface_of(robot: RobotDescription) -> tuple[Kinematics, list[tuple[str, torch.Tensor]]]:
+    """Kinematics of a robot, and surface samples [P, 3] of its links in their frames, m."""
+    import torch
+
+    from pointsdf_cli.robot.kinematics import Kinematics
+    from pointsdf_cli.robot.surface import robot_surface
+
+    surface = robot_surface(robot)
+    links = [(link, torch.from_numpy(np.array(points))) for link, points in surface.items()]
+    return Kinematics(robot), links
 
 
 def off_robot(points: Array, own: Array) -> NDArray[np.bool_]:
