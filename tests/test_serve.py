@@ -6,6 +6,7 @@ import io
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -21,6 +22,7 @@ import httpx
 import numpy as np
 import pytest
 import trimesh
+from doc_blocks import blocks
 
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.io.clouds import Cloud, DepthImage, read_cloud, write_cloud
@@ -42,6 +44,7 @@ from pointsdf_cli.service.bodies import PlanBody, read_body
 from pointsdf_cli.service.resident import Resident
 from pointsdf_cli.service.server import Server
 
+ROOT = Path(__file__).parent.parent
 TABLE, MUG = asset_path("clouds/table.ply"), asset_path("clouds/mug.ply")
 
 
@@ -99,6 +102,18 @@ def test_a_served_plan_is_the_commands_to_the_bit(
     likely, unlikely = scored.json()["success_probability"]
     assert likely == pytest.approx(plan.success_probability, abs=1e-3)
     assert unlikely < likely
+
+
+def test_the_client_on_the_page_gets_a_plan(server: Server, tmp_path: Path) -> None:
+    (example,) = (b for b in blocks(ROOT / "docs/serve.md") if b.language == "python")
+    assert "http://127.0.0.1:8765" in example.text
+    shutil.copy(TABLE, tmp_path / "cloud.ply")
+    code = example.text.replace("http://127.0.0.1:8765", server.url)
+    ran = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout.startswith("ok [")
 
 
 def test_a_request_arrives_as_it_was_sent() -> None:
