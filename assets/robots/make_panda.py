@@ -136,7 +136,7 @@ def add_gripper(model: Model) -> None:
             (Shape("box", (0.0175, 0.0152, 0.0185), (0, side * 0.0076, 0.04525)), DARK),
         ]
         model.links.append(Link(f"panda_{name}", 0.015, jaw))
-        # 40 N of the 70 N that the gripper can hold for long.
+        # More makes round things creep out of the simulated jaws (docs/notebook.md).
         model.joints.append(
             Joint(
                 f"panda_finger_joint{1 if side > 0 else 2}",

@@ -147,10 +147,7 @@ def headline(plan: Plan) -> str:
     """Summarise the outcome in one line."""
     if plan.reason:
         return f"no plan: {plan.reason}. {plan.sentence}"
-    return (
-        f"{plan.kind} grasp, predicted to hold with probability {plan.success_probability:.2f}, "
-        f"objective {plan.objective:.2f}"
-    )
+    return f"{plan.kind} grasp, predicted to hold with probability {plan.success_probability:.2f}"
 
 
 def as_sentences(warnings: Sequence[str]) -> str:
