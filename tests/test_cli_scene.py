@@ -18,6 +18,8 @@ from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
 from pointsdf_cli.io.depth_images import read_mask
 from pointsdf_cli.planning.list_things import list_things
 from pointsdf_cli.planning.object_view import bare_view, segmented_view
+from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from tests import scenes
 
 CAN, BOX = (0.6, -0.12), (0.62, 0.12)
@@ -285,3 +287,28 @@ def test_a_mask_may_be_an_image_of_labels_or_of_colours(tmp_path: Path) -> None:
     colours[1, 1] = (9, 9, 9, 0)  # transparent
     Image.fromarray(colours).save(tmp_path / "c.png")
     assert read_mask(str(tmp_path / "c.png")).tolist() == [[True, False], [False, False]]
+
+
+def test_points_of_a_robot_that_is_not_at_home_are_dropped(cli: Callable, scene: list[Any]) -> None:
+    robot, palm = load_robot(), np.eye(4)
+    palm[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]  # it looks down
+    palm[:3, 3] = [*CAN, 0.1]
+    found = InverseKinematics(robot).solve(palm)
+    q = found.arm[0][found.reached[0]][0]
+    pose, start = scene[0].parent / "T.json", ",".join(f"{value:.6f}" for value in q)
+
+    def points_on_can(*more: Any) -> int:
+        things = listed(cli, scene, "--camera-pose", pose, *more)
+        return int(min(things, key=lambda one: abs(one["centre"][1] - CAN[1]))["points"])
+
+    assert points_on_can("--start", start) < 0.7 * points_on_can()
+    place = f"{CAN[0]},{CAN[1]},0.06"
+    wholes = [
+        segmented_view(scene[0], options(scene), str(pose), "auto", place, None, None, start=given)
+        for given in (None, start)
+    ]
+    assert len(wholes[1].points) < 0.7 * len(wholes[0].points)
+    for command in ("segment", "mesh"):
+        done = cli(command, *scene, "--camera-pose", pose, "--start", "0,9")
+        assert done.code == 2
+        assert "--start" in done.err

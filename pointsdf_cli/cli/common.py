@@ -92,13 +92,27 @@ Robot = Annotated[
         callback=bundled_robot,
     ),
 ]
-RobotAtHome = Annotated[
+RobotInScene = Annotated[
     Path | None,
     typer.Option(
-        help="Robot at home, to remove its points from a scene: YAML, panda or lbr4_barrett "
+        help="Robot, to remove its points from a scene: YAML, panda or lbr4_barrett "
         "[default: LBR4 with Allegro hand].",
         show_default=False,
         callback=bundled_robot,
+    ),
+]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        metavar="Q", help="Start configuration [rad], or a file [default: the robot's home]."
+    ),
+]
+StandsAt = Annotated[
+    str | None,
+    typer.Option(
+        "--start",
+        metavar="Q",
+        help="The robot's configuration [rad], or a file [default: its home].",
     ),
 ]
 Device = Annotated[

@@ -70,7 +70,8 @@ def mesh(
         ),
     ] = None,
     workspace: common.Workspace = None,
-    robot: common.RobotAtHome = None,
+    robot: common.RobotInScene = None,
+    start: common.StandsAt = None,
     all_parts: Annotated[
         bool, typer.Option("--all-parts", help="Keep small loose parts too.")
     ] = False,
@@ -134,7 +135,15 @@ def mesh(
         intrinsics, depth_scale, mask=mask, unit=unit, frame=frame, drop_invalid=drop_invalid
     )
     settings = MeshSettings(
-        meshing, segment, target, workspace, not no_clean, robot, checkpoint, device
+        meshing,
+        segment,
+        target,
+        workspace,
+        not no_clean,
+        robot,
+        checkpoint,
+        device,
+        start,
     )
     if each:
         one = {"--picture": picture is not None, "--mask": mask is not None}

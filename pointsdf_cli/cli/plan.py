@@ -132,12 +132,7 @@ def plan(
             "--accept-unlikely", help="Exit with 0 instead of 4 if no grasp is likely to hold."
         ),
     ] = False,
-    start: Annotated[
-        str | None,
-        typer.Option(
-            metavar="Q", help="Start configuration [rad], or a file [default: the robot's home]."
-        ),
-    ] = None,
+    start: common.Start = None,
     robot: common.Robot = None,
     checkpoint: common.Checkpoint = None,
     grasp_checkpoint: common.GraspCheckpoint = None,

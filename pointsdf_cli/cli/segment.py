@@ -29,7 +29,8 @@ def segment(
     unit: common.Unit = "m",
     drop_invalid: common.DropInvalid = False,
     workspace: common.Workspace = None,
-    robot: common.RobotAtHome = None,
+    robot: common.RobotInScene = None,
+    start: common.StandsAt = None,
     no_clean: common.NoClean = False,
     picture: Annotated[Path, typer.Option(help="Output picture of the numbered objects.")] = Path(
         "segment.png"
@@ -62,7 +63,7 @@ def segment(
     from pointsdf_cli.planning.object_choice import NoObjectError
 
     try:
-        listing = list_things(scene, files, camera_pose, corners, robot, not no_clean)
+        listing = list_things(scene, files, camera_pose, corners, robot, not no_clean, start)
     except NoObjectError as error:
         raise InputError.of(error) from error
     for note in listing.notes:

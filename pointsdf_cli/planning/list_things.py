@@ -13,6 +13,7 @@ from pointsdf_cli.planning.plausibility import require_table_at_zero
 from pointsdf_cli.planning.scene_input import read_scene
 from pointsdf_cli.planning.table_top import chosen_thing, label_table, workspace_of
 from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.start import start_configuration
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ def list_things(
     workspace: tuple[tuple[float, ...], tuple[float, ...]] | None = None,
     robot: Path | None = None,
     cleaned: bool = True,
+    start: str | None = None,
 ) -> Listing:
     """Find the objects on the table of one view.
 
@@ -48,6 +50,7 @@ def list_things(
         workspace: Corners [m] of the workspace; the default ones if None.
         robot: YAML file of the robot; the bundled one if None.
         cleaned: Drop flying pixels and outliers.
+        start: Its configuration as typed; its home if None.
 
     Raises:
         InputError: The view cannot be read, or has no pose.
@@ -55,13 +58,14 @@ def list_things(
     """
     around = workspace_of(workspace)
     described = load_robot(robot)
+    q = start_configuration(start, described)
     given = read_scene(
         [path], [] if pose is None else [pose], [files], None, around, cleaned, described
     )
     (cloud,) = given.clouds
     require_pose(cloud, str(path))
     require_table_at_zero([in_world(cloud)], [str(path)], "there is nothing to list")
-    view = label_table(cloud, str(path), described, described.home, around, cleaned)
+    view = label_table(cloud, str(path), described, q, around, cleaned)
     first = chosen_thing(view, None, around)
     things = tuple(thing for thing in view.listed if thing.stands)
     if view.mask is not None:

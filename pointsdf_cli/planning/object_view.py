@@ -58,11 +58,12 @@ def object_view(
     robot: Path | None,
     workspace: str | None,
     cleaned: bool,
+    start: str | None = None,
 ) -> ObjectView:
     """Points of the object, from a cloud of it alone or from a view of a table.
 
     Args:
-        path, files, pose, target, robot, cleaned: As in `segmented_view`.
+        path, files, pose, target, robot, cleaned, start: As in `segmented_view`.
         segment: --segment as typed; chosen by `is_scene` if None.
         workspace: --workspace as typed.
 
@@ -72,12 +73,15 @@ def object_view(
     if segment is None:
         segment = "auto" if is_scene(path, files, pose) else "none"
     if segment == "none":
-        for given, option in ((target, "--target"), (robot, "--robot"), (workspace, "--workspace")):
+        typed = {
+            "--target": target, "--robot": robot, "--start": start, "--workspace": workspace
+        }  # fmt: skip
+        for option, given in typed.items():
             if given is not None:
                 raise InputError(f"{option} without --segment auto", hint="add --segment auto")
         return bare_view(path, files, pose, cleaned)
     corners = None if workspace is None else box(workspace, "--workspace")
-    return segmented_view(path, files, pose, segment, target, robot, corners, cleaned)
+    return segmented_view(path, files, pose, segment, target, robot, corners, cleaned, start)
 
 
 def bare_view(
@@ -130,6 +134,7 @@ def segmented_view(
     robot: Path | None,
     workspace: tuple[tuple[float, ...], tuple[float, ...]] | None,
     cleaned: bool = True,
+    start: str | None = None,
 ) -> ObjectView:
     """The object segmented from a view of a table.
 
@@ -140,6 +145,7 @@ def segmented_view(
         robot: YAML file of the robot; the bundled one if None.
         workspace: Corners [m] of the workspace; the default ones if None.
         cleaned: Drop flying pixels, outliers and specks.
+        start: The robot's configuration as typed; its home if None.
 
     Raises:
         InputError: The view cannot be read, has no pose, or does not show the object.
@@ -148,9 +154,11 @@ def segmented_view(
     from pointsdf_cli.planning.scene_input import read_scene
     from pointsdf_cli.planning.table_top import workspace_of
     from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.robot.start import start_configuration
 
     around = workspace_of(workspace)
     described = load_robot(robot)
+    q = start_configuration(start, described)
     try:
         given = read_scene(
             [path], [] if pose is None else [pose], [files], target, around, cleaned, described
@@ -158,7 +166,7 @@ def segmented_view(
     except NoObjectError as error:
         raise InputError.of(error) from error
     cut = segmented_cloud(
-        given.clouds[0], str(path), described, segment, given.target, around, cleaned
+        given.clouds[0], str(path), described, segment, given.target, around, cleaned, q
     )
     return replace(cut, said=(*given.notes, *cut.said))
 
@@ -171,8 +179,10 @@ def segmented_cloud(
     target: TargetChoice | None,
     workspace: SegmentationConfig,
     cleaned: bool = True,
+    q: Array | None = None,
 ) -> ObjectView:
-    """Make the view of `segmented_view` from a cloud; `name` is for messages.
+    """Make the view of `segmented_view` from a cloud and the robot's configuration q [J], home if
+    None; `name` is for messages.
 
     Raises:
         InputError: The cloud has no pose, or does not show the object.
@@ -186,7 +196,14 @@ def segmented_cloud(
         require_table_at_zero([in_world(cloud)], [name], "--segment none")
     try:
         found = look_at_table(
-            [cloud], [name], robot, robot.home, segment, target, workspace, cleaned
+            [cloud],
+            [name],
+            robot,
+            robot.home if q is None else q,
+            segment,
+            target,
+            workspace,
+            cleaned,
         )
     except NoObjectError as error:
         raise InputError.of(error) from error

@@ -25,7 +25,7 @@ class MeshSettings:
 
     Attributes:
         choices: Meshing options.
-        segment, target, workspace: As typed.
+        segment, target, workspace, start: As typed.
         cleaned: Whether flying pixels, outliers and specks are dropped.
         robot, checkpoint: Files; the bundled ones if None.
         device: Device of the network.
@@ -39,11 +39,20 @@ class MeshSettings:
     robot: Path | None = None
     checkpoint: Path | None = None
     device: str = "cpu"
+    start: str | None = None
 
     def view(self, cloud: Path, files: SceneFileOptions, pose: str | None) -> ObjectView:
         """The object in a cloud, as `object_view` finds it."""
         return object_view(
-            cloud, files, pose, self.segment, self.target, self.robot, self.workspace, self.cleaned
+            cloud,
+            files,
+            pose,
+            self.segment,
+            self.target,
+            self.robot,
+            self.workspace,
+            self.cleaned,
+            self.start,
         )
 
 
@@ -85,7 +94,7 @@ class MeshTask:
             "robot": PlannerFiles(robot=settings.robot).identity()["robot"],
             **self.files.digests(self.pose),
         }
-        same = ("segment", "target", "workspace", "cleaned", "device")
+        same = ("segment", "target", "workspace", "cleaned", "device", "start")
         shared = {name: getattr(settings, name) for name in same}
         config: dict[str, Any] = plain(asdict(self.files) | asdict(settings.choices) | shared | own)
         return config
