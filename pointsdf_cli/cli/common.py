@@ -122,10 +122,14 @@ Sensor = Annotated[choices.Sensor, typer.Option(help="Depth camera to simulate."
 Solver = Annotated[choices.Solver, typer.Option(help="Solver; slsqp is the paper's, and slow.")]
 Checkpoint = Annotated[
     Path | None,
-    typer.Option(help="Reconstruction weights [default: bundled].", show_default=False),
+    typer.Option(
+        help="Reconstruction weights [default: those the success weights learned from].",
+        show_default=False,
+    ),
 ]
 GraspCheckpoint = Annotated[
-    Path | None, typer.Option(help="Success weights [default: bundled].", show_default=False)
+    Path | None,
+    typer.Option(help="Success weights [default: bundled, of the robot].", show_default=False),
 ]
 Precision = Annotated[
     choices.Precision, typer.Option(help="Precision; auto takes bfloat16 where it is faster.")

@@ -40,7 +40,8 @@ def mesh(
         ),
     ] = None,
     checkpoint: Annotated[
-        Path | None, typer.Option(help="Checkpoint [default: the bundled one].", show_default=False)
+        Path | None,
+        typer.Option(help="Checkpoint [default: the bundled pointsdf_real].", show_default=False),
     ] = None,
     unit: Annotated[
         choices.Unit, typer.Option(help="Unit of the cloud, and so of the mesh.")

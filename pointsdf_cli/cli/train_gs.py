@@ -30,7 +30,9 @@ def train_gs(
     ] = "fixed",
     sdf: Annotated[
         Path | None,
-        typer.Option(help="Reconstruction network to build on.  [default: the bundled one]"),
+        typer.Option(
+            help="Reconstruction network to build on.  [default: the bundled pointsdf_real]"
+        ),
     ] = None,
     robot: common.Robot = None,
     epochs: Annotated[
