@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import matplotlib.pyplot as plt
@@ -30,7 +31,7 @@ def trial_tables(rows: Sequence[TrialRow]) -> list[Table]:
     """All tables of the report."""
     summaries = summarise(rows)
     tables = [_success(summaries), _verdicts(summaries), _tests(rows, summaries)]
-    tables += [_plans(summaries), _contacts(summaries)]
+    tables += [_plans(summaries), _predictions(rows, summaries), _contacts(summaries)]
     if any(summary.ablation for summary in summaries):
         tables.append(_ablations(rows, summaries))
     if any(row.clutter for row in rows):
@@ -204,6 +205,25 @@ def _plans(summaries: Sequence[Summary]) -> Table:
         body.append((f"{method}, published", no_plan, "", seconds, ""))
     header = ("planner", "no plan", "reasons", "planning, median", "processor time")
     return "Plans", header, body
+
+
+PREDICTED = (0.0, 0.3, 0.6, 0.8, 1.0)
+"""Limits between ranges of the predicted success probability."""
+
+
+def _predictions(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
+    """Shares of plans that were lifted, by the success probability that they predicted."""
+    ranges = list(itertools.pairwise(PREDICTED))
+    body: list[Sequence[object]] = []
+    for s in summaries:
+        planned = [row for row in rows if variant_of(row) == s.name and row.status == "ok"]
+        inside = [
+            [row.lifted for row in planned if low <= row.success_probability < high + (high == 1)]
+            for low, high in ranges
+        ]
+        body.append((s.name, *(percent(wilson(sum(one), len(one))) for one in inside)))
+    header = ("planner", *(f"{low:g} to {high:g}" for low, high in ranges))
+    return "Lifted, by predicted success probability", header, body
 
 
 def _contacts(summaries: Sequence[Summary]) -> Table:
