@@ -205,6 +205,26 @@ def test_where_the_best_grasp_has_no_motion_the_next_one_is_taken(planner: Plann
     assert rest.rejected[-1].reason == "motion"
 
 
+def test_ranked_grasps_get_their_second_search_before_the_next_one_gets_any(
+    planner: Planner,
+) -> None:
+    _, good = found_for_the_can(planner)
+    grasps = [replace(good, object_slack=slack) for slack in (0.01, 0.01, 0.0, 0.01)]
+    checker = PathChecker(planner.geometry, target().field)
+    order = {
+        ranked: [
+            (k, "thorough" if effort is planner.config.motion else "brief")
+            for k, _, effort in planner._searches(checker, grasps, ranked)
+        ]
+        for ranked in (False, True)
+    }
+    # The third grasp keeps no more than the clearance anyway.
+    assert [k for k, _ in order[False]] == [0, 1, 2, 0, 1, 0, 1, 2, 3]
+    assert [k for k, _ in order[True]] == [0, 0, 1, 1, 2, 0, 1, 2, 3]
+    for searches in order.values():
+        assert [effort for _, effort in searches] == ["brief"] * 5 + ["thorough"] * 4
+
+
 def test_a_grasp_that_the_arm_cannot_lift_from_comes_last(planner: Planner) -> None:
     found, good = found_for_the_can(planner)
     # An arm that points nearly straight up has nowhere higher to go.

@@ -206,28 +206,28 @@ class Planner:
             bodies=problems.polish.bodies,
         )
         with one_thread():  # a few configurations at a time: nothing to share out
-            best, motion, found = self._with_motion(checker, found, start, seed)
+            best, motion, found = self._with_motion(checker, found, start, seed, rank is not None)
         timings["motion"] = time.perf_counter() - began
         return Outcome(problems.polish, self.inverse.chain, found, best, motion, timings)
 
     def _searches(
-        self, checker: PathChecker, best: list[Candidate]
+        self, checker: PathChecker, best: list[Candidate], ranked: bool
     ) -> Iterator[tuple[int, PathChecker, MotionConfig]]:
         """Motion searches in turn: number of the candidate, checker, effort.
 
         The best few get a brief search before any gets a thorough one: if the way to one is narrow,
         the next is hardly worse and often reached at once. The first brief searches keep the
         grasp's own distance to the object, at most the margin; the second ones the clearance.
+        Ranked candidates differ more: each gets its second search before the next its first.
         """
         thorough, least = self.config.motion, self.config.clearances.object
         brief = replace(thorough, attempts=1, checks=QUICK_CHECKS)
         slack = [candidate.object_slack for candidate in best]
         kept = [min(self.config.margin, least + each) - SOLVER_MARGIN for each in slack]
-        for k in range(len(best[:BRIEFLY])):
-            yield k, checker.with_clearance(max(kept[k], least)), brief
-        for k in range(len(best[:BRIEFLY])):
-            if kept[k] > least:
-                yield k, checker, brief
+        few = range(len(best[:BRIEFLY]))
+        first = [(k, checker.with_clearance(max(kept[k], least)), brief) for k in few]
+        second = [(k, checker, brief) for k in few if kept[k] > least]
+        yield from sorted(first + second, key=lambda each: each[0]) if ranked else first + second
         for k in range(len(best)):
             yield k, checker, thorough
 
@@ -237,6 +237,7 @@ class Planner:
         found: Synthesis,
         start: Array,
         seed: int,
+        ranked: bool = False,
     ) -> tuple[Candidate | None, Motion | None, Synthesis]:
         """Choose the first accepted candidate with a motion, or failing that, a fallback.
 
@@ -245,7 +246,7 @@ class Planner:
         best = [*found.accepted, *found.fallbacks]
         failure = ""
         stuck: dict[int, Motion] = {}
-        for k, asked, effort in self._searches(checker, best):
+        for k, asked, effort in self._searches(checker, best, ranked):
             if k in stuck:
                 continue
             candidate = best[k]
