@@ -18,6 +18,7 @@ from pointsdf_cli.io.grasps import (
     HELD,
     LOST,
     NO_CONFIGURATION,
+    Grasps,
     GraspsMeta,
     read_grasps,
     write_grasps,
@@ -265,6 +266,26 @@ def test_collection_resumes_to_what_an_uninterrupted_one_makes(
     assert_same_grasps(first, second)
     with pytest.raises(InputError, match="other options"):
         collect_object(replace(whole, seed=3))
+
+
+def test_a_mesh_in_millimetres_is_the_same_object(task: CollectTask, tmp_path: Path) -> None:
+    metres, _ = collected(replace(task, quota=1))
+    can = trimesh.creation.cylinder(30, 150)
+    save_mesh(tmp_path / "large.ply", can.vertices, can.faces)
+    large = replace(task, mesh=tmp_path / "large.ply", out=tmp_path / "mm.h5", quota=1, unit="mm")
+    with pytest.raises(InputError, match="150 m"):
+        collect_object(replace(large, unit="m"))
+    millimetres, _ = collected(large)
+    np.testing.assert_array_equal(millimetres.label, metres.label)
+    np.testing.assert_allclose(millimetres.cloud, metres.cloud, atol=1e-3)
+    # Read in another unit it would be another object: what is there is not continued so.
+    with pytest.raises(InputError):
+        collect_object(replace(large, unit="cm"))
+
+
+def collected(task: CollectTask) -> tuple[Grasps, GraspsMeta]:
+    collect_object(task)
+    return read_grasps(task.out)
 
 
 def test_an_object_that_is_not_seen_again_keeps_what_it_gave(

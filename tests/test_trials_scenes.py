@@ -18,6 +18,7 @@ from pointsdf_cli.trials.protocol import (
     PlannerVariant,
     TrialObject,
     choose_objects,
+    clutter_pool,
     make_trials,
 )
 from pointsdf_cli.trials.scenes import (
@@ -102,6 +103,14 @@ def test_a_ball_is_no_larger_for_having_a_foot(world: World, tmp_path: Path) -> 
     low = low[low[:, 2] < low[:, 2].min() + 5e-4]
     middle = (pose @ item.T_mesh_body)[:2, 3]
     assert Delaunay(low[:, :2]).find_simplex(middle) >= 0
+
+
+def test_meshes_in_millimetres_stand_as_large_as_in_metres(tmp_path: Path) -> None:
+    trimesh.creation.cylinder(30, 150).export(tmp_path / "can.ply")
+    (can,) = choose_objects(tmp_path, "all", unit="mm")
+    assert np.ptp(load_object(can).mesh.vertices, axis=0) == pytest.approx([0.06, 0.06, 0.15])
+    (beside,) = clutter_pool(tmp_path, unit="mm")
+    assert beside.unit == "mm"
 
 
 def test_a_can_whose_scanned_bottom_is_round_stands_upright(world: World, tmp_path: Path) -> None:

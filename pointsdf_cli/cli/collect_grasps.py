@@ -55,6 +55,7 @@ def collect_grasps(
     pictures: Annotated[
         bool, typer.Option(help="Draw six successes and six failures in report.html.")
     ] = True,
+    unit: common.Unit = "m",
     pattern: common.Pattern = "*",
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
@@ -90,7 +91,7 @@ def collect_grasps(
     try_robot(machine)  # a wrong robot is said once and first, not by every worker
     out = require_folder(out)
     source = _source(preshapes, robot, checkpoint, grasp_checkpoint)
-    every = make_tasks(found, meshes, out, count, config, seed, robot, force, source)
+    every = make_tasks(found, meshes, out, count, config, seed, robot, force, source, unit)
     mine = set(shard_of(sorted(every), shard))
     tasks = {name: task for name, task in every.items() if name in mine}
     reporter = common.Reporter(quiet, as_json)

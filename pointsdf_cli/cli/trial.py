@@ -82,6 +82,7 @@ def trial(
             "±x, ±y and ±z; 0 for none."
         ),
     ] = 2.5,
+    unit: common.Unit = "m",
     pattern: common.Pattern = "*",
     record: Annotated[int, typer.Option(help="Write this many trials as GIF films.")] = 0,
     pictures: Annotated[int, typer.Option(help="Number of failures to draw in the report.")] = 40,
@@ -129,8 +130,8 @@ def trial(
     execution = ExecutorConfig(shake=shake, hold=hold, push=push)
     config = TrialConfig(VariantOptions(planning, rehearse), execution=execution, sensor=sensor)
     common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
-    chosen = protocol.choose_objects(meshes, objects, pattern)
-    pool = protocol.clutter_pool(meshes, pattern) if clutter else []
+    chosen = protocol.choose_objects(meshes, objects, pattern, unit)
+    pool = protocol.clutter_pool(meshes, pattern, unit) if clutter else []
     asked = [c for c in cameras.split(",") if c]
     trials = protocol.make_trials(chosen, variants, yaws, asked, repeats, seed, clutter, pool)
     tasks = make_tasks(trials, config, out, record, force)

@@ -53,6 +53,7 @@ class CollectTask:
             increase for each executed one.
         force: Replace an existing file.
         source: Planner that proposes preshapes; the paper's heuristic if None.
+        unit: Unit of the mesh.
     """
 
     name: str
@@ -66,6 +67,7 @@ class CollectTask:
     patience: tuple[int, int] = (60, 12)
     force: bool = False
     source: PreshapeSource | None = None
+    unit: str = "m"
 
     def most_attempts(self, executed: int) -> int:
         """Largest number of attempts for a number of executed grasps."""
@@ -107,7 +109,7 @@ def collect_object(task: CollectTask) -> CollectSummary | None:
         done, _ = read_grasps(task.out)
         if _finished(done, task):
             return None
-    mesh = load_mesh(task.mesh)
+    mesh = load_mesh(task.mesh, task.unit)
     item = prepare_object(replace(mesh, name=task.name))
     attempter = _attempter(task.robot, task.config, task.seed, task.source)
     attempter.check(item)
@@ -165,6 +167,7 @@ def _options_of(task: CollectTask) -> dict[str, Any]:
     config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
     config |= {"split": task.split}  # which other meshes there are decides it
     config |= {} if task.source is None else {"preshapes": task.source.as_dict()}
+    config |= {} if task.unit == "m" else {"unit": task.unit}
     return config | {"mesh": file_sha256(task.mesh), "robot": robot_digest(task.robot)}
 
 
@@ -195,6 +198,7 @@ def make_tasks(
     robot: Path | None,
     force: bool,
     source: PreshapeSource | None = None,
+    unit: str = "m",
 ) -> dict[str, CollectTask]:
     """Tasks of all objects by name, with their splits and first quotas.
 
@@ -202,7 +206,7 @@ def make_tasks(
         found: Mesh files.
         meshes, out: Folders of meshes and of artifacts.
         count: Total number of executed grasps.
-        config, seed, robot, force, source: As in `CollectTask`.
+        config, seed, robot, force, source, unit: As in `CollectTask`.
 
     Raises:
         InputError: The count is below 1, or an artifact would replace an input.
@@ -223,6 +227,7 @@ def make_tasks(
             robot,
             force=force,
             source=source,
+            unit=unit,
         )
         for name, (mesh, path) in paths.items()
     }

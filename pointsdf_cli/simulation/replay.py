@@ -46,7 +46,7 @@ def film_of(task: CollectTask, grasps: Grasps, row: int) -> tuple[Film, Film]:
     Raises:
         RgraspError: It ends differently from the stored one: the simulator has changed.
     """
-    mesh = replace(load_mesh(task.mesh), name=task.name)
+    mesh = replace(load_mesh(task.mesh, task.unit), name=task.name)
     item = prepare_object(mesh)
     attempter = Attempter(load_robot(task.robot), task.config, task.seed)
     recorder = Recorder()

@@ -52,11 +52,13 @@ class TrialObject:
         mesh: Mesh file; None for the stand-in of that name.
         upright: Whether the mesh's z axis is up, as in YCB and the stand-ins. Other meshes may have
             any orientation.
+        unit: Unit of the mesh.
     """
 
     name: str
     mesh: Path | None = None
     upright: bool = False
+    unit: str = "m"
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,7 @@ class Trial:
 
 
 def choose_objects(
-    meshes: Path | None, objects: str = "auto", pattern: str = "*"
+    meshes: Path | None, objects: str = "auto", pattern: str = "*", unit: str = "m"
 ) -> list[TrialObject]:
     """The objects of an experiment.
 
@@ -168,6 +170,7 @@ def choose_objects(
             the folder; "others" for all but the paper's; "auto" for the eight if the folder has any
             of the paper's, else all; or names separated by commas.
         pattern: Only meshes with a matching file name.
+        unit: Unit of the meshes.
 
     Raises:
         InputError: No such folder or object.
@@ -182,14 +185,18 @@ def choose_objects(
     if objects == "auto":
         objects = "eight" if by_paper or meshes is None else "all"
     if objects == "eight":
-        return [TrialObject(name, by_paper.get(name), upright=True) for name in STAND_INS]
+        return [
+            TrialObject(name, by_paper.get(name), upright=True, unit=unit) for name in STAND_INS
+        ]
     if meshes is None and objects in ("all", "others"):
         raise InputError(f"--objects {objects} needs a folder", hint="--meshes DIR")
     taken = set(by_paper.values()) if objects == "others" else set()
-    every = [TrialObject(path.stem, path) for path in files if path not in taken]
+    every = [TrialObject(path.stem, path, unit=unit) for path in files if path not in taken]
     if objects in ("all", "others"):
         return _distinct(every)
-    known = {name: TrialObject(name, by_paper.get(name), upright=True) for name in STAND_INS}
+    known = {
+        name: TrialObject(name, by_paper.get(name), upright=True, unit=unit) for name in STAND_INS
+    }
     known |= {item.name: item for item in every}  # a file of exactly that name takes precedence
     named = objects.split(",")
     _distinct([item for item in every if item.name in named])
@@ -289,7 +296,7 @@ def _others(trial: Trial, count: int, pool: Sequence[TrialObject]) -> tuple[Tria
     return tuple(free[k] for k in drawn)
 
 
-def clutter_pool(meshes: Path | None, pattern: str = "*") -> list[TrialObject]:
+def clutter_pool(meshes: Path | None, pattern: str = "*", unit: str = "m") -> list[TrialObject]:
     """Every object that may stand around a target: the folder's, or the eight stand-ins.
 
     Raises:
@@ -297,7 +304,7 @@ def clutter_pool(meshes: Path | None, pattern: str = "*") -> list[TrialObject]:
     """
     if meshes is None:
         return [TrialObject(name) for name in STAND_INS]
-    return [TrialObject(path.stem, path) for path in find_meshes(meshes, pattern)]
+    return [TrialObject(path.stem, path, unit=unit) for path in find_meshes(meshes, pattern)]
 
 
 def _distinct(items: list[TrialObject]) -> list[TrialObject]:

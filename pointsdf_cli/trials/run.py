@@ -301,6 +301,7 @@ def _options_of(task: TrialTask) -> dict[str, Any]:
     config["weights"] = weights_of(trial.variant, task.config.variants)
     config["rehearsals"] = rehearsals_of(trial.variant, task.config.variants)
     config["mesh"] = "" if trial.object.mesh is None else file_sha256(trial.object.mesh)
+    config |= {} if trial.object.unit == "m" else {"unit": trial.object.unit}
     if trial.others:
         config["others"] = {
             one.name: "" if one.mesh is None else file_sha256(one.mesh) for one in trial.others

@@ -76,7 +76,7 @@ def object_mesh(item: TrialObject) -> LoadedMesh:
         InputError: Its mesh cannot be used.
     """
     if item.mesh is not None:
-        return load_mesh(item.mesh)
+        return load_mesh(item.mesh, item.unit)
     vertices, faces = make_stand_in(item.name)
     sha = f"stand-in {item.name} {hash_of(vertices, faces)}"
     return LoadedMesh(item.name, vertices.astype(np.float64), faces, sha, "none")
