@@ -97,6 +97,8 @@ def test_each_option_and_file_of_a_plan_is_part_of_its_record(tmp_path: Path) ->
         request = replace(PlanRequest(), **{name: value})
         other = replace(task, settings=replace(settings, request=request))
         assert other.config() != task.config(), name
+    started = MeshSettings(MeshChoices(), start=np.zeros(23))
+    assert replace(mesh, settings=started).config() != mesh.config()
     for file in (pose, camera, mask):
         before = task.config(), mesh.config()
         file.write_text("second")
@@ -124,6 +126,22 @@ def test_what_names_one_file_does_not_go_with_many(words: list[object], tmp_path
     run = run_cli(*typed, "--out", tmp_path / "out")
     assert run.code == 2, run.err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_start_that_cannot_be_used_is_said_once_and_its_file_is_kept(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        shutil.copy(asset_path("clouds/table.ply"), tmp_path / f"{name}.ply")
+    clouds, out = sorted(tmp_path.glob("*.ply")), tmp_path / "meshes"
+    words = ["--each", "--segment", "auto", "--jobs", "1", "--start"]
+    run = run_cli("mesh", *clouds, "--out", out, *words, "0,9")
+    assert run.code == 2
+    assert run.err.count("--start") == 1
+    assert not out.exists()
+    start = tmp_path / "a.json"  # where the record of a.stl would be
+    start.write_text("[0, 0, 0, 0, 0, 0, 0]")
+    run = run_cli("mesh", clouds[0], "--out", tmp_path, "--format", "stl", *words, start)
+    assert run.code == 2
+    assert start.read_text() == "[0, 0, 0, 0, 0, 0, 0]"
 
 
 def test_every_cloud_is_meshed_by_itself_and_kept(tmp_path: Path) -> None:

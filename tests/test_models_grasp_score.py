@@ -21,7 +21,6 @@ from pointsdf_cli.models.grasp_checkpoint import (
     read_grasp_checkpoint,
     reconstruction_for,
     reconstruction_of_training,
-    weights_hash,
     write_grasp_checkpoint,
 )
 from pointsdf_cli.models.grasp_features import GraspFeatures
@@ -322,24 +321,6 @@ def test_world_points_reach_the_field_in_the_world() -> None:
     assert (points.min(0) <= world.min(0)).all()
     assert (points.max(0) >= world.max(0)).all()
     assert np.abs(points.mean(0) - CENTRE).max() < 0.1
-
-
-def test_plans_read_the_reconstruction_that_the_success_network_learned_from(
-    tmp_path: Path,
-) -> None:
-    own, learned = tmp_path / "own", tmp_path / "learned"
-    shutil.copytree(default_checkpoint().parent / "pointsdf_ray", own)
-    shutil.copytree(default_checkpoint().parent / "grasp_geometry", learned)
-    config = json.loads((learned / "config.json").read_text())
-    config["encoder"] |= {"checkpoint": str(own), "sha256": weights_hash(own)}
-    (learned / "config.json").write_text(json.dumps(config))
-    assert reconstruction_for(learned) == own
-    assert reconstruction_of_training(learned, own) is None
-    # Other weights in its place, or none any more.
-    shutil.copytree(default_checkpoint(), own, dirs_exist_ok=True)
-    assert reconstruction_for(learned) == default_checkpoint()
-    shutil.rmtree(own)
-    assert reconstruction_for(learned) == default_checkpoint()
 
 
 def test_a_network_on_geometry_is_known_to_read_another_reconstruction() -> None:

@@ -92,6 +92,13 @@ def test_critical_constraints_hold_every_violated_one(problem) -> None:
     np.testing.assert_allclose(-np.minimum(worst, 0), every.violation, atol=1e-12)
 
 
+def test_violations_are_the_negative_slack_of_every_kind(problem) -> None:
+    x = np.random.default_rng(3).uniform(problem.lower, problem.upper, (40, 15))
+    slack = np.minimum(0.0, np.stack(problem.residuals(x)))
+    assert (slack.min(axis=1)[[1, 3]] < 0).all()  # some meet the table, some themselves
+    np.testing.assert_array_equal(problem.violations(x), slack)
+
+
 @pytest.mark.parametrize("solver", [Sqp(), Slsqp()], ids=lambda s: type(s).__name__)
 def test_solutions_touch_nothing_and_reach_the_unconstrained_best_as_far_as_allowed(
     robot, problem, solver

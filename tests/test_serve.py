@@ -189,6 +189,16 @@ def test_a_mesh_is_closed_and_where_the_cloud_is(server: Server) -> None:
     assert far < 0.1
 
 
+def test_a_mesh_takes_the_robots_configuration(server: Server) -> None:
+    asked = cloud_body(TABLE, resolution=16, segment="auto", start=[0.0, 9.0])
+    answer = post(server, "/mesh", asked)
+    assert answer.status_code == 400
+    assert "--start" in answer.json()["error"]["message"]
+    answer = post(server, "/mesh", asked | {"segment": "none"})
+    assert answer.status_code == 400
+    assert "segment: auto" in answer.json()["error"]["message"]
+
+
 @pytest.mark.parametrize(
     ("tree", "words"),
     [

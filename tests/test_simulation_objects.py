@@ -15,7 +15,7 @@ from pointsdf_cli.geometry.stable_poses import (
     stable_poses,
     tilt_margin,
 )
-from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
 from pointsdf_cli.objects.generate import make_object
 from pointsdf_cli.simulation.decomposition import (
     MOST_FACES,
@@ -44,6 +44,13 @@ def test_convex_shape_is_one_piece_with_its_own_size(tmp_path: Path) -> None:
     assert len(pieces) == 1
     assert np.ptp(pieces[0][0], axis=0) == pytest.approx([0.06, 0.06, 0.12], abs=1e-6)
     assert len(list((tmp_path / "decompositions").glob("*.npz"))) == 1
+
+
+def test_a_file_in_another_unit_is_not_taken_from_the_cache(tmp_path: Path) -> None:
+    can(3.0, 12.0).export(tmp_path / "can.ply")
+    for unit, height in (("cm", 0.12), ("inch", 12 * 0.0254), ("cm", 0.12)):
+        pieces = convex_pieces(load_mesh(tmp_path / "can.ply", unit), cache=tmp_path)
+        assert np.ptp(pieces[0][0], axis=0)[2] == pytest.approx(height, rel=1e-5)
 
 
 def test_ring_keeps_its_hole_and_its_volume(tmp_path: Path) -> None:

@@ -111,10 +111,13 @@ def test_verdicts_are_told_apart_and_lost_objects_by_the_step() -> None:
 def test_lifts_stand_beside_what_was_predicted() -> None:
     drawn = [(0.1, False), (0.3, True), (0.7, True), (0.75, False), (1.0, True)]
     rows = [replace(ROW, success_probability=h, lifted=lifted) for h, lifted in drawn]
+    rows.append(replace(ROW, ablation="no-success-network", success_probability=1.0))
     rows.append(replace(ROW, status="no_plan", success_probability=float("nan"), lifted=False))
     page = markdown_report(rows, "t")
     assert "| planner | 0 to 0.3 | 0.3 to 0.6 | 0.6 to 0.8 | 0.8 to 1 |" in page
     line = page.split("## Lifted, by predicted success probability")[1].split("\n")[4]
+    said = page.split("## Lifted, by predicted")[1].split("##")[0]
+    assert "no-success-network" not in said
     counts = [cell.split(" ")[0] + cell.split("]")[1] for cell in line.split(" | ")[1:]]
     assert counts == ["0% of 1", "100% of 1", "50% of 2", "100% of 1 |"]
 

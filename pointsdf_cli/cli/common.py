@@ -123,7 +123,8 @@ Solver = Annotated[choices.Solver, typer.Option(help="Solver; slsqp is the paper
 Checkpoint = Annotated[
     Path | None,
     typer.Option(
-        help="Reconstruction weights [default: those the success weights learned from].",
+        help="Reconstruction weights [default: bundled; those that the success weights learned "
+        "from].",
         show_default=False,
     ),
 ]

@@ -124,27 +124,22 @@ def mesh(
     from pointsdf_cli.io.checkpoints import read_config
     from pointsdf_cli.io.each_file import require_without
     from pointsdf_cli.planning.mesh_choices import MeshChoices
+    from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.robot.start import start_configuration
     from pointsdf_cli.service.each_mesh import MeshSettings
 
     reporter = common.Reporter(quiet, as_json)
     # A wrong resolution is known before anything is read.
     meshing = MeshChoices(resolution, smooth, all_parts, exact, precision, seed)
-    inputs = [*clouds, camera_pose, intrinsics, mask, checkpoint, robot]
+    inputs = [*clouds, camera_pose, intrinsics, mask, checkpoint, robot, start]
     if checkpoint is not None:
         read_config(checkpoint)
     files = SceneFileOptions(
         intrinsics, depth_scale, mask=mask, unit=unit, frame=frame, drop_invalid=drop_invalid
     )
+    start_at = None if start is None else start_configuration(start, load_robot(robot))
     settings = MeshSettings(
-        meshing,
-        segment,
-        target,
-        workspace,
-        not no_clean,
-        robot,
-        checkpoint,
-        device,
-        start,
+        meshing, segment, target, workspace, not no_clean, robot, checkpoint, device, start_at
     )
     if each:
         one = {"--picture": picture is not None, "--mask": mask is not None}

@@ -51,7 +51,7 @@ def segment(
     from pointsdf_cli.io.poses import box
 
     reporter = common.Reporter(quiet, as_json)
-    require_apart([picture], [scene, camera_pose, intrinsics, color, mask, robot])
+    require_apart([picture], [scene, camera_pose, intrinsics, color, mask, robot, start])
     common.check_picture(picture, force)
     corners = None if workspace is None else box(workspace, "--workspace")
     files = SceneFileOptions(

@@ -41,6 +41,7 @@ class LoadedMesh:
         faces: [F, 3], counter-clockwise seen from outside.
         sha256: Hash of the file's bytes.
         repair: Repair that closed it ("none" without any).
+        unit: Unit of the file.
     """
 
     name: str
@@ -48,6 +49,12 @@ class LoadedMesh:
     faces: NDArray[np.int32]
     sha256: str
     repair: str
+    unit: str = "m"
+
+    @property
+    def identity(self) -> str:
+        """Hash of the file, and its unit: the same file in another unit is another object."""
+        return self.sha256 if self.unit == "m" else f"{self.sha256} {self.unit}"
 
     @property
     def size(self) -> float:
@@ -143,7 +150,7 @@ def load_mesh(path: Path | str, unit: str = "m") -> LoadedMesh:
     vertices, faces = _surface(path)
     vertices = vertices * UNITS[unit]
     _check_size(path, vertices[np.unique(faces)], unit)
-    return _closed(path, vertices, faces)
+    return replace(_closed(path, vertices, faces), unit=unit)
 
 
 def load_body(path: Path | str, scale: float = 1.0) -> LoadedMesh:

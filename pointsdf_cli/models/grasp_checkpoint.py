@@ -267,21 +267,16 @@ def encoder_path(checkpoint: Checkpoint, override: Path | str | None = None) -> 
 
 
 def reconstruction_for(grasp_checkpoint: Path | str | None) -> Path:
-    """Reconstruction network to plan with: the one that the success network was trained on, if it
-    names one that is still there; else the default one.
+    """Reconstruction network to plan with: the bundled one that the success network was trained
+    on, if it names one; else the default one.
 
     Raises:
         InputError: The success network's config.json cannot be read.
     """
-    config = {} if grasp_checkpoint is None else read_config(grasp_checkpoint)
-    encoder = config.get("encoder")
-    encoder = encoder if isinstance(encoder, Mapping) else {}
-    name = str(encoder.get("checkpoint", ""))
+    encoder = {} if grasp_checkpoint is None else read_config(grasp_checkpoint).get("encoder")
+    name = str(encoder.get("checkpoint", "")) if isinstance(encoder, Mapping) else ""
     if name.startswith(BUNDLED_PREFIX):
         return asset_path(f"weights/{name.removeprefix(BUNDLED_PREFIX)}")
-    own = Path(name)
-    if name and (own / WEIGHTS).is_file() and weights_hash(own) == encoder.get("sha256"):
-        return own
     return default_checkpoint()
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 from pointsdf_cli.planning.labelled_view import LabelledView
 from pointsdf_cli.planning.object_choice import NoObjectError, Thing
@@ -40,7 +41,7 @@ def list_things(
     workspace: tuple[tuple[float, ...], tuple[float, ...]] | None = None,
     robot: Path | None = None,
     cleaned: bool = True,
-    start: str | None = None,
+    start: str | Array | None = None,
 ) -> Listing:
     """Find the objects on the table of one view.
 
@@ -50,7 +51,7 @@ def list_things(
         workspace: Corners [m] of the workspace; the default ones if None.
         robot: YAML file of the robot; the bundled one if None.
         cleaned: Drop flying pixels and outliers.
-        start: Its configuration as typed; its home if None.
+        start: Its configuration, as typed or [J]; its home if None.
 
     Raises:
         InputError: The view cannot be read, or has no pose.

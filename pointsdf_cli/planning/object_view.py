@@ -58,7 +58,7 @@ def object_view(
     robot: Path | None,
     workspace: str | None,
     cleaned: bool,
-    start: str | None = None,
+    start: str | Array | None = None,
 ) -> ObjectView:
     """Points of the object, from a cloud of it alone or from a view of a table.
 
@@ -134,7 +134,7 @@ def segmented_view(
     robot: Path | None,
     workspace: tuple[tuple[float, ...], tuple[float, ...]] | None,
     cleaned: bool = True,
-    start: str | None = None,
+    start: str | Array | None = None,
 ) -> ObjectView:
     """The object segmented from a view of a table.
 
@@ -145,7 +145,7 @@ def segmented_view(
         robot: YAML file of the robot; the bundled one if None.
         workspace: Corners [m] of the workspace; the default ones if None.
         cleaned: Drop flying pixels, outliers and specks.
-        start: The robot's configuration as typed; its home if None.
+        start: The robot's configuration, as typed or [J]; its home if None.
 
     Raises:
         InputError: The view cannot be read, has no pose, or does not show the object.

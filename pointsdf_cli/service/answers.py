@@ -13,6 +13,7 @@ from pointsdf_cli.planning.object_view import bare_cloud, segmented_cloud
 from pointsdf_cli.planning.plan_request import PlanResult
 from pointsdf_cli.planning.table_top import workspace_of
 from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.start import start_configuration
 from pointsdf_cli.service.bodies import HDF5, JSON, NPZ, MeshBody, PlanBody, SceneBody, ScoreBody
 from pointsdf_cli.service.resident import Resident
 from pointsdf_cli.service.results import result_tree
@@ -37,18 +38,22 @@ def mesh_answer(resident: Resident, body: MeshBody, form: str) -> tuple[bytes, s
     require_expected(resident, body)
     given = body.clouds[0]
     if body.segment == "none":
-        if body.target is not None or body.workspace is not None:
-            raise InputError("target or workspace without segment auto", hint="add segment: auto")
+        if not (body.target is None and body.workspace is None and body.start is None):
+            raise InputError(
+                "target, workspace or start without segment auto", hint="add segment: auto"
+            )
         view = bare_cloud(given.cloud(), given.name, body.clean)
     else:
+        robot = load_robot(resident.files.robot)
         view = segmented_cloud(
             given.cloud(),
             given.name,
-            load_robot(resident.files.robot),
+            robot,
             body.segment,
             body.wanted(),
             workspace_of(body.corners()),
             body.clean,
+            start_configuration(body.start, robot),
         )
     choices = MeshChoices(body.resolution, body.smooth, body.all_parts, body.exact, seed=body.seed)
     completed = resident.mesh(view, choices, given.name)

@@ -167,6 +167,7 @@ class SceneBody(_Body):
         "any for the first object that can be grasped",
     )
     workspace: _numbers(2, 3) | None = Field(None, description="Corners of what is looked at [m]")  # type: ignore[valid-type]
+    start: _numbers(None) | None = Field(None, description="All joints [rad]; home if null")  # type: ignore[valid-type]
     clean: bool = True
     seed: int = Field(0, ge=0, lt=2**63)
     expects: Served = Field(default_factory=Served)
@@ -228,7 +229,6 @@ class PlanBody(SceneBody):
     speed: float = 0.5
     rehearse: int = Field(0, le=100)
     min_success: float | None = None
-    start: _numbers(None) | None = Field(None, description="All joints [rad]; home if null")  # type: ignore[valid-type]
     ignore_others: bool = False
     obstacles: str = Field("reconstruction", description="Other objects: reconstruction or hull")
     environment: EnvironmentBody = Field(default_factory=EnvironmentBody)

@@ -8,6 +8,7 @@ from typing import Any
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.atomic import write_text_atomic
 from pointsdf_cli.io.each_file import is_done, plain
@@ -25,10 +26,11 @@ class MeshSettings:
 
     Attributes:
         choices: Meshing options.
-        segment, target, workspace, start: As typed.
+        segment, target, workspace: As typed.
         cleaned: Whether flying pixels, outliers and specks are dropped.
         robot, checkpoint: Files; the bundled ones if None.
         device: Device of the network.
+        start: Configuration [J] of the robot; its home if None.
     """
 
     choices: MeshChoices
@@ -39,7 +41,7 @@ class MeshSettings:
     robot: Path | None = None
     checkpoint: Path | None = None
     device: str = "cpu"
-    start: str | None = None
+    start: Array | None = None
 
     def view(self, cloud: Path, files: SceneFileOptions, pose: str | None) -> ObjectView:
         """The object in a cloud, as `object_view` finds it."""
@@ -93,8 +95,8 @@ class MeshTask:
             "weights": bundled_digest() if weights is None else weights_digest(weights),
             "robot": PlannerFiles(robot=settings.robot).identity()["robot"],
             **self.files.digests(self.pose),
-        }
-        same = ("segment", "target", "workspace", "cleaned", "device", "start")
+        } | ({} if settings.start is None else {"start": settings.start})
+        same = ("segment", "target", "workspace", "cleaned", "device")
         shared = {name: getattr(settings, name) for name in same}
         config: dict[str, Any] = plain(asdict(self.files) | asdict(settings.choices) | shared | own)
         return config

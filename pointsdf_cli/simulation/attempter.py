@@ -258,7 +258,7 @@ class Attempter:
         Raises:
             InputError: The object never comes to rest, or no view shows it.
         """
-        key = (item.mesh.name, item.mesh.sha256, index)
+        key = (item.mesh.name, item.mesh.identity, index)
         if self._last_scene is not None and self._last_scene[0] == key:
             return self._last_scene[1]
         scene = self._draw_scene(item, self._rng(item, 1, index))
@@ -292,7 +292,7 @@ class Attempter:
 
     def _resting(self, item: SimObject, which: int) -> Array | None:
         """Settled pose of one stable pose, cached."""
-        key = (item.mesh.sha256, which)
+        key = (item.mesh.identity, which)
         if key not in self._settled:
             if len(self._settled) > 256:
                 self._settled.clear()  # objects come one after the other

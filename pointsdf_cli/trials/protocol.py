@@ -182,21 +182,23 @@ def choose_objects(
             for path in files:
                 if path.name.startswith(start):
                     by_paper.setdefault(name, path)
+    eight = [
+        TrialObject(name, by_paper[name], True, unit)
+        if name in by_paper
+        else TrialObject(name, upright=True)
+        for name in STAND_INS
+    ]
     if objects == "auto":
         objects = "eight" if by_paper or meshes is None else "all"
     if objects == "eight":
-        return [
-            TrialObject(name, by_paper.get(name), upright=True, unit=unit) for name in STAND_INS
-        ]
+        return eight
     if meshes is None and objects in ("all", "others"):
         raise InputError(f"--objects {objects} needs a folder", hint="--meshes DIR")
     taken = set(by_paper.values()) if objects == "others" else set()
     every = [TrialObject(path.stem, path, unit=unit) for path in files if path not in taken]
     if objects in ("all", "others"):
         return _distinct(every)
-    known = {
-        name: TrialObject(name, by_paper.get(name), upright=True, unit=unit) for name in STAND_INS
-    }
+    known = {item.name: item for item in eight}
     known |= {item.name: item for item in every}  # a file of exactly that name takes precedence
     named = objects.split(",")
     _distinct([item for item in every if item.name in named])

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from pointsdf_cli.io.trials import TrialRow
 from pointsdf_cli.trials.protocol import (
     METHODS,
+    NO_SUCCESS,
     PARTIAL_VIEW,
     PUBLISHED,
     PUBLISHED_NO_PLAN,
@@ -216,6 +217,8 @@ def _predictions(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Tabl
     ranges = list(itertools.pairwise(PREDICTED))
     body: list[Sequence[object]] = []
     for s in summaries:
+        if s.ablation == NO_SUCCESS:  # its probabilities are all 1
+            continue
         planned = [row for row in rows if variant_of(row) == s.name and row.status == "ok"]
         inside = [
             [row.lifted for row in planned if low <= row.success_probability < high + (high == 1)]
