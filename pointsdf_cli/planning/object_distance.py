@@ -15,6 +15,7 @@ import numpy as np
 from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.contacts import WORLD, Contacts, Poses
+from pointsdf_cli.planning.fields import RefinedField
 from pointsdf_cli.planning.robot_geometry import PATCH, RobotGeometry
 
 
@@ -81,7 +82,9 @@ class ObjectDistances:
         """Distance [L] of each link of one configuration: the least of its samples; infinite for a
         link without samples."""
         rotation, position = poses.rotation[0, self.link], poses.position[0, self.link]
-        centres = self.field((rotation @ self._centre[:, :, None])[..., 0] + position)
+        field = self.field
+        below = field.cautious() if isinstance(field, RefinedField) else field
+        centres = below((rotation @ self._centre[:, :, None])[..., 0] + position)
         bound = centres - self._radius
         least = np.full(poses.rotation.shape[1], np.inf)
         # Each link's patch of the lowest bound first: most others are then known to be farther.
