@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 import torch
+from threadpoolctl import threadpool_info
 from torch import Tensor
 
 from pointsdf_cli.models.processor import (
@@ -18,6 +19,7 @@ from pointsdf_cli.models.processor import (
     in_steps,
     side_by_side,
     timed,
+    use_threads,
 )
 from pointsdf_cli.planning.cancellation import CancelledError, cancellable, stop_if_cancelled
 
@@ -187,3 +189,15 @@ def test_a_timed_task_gives_its_result_and_seconds() -> None:
     result, seconds = timed(divmod, 7, 2)
     assert result == (3, 1)
     assert 0 <= seconds < 1
+
+
+def test_numpy_gets_one_thread_whatever_pytorch_gets() -> None:
+    before = torch.get_num_threads()
+    try:
+        use_threads(2)
+        assert torch.get_num_threads() == 2
+        blas = [one for one in threadpool_info() if one["user_api"] == "blas"]
+        assert blas
+        assert all(one["num_threads"] == 1 for one in blas)
+    finally:
+        torch.set_num_threads(before)

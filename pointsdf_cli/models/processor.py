@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -14,15 +15,21 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
+from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 T = TypeVar("T")
 
 
 def use_threads(count: int) -> None:
-    """Set PyTorch's number of threads; more than free cores make it several times slower."""
+    """Set PyTorch's number of threads; more than free cores make it several times slower.
+
+    NumPy and SciPy get one: their products here are small, and a second thread would only wait.
+    """
     keep_large_allocations()
     torch.set_num_threads(max(1, count))
+    threadpool_limits(1, user_api="blas")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for what is loaded later
 
 
 def keep_large_allocations() -> None:
