@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,6 +62,16 @@ def mesh_folder(tmp_path: Path) -> Path:
     trimesh.creation.box((0.1, 0.06, 0.04)).export(folder / "box.ply")
     trimesh.creation.torus(0.04, 0.012).export(folder / "torus.ply")
     return folder
+
+
+@pytest.fixture
+def processor_read_anew() -> Iterator[None]:
+    """The processor's description is read in the test, and again after it."""
+    from pointsdf_cli.models.processor import cpu_features
+
+    cpu_features.cache_clear()
+    yield
+    cpu_features.cache_clear()
 
 
 @pytest.fixture(scope="session")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 import torch
 from torch import nn
@@ -11,17 +9,7 @@ from torch import nn
 from pointsdf_cli.models import linear, processor
 from pointsdf_cli.models.linear import Linear, onednn_is_faster
 
-
-@pytest.fixture(autouse=True)
-def _asked_anew() -> Iterator[None]:
-    forget()
-    yield
-    forget()
-
-
-def forget() -> None:
-    processor.cpu_features.cache_clear()
-    onednn_is_faster.cache_clear()
+pytestmark = pytest.mark.usefixtures("processor_read_anew")
 
 
 def layers(bias: bool) -> tuple[Linear, nn.Linear]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 import torch
 
@@ -13,17 +11,7 @@ from pointsdf_cli.training import precision
 
 CPU = torch.device("cpu")
 
-
-@pytest.fixture(autouse=True)
-def _asked_anew() -> Iterator[None]:
-    forget()
-    yield
-    forget()
-
-
-def forget() -> None:
-    processor.cpu_features.cache_clear()
-    processor.bfloat16_is_faster.cache_clear()
+pytestmark = pytest.mark.usefixtures("processor_read_anew")
 
 
 @pytest.mark.parametrize(

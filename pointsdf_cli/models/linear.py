@@ -6,8 +6,6 @@ GFLOP/s on one Zen 5 core, where oneDNN, which PyTorch uses for bfloat16, reache
 
 from __future__ import annotations
 
-import functools
-
 import torch
 from torch import Tensor, nn
 
@@ -26,7 +24,6 @@ class Linear(nn.Linear):
         return torch.ops.mkldnn._linear_pointwise(x, self.weight, self.bias, "none", [], "")
 
 
-@functools.cache
 def onednn_is_faster() -> bool:
     """Whether oneDNN multiplies float32 matrices faster than MKL, by the processor's name and
     flags; False where this PyTorch does not offer it."""

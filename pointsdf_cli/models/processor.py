@@ -73,7 +73,6 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-@functools.cache
 def bfloat16_is_faster() -> bool:
     """Whether this processor multiplies matrices faster in bfloat16 than in float32.
 
