@@ -104,15 +104,8 @@ RobotInScene = Annotated[
 Start = Annotated[
     str | None,
     typer.Option(
-        metavar="Q", help="Start configuration [rad], or a file [default: the robot's home]."
-    ),
-]
-StandsAt = Annotated[
-    str | None,
-    typer.Option(
-        "--start",
         metavar="Q",
-        help="The robot's configuration [rad], or a file [default: its home].",
+        help="The robot's configuration [rad], or a file; motions begin there [default: its home].",
     ),
 ]
 Device = Annotated[
@@ -130,7 +123,7 @@ Checkpoint = Annotated[
 ]
 GraspCheckpoint = Annotated[
     Path | None,
-    typer.Option(help="Success weights [default: bundled, of the robot].", show_default=False),
+    typer.Option(help="Success weights [default: the robot's bundled ones].", show_default=False),
 ]
 Precision = Annotated[
     choices.Precision, typer.Option(help="Precision; auto takes bfloat16 where it is faster.")

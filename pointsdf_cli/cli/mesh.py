@@ -72,7 +72,7 @@ def mesh(
     ] = None,
     workspace: common.Workspace = None,
     robot: common.RobotInScene = None,
-    start: common.StandsAt = None,
+    start: common.Start = None,
     all_parts: Annotated[
         bool, typer.Option("--all-parts", help="Keep small loose parts too.")
     ] = False,

@@ -30,7 +30,7 @@ def segment(
     drop_invalid: common.DropInvalid = False,
     workspace: common.Workspace = None,
     robot: common.RobotInScene = None,
-    start: common.StandsAt = None,
+    start: common.Start = None,
     no_clean: common.NoClean = False,
     picture: Annotated[Path, typer.Option(help="Output picture of the numbered objects.")] = Path(
         "segment.png"

@@ -25,9 +25,10 @@ uncertain."""
 FINE = 0.004
 """Grid step [m] of a second search for feet if a coarser grid shows none: cups have thin bases."""
 
-DIRECTIONS, BATCH = 16, 512
-"""Feet are looked for where they are likely: in each of these directions from the centre at the
-lowest value on the grid, then at so many places at a time in the order of their values there."""
+DIRECTIONS = 16
+"""Feet are first looked for at the likeliest place in each of this many directions."""
+BATCH = 512
+"""Then they are looked for at this many places at a time, the likeliest first."""
 
 SPACING = 0.008
 """Spacing of the occupied points below the shape [m]: no finger passes between them."""

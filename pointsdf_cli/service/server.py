@@ -22,8 +22,8 @@ CONNECTIONS = 64
 """Connections at once; each may be sending a body."""
 
 TRIMMED = 20
-"""Requests after which freed memory is returned to the system: a plan that must get all of it back
-takes 60 ms longer."""
+"""Freed memory is returned to the system after this many requests. Getting it back costs the next
+plan 60 ms."""
 
 
 class Server:
