@@ -31,7 +31,7 @@ lint: setup
 	$(RUN)/ruff check pointsdf_cli tests benchmarks examples experiments pipelines
 	$(RUN)/ruff format --check pointsdf_cli tests benchmarks examples experiments pipelines
 	$(RUN)/mypy
-	$(RUN)/mypy benchmarks/*.py pipelines/*.py experiments/*.py examples/*.py $(LOOSE)
+	$(RUN)/mypy benchmarks/*.py pipelines/*.py pipelines/gpu/*.py experiments/*.py examples/*.py $(LOOSE)
 
 # Without a browser the tests of the viewer's pages are skipped.
 browser:

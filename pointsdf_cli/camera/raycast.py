@@ -99,8 +99,9 @@ class MeshCaster:
             window = self.window_around(T_camera_object, margin)
         hits, rays = self._cast(T_camera_object, window)
         depth, direction = hits["t_hit"].numpy(), rays[..., 3:]
-        along = np.abs((hits["primitive_normals"].numpy() * direction).sum(-1))
-        cosine = along / np.linalg.norm(direction, axis=-1)
+        # Sums over a short last axis take several times as long.
+        along = np.abs(np.einsum("hwk,hwk->hw", hits["primitive_normals"].numpy(), direction))
+        cosine = along / np.sqrt(np.einsum("hwk,hwk->hw", direction, direction))
         cosine[~np.isfinite(depth)] = 1.0
         return DepthWindow((window[0], window[2]), depth, cosine.astype(np.float32))
 

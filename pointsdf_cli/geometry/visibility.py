@@ -130,7 +130,8 @@ def visibility_image(
 
 def _within(tangents: Array, middle: Array, reach: float) -> NDArray[np.bool_]:
     """Whether tangents [N, 2] lie in the square of half side `reach` about `middle` [2]."""
-    return np.asarray((np.abs(tangents - middle) < reach).all(axis=1))
+    away = np.abs(tangents - middle) < reach
+    return np.asarray(away[:, 0] & away[:, 1])
 
 
 def _nearest_of_each_bin(places: Array, side: float) -> NDArray[np.intp]:

@@ -162,9 +162,11 @@ class _GatherRows(torch.autograd.Function):
     @staticmethod
     def backward(ctx, gradient: Tensor):  # type: ignore[no-untyped-def]
         (index,) = ctx.saved_tensors
-        total = gradient.new_zeros(ctx.shape)
-        total.index_add_(0, index, gradient.contiguous())
-        return total, None
+        # GPUs add float32 at once, bfloat16 by compare and swap, and many gradients meet in a row.
+        kind = torch.float32 if gradient.is_cuda else gradient.dtype
+        total = torch.zeros(ctx.shape, dtype=kind, device=gradient.device)
+        total.index_add_(0, index, gradient.to(kind).contiguous())
+        return total.to(gradient.dtype), None
 
 
 def gather(values: Tensor, index: Tensor) -> Tensor:

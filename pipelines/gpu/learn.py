@@ -1,0 +1,272 @@
+"""Train `pointsdf-ray` on a GPU with the views that make_views.py makes meanwhile.
+
+    python pipelines/gpu/learn.py VIEWS OUT --minutes M [--start-from CHECKPOINT] [--device cuda]
+
+Loss, optimiser, schedule and averaging are those of `train-sdf`. A step is recorded once as a CUDA
+graph and replayed: its 1500 small operations cost more to launch than to run. OUT is a checkpoint
+as `train-sdf` writes it, of the averaged weights, renewed every `--validate` minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import kernels
+import torch
+from torch import Tensor
+from views_on_device import DeviceBatch, Symmetry, Views
+
+from pointsdf_cli.io.checkpoints import write_checkpoint
+from pointsdf_cli.io.provenance import git_commit
+from pointsdf_cli.models.box_frame import BoxFrame, _ends
+from pointsdf_cli.models.neighbours import SEARCHES
+from pointsdf_cli.models.pointsdf_ray import PointSDFRay
+from pointsdf_cli.models.registry import build_model, load_model
+from pointsdf_cli.models.revolution import cylindrical, places
+from pointsdf_cli.training.ema import WeightAverage
+from pointsdf_cli.training.presets import settings
+from pointsdf_cli.training.sdf_config import TrainConfig
+from pointsdf_cli.training.sdf_loss import label_iou
+
+FILES_AT_ONCE = 16
+VALIDATION_QUERIES = 1500
+REPORT_EVERY = 500
+REFRESH_EVERY = 10
+"""Steps after which new views are drawn from."""
+
+
+class RayWithSymmetry(PointSDFRay):
+    """`pointsdf-ray` whose axes and boxes are given instead of found in every step."""
+
+    symmetry: Symmetry
+
+    def _symmetry(
+        self, cloud: Tensor, camera: Tensor, centres: Tensor, neighbours: Tensor
+    ) -> dict[str, Tensor]:
+        axis, directions, trust = self.symmetry
+        with torch.autocast(cloud.device.type, enabled=False):
+            ends = _ends(cloud @ directions.transpose(1, 2))
+            radius, height, _ = cylindrical(cloud, axis)
+            turned = torch.cat([radius.amax(1), _ends(height).squeeze(1)], dim=-1)
+            size = ends[..., 0] - ends[..., 1]
+            box = BoxFrame(directions, ends, turned, torch.cat([trust, size], dim=-1))
+            known = {f"axis_{name}": value for name, value in axis._asdict().items()}
+            known |= {f"box_{name}": value for name, value in box._asdict().items()}
+            return known | {"places": places(cloud, axis)}
+
+    def predict(self, batch: DeviceBatch) -> Tensor:
+        """Signed distances [B, Q] of a batch."""
+        self.symmetry = batch.symmetry
+        encoding = self.encode(batch.cloud, batch.camera, batch.neighbours, batch.around)
+        return self.decode(encoding, batch.x)
+
+
+class Training:
+    """A run: network, optimiser and one step of it, recorded where the device is a GPU."""
+
+    def __init__(
+        self, model: RayWithSymmetry, views: Views, config: TrainConfig, device: torch.device
+    ) -> None:
+        self.model, self.views, self.config, self.device = (
+            model.to(device).train(),
+            views,
+            config,
+            device,
+        )
+        on_gpu = device.type == "cuda"
+        rate: Any = (
+            torch.tensor(config.learning_rate, device=device) if on_gpu else config.learning_rate
+        )
+        self._optimiser = torch.optim.AdamW(
+            model.parameters(), lr=rate, weight_decay=config.weight_decay, betas=(0.9, 0.98),
+            fused=True, capturable=on_gpu,
+        )  # fmt: skip
+        self.average: WeightAverage[RayWithSymmetry] = WeightAverage(model, config.average)
+        self.loss_sum = torch.zeros((), device=device)
+        self.steps = 0
+        self._graph = self._recorded() if on_gpu else None
+
+    def _operations(self) -> None:
+        """One step but for the learning rate."""
+        batch = self.views.batch(self.views.draw(self.config.batch_size), self.config.queries)
+        with torch.autocast(self.device.type, torch.bfloat16):
+            predicted = self.model.predict(batch)
+        loss = self.config.loss(predicted, batch.sdf)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config.clip)
+        self._optimiser.step()
+        self.loss_sum += loss.detach()
+
+    def _recorded(self) -> torch.cuda.CUDAGraph:
+        """The step as a graph; its first runs, which allocate memory, learn at a rate of 0."""
+        self._set_rate(0.0)
+        side = torch.cuda.Stream()
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):
+            for _ in range(3):
+                self._optimiser.zero_grad(set_to_none=True)
+                self._operations()
+        torch.cuda.current_stream().wait_stream(side)
+        # Without gradients before it, a backward pass writes them instead of adding to them.
+        self._optimiser.zero_grad(set_to_none=True)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph, capture_error_mode="thread_local"):
+            self._operations()
+        return graph
+
+    def take_step(self, progress: float) -> None:
+        """A step, `progress` ∈ [0, 1] of the way."""
+        self._set_rate(self.config.rate(self.steps, progress))
+        if self.steps % REFRESH_EVERY == 0:
+            self.views.drawn_from.fill_(float(self.views.count))
+        if self._graph is None:
+            self._optimiser.zero_grad(set_to_none=True)
+            self._operations()
+        else:
+            self._graph.replay()
+        self.average.update(self.model, self.steps)
+        self.steps += 1
+
+    def _set_rate(self, rate: float) -> None:
+        for group in self._optimiser.param_groups:
+            if isinstance(group["lr"], Tensor):
+                group["lr"].fill_(rate)
+            else:
+                group["lr"] = rate
+
+    @torch.no_grad()
+    def validate(self, held_out: Views) -> dict[str, float]:
+        """Loss and overlap of the averaged weights, with evidence about the space and without."""
+        numbers = {}
+        for name, evidence in (("", True), ("_bare", False)):
+            losses, overlaps = [], []
+            for first in range(0, held_out.count, 64):
+                views = torch.arange(first, min(first + 64, held_out.count), device=self.device)
+                batch = held_out.batch(views, VALIDATION_QUERIES, augment=False, evidence=evidence)
+                with torch.autocast(self.device.type, torch.bfloat16):
+                    predicted = self.average.model.predict(batch)
+                losses += [self.config.loss(predicted, batch.sdf)] * len(views)
+                overlaps.append(label_iou(predicted, batch.sdf))
+            numbers[f"object_loss{name}"] = float(torch.stack(losses).mean())
+            numbers[f"object_iou{name}"] = float(torch.cat(overlaps).mean())
+        return numbers
+
+
+class Files:
+    """View files that appear in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._read = folder, set[Path]()
+
+    def add_to(self, views: Views) -> int:
+        """Add some that are new; their number."""
+        found = sorted(p for p in self._folder.glob("[0-9]*.npz") if p not in self._read)
+        some = found[:FILES_AT_ONCE]
+        self._read.update(some)
+        if some:
+            views.add(some)
+        return len(some)
+
+
+def _keep_reading(files: Files, views: Views, over: threading.Event) -> None:
+    """Add files as they appear, beside the training."""
+    stream = torch.cuda.Stream() if views.device.type == "cuda" else None
+    with torch.cuda.stream(stream):
+        while not over.is_set() and views.count < views.capacity:
+            if not files.add_to(views):
+                over.wait(0.5)
+
+
+def main() -> None:
+    """Train until the time is over."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("views", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--minutes", type=float, required=True)
+    parser.add_argument("--start-from", type=Path)
+    parser.add_argument("--batch-size", type=int, default=256)
+    parser.add_argument("--queries", type=int, default=256)
+    parser.add_argument("--learning-rate", type=float, default=1.5e-3)
+    parser.add_argument("--capacity", type=int, default=150_000, help="views, 42 kB each")
+    parser.add_argument("--objects", type=int, default=7000)
+    parser.add_argument("--first-views", type=int, default=2000, help="views to wait for")
+    parser.add_argument("--validate", type=float, default=2.0, help="minutes between validations")
+    parser.add_argument("--device", default="cuda")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    device = torch.device(options.device)
+    torch.manual_seed(options.seed)
+    if device.type == "cuda":
+        SEARCHES["exact"] = kernels.nearest
+
+    given = {"minutes": options.minutes, "batch_size": options.batch_size,
+             "queries": options.queries, "learning_rate": options.learning_rate,
+             "seed": options.seed, "steps": 10**9}  # fmt: skip
+    arguments, config = settings("pointsdf-ray", "small", given)
+    start = load_model(options.start_from) if options.start_from else None
+    arguments = arguments if start is None else start.config()
+    model = RayWithSymmetry(**arguments)
+    source = start or build_model("pointsdf-ray", arguments, seed=options.seed)
+    model.load_state_dict(source.state_dict())
+    views = Views(options.capacity, options.objects, device, model.sideways)
+    held_out = Views(1000, 1000, device, model.sideways)
+    files, held_files = Files(options.views), Files(options.views / "valid")
+    while held_files.add_to(held_out) or views.count < options.first_views or not held_out.count:
+        files.add_to(views)
+        time.sleep(0.2)
+    views.drawn_from.fill_(float(views.count))
+
+    began = time.monotonic()
+    training = Training(model, views, config, device)
+    over = threading.Event()
+    reader = threading.Thread(target=_keep_reading, args=(files, views, over))
+    reader.start()
+    history: list[dict[str, float]] = []
+
+    def validate() -> None:
+        entry = {"step": training.steps, "seconds": round(time.monotonic() - began, 1),
+                 **training.validate(held_out)}  # fmt: skip
+        history.append(entry)
+        print(entry, flush=True)
+        write_checkpoint(
+            options.out,
+            config={
+                "architecture": model.architecture,
+                "model": model.config(),
+                "training": config.as_dict(),
+                "progress": {"step": training.steps, "seconds": entry["seconds"]},
+                "best": entry,
+                "started_from": str(options.start_from) if options.start_from else None,
+                "data": {"views": views.count},
+                "git_commit": git_commit(),
+            },
+            weights=training.average.weights(),
+            train_state=None,
+        )
+
+    try:
+        validated = 0.0
+        progress = 0.0
+        while progress < 1.0:
+            training.take_step(progress)
+            if training.steps % REPORT_EVERY == 0:
+                loss = float(training.loss_sum) / REPORT_EVERY
+                training.loss_sum.zero_()
+                print(f"step {training.steps}: loss {loss:.4f}, {views.count} views", flush=True)
+            minutes = (time.monotonic() - began) / 60
+            progress = minutes / options.minutes
+            if minutes - validated >= options.validate:
+                validate()
+                validated = minutes
+        validate()
+    finally:
+        over.set()
+        reader.join()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,250 @@
+"""Make objects and views of tables with them on every core, as files for learn.py.
+
+    python pipelines/gpu/make_views.py OUT --minutes M [--meshes DIR] [--objects N] [--workers N]
+
+Each file holds some views of a few objects and, when an object comes first, labelled points: where
+`render` and `label-sdf` write everything before `train-sdf` begins, learn.py reads files as they
+appear. Views, sensors and errors are those of `render --scene table`. OUT/valid gets views of
+objects of another seed, which nothing is trained on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import multiprocessing
+import os
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rays import use_embree_without_open3d
+from scipy import ndimage
+from threadpoolctl import threadpool_limits
+
+from pointsdf_cli.camera.pinhole import CAMERAS, Camera
+from pointsdf_cli.camera.scene_views import SceneView, SceneViewConfig, SceneViews
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.cloud_sampling import systematic_sample
+from pointsdf_cli.geometry.sdf_sampling import BOX, MARGIN, NEAR_VARIANCE, WIDE_VARIANCE
+from pointsdf_cli.geometry.signed_distance import sample_surface
+from pointsdf_cli.geometry.visibility import SIZE
+from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
+from pointsdf_cli.models.normalise import network_frame
+from pointsdf_cli.objects.generate import make_object
+
+MOST_POINTS = 3000
+"""Points kept of a view; each step draws the network's 1000 from them anew."""
+LABELS = 12_000
+UNKNOWN = -60.0
+"""Free depth of rays without evidence."""
+FARTHEST = 8.0
+"""Free depths are clipped to this, network units behind or before the object."""
+ALL_INSIDE = 99.0
+COLOUR = Camera(640, 480, 1067.0, 1067.0, 319.5, 239.5)
+"""Depth registered to a colour camera of long focal length."""
+CAMERA_SHARES = {"colour": 0.25, "xtion": 0.3, "realsense": 0.25, "reference": 0.2}
+SENSORS = ("ideal", "structured-light", "stereo")
+VALIDATION_SEED, VALIDATION_OBJECTS, VALIDATION_VIEWS = 62, 64, 5
+SCAN_TURNS = 4
+"""How often a scan is shown while a generated object is shown once."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """One object: number `index` of generated ones of `seed`, or the mesh file `path`."""
+
+    number: int
+    seed: int = 0
+    index: int = 0
+    path: Path | None = None
+
+    def mesh(self) -> LoadedMesh:
+        """The mesh, in metres."""
+        if self.path is not None:
+            return load_mesh(self.path)
+        made = make_object(self.seed, self.index)
+        return LoadedMesh(made.name, made.vertices.astype(np.float64), made.faces, "", "none")
+
+
+@dataclass(frozen=True)
+class Task:
+    """One file to make; `labelled` where the objects' labels go with it."""
+
+    number: int
+    sources: tuple[Source, ...]
+    views: int
+    labelled: bool
+    exact: float
+    out: Path
+
+
+def make_file(task: Task) -> int:
+    """Write the file of a task; the number of its views. Objects that are never seen are left
+    out."""
+    rows: list[dict[str, NDArray]] = []
+    labels: list[dict[str, NDArray]] = []
+    for place, source in enumerate(task.sources):
+        rng = np.random.default_rng([task.number, source.number, place])
+        try:
+            mesh = source.mesh()
+            drawn = _draw(mesh, task, rng)
+        except InputError as error:
+            print(f"object {source.number}: {error}", file=sys.stderr)
+            continue
+        number = np.array(source.number, np.int32)
+        rows += [view_arrays(view, rng) | {"object": number} for view in drawn]
+        if task.labelled:
+            labels.append(label_arrays(mesh, rng) | {"label_object": number})
+    if rows:
+        data = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
+        if labels:
+            triangles = [each.pop("label_triangles") for each in labels]
+            data["label_faces"] = np.array([len(t) for t in triangles], np.int32)
+            data["label_triangles"] = np.concatenate(triangles)
+            data |= {key: np.stack([each[key] for each in labels]) for key in labels[0]}
+        task.out.mkdir(parents=True, exist_ok=True)
+        unfinished = task.out / f".{task.number:06d}.npz"
+        np.savez(unfinished, **data)
+        os.replace(unfinished, path_of(task))
+    return len(rows)
+
+
+def path_of(task: Task) -> Path:
+    """The task's file."""
+    return task.out / f"{task.number:06d}.npz"
+
+
+def _draw(mesh: LoadedMesh, task: Task, rng: np.random.Generator) -> list[SceneView]:
+    cameras = [COLOUR, *(CAMERAS[name] for name in list(CAMERA_SHARES)[1:])]
+    camera = cameras[rng.choice(len(cameras), p=list(CAMERA_SHARES.values()))]
+    drawer = SceneViews(mesh, camera, SceneViewConfig(sensors=SENSORS, exact=task.exact))
+    return [drawer.draw(rng)[0] for _ in range(task.views)]
+
+
+def view_arrays(view: SceneView, rng: np.random.Generator) -> dict[str, NDArray]:
+    """What learn.py needs of a view, in the network's frame of all its points.
+
+    `points` f2 [MOST_POINTS, 3], the first `count` of them along a curve over the image; `camera`,
+    `to_network` and `scale` as in `sdf_pack.Pack`; `free`, `regions`, `window`, `plane` and `known`
+    are the evidence before it is scaled with a cloud (`models/surroundings.py`).
+    """
+    count = min(MOST_POINTS, len(view.points))
+    points = view.points[systematic_sample(view.points[:, :2], count, rng)]
+    frame = network_frame(points)
+    kept = np.zeros((MOST_POINTS, 3), np.float16)
+    kept[:count] = frame.to_network(points)
+    pose = view.T_camera_object
+    to_network = np.column_stack([pose[:3, :3], pose[:3, 3] - frame.centre]) * frame.scale
+    free = np.full((SIZE, SIZE), UNKNOWN, np.float16)
+    regions = np.zeros((2, SIZE, SIZE), np.float16)
+    window, plane, known = np.zeros(4), np.zeros(4), np.zeros(2)
+    if view.evidence.visibility is not None:
+        window, seen, depth = view.evidence.visibility
+        behind = np.clip((depth - frame.centre[2]) * frame.scale, -FARTHEST, FARTHEST)
+        free[depth > 0] = behind[depth > 0]
+        regions[0] = _signed_cells((depth > 0) & (behind > 0.6))
+        regions[1] = _signed_cells(seen)
+        known[0] = 1.0
+    if view.evidence.support_plane is not None:
+        normal, offset = view.evidence.support_plane[:3], view.evidence.support_plane[3]
+        plane = np.array([*normal, (offset - normal @ frame.centre) * frame.scale])
+        known[1] = 1.0
+    single = {
+        "camera": -frame.centre * frame.scale,
+        "to_network": to_network,
+        "scale": np.array(frame.scale),
+        "window": window,
+        "plane": plane,
+        "known": known,
+    }
+    arrays: dict[str, NDArray] = {k: np.asarray(v, np.float32) for k, v in single.items()}
+    total = np.array(count, np.int32)
+    return arrays | {"points": kept, "count": total, "free": free, "regions": regions}
+
+
+def _signed_cells(inside: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Signed distance to a region [cells], negative inside."""
+    if inside.all() or not inside.any():
+        return np.full(inside.shape, -ALL_INSIDE if inside.all() else ALL_INSIDE)
+    apart = ndimage.distance_transform_edt(~inside) - ndimage.distance_transform_edt(inside)
+    signed: NDArray[np.float64] = apart - np.sign(apart) * 0.5
+    return signed
+
+
+def label_arrays(mesh: LoadedMesh, rng: np.random.Generator) -> dict[str, NDArray]:
+    """Points to label about the box's centre, spread as `sample_sdf` does, and the triangles."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    centre, unit = (low + high) / 2, MARGIN * float((high - low).max())
+    near = round(0.4 * LABELS)
+    surface, _ = sample_surface(mesh.vertices, mesh.faces, 2 * near, rng)
+    deviation = unit * np.sqrt(np.repeat([WIDE_VARIANCE, NEAR_VARIANCE], near))
+    surface = surface - centre + deviation[:, None] * rng.standard_normal((2 * near, 3))
+    uniform = unit * rng.uniform(-BOX, BOX, (LABELS - 2 * near, 3))
+    corners = (mesh.vertices - centre)[mesh.faces].reshape(-1, 9)
+    return {
+        "label_points": np.concatenate([surface, uniform]).astype(np.float32),
+        "label_triangles": corners.astype(np.float32),
+        "label_centre": centre.astype(np.float32),
+    }
+
+
+def tasks(options: argparse.Namespace) -> Iterator[Task]:
+    """Validation first, then rounds over all objects in new orders, without end."""
+    held = [Source(k, VALIDATION_SEED, k) for k in range(options.validation)]
+    for first in range(0, len(held), 8):
+        group = tuple(held[first : first + 8])
+        yield Task(first, group, VALIDATION_VIEWS, True, options.exact, options.out / "valid")
+    every = [Source(k, options.seed, k) for k in range(options.objects)]
+    scans = find_meshes(options.meshes) if options.meshes else []
+    every += [Source(options.objects + k, path=path) for k, path in enumerate(scans)] * SCAN_TURNS
+    rng = np.random.default_rng(options.seed)
+    number = 0
+    for turn in itertools.count():
+        order = rng.permutation(len(every))
+        for first in range(0, len(order), options.group):
+            sources = tuple(every[k] for k in order[first : first + options.group])
+            yield Task(number, sources, options.views, turn == 0, options.exact, options.out)
+            number += 1
+
+
+def main() -> None:
+    """Make files until the time is over; those that are there are not made again."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--minutes", type=float, required=True)
+    parser.add_argument("--meshes", type=Path, help="folder of scans")
+    parser.add_argument("--objects", type=int, default=6000, help="generated objects")
+    parser.add_argument("--validation", type=int, default=VALIDATION_OBJECTS)
+    parser.add_argument("--views", type=int, default=6, help="views of an object in a file")
+    parser.add_argument("--group", type=int, default=12, help="objects of a file")
+    parser.add_argument("--exact", type=float, default=0.4, help="share of views without errors")
+    parser.add_argument("--seed", type=int, default=1000)
+    parser.add_argument("--workers", type=int, default=max(1, (os.cpu_count() or 2) - 2))
+    options = parser.parse_args()
+    end = time.monotonic() + 60 * options.minutes
+    missing = (task for task in tasks(options) if not path_of(task).exists())
+    made = 0
+    use_embree_without_open3d()
+    context = multiprocessing.get_context("fork")
+    with context.Pool(options.workers, threadpool_limits, (1,)) as pool:
+        waiting = [pool.apply_async(make_file, (task,)) for task in
+                   itertools.islice(missing, 2 * options.workers)]  # fmt: skip
+        while time.monotonic() < end:
+            finished = [result for result in waiting if result.ready()]
+            for result in finished:
+                made += result.get()
+                waiting.remove(result)
+                waiting.append(pool.apply_async(make_file, (next(missing),)))
+            if finished:
+                print(f"{made} views", flush=True)
+            time.sleep(0.05)
+        pool.terminate()
+
+
+if __name__ == "__main__":
+    main()

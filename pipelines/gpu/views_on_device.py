@@ -1,0 +1,283 @@
+"""Views and labels of make_views.py in a GPU's memory, and the batches of each training step.
+
+A batch is what `training/sdf_data.py` makes of a pack, by operations on the device: other points of
+the view, mirrored and turned, with other labels and now and then without evidence. Every tensor
+has the same shape in every step, so that CUDA graphs can record it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import kernels
+import numpy as np
+import torch
+from make_views import LABELS, MOST_POINTS, UNKNOWN
+from torch import Tensor
+
+from pointsdf_cli.geometry.visibility import SIZE
+from pointsdf_cli.models.box_frame import box_frame
+from pointsdf_cli.models.neighbours import gather
+from pointsdf_cli.models.normalise import MARGIN
+from pointsdf_cli.models.revolution import Axis, revolution_axis, surface_normals
+from pointsdf_cli.models.shape_model import PACKED_CENTRES, PACKED_NEIGHBOURS
+from pointsdf_cli.models.surroundings import (
+    FARTHEST,
+    WIDEST,
+    Surroundings,
+    lower_plane,
+    without_evidence,
+)
+from pointsdf_cli.training.sdf_data import FORGET_ALL, FORGET_IMAGE, HIGHEST, RAISED
+
+CLOUD_SIZE = 1000
+BOX_TRUST = 10
+"""Numbers of a box's trust that do not depend on the cloud's size."""
+COLUMNS = {
+    "points": ((MOST_POINTS, 3), torch.float16),
+    "count": ((), torch.int32),
+    "camera": ((3,), torch.float32),
+    "to_network": ((3, 4), torch.float32),
+    "scale": ((), torch.float32),
+    "free": ((SIZE, SIZE), torch.float16),
+    "regions": ((2, SIZE, SIZE), torch.float16),
+    "window": ((4,), torch.float32),
+    "plane": ((4,), torch.float32),
+    "known": ((2,), torch.float32),
+    "object": ((), torch.int32),
+    "direction": ((3,), torch.float32),
+    "axis_point": ((3,), torch.float32),
+    "miss": ((), torch.float32),
+    "spread": ((), torch.float32),
+    "box_directions": ((3, 3), torch.float32),
+    "box_trust": ((BOX_TRUST,), torch.float32),
+}
+
+
+class Symmetry(NamedTuple):
+    """Axis of revolution and directions of the box of B views, found once a view."""
+
+    axis: Axis
+    directions: Tensor
+    trust: Tensor
+
+
+class DeviceBatch(NamedTuple):
+    """As `sdf_data.Batch`, with the symmetry of each view."""
+
+    cloud: Tensor
+    camera: Tensor
+    neighbours: Tensor
+    x: Tensor
+    sdf: Tensor
+    around: Surroundings
+    symmetry: Symmetry
+
+
+class Views:
+    """Views and labels on a device, filled while training goes on.
+
+    Args:
+        capacity: Most views.
+        objects: Most objects.
+        device: Where.
+        sideways: As in `revolution_axis`.
+    """
+
+    def __init__(self, capacity: int, objects: int, device: torch.device, sideways: float) -> None:
+        self.device, self.capacity, self._sideways = device, capacity, sideways
+        self._rows = {
+            name: torch.zeros((capacity, *shape), dtype=kind, device=device)
+            for name, (shape, kind) in COLUMNS.items()
+        }
+        self._x = torch.zeros((objects, LABELS, 3), device=device)
+        self._sdf = torch.zeros((objects, LABELS), device=device)
+        self._centre = torch.zeros((objects, 3), device=device)
+        self._is_labelled = np.zeros(objects, bool)
+        self.count = 0
+        self.drawn_from = torch.zeros((), device=device)
+        """Number of views to draw from, read by recorded steps."""
+
+    @torch.no_grad()
+    def add(self, files: Sequence[Path]) -> None:
+        """Read files; their views count when all of them are there."""
+        parts = []
+        for path in files:
+            with np.load(path) as data:
+                arrays = {name: data[name] for name in data.files}
+            self._label(arrays)
+            parts.append(arrays)
+        self.add_arrays(parts)
+
+    @torch.no_grad()
+    def add_arrays(self, parts: Sequence[dict[str, np.ndarray]]) -> None:
+        """Add views whose objects have labels."""
+        labelled = self._is_labelled[np.concatenate([p["object"] for p in parts])]
+        room = self.capacity - self.count
+        new = slice(self.count, self.count + min(room, int(labelled.sum())))
+        if new.stop == new.start:
+            return
+        for name, rows in self._rows.items():
+            if name in parts[0]:
+                values = np.concatenate([p[name] for p in parts])[labelled][:room]
+                rows[new] = torch.from_numpy(values).to(self.device)
+        self._find_symmetry(new)
+        if self.device.type == "cuda":
+            torch.cuda.current_stream().synchronize()
+        self.count = new.stop
+
+    def _label(self, arrays: dict[str, np.ndarray]) -> None:
+        """Signed distances of objects that have none yet."""
+        if "label_object" not in arrays:
+            return
+        ends = np.cumsum(arrays["label_faces"])
+        for row, number in enumerate(arrays["label_object"]):
+            if not self._is_labelled[number]:
+                first = ends[row] - arrays["label_faces"][row]
+                triangles = torch.from_numpy(arrays["label_triangles"][first : ends[row]])
+                x = torch.from_numpy(arrays["label_points"][row]).to(self.device)
+                self._sdf[number] = kernels.signed_distance(x, triangles.to(self.device))
+                self._x[number] = x
+                self._centre[number] = torch.from_numpy(arrays["label_centre"][row])
+                self._is_labelled[number] = True
+
+    def _find_symmetry(self, new: slice) -> None:
+        """Axes and boxes: eigenvectors of small matrices are slow on GPUs, and hardly depend on
+        which of a view's points a step draws."""
+        rows, camera = self._rows, self._rows["camera"][new]
+        cloud = self._sample(torch.arange(new.start, new.stop, device=self.device))
+        cloud, neighbours = _first_layer(cloud)
+        centres = cloud[:, :PACKED_CENTRES]
+        normals = surface_normals(centres, neighbours, cloud, camera)
+        axis = revolution_axis(centres, normals, camera, self._sideways)
+        box = box_frame(normals, cloud, camera, axis)
+        rows["direction"][new], rows["axis_point"][new] = axis.direction, axis.point
+        rows["miss"][new], rows["spread"][new] = axis.miss, axis.spread
+        rows["box_directions"][new] = box.directions
+        rows["box_trust"][new] = box.trust[:, :BOX_TRUST]
+
+    def draw(self, batch_size: int) -> Tensor:
+        """Random views, int64 [B]."""
+        return (torch.rand(batch_size, device=self.device) * self.drawn_from).long()
+
+    def _sample(self, views: Tensor) -> Tensor:
+        """Points [B, CLOUD_SIZE, 3] of each view, as `systematic_sample` takes them."""
+        total = self._rows["count"][views].float()[:, None]
+        step = torch.arange(CLOUD_SIZE, device=self.device).float()[None]
+        start = torch.rand(len(views), 1, device=self.device)
+        again = torch.rand(len(views), CLOUD_SIZE, device=self.device)
+        even = ((step + start) * (total / CLOUD_SIZE)).floor()
+        few = torch.where(step < total, step, (again * total).floor())
+        index = torch.where(total < CLOUD_SIZE, few, even).minimum(total - 1).long()
+        points = self._rows["points"][views].float()
+        return points.gather(1, index[..., None].expand(-1, -1, 3))
+
+    def batch(
+        self, views: Tensor, queries: int, augment: bool = True, evidence: bool | None = None
+    ) -> DeviceBatch:
+        """A batch of the views [B] with `queries` labels each.
+
+        Args:
+            views: Which.
+            queries: Labels of each.
+            augment: Mirror and turn the views, and lower their planes.
+            evidence: Whether the space around the objects is known; None: as in training.
+        """
+        rows = {name: table[views] for name, table in self._rows.items() if name != "points"}
+        count, device = len(views), self.device
+        cloud, turn = self._sample(views), self._turns(count, augment)
+        back = turn.transpose(1, 2)
+        cloud = cloud @ back
+        low, high = cloud.amin(1, keepdim=True), cloud.amax(1, keepdim=True)
+        centre, scale = (low + high) / 2.0, 1.0 / (MARGIN * (high - low).amax(-1, keepdim=True))
+
+        objects = rows["object"].long()
+        picked = (torch.rand(count, queries, device=device) * LABELS).long().clamp(max=LABELS - 1)
+        x = self._x[objects[:, None], picked] + self._centre[objects][:, None]
+        x = x @ rows["to_network"][:, :, :3].transpose(1, 2) + rows["to_network"][:, None, :, 3]
+        sdf = self._sdf[objects[:, None], picked] * (rows["scale"] * scale[:, 0, 0])[:, None]
+
+        cloud = (cloud - centre) * scale
+        camera = ((rows["camera"][:, None] @ back - centre) * scale)[:, 0]
+        around = _surroundings(rows, turn, centre[:, 0], scale[:, 0, 0], camera)
+        has_image, has_plane = rows["known"].bool().unbind(1)
+        if evidence is None:
+            lost = torch.rand(count, device=device)
+            has_image, has_plane = (
+                has_image & (lost > FORGET_IMAGE),
+                has_plane & (lost > FORGET_ALL),
+            )
+        elif not evidence:
+            has_image, has_plane = torch.zeros_like(has_image), torch.zeros_like(has_plane)
+        around = without_evidence(around, has_image, has_plane)
+        if augment:
+            raised = (torch.rand(count, device=device) < RAISED).float()
+            around = lower_plane(around, raised * HIGHEST * torch.rand(count, device=device))
+        cloud, neighbours = _first_layer(cloud)
+        return DeviceBatch(
+            cloud,
+            camera,
+            neighbours,
+            (x @ back - centre) * scale,
+            sdf,
+            around,
+            _turned_symmetry(rows, turn, centre[:, 0], scale[:, 0]),
+        )
+
+    def _turns(self, count: int, augment: bool) -> Tensor:
+        """Rotations about the optical axis [B, 3, 3], half of them mirrored; or none."""
+        turn = torch.eye(3, device=self.device).repeat(count, 1, 1)
+        if augment:
+            angle = 2.0 * math.pi * torch.rand(count, device=self.device)
+            mirror = (torch.rand(count, device=self.device) < 0.5).float() * 2.0 - 1.0
+            turn[:, 0, 0], turn[:, 0, 1] = angle.cos() * mirror, -angle.sin()
+            turn[:, 1, 0], turn[:, 1, 1] = angle.sin() * mirror, angle.cos()
+        return turn
+
+
+def _first_layer(cloud: Tensor) -> tuple[Tensor, Tensor]:
+    """Clouds with their farthest points first, and the neighbours of these [B, M, K]."""
+    count, total = cloud.shape[:2]
+    rank = torch.arange(total, 2 * total, device=cloud.device).repeat(count, 1)
+    first = torch.arange(PACKED_CENTRES, device=cloud.device).expand(count, -1)
+    rank.scatter_(1, kernels.farthest_first(cloud, PACKED_CENTRES), first)
+    cloud = gather(cloud, rank.argsort(dim=1))
+    return cloud, kernels.nearest(cloud[:, :PACKED_CENTRES], cloud, PACKED_NEIGHBOURS)
+
+
+def _surroundings(
+    rows: dict[str, Tensor], turn: Tensor, centre: Tensor, scale: Tensor, camera: Tensor
+) -> Surroundings:
+    """The evidence after x → (R x − c) · s, as `surroundings_arrays` of the new frame gives it; the
+    region of wholly free rays stays that of the view's own frame."""
+    free, window = rows["free"].float(), rows["window"]
+    unknown = free < UNKNOWN / 2
+    depth = (free - centre[:, 2].view(-1, 1, 1)) * scale.view(-1, 1, 1)
+    depth = torch.where(unknown, -FARTHEST, depth.clamp(-FARTHEST, FARTHEST))
+    size, reference = window[:, 2:].clamp(min=1e-6), -camera[:, 2:]
+    cell = (size[:, :1] / SIZE * reference).view(-1, 1, 1, 1)
+    regions = (rows["regions"].float() * cell).clamp(-WIDEST, WIDEST)
+    linear = torch.diag_embed(2.0 / (size * reference)) @ turn[:, :2, :2].transpose(1, 2)
+    shift = -2.0 * window[:, :2] / size - 1.0
+    normal = (turn @ rows["plane"][:, :3, None]).squeeze(-1)
+    offset = (rows["plane"][:, 3] - (normal * centre).sum(-1)) * scale
+    return Surroundings(
+        torch.cat([depth[:, None], regions, unknown.float()[:, None]], dim=1),
+        torch.cat([linear, shift[..., None]], dim=-1),
+        torch.cat([normal, offset[:, None]], dim=-1),
+        rows["known"],
+    )
+
+
+def _turned_symmetry(
+    rows: dict[str, Tensor], turn: Tensor, centre: Tensor, scale: Tensor
+) -> Symmetry:
+    """Axis and box of each view after x → (R x − c) · s."""
+    direction = (turn @ rows["direction"][..., None]).squeeze(-1)
+    point = ((turn @ rows["axis_point"][..., None]).squeeze(-1) - centre) * scale
+    point = point - (point * direction).sum(-1, keepdim=True) * direction
+    axis = Axis(direction, point, rows["miss"] * scale[:, 0], rows["spread"])
+    return Symmetry(axis, rows["box_directions"] @ turn.transpose(1, 2), rows["box_trust"])

@@ -1,0 +1,158 @@
+"""pipelines/gpu on the CPU: its kernels, its batches against the package's, and a short run."""
+
+import ctypes
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import KDTree
+
+from pointsdf_cli.camera.raycast import MeshCaster
+from pointsdf_cli.camera.scene_views import SceneViewConfig, SceneViews
+from pointsdf_cli.geometry.signed_distance import SignedDistance
+from pointsdf_cli.geometry.visibility import ViewEvidence
+from pointsdf_cli.io.meshes import LoadedMesh
+from pointsdf_cli.models.neighbours import nearest_neighbours
+from pointsdf_cli.models.normalise import network_frame
+from pointsdf_cli.models.registry import load_model
+from pointsdf_cli.models.surroundings import surroundings_of
+from pointsdf_cli.objects.generate import make_object
+
+GPU = Path(__file__).parents[1] / "pipelines" / "gpu"
+WEIGHTS = GPU.parents[1] / "assets" / "weights" / "pointsdf_real"
+ON_CPU = """
+#include <algorithm>
+#include <cmath>
+#define __global__
+#define DIM 3
+#define COUNT 8
+struct Index { int x; };
+static Index blockIdx, blockDim = {1}, threadIdx;
+#include "KERNELS"
+extern "C" void each_knn(const float* q, const float* p, long long* out, int a, int b, int c) {
+    for (blockIdx.x = 0; blockIdx.x < a * c; ++blockIdx.x) knn(q, p, out, a, b, c);
+}
+extern "C" void each_sdf(const float* x, const float* t, float* out, int a, int b) {
+    for (blockIdx.x = 0; blockIdx.x < a; ++blockIdx.x) sdf(x, t, out, a, b);
+}
+"""
+
+
+@pytest.fixture
+def gpu(monkeypatch):
+    """The modules of pipelines/gpu can be imported."""
+    monkeypatch.syspath_prepend(str(GPU))
+
+
+def mug() -> LoadedMesh:
+    """A generated mug, which has a cavity and a handle."""
+    made = make_object(3, 0, ["mug"])
+    return LoadedMesh(made.name, made.vertices.astype(np.float64), made.faces, "", "none")
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs a C++ compiler: apt install g++")
+def test_kernels_find_neighbours_and_signed_distances(tmp_path):
+    source, library = tmp_path / "on_cpu.cpp", tmp_path / "on_cpu.so"
+    source.write_text(ON_CPU.replace("KERNELS", str(GPU / "kernels.cu")))
+    command = ["g++", "-O1", "-w", "-shared", "-fPIC", "-o", library, source]
+    subprocess.run(command, check=True)
+    kernels = ctypes.CDLL(str(library))
+
+    def address(tensor: torch.Tensor) -> ctypes.c_void_p:
+        return ctypes.c_void_p(tensor.data_ptr())
+
+    queries, points = torch.rand(2, 40, 3), torch.rand(2, 300, 3)
+    found = torch.empty(2, 40, 8, dtype=torch.int64)
+    kernels.each_knn(address(queries), address(points), address(found), 40, 300, 2)
+    assert torch.equal(found, nearest_neighbours(queries, points, 8))
+
+    mesh = mug()
+    centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    x = np.random.default_rng(0).uniform(-0.08, 0.08, (400, 3)).astype(np.float32)
+    triangles = torch.from_numpy((mesh.vertices - centre)[mesh.faces].astype(np.float32))
+    distance = torch.empty(400)
+    kernels.each_sdf(address(torch.from_numpy(x)), address(triangles), address(distance), 400,
+                     len(triangles))  # fmt: skip
+    truth = SignedDistance(mesh.vertices - centre, mesh.faces)(x)
+    assert (truth < 0).any()
+    assert np.abs(distance.numpy() - truth).max() < 1e-6
+
+
+def test_embree_casts_the_same_rays_as_open3d(gpu, monkeypatch):
+    pytest.importorskip("embreex", reason="pip install embreex")
+    import rays
+
+    from pointsdf_cli.camera import raycast
+    from pointsdf_cli.camera.pinhole import CAMERAS
+
+    mesh, pose = mug(), np.eye(4)
+    pose[2, 3] = 0.5
+    wanted = MeshCaster(mesh.vertices, mesh.faces, CAMERAS["xtion"]).cast_window(pose, 0.2)
+    monkeypatch.setattr(raycast, "o3d", rays.stand_in())
+    found = MeshCaster(mesh.vertices, mesh.faces, CAMERAS["xtion"]).cast_window(pose, 0.2)
+    assert np.isfinite(wanted.depth).sum() > 1000
+    np.testing.assert_allclose(found.depth, wanted.depth, atol=1e-6)
+    np.testing.assert_allclose(found.cosine, wanted.cosine, atol=1e-4)
+
+
+def test_a_batch_is_what_the_package_makes_of_the_view(gpu):
+    """Same points, same evidence, same predictions, whether mirrored and turned or not."""
+    import make_views
+    from learn import RayWithSymmetry
+    from views_on_device import Views
+
+    mesh, rng = mug(), np.random.default_rng(1)
+    drawer = SceneViews(mesh, make_views.COLOUR, SceneViewConfig(exact=1.0, exact_resting=1.0))
+    view, _ = drawer.draw(rng)
+    some = rng.choice(len(view.points), 1000, replace=False)
+    view = type(view)(view.points[some], view.T_camera_object, view.evidence)
+    row = make_views.view_arrays(view, rng) | {"object": np.array(0, np.int32)}
+    labels = make_views.label_arrays(mesh, rng) | {"label_object": np.array(0, np.int32)}
+    triangles = labels.pop("label_triangles")
+    arrays = {name: value[None] for name, value in (row | labels).items()}
+    file = {**arrays, "label_triangles": triangles, "label_faces": np.array([len(triangles)])}
+
+    trained = load_model(WEIGHTS)
+    views = Views(4, 2, torch.device("cpu"), trained.sideways)
+    views._label(file)
+    views.add_arrays([file])
+    model = RayWithSymmetry(**trained.config())
+    model.load_state_dict(trained.state_dict())
+    model.eval()
+
+    frame = network_frame(view.points)
+    cloud = frame.to_network(view.points)
+    camera = torch.from_numpy(-frame.centre[None] * frame.scale).float()
+    around = surroundings_of([view.evidence], [frame], torch.device("cpu"))
+    bare = surroundings_of([ViewEvidence()], [frame], torch.device("cpu"))
+    with torch.no_grad():
+        for evidence, known in ((True, around), (False, bare)):
+            batch = views.batch(torch.tensor([0]), 400, augment=False, evidence=evidence)
+            kept = batch.cloud[0].numpy()
+            assert KDTree(kept).query(cloud)[0].max() < 1e-3
+            # In the batch's order: the first point decides which centres are farthest.
+            wanted = trained.decode(trained.encode(batch.cloud, camera, None, known), batch.x)
+            apart = (model.predict(batch) - wanted).abs().flatten()
+            # At an edge of the image a query may have other neighbours.
+            assert float(apart.quantile(0.98)) < 1e-4
+            turned = views.batch(torch.tensor([0]), 400, augment=True, evidence=evidence)
+            error = (model.predict(turned) - turned.sdf).abs().median()
+            plain = (wanted - batch.sdf).abs().median()
+            assert float(error) < 3 * float(plain) + 0.01
+
+
+def test_a_short_run_writes_a_checkpoint(tmp_path):
+    make = [sys.executable, GPU / "make_views.py", tmp_path / "views", "--objects", "8",
+            "--validation", "2", "--views", "2", "--group", "2", "--workers", "1",
+            "--minutes", "0.15"]  # fmt: skip
+    subprocess.run(make, check=True)
+    assert (tmp_path / "views" / "000000.npz").is_file()
+    learn = [sys.executable, GPU / "learn.py", tmp_path / "views", tmp_path / "out", "--device",
+             "cpu", "--minutes", "0.03", "--batch-size", "4", "--first-views", "4",
+             "--capacity", "500"]  # fmt: skip
+    subprocess.run(learn, check=True)
+    assert load_model(tmp_path / "out").config() == load_model(WEIGHTS).config()
