@@ -35,6 +35,8 @@ from pointsdf_cli.training.sdf_loss import label_iou
 FILES_AT_ONCE = 16
 VALIDATION_QUERIES = 1500
 REPORT_EVERY = 500
+HELD_OUT = 1000
+"""Most views, and objects, that validate."""
 REFRESH_EVERY = 10
 """Steps after which new views are drawn from."""
 
@@ -181,6 +183,82 @@ def _keep_reading(files: Files, views: Views, over: threading.Event) -> None:
                 over.wait(0.5)
 
 
+class Run:
+    """A training with its data and its checkpoint, as the command's options say."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._options, device = options, torch.device(options.device)
+        torch.manual_seed(options.seed)
+        if device.type == "cuda":
+            SEARCHES["exact"] = kernels.nearest
+        arguments, config = settings("pointsdf-ray", "small", vars(options))
+        if options.start_from is None:
+            source = build_model("pointsdf-ray", arguments, seed=options.seed)
+        else:
+            source = load_model(options.start_from)
+        model = RayWithSymmetry(**source.config())
+        model.load_state_dict(source.state_dict())
+        self._views = Views(options.capacity, options.objects, device, model.sideways)
+        self._held_out = Views(HELD_OUT, HELD_OUT, device, model.sideways)
+        self._files = Files(options.views)
+        self._wait_for_views()
+        self._began = time.monotonic()
+        self._training = Training(model, self._views, config, device)
+
+    def _wait_for_views(self) -> None:
+        held_files, few = Files(self._options.views / "valid"), self._options.first_views
+        while held_files.add_to(self._held_out) or not self._held_out.count or (
+            self._views.count < few
+        ):  # fmt: skip
+            self._files.add_to(self._views)
+            time.sleep(0.2)
+        self._views.drawn_from.fill_(float(self._views.count))
+
+    def finish(self) -> None:
+        """Train until the time is over, and read new files meanwhile."""
+        over = threading.Event()
+        reader = threading.Thread(target=_keep_reading, args=(self._files, self._views, over))
+        reader.start()
+        try:
+            self._train()
+        finally:
+            over.set()
+            reader.join()
+
+    def _train(self) -> None:
+        training, validated, minutes = self._training, 0.0, 0.0
+        while minutes < self._options.minutes:
+            training.take_step(minutes / self._options.minutes)
+            if training.steps % REPORT_EVERY == 0:
+                loss = float(training.loss_sum) / REPORT_EVERY
+                training.loss_sum.zero_()
+                print(f"step {training.steps}: loss {loss:.4f}, {self._views.count} views")
+            minutes = (time.monotonic() - self._began) / 60
+            if minutes - validated >= self._options.validate:
+                self._save()
+                validated = minutes
+        self._save()
+
+    def _save(self) -> None:
+        """Validate the averaged weights and write them."""
+        training, start = self._training, self._options.start_from
+        seconds = round(time.monotonic() - self._began, 1)
+        entry = {"step": training.steps, "seconds": seconds, **training.validate(self._held_out)}
+        print(entry, flush=True)
+        config = {
+            "architecture": training.model.architecture,
+            "model": training.model.config(),
+            "training": training.config.as_dict(),
+            "progress": {"step": training.steps, "seconds": seconds},
+            "best": entry,
+            "started_from": str(start) if start else None,
+            "data": {"views": self._views.count},
+            "git_commit": git_commit(),
+        }
+        weights = training.average.weights()
+        write_checkpoint(self._options.out, config=config, weights=weights, half=True)
+
+
 def main() -> None:
     """Train until the time is over."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -197,75 +275,7 @@ def main() -> None:
     parser.add_argument("--validate", type=float, default=2.0, help="minutes between validations")
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    device = torch.device(options.device)
-    torch.manual_seed(options.seed)
-    if device.type == "cuda":
-        SEARCHES["exact"] = kernels.nearest
-
-    given = {"minutes": options.minutes, "batch_size": options.batch_size,
-             "queries": options.queries, "learning_rate": options.learning_rate,
-             "seed": options.seed, "steps": 10**9}  # fmt: skip
-    arguments, config = settings("pointsdf-ray", "small", given)
-    start = load_model(options.start_from) if options.start_from else None
-    arguments = arguments if start is None else start.config()
-    model = RayWithSymmetry(**arguments)
-    source = start or build_model("pointsdf-ray", arguments, seed=options.seed)
-    model.load_state_dict(source.state_dict())
-    views = Views(options.capacity, options.objects, device, model.sideways)
-    held_out = Views(1000, 1000, device, model.sideways)
-    files, held_files = Files(options.views), Files(options.views / "valid")
-    while held_files.add_to(held_out) or views.count < options.first_views or not held_out.count:
-        files.add_to(views)
-        time.sleep(0.2)
-    views.drawn_from.fill_(float(views.count))
-
-    began = time.monotonic()
-    training = Training(model, views, config, device)
-    over = threading.Event()
-    reader = threading.Thread(target=_keep_reading, args=(files, views, over))
-    reader.start()
-    history: list[dict[str, float]] = []
-
-    def validate() -> None:
-        entry = {"step": training.steps, "seconds": round(time.monotonic() - began, 1),
-                 **training.validate(held_out)}  # fmt: skip
-        history.append(entry)
-        print(entry, flush=True)
-        write_checkpoint(
-            options.out,
-            config={
-                "architecture": model.architecture,
-                "model": model.config(),
-                "training": config.as_dict(),
-                "progress": {"step": training.steps, "seconds": entry["seconds"]},
-                "best": entry,
-                "started_from": str(options.start_from) if options.start_from else None,
-                "data": {"views": views.count},
-                "git_commit": git_commit(),
-            },
-            weights=training.average.weights(),
-            train_state=None,
-        )
-
-    try:
-        validated = 0.0
-        progress = 0.0
-        while progress < 1.0:
-            training.take_step(progress)
-            if training.steps % REPORT_EVERY == 0:
-                loss = float(training.loss_sum) / REPORT_EVERY
-                training.loss_sum.zero_()
-                print(f"step {training.steps}: loss {loss:.4f}, {views.count} views", flush=True)
-            minutes = (time.monotonic() - began) / 60
-            progress = minutes / options.minutes
-            if minutes - validated >= options.validate:
-                validate()
-                validated = minutes
-        validate()
-    finally:
-        over.set()
-        reader.join()
+    Run(parser.parse_args()).finish()
 
 
 if __name__ == "__main__":

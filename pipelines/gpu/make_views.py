@@ -51,7 +51,7 @@ CAMERA_SHARES = {"colour": 0.25, "xtion": 0.3, "realsense": 0.25, "reference": 0
 SENSORS = ("ideal", "structured-light", "stereo")
 VALIDATION_SEED, VALIDATION_OBJECTS, VALIDATION_VIEWS = 62, 64, 5
 SCAN_TURNS = 4
-"""How often a scan is shown while a generated object is shown once."""
+"""Views of a scan over those of a generated object."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def _draw(mesh: LoadedMesh, task: Task, rng: np.random.Generator) -> list[SceneV
 
 
 def view_arrays(view: SceneView, rng: np.random.Generator) -> dict[str, NDArray]:
-    """What learn.py needs of a view, in the network's frame of all its points.
+    """Arrays of a view for learn.py, in the network's frame of all its points.
 
     `points` f2 [MOST_POINTS, 3], the first `count` of them along a curve over the image; `camera`,
     `to_network` and `scale` as in `sdf_pack.Pack`; `free`, `regions`, `window`, `plane` and `known`

@@ -83,7 +83,7 @@ class Views:
     Args:
         capacity: Most views.
         objects: Most objects.
-        device: Where.
+        device: Device of the tensors.
         sideways: As in `revolution_axis`.
     """
 
@@ -181,7 +181,7 @@ class Views:
         """A batch of the views [B] with `queries` labels each.
 
         Args:
-            views: Which.
+            views: int64 [B], numbers of views.
             queries: Labels of each.
             augment: Mirror and turn the views, and lower their planes.
             evidence: Whether the space around the objects is known; None: as in training.
