@@ -1,4 +1,4 @@
-"""What each kind of error of real depth costs, by exchanging one at a time for the exact depth.
+"""Loss of overlap by each kind of error of real depth, one exchanged at a time for the exact depth.
 
     python benchmarks/depth_errors.py CAPTURES MESHES [--checkpoint DIR]    # as real_depth.py
 
