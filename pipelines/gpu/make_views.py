@@ -1,6 +1,6 @@
 """Make objects and views of tables with them on every core, as files for learn.py.
 
-    python pipelines/gpu/make_views.py OUT --minutes M [--meshes DIR] [--objects N] [--workers N]
+    python pipelines/gpu/make_views.py OUT [--minutes M] [--meshes DIR] [--objects N] [--workers N]
 
 Each file holds some views of a few objects and, when an object comes first, labelled points: where
 `render` and `label-sdf` write everything before `train-sdf` begins, learn.py reads files as they
@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import multiprocessing
 import os
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -216,7 +218,7 @@ def main() -> None:
     """Make files until the time is over; those that are there are not made again."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path)
-    parser.add_argument("--minutes", type=float, required=True)
+    parser.add_argument("--minutes", type=float, default=math.inf, help="until stopped")
     parser.add_argument("--meshes", type=Path, help="folder of scans")
     parser.add_argument("--objects", type=int, default=6000, help="generated objects")
     parser.add_argument("--validation", type=int, default=VALIDATION_OBJECTS)
@@ -230,6 +232,8 @@ def main() -> None:
     missing = (task for task in tasks(options) if not path_of(task).exists())
     made = 0
     use_embree_without_open3d()
+    # Leaving the block below ends the workers.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     context = multiprocessing.get_context("fork")
     with context.Pool(options.workers, threadpool_limits, (1,)) as pool:
         waiting = [pool.apply_async(make_file, (task,)) for task in

@@ -3,14 +3,15 @@
 #   pipelines/gpu/train.sh WORK [MESHES]
 # WORK    folder for view files (about 5 GB for ten minutes of 16 cores); those there are used again
 # MESHES  folder of free scans to add to the generated objects (may be left out)
-# MINUTES of training (10) and SEED (0) may be set. The checkpoint is WORK/pointsdf-ray.
-# Needs CUDA and CuPy (pip install cupy-cuda12x).
+# MINUTES of training (10), SEED (0) and DEVICE (cuda) may be set. The checkpoint is WORK/pointsdf-ray.
+# A GPU needs CuPy too (pip install cupy-cuda12x); DEVICE=cpu is for trying it out.
 set -euo pipefail
 work=${1:?usage: pipelines/gpu/train.sh WORK [MESHES]}
 minutes=${MINUTES:-10}
 here=$(dirname "$0")
 mkdir -p "$work"
-python "$here/make_views.py" "$work/views" --minutes "$minutes" ${2:+--meshes "$2"} >"$work/views.log" 2>&1 &
+python "$here/make_views.py" "$work/views" ${2:+--meshes "$2"} >"$work/views.log" 2>&1 &
 maker=$!
 trap 'kill $maker 2>/dev/null || true' EXIT
-python "$here/learn.py" "$work/views" "$work/pointsdf-ray" --minutes "$minutes" --seed "${SEED:-0}"
+python "$here/learn.py" "$work/views" "$work/pointsdf-ray" --minutes "$minutes" --seed "${SEED:-0}" \
+    --device "${DEVICE:-cuda}"
