@@ -131,16 +131,16 @@ def test_a_batch_is_what_the_package_makes_of_the_view(gpu):
     bare = surroundings_of([ViewEvidence()], [frame], torch.device("cpu"))
     with torch.no_grad():
         for evidence, known in ((True, around), (False, bare)):
-            batch = views.batch(torch.tensor([0]), 400, augment=False, evidence=evidence)
+            batch, symmetry = views.batch(torch.tensor([0]), 400, augment=False, evidence=evidence)
             kept = batch.cloud[0].numpy()
             assert KDTree(kept).query(cloud)[0].max() < 1e-3
             # In the batch's order: the first point decides which centres are farthest.
             wanted = trained.decode(trained.encode(batch.cloud, camera, None, known), batch.x)
-            apart = (model.predict(batch) - wanted).abs().flatten()
+            apart = (model.predict(batch, symmetry) - wanted).abs().flatten()
             # At an edge of the image a query may have other neighbours.
             assert float(apart.quantile(0.98)) < 1e-4
-            turned = views.batch(torch.tensor([0]), 400, augment=True, evidence=evidence)
-            error = (model.predict(turned) - turned.sdf).abs().median()
+            turned, symmetry = views.batch(torch.tensor([0]), 400, augment=True, evidence=evidence)
+            error = (model.predict(turned, symmetry) - turned.sdf).abs().median()
             plain = (wanted - batch.sdf).abs().median()
             assert float(error) < 3 * float(plain) + 0.01
 

@@ -18,18 +18,19 @@ from typing import Any
 import kernels
 import torch
 from torch import Tensor
-from views_on_device import DeviceBatch, Symmetry, Views
+from views_on_device import Symmetry, Views
 
 from pointsdf_cli.io.checkpoints import write_checkpoint
 from pointsdf_cli.io.provenance import git_commit
-from pointsdf_cli.models.box_frame import BoxFrame, _ends
+from pointsdf_cli.models.box_frame import box_around
 from pointsdf_cli.models.neighbours import SEARCHES
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.registry import build_model, load_model
-from pointsdf_cli.models.revolution import cylindrical, places
+from pointsdf_cli.models.revolution import places
 from pointsdf_cli.training.ema import WeightAverage
 from pointsdf_cli.training.presets import settings
 from pointsdf_cli.training.sdf_config import TrainConfig
+from pointsdf_cli.training.sdf_data import Batch, predict
 from pointsdf_cli.training.sdf_loss import label_iou
 
 FILES_AT_ONCE = 16
@@ -49,22 +50,17 @@ class RayWithSymmetry(PointSDFRay):
     def _symmetry(
         self, cloud: Tensor, camera: Tensor, centres: Tensor, neighbours: Tensor
     ) -> dict[str, Tensor]:
-        axis, directions, trust = self.symmetry
+        axis, directions, alignment = self.symmetry
         with torch.autocast(cloud.device.type, enabled=False):
-            ends = _ends(cloud @ directions.transpose(1, 2))
-            radius, height, _ = cylindrical(cloud, axis)
-            turned = torch.cat([radius.amax(1), _ends(height).squeeze(1)], dim=-1)
-            size = ends[..., 0] - ends[..., 1]
-            box = BoxFrame(directions, ends, turned, torch.cat([trust, size], dim=-1))
+            box = box_around(cloud, axis, directions, alignment)
             known = {f"axis_{name}": value for name, value in axis._asdict().items()}
             known |= {f"box_{name}": value for name, value in box._asdict().items()}
             return known | {"places": places(cloud, axis)}
 
-    def predict(self, batch: DeviceBatch) -> Tensor:
+    def predict(self, batch: Batch, symmetry: Symmetry) -> Tensor:
         """Signed distances [B, Q] of a batch."""
-        self.symmetry = batch.symmetry
-        encoding = self.encode(batch.cloud, batch.camera, batch.neighbours, batch.around)
-        return self.decode(encoding, batch.x)
+        self.symmetry = symmetry
+        return predict(self, batch)
 
 
 class Training:
@@ -73,12 +69,8 @@ class Training:
     def __init__(
         self, model: RayWithSymmetry, views: Views, config: TrainConfig, device: torch.device
     ) -> None:
-        self.model, self.views, self.config, self.device = (
-            model.to(device).train(),
-            views,
-            config,
-            device,
-        )
+        self.model = model.to(device).train()
+        self.views, self.config, self.device = views, config, device
         on_gpu = device.type == "cuda"
         rate: Any = (
             torch.tensor(config.learning_rate, device=device) if on_gpu else config.learning_rate
@@ -94,9 +86,10 @@ class Training:
 
     def _operations(self) -> None:
         """One step but for the learning rate."""
-        batch = self.views.batch(self.views.draw(self.config.batch_size), self.config.queries)
+        drawn = self.views.draw(self.config.batch_size)
+        batch, symmetry = self.views.batch(drawn, self.config.queries)
         with torch.autocast(self.device.type, torch.bfloat16):
-            predicted = self.model.predict(batch)
+            predicted = self.model.predict(batch, symmetry)
         loss = self.config.loss(predicted, batch.sdf)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config.clip)
@@ -118,6 +111,7 @@ class Training:
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph, capture_error_mode="thread_local"):
             self._operations()
+        self.loss_sum.zero_()
         return graph
 
     def take_step(self, progress: float) -> None:
@@ -148,9 +142,11 @@ class Training:
             losses, overlaps = [], []
             for first in range(0, held_out.count, 64):
                 views = torch.arange(first, min(first + 64, held_out.count), device=self.device)
-                batch = held_out.batch(views, VALIDATION_QUERIES, augment=False, evidence=evidence)
+                batch, symmetry = held_out.batch(
+                    views, VALIDATION_QUERIES, augment=False, evidence=evidence
+                )
                 with torch.autocast(self.device.type, torch.bfloat16):
-                    predicted = self.average.model.predict(batch)
+                    predicted = self.average.model.predict(batch, symmetry)
                 losses += [self.config.loss(predicted, batch.sdf)] * len(views)
                 overlaps.append(label_iou(predicted, batch.sdf))
             numbers[f"object_loss{name}"] = float(torch.stack(losses).mean())

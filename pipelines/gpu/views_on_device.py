@@ -19,7 +19,7 @@ from make_views import LABELS, MOST_POINTS, UNKNOWN
 from torch import Tensor
 
 from pointsdf_cli.geometry.visibility import SIZE
-from pointsdf_cli.models.box_frame import box_frame
+from pointsdf_cli.models.box_frame import ALIGNMENT_SIZE, box_frame
 from pointsdf_cli.models.neighbours import gather
 from pointsdf_cli.models.normalise import MARGIN
 from pointsdf_cli.models.revolution import Axis, revolution_axis, surface_normals
@@ -31,11 +31,9 @@ from pointsdf_cli.models.surroundings import (
     lower_plane,
     without_evidence,
 )
-from pointsdf_cli.training.sdf_data import FORGET_ALL, FORGET_IMAGE, HIGHEST, RAISED
+from pointsdf_cli.training.sdf_data import FORGET_ALL, FORGET_IMAGE, HIGHEST, RAISED, Batch
 
 CLOUD_SIZE = 1000
-BOX_TRUST = 10
-"""Numbers of a box's trust that do not depend on the cloud's size."""
 COLUMNS = {
     "points": ((MOST_POINTS, 3), torch.float16),
     "count": ((), torch.int32),
@@ -53,7 +51,7 @@ COLUMNS = {
     "miss": ((), torch.float32),
     "spread": ((), torch.float32),
     "box_directions": ((3, 3), torch.float32),
-    "box_trust": ((BOX_TRUST,), torch.float32),
+    "alignment": ((ALIGNMENT_SIZE,), torch.float32),
 }
 
 
@@ -62,19 +60,7 @@ class Symmetry(NamedTuple):
 
     axis: Axis
     directions: Tensor
-    trust: Tensor
-
-
-class DeviceBatch(NamedTuple):
-    """As `sdf_data.Batch`, with the symmetry of each view."""
-
-    cloud: Tensor
-    camera: Tensor
-    neighbours: Tensor
-    x: Tensor
-    sdf: Tensor
-    around: Surroundings
-    symmetry: Symmetry
+    alignment: Tensor
 
 
 class Views:
@@ -157,7 +143,7 @@ class Views:
         rows["direction"][new], rows["axis_point"][new] = axis.direction, axis.point
         rows["miss"][new], rows["spread"][new] = axis.miss, axis.spread
         rows["box_directions"][new] = box.directions
-        rows["box_trust"][new] = box.trust[:, :BOX_TRUST]
+        rows["alignment"][new] = box.trust[:, :ALIGNMENT_SIZE]
 
     def draw(self, batch_size: int) -> Tensor:
         """Random views, int64 [B]."""
@@ -177,8 +163,8 @@ class Views:
 
     def batch(
         self, views: Tensor, queries: int, augment: bool = True, evidence: bool | None = None
-    ) -> DeviceBatch:
-        """A batch of the views [B] with `queries` labels each.
+    ) -> tuple[Batch, Symmetry]:
+        """A batch of the views [B] with `queries` labels each, and their symmetry.
 
         Args:
             views: int64 [B], numbers of views.
@@ -217,15 +203,9 @@ class Views:
             raised = (torch.rand(count, device=device) < RAISED).float()
             around = lower_plane(around, raised * HIGHEST * torch.rand(count, device=device))
         cloud, neighbours = _first_layer(cloud)
-        return DeviceBatch(
-            cloud,
-            camera,
-            neighbours,
-            (x @ back - centre) * scale,
-            sdf,
-            around,
-            _turned_symmetry(rows, turn, centre[:, 0], scale[:, 0]),
-        )
+        x = (x @ back - centre) * scale
+        symmetry = _turned_symmetry(rows, turn, centre[:, 0], scale[:, 0])
+        return Batch(cloud, camera, neighbours, x, sdf, around), symmetry
 
     def _turns(self, count: int, augment: bool) -> Tensor:
         """Rotations about the optical axis [B, 3, 3], half of them mirrored; or none."""
@@ -280,4 +260,4 @@ def _turned_symmetry(
     point = ((turn @ rows["axis_point"][..., None]).squeeze(-1) - centre) * scale
     point = point - (point * direction).sum(-1, keepdim=True) * direction
     axis = Axis(direction, point, rows["miss"] * scale[:, 0], rows["spread"])
-    return Symmetry(axis, rows["box_directions"] @ turn.transpose(1, 2), rows["box_trust"])
+    return Symmetry(axis, rows["box_directions"] @ turn.transpose(1, 2), rows["alignment"])

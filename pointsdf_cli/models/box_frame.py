@@ -30,7 +30,9 @@ SHARP, SOFT = 0.01, 0.05
 GAPS = 14
 """Number of distances of a query: three along each direction, four about the axis, one to the
 box."""
-BOX_SIZE = 3 * GAPS + 13
+ALIGNMENT_SIZE = 10
+"""Number of features that tell how well the normals align with the directions."""
+BOX_SIZE = 3 * GAPS + ALIGNMENT_SIZE + 3
 
 
 class BoxFrame(NamedTuple):
@@ -84,11 +86,23 @@ def box_frame(normals: Tensor, cloud: Tensor, camera: Tensor, axis: Axis) -> Box
         ],
         dim=-1,
     )
-    ends = _ends(cloud @ frame.transpose(1, 2))
+    return box_around(cloud, axis, frame, trust)
+
+
+def box_around(cloud: Tensor, axis: Axis, directions: Tensor, alignment: Tensor) -> BoxFrame:
+    """The box of a cloud along known directions.
+
+    Args:
+        cloud: [B, P, 3], network frame.
+        axis: Axis of revolution.
+        directions: [B, 3, 3], as in `BoxFrame`.
+        alignment: [B, ALIGNMENT_SIZE], the trust without the box's size.
+    """
+    ends = _ends(cloud @ directions.transpose(1, 2))
     size = ends[..., 0] - ends[..., 1]
     radius, height, _ = cylindrical(cloud, axis)
     turned = torch.cat([radius.amax(1), _ends(height).squeeze(1)], dim=-1)
-    return BoxFrame(frame, ends, turned, torch.cat([trust, size], dim=-1))
+    return BoxFrame(directions, ends, turned, torch.cat([alignment, size], dim=-1))
 
 
 def box_evidence(x: Tensor, box: BoxFrame, axis: Axis) -> Tensor:
