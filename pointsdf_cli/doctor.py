@@ -105,7 +105,7 @@ def _overlap() -> tuple[bool, str]:
     shifted = trimesh.creation.box((1, 1, 1)).apply_translation((0.5, 0.01, 0.02))
     both = trimesh.util.concatenate([trimesh.creation.box((1, 1, 1)), shifted])
     inside = SignedDistance(both.vertices, both.faces, 1).inside([[0.25, 0, 0], [0.9, 0, 0]])
-    return bool(inside.all()), "the overlap counts as inside" if inside.all() else "parity leaks"
+    return bool(inside.all()), f"the overlap counts as {'inside' if inside.all() else 'outside'}"
 
 
 def _sphere_depth() -> tuple[bool, str]:

@@ -210,7 +210,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     "unknown camera": (render_with("--camera", "kinect9"), "no camera"),
     "missing camera file": (render_with("--camera", "none.json"), "no camera"),
     # --- camera files -----------------------------------------------------------------------
-    "a camera file that is no JSON": (camera_with("{"), "is no readable JSON"),
+    "a camera file that is no JSON": (camera_with("{"), "is not readable JSON"),
     "a camera file without K": (camera_with({"width": 1, "height": 1}), "is not a camera file"),
     "K of eight numbers": (
         camera_with({"K": [1] * 8, "width": 640, "height": 480}), "is not a camera file"),

@@ -327,7 +327,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
         "--pose-unit mm",
     ),
     "poses of other images": (poses(lambda data: data[::-1]), "do not fit the images"),
-    "poses that are none": (poses(lambda data: [[1, 2, 3]] * 15), "no rotation and translation"),
+    "poses that are none": (poses(lambda data: [[1, 2, 3]] * 15), "not a rotation and translation"),
     "the other arrangement": (change("--eye-in-hand"), "other arrangement"),
     "an image of another size": (other_size, "of one camera"),
     "--at of a fixed camera": (change("--at", "0,0,0,1,0,0,0"), "--eye-in-hand"),

@@ -151,7 +151,7 @@ def test_every_bad_input_gets_one_message(cli, grasps: Path, tmp_path: Path) -> 
         (("--grasps", grasps, "--mode", "frozen"), "fixed, fine-tuned, scratch"),
         (("--grasps", grasps, "--mode", "scratch"), "--encoder pointsdf"),
         (("--grasps", grasps, "--encoder", "voxelcnn"), "train-sdf"),
-        (("--grasps", grasps, "--sdf", tmp_path / "none"), "no checkpoint"),
+        (("--grasps", grasps, "--sdf", tmp_path / "none"), "not a checkpoint"),
         (("--grasps", grasps, "--encoder", "voxelcnn", "--sdf", default_checkpoint()), "voxelcnn"),
         (("--grasps", grasps, "--resume"), "nothing to resume"),
         (("--grasps", grasps, "--validation", 2), "between 0 and 1"),
@@ -162,7 +162,7 @@ def test_every_bad_input_gets_one_message(cli, grasps: Path, tmp_path: Path) -> 
         assert not out.exists()
     table = tmp_path / "table.json"
     for options, told in (
-        (("--checkpoint", tmp_path / "none", "--grasps", grasps), "no checkpoint"),
+        (("--checkpoint", tmp_path / "none", "--grasps", grasps), "not a checkpoint"),
         (("--checkpoint", default_checkpoint(), "--grasps", grasps), "not a success network"),
         (("--checkpoint", default_checkpoint(), "--grasps", tmp_path / "held"), "held and lost"),
     ):

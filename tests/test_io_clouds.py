@@ -433,14 +433,14 @@ def test_a_covered_camera_saw_no_point(tmp_path: Path) -> None:
 
 def test_titles_without_coordinates_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("id,px,py,pz\n" + "1,0.1,0.2,0.3\n" * 60)
-    with pytest.raises(InputError, match="none of which is called x, y or z"):
+    with pytest.raises(InputError, match="none of them named x, y or z"):
         read_cloud(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
-        ("a.csv", "id,x,y,z [m]\n" + "1,0.1,0.2,0.3\n" * 60, "none of which is called z"),
+        ("a.csv", "id,x,y,z [m]\n" + "1,0.1,0.2,0.3\n" * 60, "none of them named z"),
         ("a.csv", (",".join(["1.5"] * 320) + "\n") * 60, "a depth image"),
     ],
     ids=["some titles", "an image"],

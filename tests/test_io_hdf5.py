@@ -237,7 +237,7 @@ def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
 
 def test_only_ordinary_files_are_replaced_and_a_link_stays_a_link(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(InputError, match="no ordinary file"):
+    with pytest.raises(InputError, match="not an ordinary file"):
         require_new(tmp_path / "pipe", force=True)
     (tmp_path / "far").mkdir()
     (tmp_path / "far" / "plan").write_text("old")

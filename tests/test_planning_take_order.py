@@ -47,5 +47,5 @@ def test_any_is_a_target_of_plans_only() -> None:
     assert parse_target("any") == TargetChoice(any=True)
     robot = load_robot()
     view = cloud(seen(table(), box((0.06, 0.06, 0.12), (0.6, 0.0))), POSE)
-    with pytest.raises(InputError, match="but one object is needed"):
+    with pytest.raises(InputError, match="does not name one object"):
         look_at_table([view], ["view"], robot, robot.home, target=TargetChoice(any=True))

@@ -232,7 +232,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     "RVL": (of(messages([RVL])), "compressedDepth rvl"),
     "a PNG cut short": (
         of(messages([compressed(BEGIN, "16UC1; compressedDepth png", png(depth())[:60])])),
-        "no 16-bit PNG",
+        "not a 16-bit PNG",
     ),
     "an image cut short": (of(messages([lying_image()])), "cut short"),
     "an image beyond the last": (of(messages(raw(3)), "--index", 3), "has 3 images"),
@@ -243,9 +243,9 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
         of(messages([image(BEGIN, np.zeros((6, 8), np.uint16), "16UC1")])), "0 everywhere",
     ),
     "a bag of ROS 1": (with_file("a.bag", b"#ROSBAG V2.0\n"), "rosbags-convert"),
-    "a file of rubbish": (with_file("a.mcap", b"rubbish" * 100), "no readable ROS 2 bag"),
-    "a database of rubbish": (with_file("a.db3", b"rubbish" * 100), "no readable ROS 2 bag"),
-    "a bag cut short": (cut_short, "no readable ROS 2 bag"),
+    "a file of rubbish": (with_file("a.mcap", b"rubbish" * 100), "not a readable ROS 2 bag"),
+    "a database of rubbish": (with_file("a.db3", b"rubbish" * 100), "not a readable ROS 2 bag"),
+    "a bag cut short": (cut_short, "not a readable ROS 2 bag"),
     "a folder without metadata": (without_metadata, "ros2 bag reindex"),
     "a colour image beside a bag": (of(messages(raw()), "--color", "a.png"), "leave it out"),
 }  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -146,6 +147,23 @@ def test_render_makes_views_of_scenes_with_their_evidence(cli: Any, tmp_path: Pa
     wrong = cli(*options, "--scene", "moon", "--force")
     assert wrong.code == 2
     assert "void, table" in wrong.err
+
+
+def test_each_view_has_a_sensor_of_its_own_where_they_vary(box: LoadedMesh) -> None:
+    config = SceneViewConfig(("structured-light",), RESTING, EXACT)
+    seen = []
+    for spread in (0.0, 1.0):
+        views = SceneViews(box, CAMERAS["xtion"], replace(config, sensor_spread=spread))
+        surface = SignedDistance(box.vertices, box.faces)
+        rng, errors = np.random.default_rng(4), []
+        for _ in range(8):
+            view, _ = views.draw(rng)
+            own = apply_transform(invert_transform(view.T_camera_object), view.points)
+            errors.append(np.median(np.abs(surface(own))))
+        seen.append(np.std(np.log(errors)))
+    assert seen[1] > 1.3 * seen[0]
+    with pytest.raises(InputError, match="sensor_spread"):
+        SceneViewConfig(sensor_spread=-1.0)
 
 
 def test_unknown_sensors_are_refused() -> None:

@@ -254,6 +254,21 @@ def test_smooth_noise_has_unit_variance_everywhere_and_is_correlated() -> None:
     assert abs(far) < 0.03
 
 
+def test_a_varied_sensor_has_other_errors_of_the_same_kinds() -> None:
+    preset, rng = load_sensor("structured-light"), np.random.default_rng(0)
+    ratios = []
+    for _ in range(400):
+        varied = preset.varied(0.5, rng)
+        assert (varied.focal, varied.baseline) == (preset.focal, preset.baseline)
+        assert varied.fattening == 0.0  # an error that this kind of sensor does not have
+        ratios.append(varied.axial_floor / preset.axial_floor)
+    assert np.std(np.log(ratios)) == pytest.approx(0.5, abs=0.06)
+    assert preset.varied(0.0, rng) == preset
+    assert load_sensor("ideal").varied(0.5, rng) == load_sensor("ideal")
+    once, again = (preset.varied(0.5, np.random.default_rng(1)) for _ in range(2))
+    assert once == again != preset
+
+
 def test_arrays_of_other_shapes_are_refused() -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(InputError, match="shape"):

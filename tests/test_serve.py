@@ -34,7 +34,7 @@ from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
 from pointsdf_cli.service.client import request_tree
-from pointsdf_cli.service.desk import BusyError, ClosingError, Desk
+from pointsdf_cli.service.request_queue import BusyError, ClosingError, RequestQueue
 
 pytest.importorskip("fastapi", reason="the extra `serve` is not installed")
 pytest.importorskip("uvicorn", reason="the extra `serve` is not installed")
@@ -284,41 +284,41 @@ def test_a_token_is_asked_for(cli: Callable, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_one_works_the_next_wait_and_more_are_refused() -> None:
-    desk, go = Desk(places=1), threading.Event()
-    first, second = desk.take_place(), desk.take_place()
-    running = desk.submit(first, lambda: go.wait(10))
+    queue, go = RequestQueue(places=1), threading.Event()
+    first, second = queue.take_place(), queue.take_place()
+    running = queue.submit(first, lambda: go.wait(10))
     with pytest.raises(BusyError):
-        desk.take_place()
-    waiting = desk.submit(second, lambda: "second")
-    desk.leave(second)  # its client hung up: the place is free at once, the work never begun
-    third = desk.submit(desk.take_place(), lambda: "third")
+        queue.take_place()
+    waiting = queue.submit(second, lambda: "second")
+    queue.leave(second)  # its client hung up: the place is free at once, the work never begun
+    third = queue.submit(queue.take_place(), lambda: "third")
     go.set()
     assert (running.result(10), third.result(10)) == (True, "third")
     with pytest.raises(CancelledError):
         waiting.result(1)
     with pytest.raises(ZeroDivisionError):
-        desk.submit(desk.take_place(), lambda: 1 // 0).result(10)
-    desk.close()
+        queue.submit(queue.take_place(), lambda: 1 // 0).result(10)
+    queue.close()
     with pytest.raises(ClosingError):
-        desk.take_place()
-    desk.join()
+        queue.take_place()
+    queue.join()
 
 
 def test_memory_is_returned_after_each_job_even_one_that_fails() -> None:
     returned = threading.Semaphore(0)
-    desk = Desk(after=returned.release)
-    answer = desk.submit(desk.take_place(), lambda: 3)
+    queue = RequestQueue(after=returned.release)
+    answer = queue.submit(queue.take_place(), lambda: 3)
     assert answer.result(5) == 3
     assert returned.acquire(timeout=5)
-    failed = desk.submit(desk.take_place(), lambda: 1 // 0)
+    failed = queue.submit(queue.take_place(), lambda: 1 // 0)
     assert isinstance(failed.exception(5), ZeroDivisionError)
     assert returned.acquire(timeout=5)
-    desk.close()
-    desk.join()
+    queue.close()
+    queue.join()
 
 
 def test_work_that_nobody_waits_for_is_stopped() -> None:
-    desk, begun = Desk(places=1), threading.Event()
+    queue, begun = RequestQueue(places=1), threading.Event()
 
     def endless() -> None:
         begun.set()
@@ -326,30 +326,30 @@ def test_work_that_nobody_waits_for_is_stopped() -> None:
             stop_if_cancelled()
             time.sleep(0.001)
 
-    job = desk.take_place()
-    running = desk.submit(job, endless)
+    job = queue.take_place()
+    running = queue.submit(job, endless)
     assert begun.wait(10)
-    desk.leave(job)
+    queue.leave(job)
     with pytest.raises(CancelledError):
         running.result(10)
-    desk.close()
-    desk.join()
+    queue.close()
+    queue.join()
 
 
 def test_closing_finishes_what_runs_and_tells_those_that_wait() -> None:
-    desk, go, begun = Desk(places=3), threading.Event(), threading.Event()
-    running = desk.submit(desk.take_place(), lambda: (begun.set(), go.wait(10)))
+    queue, go, begun = RequestQueue(places=3), threading.Event(), threading.Event()
+    running = queue.submit(queue.take_place(), lambda: (begun.set(), go.wait(10)))
     assert begun.wait(10)
-    waiting = desk.submit(desk.take_place(), lambda: "never")
-    late = desk.take_place()
-    desk.close()
+    waiting = queue.submit(queue.take_place(), lambda: "never")
+    late = queue.take_place()
+    queue.close()
     with pytest.raises(ClosingError):
         waiting.result(1)
     with pytest.raises(ClosingError):
-        desk.submit(late, lambda: "never").result(1)
+        queue.submit(late, lambda: "never").result(1)
     go.set()
     assert running.result(10)[1]
-    desk.join()
+    queue.join()
 
 
 def test_a_client_that_hangs_up_frees_its_place(server: Server) -> None:
@@ -358,19 +358,19 @@ def test_a_client_that_hangs_up_frees_its_place(server: Server) -> None:
         f"POST /plan HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nContent-Length: {len(body)}\r\n"
         "Content-Type: application/x-npz\r\n\r\n"
     ).encode()
-    done = server.desk.done
+    done = server.queue.done
     crowd = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(3)]
     for line in crowd:
         line.sendall(head + body)
-    until(lambda: server.desk.waiting == 3)
+    until(lambda: server.queue.waiting == 3)
     refused = post(server, "/plan", cloud_body(TABLE))
     assert refused.status_code == 429
     assert refused.headers["retry-after"]
     for line in crowd:
         line.close()
-    until(lambda: server.desk.waiting == 0)
+    until(lambda: server.queue.waiting == 0)
     # The one that ran was stopped or finished; those that waited were never begun.
-    assert server.desk.done - done <= 1
+    assert server.queue.done - done <= 1
 
 
 def until(holds: Callable[[], bool], seconds: float = 20) -> None:
@@ -403,9 +403,9 @@ def test_serve_refuses_bad_options(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--server", "127.0.0.1:80"], "no address"),
+        (["--server", "127.0.0.1:80"], "not a server's address"),
         (["--server", "http://127.0.0.1:8765", "--threads", "2"], "--threads"),
-        (["--server", "http://127.0.0.1:8765/plan"], "no address"),
+        (["--server", "http://127.0.0.1:8765/plan"], "not a server's address"),
     ],
 )
 def test_plan_refuses_what_no_server_could_do(

@@ -107,7 +107,7 @@ def test_who_hangs_up_while_sending_is_no_error_of_the_server(
 ) -> None:
     with socket.create_connection(("127.0.0.1", server.port)) as line:
         line.sendall(head(server, "POST /plan") + b"Content-Length: 1000\r\n\r\n{")
-        until(lambda: server.desk.waiting == 1, "no place is taken")
-    until(lambda: server.desk.waiting == 0, "its place is kept")
+        until(lambda: server.queue.waiting == 1, "no place is taken")
+    until(lambda: server.queue.waiting == 0, "its place is kept")
     time.sleep(0.2)
     assert [record for record in caplog.records if record.levelname == "ERROR"] == []

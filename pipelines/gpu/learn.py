@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 from views_on_device import Symmetry, Views
 
-from pointsdf_cli.io.checkpoints import write_checkpoint
+from pointsdf_cli.io.checkpoints import read_config, write_checkpoint
 from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.models.box_frame import box_around
 from pointsdf_cli.models.neighbours import SEARCHES
@@ -247,7 +247,7 @@ class Run:
             "training": training.config.as_dict(),
             "progress": {"step": training.steps, "seconds": seconds},
             "best": entry,
-            "started_from": str(start) if start else None,
+            "started_from": read_config(start) if start else None,
             "data": {"views": self._views.count},
             "git_commit": git_commit(),
         }

@@ -82,6 +82,7 @@ class Task:
     views: int
     labelled: bool
     exact: float
+    spread: float
     out: Path
 
 
@@ -124,7 +125,8 @@ def path_of(task: Task) -> Path:
 def _draw(mesh: LoadedMesh, task: Task, rng: np.random.Generator) -> list[SceneView]:
     cameras = [COLOUR, *(CAMERAS[name] for name in list(CAMERA_SHARES)[1:])]
     camera = cameras[rng.choice(len(cameras), p=list(CAMERA_SHARES.values()))]
-    drawer = SceneViews(mesh, camera, SceneViewConfig(sensors=SENSORS, exact=task.exact))
+    config = SceneViewConfig(sensors=SENSORS, exact=task.exact, sensor_spread=task.spread)
+    drawer = SceneViews(mesh, camera, config)
     return [drawer.draw(rng)[0] for _ in range(task.views)]
 
 
@@ -200,7 +202,7 @@ def tasks(options: argparse.Namespace) -> Iterator[Task]:
     held = [Source(k, VALIDATION_SEED, k) for k in range(options.validation)]
     for first in range(0, len(held), 8):
         group = tuple(held[first : first + 8])
-        yield Task(first, group, VALIDATION_VIEWS, True, options.exact, options.out / "valid")
+        yield Task(first, group, VALIDATION_VIEWS, True, options.exact, 0.0, options.out / "valid")
     every = [Source(k, options.seed, k) for k in range(options.objects)]
     scans = find_meshes(options.meshes) if options.meshes else []
     every += [Source(options.objects + k, path=path) for k, path in enumerate(scans)] * SCAN_TURNS
@@ -210,7 +212,10 @@ def tasks(options: argparse.Namespace) -> Iterator[Task]:
         order = rng.permutation(len(every))
         for first in range(0, len(order), options.group):
             sources = tuple(every[k] for k in order[first : first + options.group])
-            yield Task(number, sources, options.views, turn == 0, options.exact, options.out)
+            yield Task(
+                number, sources, options.views, turn == 0, options.exact, options.spread,
+                options.out,
+            )  # fmt: skip
             number += 1
 
 
@@ -225,6 +230,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=6, help="views of an object in a file")
     parser.add_argument("--group", type=int, default=12, help="objects of a file")
     parser.add_argument("--exact", type=float, default=0.4, help="share of views without errors")
+    parser.add_argument("--spread", type=float, default=0.5, help="of each view's sensor")
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=max(1, (os.cpu_count() or 2) - 2))
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""Points that no surface returned: flying pixels, outliers and specks.
+"""Detection of spurious points: flying pixels, outliers and specks.
 
 A camera that matches patterns reports depths between an object and what is behind it, lone points,
 and small detached groups of points. A network that centres and scales its input by all points is
@@ -73,7 +73,7 @@ class Cleaning:
 
 
 def clean(points: ArrayLike, specks: bool = True) -> Cleaning:
-    """Find the points of a cloud that no surface returned.
+    """Find the spurious points of a cloud.
 
     Args:
         points: [N, 3], camera frame, m; finite. Where some lie behind the camera, the viewpoint

@@ -11,9 +11,9 @@ from pointsdf_cli.geometry.arrays import Array
 RADIUS = 0.012
 """Radius of the neighbourhood in which concavity is measured [m]."""
 DEPTH = 0.0002
-"""Mean height [m] of the neighbours above the tangent plane, averaged over them, at a concave edge:
-about 1 mm where two boxes touch. Noise reaches this too; the size and the foot of the parts
-decide."""
+"""Least mean height [m] of a point's neighbours above its tangent plane at a concave edge, smoothed
+over the neighbours: about 1 mm where two boxes touch. Noise exceeds it too, so the size and the
+foot of the parts decide."""
 BORDER = 0.004
 """Width of the strip along a concave edge that belongs to neither part at first [m]: noise leaves
 gaps in the edge."""
@@ -46,8 +46,8 @@ def standing_parts(
         camera: [3], position of the camera, m.
 
     Returns:
-        The part [N] of each point, from 0, and the parts that hold a further large one, which was
-        left with them because it does not stand by itself.
+        The part [N] of each point, from 0, and the parts into which another large part was merged
+        because it does not stand by itself.
     """
     whole = np.zeros(len(points), dtype=np.int64)
     if not 200 <= len(points) <= MOST:

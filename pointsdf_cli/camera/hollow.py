@@ -155,7 +155,7 @@ def _islands(
         island = label[wide] == k
         ring = scipy.ndimage.binary_dilation(island, square, EDGE) & ~island
         border = things[wide][ring]
-        # Other flat cells beside it are open ground: what they touch is no island.
+        # Other flat cells beside it are open table, which does not lie in a bowl.
         beside_it = scipy.ndimage.binary_dilation(island, square, 2) & ~island
         open_ground = int((low_cells[wide][beside_it]).sum())
         border = np.concatenate([border[border >= 0], np.full(open_ground, -2)])

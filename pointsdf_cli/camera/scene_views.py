@@ -49,10 +49,11 @@ class SceneViewConfig:
         sensors: Names in `SENSORS`; each view is measured by one of them.
         scene: Placement of the objects.
         errors: Errors of the segmentation.
-        exact: Share of views that the ideal sensor measures, of the object alone with exactly its
-            pixels: shapes are learned from these, errors from the others.
+        exact: Share of exact views: ideal sensor, object alone, exact mask. They teach shapes; the
+            others teach the errors.
         exact_resting: Share of these in which the object rests on a table; in the others it is
             turned at random.
+        sensor_spread: As `spread` of `DepthSensor.varied`, for each view anew.
 
     Raises:
         InputError: No sensor, or one that does not exist.
@@ -63,10 +64,13 @@ class SceneViewConfig:
     errors: SegmentationErrors = field(default_factory=SegmentationErrors)
     exact: float = 0.0
     exact_resting: float = 0.6
+    sensor_spread: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0 <= self.exact <= 1:
             raise InputError(f"exact = {self.exact}", allowed="a share from 0 to 1")
+        if not 0 <= self.sensor_spread <= 2:
+            raise InputError(f"sensor_spread = {self.sensor_spread}", allowed="0 to 2")
         if not self.sensors:
             raise InputError("no sensor", where="--sensor", allowed=", ".join(SENSORS))
         for name in self.sensors:
@@ -124,7 +128,7 @@ class SceneViews:
             if _hidden(scene) > MOST_HIDDEN:
                 continue
             drawn = self._sensors[rng.integers(len(self._sensors))]
-            sensor = self._ideal if exact else drawn
+            sensor = self._ideal if exact else drawn.varied(config.sensor_spread, rng)
             window = scene.window
             measured = sensor.observe(window.depth, camera, rng, window.origin, window.cosine)
             seen = segment_scene(scene, measured, camera, errors, rng)

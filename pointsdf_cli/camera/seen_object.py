@@ -36,8 +36,8 @@ class SegmentationErrors:
             is that of a depth camera with a focal length of `sensor_focal`: images of a longer one
             were enlarged.
         sensor_focal: [px].
-        uneven: Standard deviation of the offset along the silhouette, as a share of it.
-        ragged: The same, whatever the offset [sensor px].
+        uneven: Standard deviation of the offset along the silhouette, as a share of the offset.
+        ragged: Further standard deviation, independent of the offset [sensor px].
         height: Standard deviation of the error of the plane's height [m].
         tilt: Tilt of its direction [rad].
         cut: Share of views in which nothing returns from one side of the object, as from dark or

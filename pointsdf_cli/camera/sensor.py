@@ -46,6 +46,13 @@ _RANGES = {
     "bias_window": (10.0, 1000.0),
 }
 
+_VARIED = (
+    *("displacement", "displacement_window", "registration", "registration_window"),
+    *("fattening", "missing_at_edge", "missing_reach", "missing_patches", "missing_grazing"),
+    *("flying", "quantisation", "axial_floor", "axial_depth", "axial_incidence"),
+    *("disparity_noise", "noise_window", "bias", "bias_window"),
+)
+
 
 @dataclass(frozen=True)
 class DepthSensor:
@@ -147,6 +154,23 @@ class DepthSensor:
     def with_noise(self, noise: DepthNoise) -> DepthSensor:
         """The ideal camera with another noise; other sensors keep their own."""
         return replace(self, noise=noise) if self.is_ideal else self
+
+    def varied(self, spread: float, rng: np.random.Generator) -> DepthSensor:
+        """A sensor whose errors differ: cameras of one kind do, and no model is exact (Tobin et al.
+        2017, "Domain randomization").
+
+        Args:
+            spread: σ of the logarithm of a factor on each parameter in `_VARIED`.
+            rng: Random generator of the factors.
+        """
+        if spread == 0 or self.is_ideal:
+            return self
+        factors = np.exp(spread * rng.standard_normal(len(_VARIED)))
+        varied: dict[str, Any] = {
+            name: float(np.clip(getattr(self, name) * factor, *_RANGES[name]))
+            for name, factor in zip(_VARIED, factors, strict=True)
+        }
+        return replace(self, **varied)
 
     def deviation(self, depth: float) -> float:
         """σ [m] of the white noise of a surface seen face on at `depth` [m]."""

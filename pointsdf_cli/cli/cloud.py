@@ -106,7 +106,7 @@ def cloud(
         )
     if depth.suffix.lower() not in DEPTH_SUFFIXES:
         allowed = ", ".join(DEPTH_SUFFIXES)
-        raise InputError(f"{depth.suffix!r} is no depth image", where=depth, allowed=allowed)
+        raise InputError(f"{depth.suffix!r} is not a depth image", where=depth, allowed=allowed)
     _cloud_of_image(reporter, depth, options, camera_pose, not no_clean, out)
 
 

@@ -88,7 +88,7 @@ def collect_grasps(
 
     config = AttemptConfig(placement=CameraPlacement(sensor=sensor))
     config = replace(config, execution=replace(config.execution, shake=shake, push=push))
-    try_robot(machine)  # a wrong robot is said once and first, not by every worker
+    try_robot(machine)  # report a wrong robot once, here, instead of from every worker
     out = require_folder(out)
     source = _source(preshapes, robot, checkpoint, grasp_checkpoint)
     every = make_tasks(found, meshes, out, count, config, seed, robot, force, source, unit)
@@ -139,7 +139,7 @@ def _source(
 
     options = PlanOptions(robot=robot, checkpoint=checkpoint, grasp_checkpoint=grasps)
     source = PlannedPreshapes(options)
-    source.as_dict()  # a wrong checkpoint is said once and first, not by every worker
+    source.as_dict()  # report a wrong checkpoint once, here, instead of from every worker
     return source
 
 
@@ -176,8 +176,8 @@ def _collect(
 ) -> dict[str, str]:
     """Run rounds until every quota is met or exhausted; returns the reasons of refused files.
 
-    `tasks`, a shard of `every`, get the last quotas. A shard makes only its first ones: making up
-    for other objects takes a run over all of them.
+    `tasks`, a shard of `every`, receive their final quotas. Without `whole` only the first round
+    runs: later rounds redistribute quotas, which takes the results of all objects.
     """
     from pointsdf_cli.io.batch import run_stage
     from pointsdf_cli.io.grasps import read_grasps

@@ -34,7 +34,7 @@ def check_seed(seed: int) -> int:
         InputError: Negative or beyond 63 bits.
     """
     if not 0 <= seed < 2**63:
-        raise InputError(f"{seed} is no seed", where="--seed", allowed="0 to 2⁶³ − 1")
+        raise InputError(f"{seed} is not a seed", where="--seed", allowed="0 to 2⁶³ − 1")
     return seed
 
 

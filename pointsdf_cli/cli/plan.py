@@ -95,7 +95,7 @@ def plan(
         choices.Obstacles,
         typer.Option(
             help="Other observed objects: their reconstruction, or the hull of their seen points "
-            "(faster, without a back; always with partial-view)."
+            "(faster, without the unseen side; always with partial-view)."
         ),
     ] = "reconstruction",
     clearance: Annotated[

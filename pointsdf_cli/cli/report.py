@@ -67,7 +67,7 @@ def report(
         from pointsdf_cli.errors import InputError
 
         raise InputError(
-            "only pages about views and labels have pictures as files",
+            "is only for pages about views or labels",
             where="--pictures",
             hint="leave it out: the page contains its pictures",
         )

@@ -96,7 +96,7 @@ def init(
     from pointsdf_cli.robot.urdf import read_urdf
 
     reporter = common.Reporter(quiet, as_json)
-    read_urdf(urdf)  # what is no URDF is said before a place beside it is asked for
+    read_urdf(urdf)  # report an invalid URDF before checking the output path
     out = require_new(out or urdf.with_suffix(".yaml"), force, [urdf])
     data = first_guess(urdf, out, palm)
     write_text_atomic(out, as_yaml(data))

@@ -37,7 +37,7 @@ def train_sdf(
     learning_rate: Annotated[float | None, typer.Option(help="Peak learning rate.")] = None,
     near: Annotated[
         float | None,
-        typer.Option(help="Loss: distance below which errors count in full (network units)."),
+        typer.Option(help="Loss: distance above which errors are relative (network units)."),
     ] = None,
     sign_weight: Annotated[float | None, typer.Option(help="Loss: weight of the sign.")] = None,
     temperature: Annotated[

@@ -121,7 +121,7 @@ def trial(
     from pointsdf_cli.trials.planner_variants import VariantOptions
     from pointsdf_cli.trials.run import TrialConfig, run_trial_task
 
-    try_robot(load_robot(robot))  # a wrong robot is said once and first, not by every worker
+    try_robot(load_robot(robot))  # report a wrong robot once, here
     variants = protocol.planner_variants(method, ablation or [])
     planner = PlannerConfig(solver, Clearances(object=clearance), margin)
     planning = PlanOptions(

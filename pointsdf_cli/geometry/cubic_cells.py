@@ -43,8 +43,8 @@ def bends(around: NDArray[np.float32]) -> NDArray[np.float32]:
     """Deviation of fields from parabolas: the largest third difference [C] along any line of four
     values without NaN; zero without such a line.
 
-    A slope that jumps by one gives one cell at a corner, less between corners and nothing midway;
-    an SDF with a radius of curvature of ten cells gives a hundredth of a cell.
+    In sides of a cell: a slope that jumps by 1 gives 1 if it does so at a corner, 0 midway between
+    two; an SDF with a radius of curvature of 10 gives 0.01.
     """
     block = around.reshape(-1, 4, 4, 4)
     largest = np.zeros(len(block), dtype=np.float32)

@@ -175,8 +175,8 @@ def _keep_large_parts(
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], int]:
     """Connected parts that enclose at least `smallest` of the largest part's volume.
 
-    Cavities count by the volume they enclose, like bodies: those kept keep the solid as the field
-    says it is, and no body is dropped without its cavities.
+    A cavity is a part of its own, measured by the volume that it encloses. It is smaller than its
+    body, so it is dropped with it.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

@@ -132,7 +132,7 @@ def _subdivide(
 def _interpolate_smooth(grid: SampledGrid, cells: Cells, stride: int, smooth: float) -> None:
     """Fill the halves of those cells of size 2 · `stride` that are smooth (`SearchRules`)."""
     limit = smooth * 2 * stride * grid.step
-    # What is known already shows of most cells of thin walls that they bend.
+    # The known values exclude most cells of thin walls without new evaluations.
     cells = cells[bends(grid.known_around(cells, 2 * stride)) < limit]
     around = grid.values_around(cells, 2 * stride)
     flat = bends(around) < limit

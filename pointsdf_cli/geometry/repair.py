@@ -13,8 +13,8 @@ from pointsdf_cli.errors import InputError
 REMESH_RESOLUTION = 96
 """Cells along the longest side when a surface is rebuilt from its winding numbers."""
 OUTSIDE = 0.5
-"""A piece turned inward with more than this share of its volume outside all others is no cavity in
-them. One that pokes out a little is: a hollow that breaks through its body's top."""
+"""Share of an inward-facing piece's volume outside all bodies above which it is a reversed body.
+Below, it is a cavity, which may break through its body's surface."""
 
 
 @dataclass(frozen=True)

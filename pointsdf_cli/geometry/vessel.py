@@ -60,9 +60,9 @@ AZIMUTHS = 60.0
 MOST_OUTSIDE = 240.0
 """Largest angle [deg] in which the outside can be seen where the inside is seen too."""
 CONSISTENT, CONTRADICTING = 0.7, 0.06
-"""Least share of points that agree with points of other azimuths, and largest that do not."""
+"""Least share of points that lie on the outline of other azimuths, and largest share off it."""
 ON_WALL = 0.9
-"""Least share, of the points that do not lie beyond it, on the completed wall."""
+"""Least share on the completed wall, among the points that do not lie beyond the wall."""
 NEAR_WALL = 0.05
 """Largest distance of points on the wall, over the vessel's radius."""
 MOST_OTHERS = 0.3

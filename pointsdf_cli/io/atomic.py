@@ -129,8 +129,8 @@ def is_abandoned(temporary: Path) -> bool:
     except OSError:  # somebody else's process
         pass
     status = _status(process)
-    # One whose parent was killed with it has ended, and waits for the machine's first process to
-    # ask how, which in a container may take its time. And numbers are given again.
+    # A killed process stays a zombie until process 1 reaps it, which may take long in a container.
+    # Process numbers are reused, so the start time must match too.
     return bool(status) and (status[0] in ("Z", "X") or int(status[19]) != began)
 
 
@@ -165,7 +165,7 @@ def require_new(path: Path | str, force: bool, inputs: Iterable[Path] = ()) -> P
     if path.is_dir():
         raise InputError("is a folder, but a file must be written there", where=path)
     if path.exists() and not path.is_file():
-        raise InputError("is no ordinary file, and would be replaced by one", where=path)
+        raise InputError("is not an ordinary file, and would be replaced by one", where=path)
     if path.exists() and not force:
         raise InputError(
             "exists already, and is not overwritten without --force",

@@ -150,7 +150,7 @@ def require_checkpoint_place(path: Path | str, replace: bool) -> None:
     named, path = path, Path(path).resolve()
     if path == Path.cwd():
         raise InputError(
-            "is where you are, and a checkpoint replaces its directory",
+            "is the working directory, which the checkpoint would replace",
             where="--out",
             allowed="a directory of its own, such as --out ckpt",
         )
@@ -193,7 +193,7 @@ def read_checkpoint(path: Path | str) -> Checkpoint:
         weights = load(read_input(weights_file, "checkpoint"))
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(
-            f"is no readable safetensors file ({error})", where=weights_file
+            f"is not a readable safetensors file ({error})", where=weights_file
         ) from error
     return Checkpoint(weights, config, path)
 
@@ -214,7 +214,7 @@ def read_config(path: Path | str) -> dict[str, Any]:
     config_file = path / CONFIG
     if not config_file.exists():
         raise InputError(
-            f"is no checkpoint: it has no {CONFIG}",
+            f"is not a checkpoint: it has no {CONFIG}",
             where=path,
             allowed=f"a directory with {WEIGHTS} and {CONFIG}",
             hint="a directory that rgrasp train-sdf or rgrasp train-gs wrote",
@@ -257,7 +257,7 @@ def read_train_state(path: Path | str) -> dict[str, Any]:
             hint="start again without --resume",
         ) from error
     if not isinstance(state, dict):
-        raise InputError("is no training state", where=state_file)
+        raise InputError("is not a training state", where=state_file)
     return state
 
 

@@ -77,9 +77,9 @@ def read_xyz(path: Path) -> RawCloud:
         *some, last = [title for title in ("x", "y", "z") if title not in titles]
         named = f"{', '.join(some)} or {last}" if some else last
         raise InputError(
-            f"has columns {', '.join(titles)}, none of which is called {named}",
+            f"has columns {', '.join(titles)}, none of them named {named}",
             where=path,
-            allowed="a row of titles with x, y and z, or none at all: then the first three are",
+            allowed="a header row with x, y and z; without one the first three columns are x, y, z",
         )
     return _from_table(table, comments, path)
 

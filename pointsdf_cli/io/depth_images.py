@@ -193,7 +193,7 @@ def open_image(path: Path) -> Image.Image:
     try:
         image = Image.open(io.BytesIO(read_input(path, "image")))
     except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
-        raise InputError("is no image, or damaged", where=path) from error
+        raise InputError("is not an image, or damaged", where=path) from error
     except Image.DecompressionBombError as error:
         raise InputError("is far too large for a camera's image", where=path) from error
     if image.width * image.height > LARGEST_PIXELS:

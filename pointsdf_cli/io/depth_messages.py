@@ -74,7 +74,7 @@ def _compressed(message: Any, path: Path, topic: str) -> NDArray[Any]:
                 raise ValueError(image.mode)
             values = np.asarray(image).astype(np.float64)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"an image on {topic} is no 16-bit PNG", where=path) from error
+        raise InputError(f"an image on {topic} is not a 16-bit PNG", where=path) from error
     if encoding != "32FC1":
         return values * 0.001
     # Floats are kept as inverse depths: value = a / depth + b.

@@ -90,5 +90,5 @@ def is_done(out: Path, record: Path, config: Mapping[str, Any]) -> bool:
     raise OptionsDifferError(
         f"was made with other options ({', '.join(changed)})",
         where=out,
-        hint="choose another --out, or add --force to make it anew",
+        hint="choose another --out, or add --force to replace it",
     )

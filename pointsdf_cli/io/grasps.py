@@ -15,10 +15,10 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.hdf5 import (
     Dataset,
+    attributes_as_input_error,
     open_hdf5,
     options_of,
     read_artifact,
-    sense_of,
     write_artifact,
 )
 from pointsdf_cli.io.view_evidence import (
@@ -209,7 +209,7 @@ def read_grasps(path: Path | str) -> tuple[Grasps, GraspsMeta]:
                 where=path,
                 allowed=f"0 to {len(known) - 1}: {', '.join(known)}",
             )
-    with sense_of(path):
+    with attributes_as_input_error(path):
         meta = GraspsMeta(
             mesh_file=str(attributes["mesh_file"]),
             mesh_hash=str(attributes["mesh_hash"]),

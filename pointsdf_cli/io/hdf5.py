@@ -150,13 +150,13 @@ def read_artifact(
             check_stored(path, file, name)
         datasets = {name: np.asarray(file[name][()]) for name in wanted}
         artifact = Artifact(path, dict(file.attrs), datasets)
-    with sense_of(path):
+    with attributes_as_input_error(path):
         _ = artifact.config
     return artifact
 
 
 @contextmanager
-def sense_of(path: Path | str) -> Iterator[None]:
+def attributes_as_input_error(path: Path | str) -> Iterator[None]:
     """Context that turns errors of missing or malformed attributes into one InputError.
 
     Raises:
@@ -220,7 +220,7 @@ def options_of(file: h5py.File) -> dict[str, Any]:
     Raises:
         InputError: It does not say so in JSON.
     """
-    with sense_of(Path(file.filename)):
+    with attributes_as_input_error(Path(file.filename)):
         return dict(json.loads(str(file.attrs.get("config_json", "{}"))))
 
 
@@ -254,7 +254,7 @@ def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[
         raise OptionsDifferError(
             f"was made with other options ({differences})",
             where=path,
-            hint="choose another --out, or add --force to make it anew",
+            hint="choose another --out, or add --force to replace it",
         )
     return True
 

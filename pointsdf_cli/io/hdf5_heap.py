@@ -1,8 +1,8 @@
 """A check that the HDF5 library lacks: a damaged heap of strings makes it loop for ever.
 
 Strings of variable length lie in "global heap collections" (HDF5 file format, III.E): a signature,
-a size, then objects, each with an index, a size and its data, ending in a free one of index 0 that
-takes the rest. The library walks from object to object and does not stop at one that has no size.
+a size, then objects with index, size and data. The last one, of index 0, is the free space. The
+library advances by an object's size, so a size of 0 makes it loop for ever.
 """
 
 from __future__ import annotations

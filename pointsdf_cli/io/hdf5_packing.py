@@ -1,4 +1,4 @@
-"""Packed chunks of HDF5 datasets: only as rgrasp packs them, and to no more than a chunk holds.
+"""Check of compressed HDF5 chunks: rgrasp's filters only, and no more than a chunk's declared size.
 
 The library unpacks a chunk to whatever its stream says, gigabytes for a chunk that is declared as
 some kilobytes, and only then looks how much of it is wanted.

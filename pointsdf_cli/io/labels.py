@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
+from pointsdf_cli.io.hdf5 import Dataset, attributes_as_input_error, read_artifact, write_artifact
 
 SCHEMA, VERSION = "labels", 1
 LAYOUT = {"points": "f4 [N, 3]", "sdf": "f4 [N]"}
@@ -61,7 +61,7 @@ def read_labels(path: Path | str) -> Labels:
     artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT)
     if not len(artifact.datasets["sdf"]):
         raise InputError("holds no labels", where=path, hint="make it again: rgrasp label-sdf")
-    with sense_of(path):
+    with attributes_as_input_error(path):
         return Labels(
             points=artifact.datasets["points"],
             sdf=artifact.datasets["sdf"],

@@ -80,7 +80,7 @@ def find_meshes(folder: Path | str, pattern: str = "*") -> list[Path]:
             )
         return [folder]
     no_pattern = InputError(
-        f"{pattern!r} is no pattern of names below the folder",
+        f"{pattern!r} is not a pattern of names below the folder",
         where="--pattern",
         allowed="such as '*.ply'",
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.atomic import write_text_atomic
-from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
+from pointsdf_cli.io.hdf5 import Dataset, attributes_as_input_error, read_artifact, write_artifact
 
 SCHEMA, VERSION = "plan", 1
 LAYOUT = {
@@ -216,7 +216,7 @@ def read_plan(path: Path | str) -> Plan:
     artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT, optional=OPTIONAL)
     data, facts = artifact.datasets, artifact.attributes
     surface = {name: data[name] for name in OPTIONAL if name in data}
-    with sense_of(path):
+    with attributes_as_input_error(path):
         return Plan(
             status=str(facts["status"]),
             reason=str(facts["reason"]),

@@ -40,7 +40,7 @@ def camera_pose(text: str, option: str = "--camera-pose") -> NDArray[np.float64]
     if not is_rigid(matrix):
         held = f"{text[:60]} holds " if os.path.exists(text) else ""
         raise InputError(
-            f"{held}{len(numbers)} numbers, which are no pose{_not_a_pose(numbers)}",
+            f"{held}{len(numbers)} numbers, which are not a pose{_not_a_pose(numbers)}",
             where=option,
             allowed=ALLOWED,
         )
@@ -54,7 +54,7 @@ def _not_a_pose(numbers: NDArray[np.float64]) -> str:
     if len(numbers) == 7:
         return ": the quaternion is 0"
     if len(numbers) == 16:
-        return ": the 3×3 block is no rotation, or the last row is not 0, 0, 0, 1"
+        return ": the 3×3 block is not a rotation, or the last row is not 0, 0, 0, 1"
     return ""
 
 
@@ -78,7 +78,7 @@ def target_numbers(text: str) -> NDArray[np.float64]:
     numbers = numbers_in(text, "--target", allowed)
     whole_number = len(numbers) == 1 and numbers[0] >= 1 and numbers[0] % 1 == 0
     if not (whole_number or len(numbers) in (2, 3)):
-        raise InputError(f"{text[:60]!r} is none of these", where="--target", allowed=allowed)
+        raise InputError(f"{text[:60]!r} is not a target", where="--target", allowed=allowed)
     return numbers
 
 

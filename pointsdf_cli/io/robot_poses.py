@@ -45,7 +45,7 @@ def read_robot_poses(path: Path, unit: str = "m") -> RobotPoses:
         unit: Unit of its translations, a key of `UNITS`.
 
     Raises:
-        InputError: No such file or form, a pose is no rotation and translation, or the unit is
+        InputError: No such file or form, a pose is not a rotation and translation, or the unit is
             wrong.
     """
     require_choice(unit, Unit, "--pose-unit")
@@ -60,7 +60,7 @@ def read_robot_poses(path: Path, unit: str = "m") -> RobotPoses:
         if pose is None:
             which = f"pose {index}" if names is None else f"the pose of {names[index]}"
             raise InputError(
-                f"{which} is no rotation and translation: {str(value)[:80]}",
+                f"{which} is not a rotation and translation: {str(value)[:80]}",
                 where=path,
                 allowed=FORMS,
             )
@@ -105,7 +105,7 @@ def _of_csv(path: Path) -> tuple[list[str] | None, list[Any]]:
     try:
         text = read_input(path, "text").decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError("is no readable text", where=path, allowed=FORMS) from error
+        raise InputError("is not a readable text", where=path, allowed=FORMS) from error
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if not lines:
         return None, []

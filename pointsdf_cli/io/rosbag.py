@@ -261,7 +261,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
         raise
     except Exception as error:  # a damaged bag fails in any part of the libraries that read it
         reason = (str(error).splitlines() or [""])[0][:160] or type(error).__name__
-        raise InputError(f"is no readable ROS 2 bag ({reason})", where=path) from error
+        raise InputError(f"is not a readable ROS 2 bag ({reason})", where=path) from error
 
 
 def chain(transforms: dict[tuple[str, str], Array], world: str, camera: str) -> Array | None:

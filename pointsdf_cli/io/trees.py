@@ -73,7 +73,7 @@ def tree_of_npz(data: bytes, where: str) -> Any:
     except _BROKEN as error:
         said = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise InputError(
-            f"is no NPZ that can be used ({said})",
+            f"is not an NPZ that can be used ({said})",
             where=where,
             allowed="arrays, and in `tree` the JSON text that names them",
         ) from error
@@ -89,7 +89,7 @@ def tree_of_json(data: bytes, where: str) -> Any:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
         said = (str(error).splitlines() or [type(error).__name__])[0][:120]
-        raise InputError(f"is no readable JSON ({said})", where=where) from error
+        raise InputError(f"is not readable JSON ({said})", where=where) from error
 
 
 def _array(data: bytes) -> NDArray[Any]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.hdf5 import Dataset, read_artifact, sense_of, write_artifact
+from pointsdf_cli.io.hdf5 import Dataset, attributes_as_input_error, read_artifact, write_artifact
 
 SCHEMA, VERSION = "trials", 2
 TRIAL_SCHEMA, TRIAL_VERSION = "trial", 2
@@ -203,7 +203,7 @@ def read_trial(path: Path | str) -> tuple[TrialRow, Evidence]:
         optional=CLUTTER_LAYOUT,
     )
     data: dict[str, Any] = dict(artifact.datasets)
-    with sense_of(path):
+    with attributes_as_input_error(path):
         row = _row(json.loads(str(artifact.attributes["row_json"])))
         phases = tuple(name.decode() for name in data.pop("phases").tolist())
         moments = len(data["q"])
@@ -269,7 +269,7 @@ def read_trials(path: Path | str) -> list[TrialRow]:
         path, schema=SCHEMA, version=VERSION, names=LAYOUT, optional=LATER_LAYOUT
     )
     columns: dict[str, list[Any]] = {}
-    with sense_of(path):
+    with attributes_as_input_error(path):
         for name, data in artifact.datasets.items():
             values = data.tolist()
             columns[name] = [v.decode() for v in values] if data.dtype.kind == "S" else values

@@ -58,7 +58,7 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(_text(path, "text", "JSON"))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"is no readable JSON ({_first_line(error)})", where=path) from error
+        raise InputError(f"is not readable JSON ({_first_line(error)})", where=path) from error
 
 
 def read_xml(path: Path) -> ET.Element:

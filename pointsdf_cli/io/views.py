@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.visibility import ViewEvidence
-from pointsdf_cli.io.hdf5 import Dataset, read_artifact, schema_version, sense_of, write_artifact
+from pointsdf_cli.io.hdf5 import (
+    Dataset,
+    attributes_as_input_error,
+    read_artifact,
+    schema_version,
+    write_artifact,
+)
 from pointsdf_cli.io.view_evidence import (
     evidence_datasets,
     evidence_layout,
@@ -96,7 +102,7 @@ def read_views(path: Path | str, with_depth: bool = False) -> Views:
     attributes, datasets = artifact.attributes, artifact.datasets
     count = len(datasets["cloud"])
     known = read_view_evidence(path, datasets) if with_evidence else (ViewEvidence(),) * count
-    with sense_of(path):
+    with attributes_as_input_error(path):
         width, height = (int(n) for n in attributes["image_size"])
         return Views(
             cloud=datasets["cloud"],
@@ -132,7 +138,7 @@ def read_views_header(path: Path | str) -> ViewsHeader:
         InputError: Not a views file of this version.
     """
     artifact = read_artifact(path, schema=SCHEMA, version=VERSION, oldest=OLDEST, names={})
-    with sense_of(path):
+    with attributes_as_input_error(path):
         return ViewsHeader(
             str(artifact.attributes["mesh_hash"]), str(artifact.config.get("unit", "m"))
         )

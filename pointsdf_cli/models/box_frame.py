@@ -22,8 +22,8 @@ from pointsdf_cli.models.revolution import Axis, cylindrical
 
 ROUNDS = 12
 INNER = 0.005
-"""Share of the points beyond the inner end, a second, robust end of each hidden side: the outermost
-point of a noisy cloud lies outside the object."""
+"""Share of the points beyond the inner end, which is a second, robust end on each hidden side: the
+outermost point of a noisy cloud lies outside the object."""
 SHARP, SOFT = 0.01, 0.05
 """Scales of the saturating copies of each distance, network units."""
 

@@ -1,8 +1,7 @@
-"""A network's field with a vessel's wall in the place of what the network believes of it.
+"""The field of a vessel: its fitted wall of revolution, united with the network's other parts.
 
-The wall is certain (`geometry/vessel.py`); of handles, lids and spoons, which are not of
-revolution, only the network knows more than the seen points. So the object is the wall, and of the
-network's object what lies outside the vessel near such points.
+The wall comes from `geometry/vessel.py`. Handles, lids and spoons come from the network: its object
+outside the vessel, near the points that were measured there.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def extract_mesh(archive: Path, out: Path, largest: int = LARGEST_MEMBER) -> Pat
         *(EOFError, OSError, OverflowError),
     ) as error:
         raise InputError(
-            f"is no readable tar archive ({type(error).__name__}: {error})",
+            f"is not a readable tar archive ({type(error).__name__}: {error})",
             where=archive,
             hint="delete it and fetch it again",
         ) from error

@@ -146,8 +146,8 @@ def _fetch_one(
             made = scratch / mesh_path.name
             save_mesh(made, mesh.vertices, mesh.faces)
             lock[name] = LockEntry(url, sha256, size, file_sha256(made), mesh.repair)
-            # The sum first: a run killed in between fetches a missing mesh again, but would refuse
-            # one that it knows nothing of.
+            # Checksum first: a run killed in between leaves no mesh, which is fetched again. A mesh
+            # without a checksum would be refused.
             _add_to_lock(out, name, lock[name])
             made.replace(mesh_path)
     finally:

@@ -154,8 +154,8 @@ def _require_one_series(folder: Path, names: Sequence[str], force: bool) -> None
             continue
         if not force:
             raise OptionsDifferError(
-                f"is object {about.get('index')} of another seed or other families "
-                f"(seed {about.get('seed')}), and here that is {ours}",
+                f"has the number of {ours}, but is of another seed or other families "
+                f"(seed {about.get('seed')})",
                 where=other,
                 hint="choose another --out, or add --force to replace it",
             )
@@ -167,9 +167,9 @@ def _is_same(task: ObjectTask) -> bool:
     about = read_object_about(task.path)
     if about is None:
         raise OptionsDifferError(
-            "is not a whole generated object, and nothing is overwritten unasked",
+            "is not a complete generated object",
             where=task.path,
-            hint="choose another --out, or add --force to make it anew",
+            hint="choose another --out, or add --force to replace it",
         )
     ours = {"seed": task.seed, "index": task.index, "generator_version": GENERATOR_VERSION}
     changed = [
@@ -181,6 +181,6 @@ def _is_same(task: ObjectTask) -> bool:
         raise OptionsDifferError(
             f"was made with other options ({', '.join(changed)})",
             where=task.path,
-            hint="choose another --out, or add --force to make it anew",
+            hint="choose another --out, or add --force to replace it",
         )
     return True

@@ -229,9 +229,9 @@ class BodyDistances:
 def _settle_boxes() -> None:
     """Make boxes equally large in every process.
 
-    coal 3 decides once in a process whether its boxes are 1e-10 larger along one side: by whether
-    the first support direction of any box has a zero component. Plans then differ by 1e-13, and
-    simulated contacts more. So this asks for a first direction without zeros.
+    At the first query of a box, coal 3 decides for the whole process whether boxes are 1e-10 larger
+    along one side: if that query's support direction has a zero component. Plans then differ by
+    1e-13, and simulated contacts more. So this makes a first query without zeros.
     """
     turned = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3
     coal.distance(

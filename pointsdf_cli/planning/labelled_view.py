@@ -281,7 +281,7 @@ def describe(view: LabelledView, thing: Thing, seen: Sighting) -> str:
     count = {
         "outside the workspace": OUTSIDE,
         "on the table": TABLE,
-        "in groups too small to be a thing": LOOSE,
+        "in groups too small for an object": LOOSE,
         "in the robot's place" if view.over_table else "on the robot": ROBOT,
     }
     dropped = [f"{n} {words}" for words, k in count.items() if (n := int((label == k).sum()))]
@@ -289,7 +289,7 @@ def describe(view: LabelledView, thing: Thing, seen: Sighting) -> str:
     others = int((label >= 0).sum()) - kept - seen.cleaning.dropped
     unclean = int((label == UNCLEAN).sum()) + seen.cleaning.dropped
     if others:
-        dropped.append(f"{others} on other things")
+        dropped.append(f"{others} on other objects")
     if unclean:
         dropped.append(f"{unclean} by cleaning")
     total = len(view.listed)

@@ -191,7 +191,7 @@ def choose(
         return things[0]
     if target.any:
         raise InputError(
-            "any, but one object is needed", where="--target", allowed="a number, U,V or X,Y,Z"
+            "`any` does not name one object", where="--target", allowed="a number, U,V or X,Y,Z"
         )
     if target.number is not None:
         return _of_number(things, target.number, where)

@@ -195,11 +195,12 @@ class PathChecker:
         return np.asarray((a + b < motion) & (motion > RESOLUTION))
 
     def _halved(self, doubt: _Doubt, ways: int, slack: Array) -> _Doubt:
-        """Remaining doubt on the first and, `ways` rows later, on the second halves.
+        """Pairs still unproven on the halves of the segments: first halves in rows below `ways`,
+        second halves from there on.
 
         Args:
-            doubt: Before; its ways count from 0 to `ways`.
-            ways: Number of ways.
+            doubt: Pairs before halving; rows 0 to `ways` − 1.
+            ways: Number of segments.
             slack: [K], in the middles.
         """
         halves = _Doubt(

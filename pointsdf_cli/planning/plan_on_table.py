@@ -24,7 +24,7 @@ from pointsdf_cli.planning.plan_request import Corners, PlanRequest, PlanResult
 from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
 from pointsdf_cli.planning.seen_obstacles import named_obstacles, obstacle_tasks
 from pointsdf_cli.planning.table_top import TableTop, label_table, look_at_table, workspace_of
-from pointsdf_cli.planning.take_order import Turn, take_order
+from pointsdf_cli.planning.take_order import OrderedObject, take_order
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.start import start_configuration
 
@@ -139,7 +139,7 @@ def _plan(
     if request.target is None or not request.target.any:
         return attempt(request.target, warn)
     enough = planner.options.planner.synthesis.acceptance.success
-    return _first_good(_turns(planner, request, q), attempt, enough, warn)
+    return _first_good(_in_order(planner, request, q), attempt, enough, warn)
 
 
 def _plan_for(
@@ -214,11 +214,11 @@ def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: 
 
 def _said_of(beside: Sequence[Obstacle], reconstructed: bool, seconds: float) -> list[str]:
     how = "reconstructions" if reconstructed else "hulls"
-    said = f"other things are {len(beside)} obstacles ({how}, {seconds:.2f} s)"
+    said = f"{len(beside)} other objects are obstacles ({how}, {seconds:.2f} s)"
     return [said] if beside else []
 
 
-def _turns(planner: GraspPlanner, request: PlanRequest, q: Array) -> list[Turn]:
+def _in_order(planner: GraspPlanner, request: PlanRequest, q: Array) -> list[OrderedObject]:
     """Objects in the first camera's view, the easiest to grasp first."""
     cloud, name = request.clouds[0], request.names[0]
     workspace = workspace_of(request.workspace)
@@ -227,7 +227,7 @@ def _turns(planner: GraspPlanner, request: PlanRequest, q: Array) -> list[Turn]:
 
 
 def _first_good(
-    turns: list[Turn],
+    ordered: list[OrderedObject],
     attempt: Callable[..., TablePlan],
     enough: float,
     warn: Callable[[str], None] | None,
@@ -235,28 +235,28 @@ def _first_good(
     """The result for the first object with a good grasp, or else of the best grasp.
 
     Args:
-        turns: The objects, the easiest to grasp first.
+        ordered: The objects, the easiest to grasp first.
         attempt: `_plan_for` as a function of target and `warn`.
         enough: Success probability of a good grasp.
         warn: As in `plan_on_table`; also told the chosen object.
     """
-    if not turns:
+    if not ordered:
         return attempt(None, warn)
     said, best = [], None
-    for turn in turns:
-        found = attempt(TargetChoice(number=turn.thing.number))
+    for each in ordered:
+        found = attempt(TargetChoice(number=each.thing.number))
         plan = found.answer.plan
         success = plan.success_probability if plan.status == OK else -1.0
         outcome = f"success {success:.2f}" if plan.status == OK else f"no plan ({plan.reason})"
-        said.append(f"{turn.describe()}: {outcome}")
+        said.append(f"{each.describe()}: {outcome}")
         if best is None or success > best[0]:
-            best = success, found, turn
+            best = success, found, each
         if success >= enough:
             break
     assert best is not None
-    success, found, turn = best
+    success, found, chosen = best
     why = "the first good grasp" if success >= enough else "the best of all"
-    said.append(f"object {turn.thing.number} is taken: {why}")
+    said.append(f"object {chosen.thing.number} is taken: {why}")
     if warn is not None:
         for sentence in found.warnings:
             warn(sentence)

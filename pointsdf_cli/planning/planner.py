@@ -216,9 +216,9 @@ class Planner:
         """Motion searches in turn: number of the candidate, checker, effort.
 
         The best few get a brief search before any gets a thorough one: if the way to one is narrow,
-        the next is hardly worse and often reached at once. The first brief searches keep the
-        grasp's own distance to the object, at most the margin; the second ones the clearance.
-        Ranked candidates differ more: each gets its second search before the next its first.
+        the next is hardly worse and often reached at once. The first brief search keeps the
+        grasp's own distance to the object, at most the margin; the second keeps the clearance.
+        Ranked candidates differ more, so both searches of one precede those of the next.
         """
         thorough, least = self.config.motion, self.config.clearances.object
         brief = replace(thorough, attempts=1, checks=QUICK_CHECKS)

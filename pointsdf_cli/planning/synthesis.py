@@ -44,8 +44,8 @@ STALLED = 0.8
 
 
 ENOUGH = 2
-"""Number of rounds after which any accepted grasp ends the search, as does a round that gains
-little while all free grasps are poor. Before, only a good grasp does."""
+"""Round from which on any accepted grasp ends the search; so does little gain while all free grasps
+are poor. In earlier rounds only a good grasp ends it."""
 POLISHED = 3
 """Largest number of solutions of a round that are solved again with the exact field."""
 POLISH_ITERATIONS = 12

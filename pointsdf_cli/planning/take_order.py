@@ -21,7 +21,7 @@ EQUALLY_FREE = 0.1
 """Difference of two shares of free directions below which they count as equal."""
 
 
-class Turn(NamedTuple):
+class OrderedObject(NamedTuple):
     """One object in the order.
 
     Attributes:
@@ -40,7 +40,7 @@ class Turn(NamedTuple):
         return f"object {self.thing.number} ({where}, {self.free:.0%} of the directions free)"
 
 
-def take_order(view: LabelledView, reach: Reach | None = None) -> list[Turn]:
+def take_order(view: LabelledView, reach: Reach | None = None) -> list[OrderedObject]:
     """The standing objects of a view, the easiest to grasp first.
 
     Args:
@@ -49,14 +49,14 @@ def take_order(view: LabelledView, reach: Reach | None = None) -> list[Turn]:
     """
     label = view.things.label
     standing = [thing for thing in view.listed if thing.stands]
-    turns = []
+    ordered = []
     for thing in standing:
         mine = label == thing.label
         free = free_share(view.world[mine], view.world[(label >= 0) & ~mine])
-        turns.append(Turn(thing, free, reach is None or reach.beyond(thing.centre) == 0))
+        ordered.append(OrderedObject(thing, free, reach is None or reach.beyond(thing.centre) == 0))
     # Objects that are about equally free keep the order of their numbers.
-    turns.sort(key=lambda turn: (not turn.reached, -round(turn.free / EQUALLY_FREE)))
-    return turns
+    ordered.sort(key=lambda one: (not one.reached, -round(one.free / EQUALLY_FREE)))
+    return ordered
 
 
 def free_share(points: Array, others: Array) -> float:

@@ -45,8 +45,8 @@ that is fine enough for a box."""
 
 
 MISSED, MOST_MISSED = 0.008, 0.2
-"""Seen points farther than this [m] from the nearest vertex of the surface are missed, and the
-share of them above which a plan says so."""
+"""Distance [m] to the nearest vertex of the surface above which a seen point counts as missed, and
+the share of missed points above which a plan carries a warning."""
 
 GIVEN_REACH = 0.25
 """Distance [m] from the seen points within which a given field's surface is searched."""

@@ -228,12 +228,12 @@ links_on_table: {flow(data["links_on_table"])}
 
 arm_joints: {flow(data["arm_joints"])}
 arm_limit_margin: {data["arm_limit_margin"]}  # plans keep 5 degrees from the hard stops
-# Where the robot waits: the arm, then the hand. GUESSED: take the place where yours waits.
+# Where the robot waits: the arm, then the hand. GUESSED: enter where yours waits.
 home: {flow(data["home"])}
 
 hand_joints: {flow(data["hand_joints"])}
-# What a grasp chooses, with the ranges that it chooses from. GUESSED: each finger's first closing
-# joint, nearly open. Add what spreads or turns fingers; all others rest at 0.
+# Joints that each grasp sets before the hand closes, and their ranges. GUESSED: each finger's first
+# closing joint, nearly open. Add joints that spread or turn fingers; all others stay at 0.
 preshape_joints:
 {mapping("preshape_joints")}
 # What closes, and how fast on the real robot. GUESSED: about a second from open to closed.

@@ -124,9 +124,9 @@ def open_home(robot: RobotDescription) -> Array:
 def palm_frame(robot: RobotDescription) -> tuple[Array, bool]:
     """The palm frame [4, 4] in its link, and whether the hand is one of jaws.
 
-    Fingers that set out the same way when they close belong to a hand that closes around things: x
-    is that way, z lies along them. Fingers that move towards each other are jaws: x leads to where
-    they meet, z from one to the other.
+    Fingers that start to close in one direction form a hand that encloses objects: x is that
+    direction, z lies along the fingers. Fingers that move towards each other are jaws: x points to
+    where they meet, z from one to the other.
     """
     tips = fingertips(robot)
     q = np.repeat(robot.home[None], 3, axis=0)

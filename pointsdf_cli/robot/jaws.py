@@ -33,8 +33,8 @@ class Jaws:
     Attributes:
         opening: Width of what fits between them, along z [m].
         pads: [2], where their pads begin and end in front of the palm, along x [m].
-        home_z: [3], direction of the palm's z at home, world: of two turns that hold alike, the
-            nearer to it is taken.
+        home_z: [3], direction of the palm's z at home, world: of two equivalent grasps with
+            opposite z, the one nearer to it is used.
     """
 
     opening: float

@@ -31,7 +31,7 @@ class RobotKeys:
     def __init__(self, path: Path, data: Any) -> None:
         self.path = path
         if not isinstance(data, Mapping):
-            raise InputError("is no mapping of keys", where=path, allowed=", ".join(REQUIRED))
+            raise InputError("is not a mapping of keys", where=path, allowed=", ".join(REQUIRED))
         self.data = data
         missing = [key for key in REQUIRED if key not in data]
         if missing:
@@ -40,7 +40,7 @@ class RobotKeys:
             )
         unknown = [str(key) for key in data if key not in REQUIRED + OPTIONAL]
         if unknown:
-            raise self.wrong(unknown[0], "is no key", ", ".join(REQUIRED + OPTIONAL))
+            raise self.wrong(unknown[0], "is not a key", ", ".join(REQUIRED + OPTIONAL))
 
     def wrong(self, key: str, what: str, allowed: str) -> InputError:
         """Error of a key that cannot be used."""
@@ -50,7 +50,7 @@ class RobotKeys:
         """Joint names of a list, each one known and there once."""
         names = self.data[key]
         if not isinstance(names, list) or not names:
-            raise self.wrong(key, "is no list of joints", ", ".join(known))
+            raise self.wrong(key, "is not a list of joints", ", ".join(known))
         for name in names:
             if not isinstance(name, str) or name not in known:
                 raise self.wrong(key, f"names {name!r}", "moving joints: " + ", ".join(known))
@@ -73,7 +73,7 @@ class RobotKeys:
         """Mapping from joints of the hand."""
         value = self.data[key]
         if not isinstance(value, Mapping) or not value:
-            raise self.wrong(key, "is no mapping of joints", ", ".join(hand))
+            raise self.wrong(key, "is not a mapping of joints", ", ".join(hand))
         for name in value:
             if name not in hand:
                 raise self.wrong(key, f"names {name!r}", "hand joints: " + ", ".join(hand))
@@ -103,7 +103,7 @@ class RobotKeys:
         known = ("xyz", "wxyz", *beside)
         unknown = [one for one in value if one not in known]
         if unknown:
-            raise self.wrong(key, f"has {unknown[0]!r}, which is no key", ", ".join(known))
+            raise self.wrong(key, f"has {unknown[0]!r}, which is not a key", ", ".join(known))
         wxyz = self.vector(key, value.get("wxyz", [1, 0, 0, 0]), 4)
         if abs(np.linalg.norm(wxyz) - 1) > 1e-3:
             raise self.wrong(key, f"has wxyz {wxyz.tolist()}", "a unit quaternion, w first")

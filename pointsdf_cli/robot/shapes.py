@@ -198,7 +198,7 @@ def cover_points(shape: Shape, step: float) -> NDArray[np.float64]:
 
 
 def _thinned(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-    """Some of the points [N, 3]; none of the others is farther than `radius` from all of them."""
+    """A subset of the points [N, 3] such that each point is within `radius` of a kept one."""
     from scipy.spatial import cKDTree
 
     near = cKDTree(points)

@@ -155,7 +155,7 @@ def _ordered(
                 ordered.append(joint)
                 links.append(joint.child)
     if len(links) != len(names):
-        raise InputError("its joints are no tree", where=path)
+        raise InputError("its joints do not form a tree", where=path)
     return tuple(links), tuple(ordered)
 
 

@@ -25,7 +25,7 @@ def server_address(url: str) -> str:
         known = False
     if not known or parts.path not in ("", "/") or parts.query or parts.fragment or parts.username:
         raise InputError(
-            f"{url!r} is no address of a server",
+            f"{url!r} is not a server's address",
             where="--server",
             allowed=f"such as http://127.0.0.1:{PORT}",
             hint="`rgrasp serve` prints its address when it starts",

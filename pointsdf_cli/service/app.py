@@ -27,7 +27,7 @@ from pointsdf_cli.service.bodies import (
     read_body,
     schema_of,
 )
-from pointsdf_cli.service.desk import BusyError, ClosingError, Desk
+from pointsdf_cli.service.request_queue import BusyError, ClosingError, RequestQueue
 from pointsdf_cli.service.resident import Resident
 from pointsdf_cli.viz.viewer_access import may_connect
 
@@ -50,7 +50,7 @@ class TooLargeError(InputError):
 
 def make_app(
     resident: Resident,
-    desk: Desk,
+    queue: RequestQueue,
     host: str = "127.0.0.1",
     token: str | None = None,
     largest: int = LARGEST_BODY,
@@ -59,8 +59,8 @@ def make_app(
 
     Args:
         resident: Answers.
-        desk: Queue and worker, one request after the other.
-        host: The address that is listened at: decides whose pages may ask.
+        queue: Queue and worker, one request after the other.
+        host: Address that the server listens on: determines the allowed page origins.
         token: Secret that requests must bear in `Authorization: Bearer`; None for none.
         largest: Bytes of a body.
     """
@@ -77,7 +77,12 @@ def make_app(
     @app.get("/health")
     async def health() -> dict[str, Any]:
         """Whether the server answers, and how many requests have a place."""
-        return {"status": "ok", "version": __version__, "waiting": desk.waiting, "done": desk.done}
+        return {
+            "status": "ok",
+            "version": __version__,
+            "waiting": queue.waiting,
+            "done": queue.done,
+        }
 
     def offer(path: str, kind: type[Body], answer: Callable[[Resident, Body, str], Answer]) -> None:
         async def ask(request: Request) -> Response:
@@ -86,7 +91,7 @@ def make_app(
                 body.check()
                 return lambda: answer(resident, body, _form(request))
 
-            return await _answered(request, desk, work, largest)
+            return await _answered(request, queue, work, largest)
 
         ask.__doc__ = answer.__doc__
         app.post(path, name=path.strip("/"), openapi_extra=schema_of(kind))(ask)
@@ -140,19 +145,22 @@ class Gate:
             )
         origins = [value.decode("latin-1") for name, value in headers if name == b"origin"]
         asked = next((value.decode("latin-1") for name, value in headers if name == b"host"), "")
-        # Without an origin the name that was asked for still tells a page that was rebound.
+        # Without an Origin header the Host header still reveals DNS rebinding.
         page = origins[0] if origins else f"http://{asked}"
         if len(origins) < 2 and may_connect(page, asked, self._host):
             return None
-        return 403, RgraspError("not from this page")
+        return 403, RgraspError("requests from pages of another origin are refused")
 
 
 async def _answered(
-    request: Request, desk: Desk, work: Callable[[bytes], Callable[[], Answer]], largest: int
+    request: Request,
+    queue: RequestQueue,
+    work: Callable[[bytes], Callable[[], Answer]],
+    largest: int,
 ) -> Response:
     """The response to one request, which has a place in the queue from its first byte on."""
     try:
-        job = desk.take_place()
+        job = queue.take_place()
     except BusyError as error:
         return _error_response(error, 429, {"Retry-After": "2"})
     except ClosingError as error:
@@ -162,11 +170,11 @@ async def _answered(
             data = await _body(request, largest)
         ready = await asyncio.to_thread(work, data)
         del data
-        waiting = asyncio.wrap_future(desk.submit(job, ready))
+        waiting = asyncio.wrap_future(queue.submit(job, ready))
         while not waiting.done():
             await asyncio.wait({waiting}, timeout=0.05)
             if not waiting.done() and await request.is_disconnected():
-                desk.leave(job)
+                queue.leave(job)
         answer, form = waiting.result()
         return Response(answer, media_type=form)
     except TimeoutError:
@@ -186,7 +194,7 @@ async def _answered(
     except MemoryError:
         return _error_response(RgraspError("not enough memory for this request"), 500)
     finally:
-        desk.leave(job)
+        queue.leave(job)
 
 
 async def _body(request: Request, largest: int) -> bytes:

@@ -199,7 +199,7 @@ class SceneBody(_Body):
         if len(given) == 3:
             return TargetChoice(place=np.array(given))
         raise InputError(
-            f"{given} is none of these", where="target", allowed="N, [u, v] or [x, y, z]"
+            f"{given} is not a target", where="target", allowed="N, [u, v] or [x, y, z]"
         )
 
     def corners(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:

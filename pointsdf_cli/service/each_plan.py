@@ -118,7 +118,7 @@ def summary_of(path: Path) -> PlanSummary:
     """Outcome that a plan file states.
 
     Raises:
-        InputError: It is no plan file.
+        InputError: It is not a plan file.
     """
     plan = read_plan(path)
     seconds = sum(plan.timings.get(stage, 0.0) for stage in ("configuration", "motion"))

@@ -55,4 +55,4 @@ def result_of(tree: Any) -> PlanResult:
             float(tree["least"]),
         )
     except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
-        raise RgraspError(f"the server's answer is no plan ({error})") from error
+        raise RgraspError(f"the server's answer is not a plan ({error})") from error

@@ -15,7 +15,7 @@ from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.models.processor import return_freed_memory
 from pointsdf_cli.service.app import LARGEST_BODY, make_app
 from pointsdf_cli.service.deadlines import PunctualProtocol
-from pointsdf_cli.service.desk import Desk
+from pointsdf_cli.service.request_queue import RequestQueue
 from pointsdf_cli.service.resident import Resident
 
 CONNECTIONS = 64
@@ -55,8 +55,8 @@ class Server:
         self._socket = _listening(host, port)
         self.host, self.port = host, int(self._socket.getsockname()[1])
         self._answered = 0
-        self.desk = Desk(places, self._after_request)
-        app: Any = make_app(resident, self.desk, host, token, largest)
+        self.queue = RequestQueue(places, self._after_request)
+        app: Any = make_app(resident, self.queue, host, token, largest)
         self._server = uvicorn.Server(
             uvicorn.Config(
                 app,
@@ -114,11 +114,11 @@ class Server:
 
     def stop(self) -> None:
         """Finish running work, refuse waiting requests, and end."""
-        self.desk.close()
+        self.queue.close()
         self._server.should_exit = True
         if self._thread.ident is not None:
             self._thread.join()
-        self.desk.join()
+        self.queue.join()
         self._socket.close()
 
 

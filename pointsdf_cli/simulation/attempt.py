@@ -39,9 +39,9 @@ class AttemptConfig:
         hand_alone: Simulate only the hand, as on a rigid arm; with the arm it takes several times
             as long.
         placement, heuristic, execution: Settings of camera, preshape and execution.
-        physics: Twice the step of a trial, which changes slightly more labels than chance, and
-            fewer iterations, which lose 0.8% of grasps (docs/notebook.md); for the whole arm see
-            `with_the_whole_arm`.
+        physics: Contact simulation. Its step is twice that of trials, which changes slightly more
+            labels than chance; its fewer iterations lose 0.8% of grasps (docs/notebook.md). With
+            the arm: `with_the_whole_arm`.
     """
 
     hand_alone: bool = True

@@ -23,8 +23,8 @@ def placed(resting: Array, item: SimObject, yaw: float, place: Array) -> Array:
 
 
 def shows(item: SimObject, T_world_object: Array, points: Array) -> bool:
-    """Whether most of the points [N, 3], world, are of the object: a low one may be taken for the
-    table, and a bump of the table for it."""
+    """Whether most of the points [N, 3], world, lie on the object: segmentation may confuse a low
+    object with a bump of the table."""
     local = apply_transform(invert_transform(T_world_object), points)
     low, high = item.mesh.vertices.min(axis=0) - NEAR, item.mesh.vertices.max(axis=0) + NEAR
     return bool(np.median(((local > low) & (local < high)).all(axis=1)) == 1)

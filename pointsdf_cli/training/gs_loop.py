@@ -21,7 +21,7 @@ from pointsdf_cli.training.gs_calibration import Platt, fit_platt, negative_log_
 from pointsdf_cli.training.gs_data import GraspData, Split
 from pointsdf_cli.training.gs_inputs import Index, Learner
 from pointsdf_cli.training.gs_metrics import average_precision, roc_auc
-from pointsdf_cli.training.resuming import progress_of, put_back_optimiser, sense_of_state
+from pointsdf_cli.training.resuming import progress_of, put_back_optimiser, state_as_input_error
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class SuccessTraining:
                 )
         if not 0.0 < self.validation < 1.0:
             raise InputError(
-                f"{self.validation} is no share", where="--validation", allowed="between 0 and 1"
+                f"{self.validation} is not a share", where="--validation", allowed="between 0 and 1"
             )
 
     def rate(self, step: int, steps: int) -> float:
@@ -262,7 +262,7 @@ class _Run:
         Raises:
             InputError: It is of another run.
         """
-        with sense_of_state():
+        with state_as_input_error():
             if state["config"] != asdict(self._config):
                 raise InputError("began with other settings", hint="leave --resume out")
             if state.get("data", self._data_hash) != self._data_hash:

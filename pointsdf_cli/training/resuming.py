@@ -24,7 +24,7 @@ _ADAM = {"step", "exp_avg", "exp_avg_sq"}
 
 
 @contextmanager
-def sense_of_state(where: Path | str | None = None) -> Iterator[None]:
+def state_as_input_error(where: Path | str | None = None) -> Iterator[None]:
     """Context for restoring a state: turns its failures into one error.
 
     Raises:

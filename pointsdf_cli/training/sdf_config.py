@@ -63,7 +63,9 @@ class TrainConfig:
                 f"no schedule {self.schedule!r}", where="--schedule", allowed="cosine, constant"
             )
         if not 0.0 <= self.average < 1.0:
-            raise InputError(f"{self.average} is no decay", where="average", allowed="0 to below 1")
+            raise InputError(
+                f"{self.average} is not a decay", where="average", allowed="0 to below 1"
+            )
 
     def rate(self, step: int, progress: float) -> float:
         """The learning rate at a step, `progress` ∈ [0, 1] of the way."""

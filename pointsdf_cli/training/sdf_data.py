@@ -90,9 +90,9 @@ def split_views(
         pack: The data.
         share: Share of the objects, in (0, 1); at least one is held out.
         seed: Random seed of the split.
-        held_before: Names that were held out from the weights that a run begins with. Where the
-            data has any of them, these are held out and no others, whatever `share`: of the
-            others nobody knows what those weights have learned from.
+        held_before: Objects held out when the initial weights were trained. If the data has any,
+            exactly these are held out and `share` is ignored: the weights may have been trained on
+            the others.
         most: At most so many views validate, spread over all held-out objects.
 
     Raises:
@@ -170,8 +170,8 @@ def augment(batch: Batch, rng: np.random.Generator) -> Batch:
     low, high = cloud.amin(1, keepdim=True), cloud.amax(1, keepdim=True)
     centre = (low + high) / 2.0
     scale = 1.0 / (MARGIN * (high - low).amax(-1, keepdim=True))
-    # The whole ray is clipped at the same depth whatever the scale; the turn leaves depths as they
-    # are, but for the centre's, which stays where it is to within the last bit.
+    # Free rays are clipped at one depth for every scale. Rotations about the optical axis keep
+    # depths, the centre's to within rounding.
     around = transformed(batch.around, torch.from_numpy(turn), centre[:, 0], scale[:, 0, 0])
     lost = torch.from_numpy(rng.random(count))
     around = without_evidence(around, lost > FORGET_IMAGE, lost > FORGET_ALL)

@@ -24,7 +24,7 @@ from pointsdf_cli.training.resuming import (
     put_back_optimiser,
     require_same_data,
     require_same_run,
-    sense_of_state,
+    state_as_input_error,
 )
 from pointsdf_cli.training.sdf_config import TrainConfig
 from pointsdf_cli.training.sdf_data import Split, augment, predict, read_batch, training_views
@@ -281,14 +281,14 @@ class _Run:
             InputError: There is none, or it is of another configuration or of other data.
         """
         state = read_train_state(out)
-        with sense_of_state(out):
+        with state_as_input_error(out):
             require_same_run(state, self._model, self._config.as_dict(), out)
             require_same_data(state, self._data_hash, out)
             self._model.load_state_dict(state["model"])
             put_back_optimiser(self._optimiser, state["optimiser"])
             self.average.load(state["average"])
             self.step, self.seconds, self.history = progress_of(state, "step", "object_loss")
-            # A run of an earlier version does not say: the first mean loss is of what follows then.
+            # States of earlier versions lack these: the first mean loss covers later steps only.
             self._loss_count = max(0, int(state.get("since_validation", 0)))
             self._loss_sum = float(state.get("total", 0.0))
 

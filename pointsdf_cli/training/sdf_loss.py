@@ -25,11 +25,11 @@ class SdfLoss:
     for the right *sign*: a squared error does not care where the zero is, but that is the shape.
     `sign` is that second part alone: occupancy, for VoxelCNN.
 
-    Where the view leaves a place uncertain, an even loss predicts the median distance, so that a
-    thin wall whose place is not known exactly vanishes: no single place is inside it more often
-    than not. `quantile` q < 0.5 weighs "said outside, was inside" by (1 − q) / q over the other
-    error, so that the surface lies where the chance of being inside is q: unseen walls stay, and
-    what plans around the surface errs towards keeping away.
+    Where a view leaves the surface uncertain, a symmetric loss predicts the median distance. A thin
+    wall of uncertain position then vanishes: no place is inside with a probability above 1/2.
+    `quantile` q < 0.5 weighs false-outside errors by (1 − q) / q over false-inside errors, so that
+    the surface lies where the probability of being inside is q: unseen walls stay, and planning
+    errs towards keeping away.
 
     Attributes:
         kind: `mse`, `relative` or `sign`.

@@ -25,7 +25,7 @@ class SdfRun:
     """A run to begin or to resume, by the command's options of these names.
 
     Raises:
-        InputError: `held_out` is no share of the objects.
+        InputError: `held_out` is not a share of the objects.
     """
 
     views: Path
@@ -39,7 +39,7 @@ class SdfRun:
     def __post_init__(self) -> None:
         if not 0.0 < self.held_out < 1.0:
             raise InputError(
-                f"{self.held_out} is no share", where="--held-out", allowed="between 0 and 1"
+                f"{self.held_out} is not a share", where="--held-out", allowed="between 0 and 1"
             )
 
     def begin(self, data: Pack, given: Mapping[str, Any]) -> Start:
@@ -144,7 +144,7 @@ def view_limits(entries: Sequence[str]) -> dict[str, int]:
         folder, _, number = entry.rpartition("=")
         if not number.isdecimal() or int(number) < 1:
             raise InputError(
-                f"{entry!r} is no number of views",
+                f"{entry!r} is not a number of views",
                 where="--views-per-object",
                 allowed="N, FOLDER=N",
             )

@@ -66,7 +66,8 @@ def execute_plan(
         config: As in the collection of grasps.
         watch: Called after every step.
         others: Further free objects, each with its T_world_object [4, 4].
-        lift: [K, J], the plan's lift, empty if it has none; a lift that heeds no obstacles if None.
+        lift: [K, J], the plan's lift, empty if the plan has none. None: one is computed without
+            obstacles.
 
     Raises:
         InputError: There is no trajectory.

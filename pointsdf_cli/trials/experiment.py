@@ -74,7 +74,7 @@ def write_results(
     refused = dict(ran.refused)
     now = {*ran.made, *ran.kept, *refused}
     require_same_options([task for name, task in tasks.items() if name not in now])
-    # A file of an earlier run is no trial of an object that is refused now.
+    # Ignore files of earlier runs for objects that are refused now.
     tried = [task for name, task in tasks.items() if name not in refused]
     rows = read_rows(tried)
     reasons = {tasks[name].trial.object.name: error.what for name, error in refused.items()}

@@ -129,7 +129,9 @@ class TrialPlanner:
         if variant.ablation == protocol.NO_SUCCESS:
             plan = options.plan
             robot = load_robot(plan.robot)
-            grasps = Indifferent(load_grasp_model(plan.grasp_checkpoint, None, plan.device, robot))
+            grasps = ConstantSuccess(
+                load_grasp_model(plan.grasp_checkpoint, None, plan.device, robot)
+            )
         asked = plan_options(variant, options)
         count = rehearsals_of(variant, options)
         if count:
@@ -196,7 +198,7 @@ def _remaining(evidence: ViewEvidence | None, ablation: str) -> ViewEvidence | N
     return evidence
 
 
-class Indifferent:
+class ConstantSuccess:
     """A success network with a constant score; its prior is kept."""
 
     def __init__(self, model: SuccessModel) -> None:

@@ -178,8 +178,8 @@ def _every_second(
 ) -> list[NDArray[np.float32]]:
     """Layers [height, width, 3] of what is `seen` at places u, v [N] of the image.
 
-    Every second column and row is looked at; a pixel between equal ones is their mean, the others
-    are looked at, too.
+    Rays are cast at every second column and row. Pixels between equal neighbours get their mean,
+    all others a ray of their own.
     """
     columns, rows = np.arange(width), np.arange(height)
     u, v = np.meshgrid(columns[::2] + 0.5, rows[::2] + 0.5)

@@ -81,7 +81,7 @@ def guarded(bound: str) -> Iterator[list[Any]]:
     def guarded_serve(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
         def ask(connection: Any, request: Any) -> Any:
             headers = request.headers
-            # A page may send a header twice: the last word must not hide the first.
+            # A page may send a header twice: check all values, not only the last.
             origins, hosts = headers.get_all("Origin"), headers.get_all("Host")
             ok = len(origins) < 2 and len(hosts) == 1
             ok = ok and may_connect(next(iter(origins), None), hosts[0], bound)
@@ -102,11 +102,10 @@ def guarded(bound: str) -> Iterator[list[Any]]:
 
 
 def only_controls(server: Any) -> bool:
-    """Take a browser's word for the values of controls and for nothing else.
+    """Let clients change the values of controls and nothing else.
 
-    viser also takes files, for whoever sends them and as large as they are, changes any property of
-    a control, and opens a public address for the scene when a client asks for one, whether the page
-    has a button for it or not.
+    By default viser also accepts files of any size from any client, changes any property of a
+    control, and opens a public address for the scene when a client asks for one.
 
     Args:
         server: viser's server of WebSockets, once all controls are made.

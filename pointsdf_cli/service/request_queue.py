@@ -1,4 +1,4 @@
-"""Queue of requests with one worker: requests are answered in turn, or refused if it is full."""
+"""A bounded queue of requests with one worker."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class Job:
         return self._cancelled.is_set()
 
 
-class Desk:
-    """Worker for one job at a time, in a thread of its own.
+class RequestQueue:
+    """A queue that answers one request at a time, in a thread of its own.
 
     Args:
         places: Jobs that may wait beside the one that runs.
@@ -121,7 +121,7 @@ class Desk:
             job.future.set_exception(ClosingError("the server is stopping"))
 
     def join(self) -> None:
-        """Wait for the work that ran when the desk was closed."""
+        """Wait for the work that ran when the queue was closed."""
         self._thread.join()
 
     def _run(self) -> None:
