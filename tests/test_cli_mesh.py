@@ -198,7 +198,7 @@ def test_a_plane_is_no_mistake(full: Path, tmp_path: Path) -> None:
         (["--format", "obj", "--out", "x.ply"], "disagree"),
         (["--frame", "moon"], "camera, world"),
         (["--frame", "world"], "--camera-pose"),
-        (["--camera-pose", "1,2,3"], "no pose"),
+        (["--camera-pose", "1,2,3"], "not a pose"),
         (["--camera-pose", "9,0,1,0,9,1,0,0,1"], "are they intrinsics?"),
         (["--camera-pose", "1,2,3,0,0,0,0"], "the quaternion is 0"),
         (["--unit", "furlong"], "m, cm, mm, inch"),
