@@ -230,7 +230,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=6, help="views of an object in a file")
     parser.add_argument("--group", type=int, default=12, help="objects of a file")
     parser.add_argument("--exact", type=float, default=0.4, help="share of views without errors")
-    parser.add_argument("--spread", type=float, default=0.5, help="of each view's sensor")
+    parser.add_argument("--spread", type=float, default=0.5, help="spread of the sensors' errors")
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=max(1, (os.cpu_count() or 2) - 2))
     options = parser.parse_args()

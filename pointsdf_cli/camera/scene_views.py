@@ -53,7 +53,7 @@ class SceneViewConfig:
             others teach the errors.
         exact_resting: Share of these in which the object rests on a table; in the others it is
             turned at random.
-        sensor_spread: As `spread` of `DepthSensor.varied`, for each view anew.
+        sensor_spread: How much the errors of each view's sensor vary (`DepthSensor.varied`).
 
     Raises:
         InputError: No sensor, or one that does not exist.

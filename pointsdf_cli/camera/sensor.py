@@ -52,6 +52,7 @@ _VARIED = (
     *("flying", "quantisation", "axial_floor", "axial_depth", "axial_incidence"),
     *("disparity_noise", "noise_window", "bias", "bias_window"),
 )
+"""Errors that `varied` scales; geometry stays."""
 
 
 @dataclass(frozen=True)
@@ -156,11 +157,11 @@ class DepthSensor:
         return replace(self, noise=noise) if self.is_ideal else self
 
     def varied(self, spread: float, rng: np.random.Generator) -> DepthSensor:
-        """A sensor whose errors differ: cameras of one kind do, and no model is exact (Tobin et al.
-        2017, "Domain randomization").
+        """Sensor with each of this one's errors scaled at random: cameras of one kind differ, and no
+        model is exact (Tobin et al. 2017, "Domain randomization").
 
         Args:
-            spread: σ of the logarithm of a factor on each parameter in `_VARIED`.
+            spread: σ of the logarithm of each error's factor; 0 changes nothing.
             rng: Random generator of the factors.
         """
         if spread == 0 or self.is_ideal:

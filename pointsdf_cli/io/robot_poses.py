@@ -105,7 +105,7 @@ def _of_csv(path: Path) -> tuple[list[str] | None, list[Any]]:
     try:
         text = read_input(path, "text").decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError("is not a readable text", where=path, allowed=FORMS) from error
+        raise InputError("is not readable text", where=path, allowed=FORMS) from error
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if not lines:
         return None, []

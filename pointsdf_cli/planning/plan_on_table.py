@@ -214,7 +214,7 @@ def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: 
 
 def _said_of(beside: Sequence[Obstacle], reconstructed: bool, seconds: float) -> list[str]:
     how = "reconstructions" if reconstructed else "hulls"
-    said = f"{len(beside)} other objects are obstacles ({how}, {seconds:.2f} s)"
+    said = f"other objects as obstacles: {len(beside)} ({how}, {seconds:.2f} s)"
     return [said] if beside else []
 
 
