@@ -53,7 +53,7 @@ class SceneViewConfig:
             others teach the errors.
         exact_resting: Share of these in which the object rests on a table; in the others it is
             turned at random.
-        sensor_spread: How much the errors of each view's sensor vary (`DepthSensor.varied`).
+        sensor_spread: Spread of the errors of each view's sensor (`DepthSensor.varied`).
 
     Raises:
         InputError: No sensor, or one that does not exist.

@@ -157,7 +157,7 @@ class DepthSensor:
         return replace(self, noise=noise) if self.is_ideal else self
 
     def varied(self, spread: float, rng: np.random.Generator) -> DepthSensor:
-        """Sensor with each of this one's errors scaled at random: cameras of one kind differ, and no
+        """Sensor with each of these errors scaled at random: cameras of one kind differ, and no
         model is exact (Tobin et al. 2017, "Domain randomization").
 
         Args:
