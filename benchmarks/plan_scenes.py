@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from pointsdf_cli.camera.things import nearest_thing
+from pointsdf_cli.camera.table_objects import nearest_object
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, transform
@@ -101,7 +101,7 @@ def table_scene(
     cloud = observer.depth_cloud(item, pose, T_world_camera, rng)
     vertices = apply_transform(pose, mesh.vertices)
     world = apply_transform(T_world_camera, cloud)
-    kept, _ = nearest_thing(world, T_world_camera[:3, 3], vertices.mean(axis=0))
+    kept, _ = nearest_object(world, T_world_camera[:3, 3], vertices.mean(axis=0))
     return TableScene(
         path.stem, camera, vertices, mesh.faces.astype(np.int64), cloud, kept, T_world_camera
     )

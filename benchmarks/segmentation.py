@@ -45,7 +45,7 @@ def is_found(view: LabelledView, surface: Array) -> bool:
     """Whether number 1 is the object whose surface points [S, 3] are given, world, m."""
     if not view.listed:
         return False
-    found = view.world[view.things.label == view.listed[0].label]
+    found = view.world[view.objects.label == view.listed[0].label]
     tree = cKDTree(surface)
     seen = view.world[(tree.query(view.world)[0] < 0.01) & (view.world[:, 2] > NEAR)]
     if not len(seen):

@@ -28,11 +28,11 @@ from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
-from pointsdf_cli.planning.list_things import list_things
+from pointsdf_cli.planning.list_objects import list_objects
 from pointsdf_cli.planning.object_view import ObjectView, bare_view, segmented_view
 from pointsdf_cli.planning.plan_on_table import TablePlan, plan_on_table
 from pointsdf_cli.planning.scene_input import read_scene
-from pointsdf_cli.service.objects_picture import draw_things
+from pointsdf_cli.service.objects_picture import draw_numbers
 from pointsdf_cli.service.plan_scene import scene_of_plan
 from pointsdf_cli.viz.plan_picture import plan_picture
 from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
@@ -140,9 +140,9 @@ class Page:
     def _segment(self, capture: Capture, stem: Path) -> Path | None:
         if capture.files.frame == "world":
             return None
-        listing = list_things(capture.path, capture.files, capture.pose)
+        listing = list_objects(capture.path, capture.files, capture.pose)
         path = stem.with_suffix(".segment.png")
-        draw_things(path, listing, capture.colour)
+        draw_numbers(path, listing, capture.colour)
         return path
 
     def _object(self, capture: Capture) -> ObjectView:

@@ -163,7 +163,7 @@ def test_the_standard_deviation_tells_the_error(seen: list[Array], eye_in_hand: 
         robot = np.stack(robot_poses(seen, eye_in_hand))
         robot = robot @ transform(turns, rng.normal(0, 3e-4, (COUNT, 3)))
         found = calibrate_hand_eye(robot, views_of(seen), BOARD.corners, HD, eye_in_hand)
-        ratios.append(apart(found.X, truth)[0] / found.sigma_millimetres)
+        ratios.append(apart(found.X, truth)[0] / found.sigma_mm)
     assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 2
 
 

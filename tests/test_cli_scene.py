@@ -16,7 +16,7 @@ from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
 from pointsdf_cli.io.depth_images import read_mask
-from pointsdf_cli.planning.list_things import list_things
+from pointsdf_cli.planning.list_objects import list_objects
 from pointsdf_cli.planning.object_view import bare_view, segmented_view
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
@@ -140,12 +140,12 @@ def test_a_mask_alone_tells_what_is_free_and_where_the_object_returned_nothing(
 
 
 def test_numbers_stay_when_the_world_moves_with_the_target(scene: list[Any]) -> None:
-    listing = list_things(scene[0], options(scene), "table")
-    for thing in listing.things:
+    listing = list_objects(scene[0], options(scene), "table")
+    for thing in listing.objects:
         found = segmented_view(
             scene[0], options(scene), "table", "auto", str(thing.number), None, None
         )
-        assert f"object {thing.number} of {len(listing.things)}" in " ".join(found.said)
+        assert f"object {thing.number} of {len(listing.objects)}" in " ".join(found.said)
 
 
 def test_a_pixel_outside_the_image_is_refused(scene: list[Any]) -> None:

@@ -68,7 +68,7 @@ def per_link(names: tuple[tuple[str, str], ...], contacts: Contacts, other: str)
 
 def test_table_distances_are_the_heights_of_lowest_points(robot, kinematics, geometry) -> None:
     q = draw(robot, 20)
-    bodies = BodyDistances(geometry, Environment(), reach=10.0)
+    bodies = BodyDistances(geometry, Environment(), exact_to=10.0)
     found = per_link(bodies.names, bodies(link_poses(kinematics, q)), "table")
     links, heights = table_clearance(robot, *kinematics(torch.from_numpy(q)))
     assert set(links) == set(found)
@@ -78,7 +78,7 @@ def test_table_distances_are_the_heights_of_lowest_points(robot, kinematics, geo
 
 def test_self_distances_agree_with_surface_samples(robot, kinematics, geometry) -> None:
     q = draw(robot, 12, seed=1)
-    bodies = BodyDistances(geometry, Environment(table=False), reach=0.02)
+    bodies = BodyDistances(geometry, Environment(table=False), exact_to=0.02)
     contacts = bodies(link_poses(kinematics, q))
     sampled = SelfCollision(kinematics, spacing=0.004)(*kinematics(torch.from_numpy(q))).numpy()
     pairs = SelfCollision(kinematics).pairs
@@ -98,8 +98,8 @@ def test_self_distances_agree_with_surface_samples(robot, kinematics, geometry) 
 def test_the_distance_beyond_reach_is_a_lower_bound(robot, kinematics, geometry) -> None:
     poses = link_poses(kinematics, draw(robot, 5))
     environment = Environment((box("shelf", (0.3, 0.3, 0.02), (0.4, 0, 0.4)),))
-    exact = BodyDistances(geometry, environment, reach=10.0)(poses).distance
-    bound = BodyDistances(geometry, environment, reach=0.03)(poses).distance
+    exact = BodyDistances(geometry, environment, exact_to=10.0)(poses).distance
+    bound = BodyDistances(geometry, environment, exact_to=0.03)(poses).distance
     assert (bound <= exact + 1e-6).all()
     near = exact < 0.03
     np.testing.assert_allclose(bound[near], exact[near], atol=1e-6)
@@ -108,8 +108,8 @@ def test_the_distance_beyond_reach_is_a_lower_bound(robot, kinematics, geometry)
 def test_a_mesh_obstacle_is_as_far_as_the_same_box(robot, kinematics, geometry) -> None:
     poses = link_poses(kinematics, draw(robot, 8, seed=2))
     size, at = (0.2, 0.3, 0.1), (0.45, 0.1, 0.5)
-    as_box = BodyDistances(geometry, Environment((box("a", size, at),), False), reach=1.0)
-    as_mesh = BodyDistances(geometry, Environment((mesh_box("a", size, at),), False), reach=1.0)
+    as_box = BodyDistances(geometry, Environment((box("a", size, at),), False), exact_to=1.0)
+    as_mesh = BodyDistances(geometry, Environment((mesh_box("a", size, at),), False), exact_to=1.0)
     columns = [m for m, n in enumerate(as_box.names) if n[1] == "a"]
     one = as_box(poses).distance[:, columns]
     two = as_mesh(poses).distance[:, columns]
@@ -122,8 +122,8 @@ def test_a_mesh_obstacle_is_as_far_as_the_same_box(robot, kinematics, geometry) 
 def test_single_pairs_are_as_far_as_among_all(robot, kinematics, geometry) -> None:
     poses = link_poses(kinematics, draw(robot, 12, seed=4))
     around = (mesh_box("a", (0.2, 0.3, 0.1), (0.45, 0.1, 0.5)), box("b", (0.2,) * 3, (0, 0.4, 0.3)))
-    bodies = BodyDistances(geometry, Environment(around), reach=0.1)
-    surface = ObjectDistances(geometry, SphereField(0.2, (0.4, 0.0, 0.5)), reach=0.1)
+    bodies = BodyDistances(geometry, Environment(around), exact_to=0.1)
+    surface = ObjectDistances(geometry, SphereField(0.2, (0.4, 0.0, 0.5)), exact_to=0.1)
     for source, whole in ((bodies, bodies(poses)), (surface, surface(poses, gradients=False))):
         rows, columns = np.random.default_rng(0).integers((12, len(source.names)), size=(500, 2)).T
         expected = whole.distance[rows, columns]
@@ -151,7 +151,7 @@ print(coal.distance(box, here, box, there, coal.DistanceRequest(), coal.Distance
 
 def test_a_link_inside_of_a_mesh_is_not_free(robot, kinematics, geometry) -> None:
     around = mesh_box("room", (4.0, 4.0, 4.0), (0, 0, 0))
-    bodies = BodyDistances(geometry, Environment((around,), table=False), reach=10.0)
+    bodies = BodyDistances(geometry, Environment((around,), table=False), exact_to=10.0)
     contacts = bodies(link_poses(kinematics, robot.home[None]))
     columns = [m for m, n in enumerate(bodies.names) if n[1] == "room"]
     assert (contacts.distance[:, columns] < 0).all()
@@ -174,7 +174,7 @@ def test_a_ball_between_two_samples_is_met_within_the_spacing(robot, kinematics,
     tip = rotation[0, link] @ [0, 0, 0.0267] + position[0, link]
     away = tip + 0.1 * np.array([1.0, 0, 0])
     field = SphereField(0.02, tuple(away))
-    distances = ObjectDistances(geometry, field, reach=1.0)
+    distances = ObjectDistances(geometry, field, exact_to=1.0)
     contacts = distances(link_poses(kinematics, robot.home[None]))
     lowest = contacts.distance[0, distances.link == link].min()
     true = 0.1 - 0.02 - 0.012
@@ -187,14 +187,14 @@ def test_derivatives_agree_with_differences(robot, kinematics, geometry, which: 
     q = draw(robot, 12, seed=3)
     at = (0.4, 0.0, 0.4)
     if which == "object":
-        source = ObjectDistances(geometry, SphereField(0.25, at), reach=0.2)
+        source = ObjectDistances(geometry, SphereField(0.25, at), exact_to=0.2)
     else:
         obstacles = {
             "box": (box("b", (0.4, 0.6, 0.4), at),),
             "mesh": (mesh_box("b", (0.4, 0.6, 0.4), at),),
         }.get(which, ())
         environment = Environment(obstacles, table=which == "table")
-        source = BodyDistances(geometry, environment, reach=0.2)
+        source = BodyDistances(geometry, environment, exact_to=0.2)
     poses = link_poses(kinematics, q)
     contacts = source(poses)
     kind = {"object": "object", "table": "table", "box": "b", "mesh": "b"}.get(which)
@@ -227,7 +227,7 @@ def test_a_sliding_jaw_moves_by_its_axis() -> None:
     kinematics = Kinematics(robot)
     geometry = RobotGeometry(kinematics)
     q = (robot.lower + robot.upper)[None] / 2
-    source = ObjectDistances(geometry, BoxField((0.1, 0.1, 0.1), (2.0, 0.5, 0.0)), reach=9.0)
+    source = ObjectDistances(geometry, BoxField((0.1, 0.1, 0.1), (2.0, 0.5, 0.0)), exact_to=9.0)
     poses = link_poses(kinematics, q)
     contacts = source(poses)
     every = np.arange(contacts.distance.shape[1])[None]

@@ -218,7 +218,7 @@ def test_the_mean_has_the_mean_gradient() -> None:
 
 def test_far_away_the_box_answers_and_near_the_field() -> None:
     ball, low, high = CylinderField(0.03, 0.06), np.full(3, -0.03), np.full(3, 0.03)
-    field = NearField(ball, low, high, reach=0.02)
+    field = NearField(ball, low, high, exact_to=0.02)
     points = np.random.default_rng(2).uniform(-0.3, 0.3, (500, 3))
     values, gradients = field.with_gradient(points)
     np.testing.assert_array_equal(values, field(points))

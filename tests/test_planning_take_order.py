@@ -35,11 +35,11 @@ def test_what_stands_free_goes_before_what_is_enclosed_and_what_is_far() -> None
     turns = take_order(scene, reach=Reach(np.zeros(2), 0.5, 0.8))
     assert len(turns) == 5
     first, last = turns[0], turns[-1]
-    np.testing.assert_allclose(first.thing.centre[:2], free, atol=0.03)
+    np.testing.assert_allclose(first.item.centre[:2], free, atol=0.03)
     assert first.free == 1.0
-    np.testing.assert_allclose(last.thing.centre[:2], far, atol=0.03)
+    np.testing.assert_allclose(last.item.centre[:2], far, atol=0.03)
     assert not last.reached
-    middle = next(turn for turn in turns if np.allclose(turn.thing.centre[:2], enclosed, atol=0.03))
+    middle = next(turn for turn in turns if np.allclose(turn.item.centre[:2], enclosed, atol=0.03))
     assert middle.free < 0.8
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.segmentation import PLANE_BAND
-from pointsdf_cli.camera.things import LOOSE, find_things
+from pointsdf_cli.camera.table_objects import LOOSE, segment_table
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import (
     apply_transform,
@@ -180,12 +180,12 @@ def table_scene(centre: NDArray, size: NDArray, turn: float, rng: np.random.Gene
 def test_segmentation_finds_the_box(offset: NDArray, size: NDArray, turn: float, seed: int) -> None:
     cloud = table_scene(offset + [0.65, 0.0], size, turn, np.random.default_rng(seed))
     camera = np.array([1.5, 0.0, 0.8])
-    found = find_things(cloud, camera).label >= 0
+    found = segment_table(cloud, camera).label >= 0
     assert not found[:4000].any()
     above = cloud[4000:, 2] > PLANE_BAND + 0.004
     assert found[4000:][above].mean() > 0.9
     order = np.random.default_rng(seed).permutation(len(cloud))
-    again = find_things(cloud[order], camera).label >= 0
+    again = segment_table(cloud[order], camera).label >= 0
     differ = np.count_nonzero(again != found[order])
     assert differ <= 0.02 * len(cloud)  # the order decides nothing but the band's edge
 
@@ -193,6 +193,6 @@ def test_segmentation_finds_the_box(offset: NDArray, size: NDArray, turn: float,
 @MANY
 @given(arrays(np.float64, (60, 3), elements=st.floats(-3, 3)))
 def test_segmentation_of_anything_labels_every_point(cloud: NDArray) -> None:
-    label = find_things(cloud, np.zeros(3)).label
+    label = segment_table(cloud, np.zeros(3)).label
     assert label.shape == (60,)
     assert label.min() >= LOOSE

@@ -50,7 +50,7 @@ def test_self_distances_agree_with_pybullet(tmp_path: Path) -> None:
             for name, value in zip(robot.joint_names, configuration, strict=True):
                 bullet.resetJointState(body, joints[name], value, physicsClientId=client)
             for p, (a, b) in enumerate(collision.pairs):
-                if ours[k, p] >= collision.reach:
+                if ours[k, p] >= collision.exact_to:
                     continue
                 close = bullet.getClosestPoints(
                     body, body, 0.05, index[a], index[b], physicsClientId=client

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pointsdf_cli.camera.segmentation import SegmentationConfig, find_table
+from pointsdf_cli.camera.table_objects import OUTSIDE, TABLE, nearest_object, segment_table
 from pointsdf_cli.camera.table_relief import table_relief
-from pointsdf_cli.camera.things import OUTSIDE, TABLE, find_things, nearest_thing
 from pointsdf_cli.errors import InputError
 
 CAMERA = np.array([1.5, 0.0, 0.8])
@@ -33,21 +33,21 @@ def test_object_on_a_noisy_table_is_kept_and_nothing_else() -> None:
     thing = box(rng, (0.6, 0.1, 0.05), 0.1)
     robot = rng.uniform((0.0, -0.1, 0.6), (0.2, 0.1, 0.9), (2000, 3))
     cloud = np.concatenate([table(rng, noise=0.001), thing, robot])
-    kept, plane = nearest_thing(cloud, CAMERA, np.array([0.6, 0.1, 0.05]))
+    kept, plane = nearest_object(cloud, CAMERA, np.array([0.6, 0.1, 0.05]))
     assert plane is not None
     true = np.zeros(len(cloud), dtype=bool)
     true[60_000:63_000] = True
     assert not (kept & ~true).any()
     # All but what lies within the band above the table.
     assert kept[true & (cloud[:, 2] > 0.02)].all()
-    assert (find_things(cloud, CAMERA).label[63_000:] == OUTSIDE).all()
+    assert (segment_table(cloud, CAMERA).label[63_000:] == OUTSIDE).all()
 
 
 def test_order_does_not_matter() -> None:
     rng = np.random.default_rng(1)
     cloud = np.concatenate([table(rng), box(rng, (0.6, 0.1, 0.05), 0.1)])
     order = rng.permutation(len(cloud))
-    first, second = find_things(cloud, CAMERA), find_things(cloud[order], CAMERA)
+    first, second = segment_table(cloud, CAMERA), segment_table(cloud[order], CAMERA)
     same = (first.label[order] >= 0) == (second.label >= 0)
     assert same.mean() > 0.999
 
@@ -57,7 +57,7 @@ def test_tilted_and_raised_table_of_a_pose_calibrated_by_hand() -> None:
     lean = 0.02
     turn = np.array([[np.cos(lean), 0, np.sin(lean)], [0, 1, 0], [-np.sin(lean), 0, np.cos(lean)]])
     cloud = np.concatenate([table(rng, noise=0.001), box(rng, (0.6, 0.0, 0.05), 0.1)])
-    found = find_things(cloud @ turn.T + (0, 0, 0.015), CAMERA)
+    found = segment_table(cloud @ turn.T + (0, 0, 0.015), CAMERA)
     assert found.plane is not None
     assert found.plane[:3] == pytest.approx(turn[:, 2], abs=2e-3)
     assert not (found.label[:60_000] >= 0).any()
@@ -73,7 +73,7 @@ def test_waves_of_a_measured_table_are_no_objects() -> None:
     low = low[low[:, 2] > 0]
     cloud = np.concatenate([wavy, low])
     assert (wavy[:, 2] > 0.008).sum() > 10_000
-    found = find_things(cloud, CAMERA)
+    found = segment_table(cloud, CAMERA)
     assert found.count == 1
     assert (found.label[:300_000] == TABLE).sum() > 100_000
     assert not (found.label[:300_000] >= 0).any()
@@ -93,7 +93,7 @@ def test_relief_follows_a_gentle_slope_and_stops_at_a_step() -> None:
 
 def test_cloud_of_the_object_alone_is_kept_whole() -> None:
     rng = np.random.default_rng(3)
-    found = find_things(box(rng, (0.6, 0.1, 0.05), 0.1), CAMERA)
+    found = segment_table(box(rng, (0.6, 0.1, 0.05), 0.1), CAMERA)
     assert found.plane is None
     assert (found.label == 0).all()
 
@@ -102,10 +102,10 @@ def test_the_object_nearest_to_a_place_is_kept() -> None:
     rng = np.random.default_rng(4)
     big, little = box(rng, (0.5, -0.2, 0.05), 0.1), box(rng, (0.7, 0.2, 0.04), 0.08)[:1000]
     cloud = np.concatenate([table(rng), big, little])
-    kept, _ = nearest_thing(cloud, CAMERA, np.array([0.5, -0.2, 0.05]))
+    kept, _ = nearest_object(cloud, CAMERA, np.array([0.5, -0.2, 0.05]))
     assert kept[60_000:63_000].any()
     assert not kept[63_000:].any()
-    kept, _ = nearest_thing(cloud, CAMERA, np.array([0.7, 0.2, 0.05]))
+    kept, _ = nearest_object(cloud, CAMERA, np.array([0.7, 0.2, 0.05]))
     assert kept[63_000:].any()
     assert not kept[60_000:63_000].any()
 
@@ -127,7 +127,7 @@ def test_flat_top_of_a_low_object_is_not_taken_for_the_table() -> None:
 )
 def test_no_object_is_said_so(cloud: np.ndarray) -> None:
     with pytest.raises(InputError, match="no object"):
-        nearest_thing(cloud, CAMERA, np.zeros(3))
+        nearest_object(cloud, CAMERA, np.zeros(3))
 
 
 def test_impossible_workspace_is_refused() -> None:

@@ -279,7 +279,7 @@ def test_arrays_of_other_shapes_are_refused() -> None:
 
 @pytest.fixture(scope="module")
 def household() -> list[LoadedMesh]:
-    """Things of the sizes and shapes of those that the bins were measured on."""
+    """TableObjects of the sizes and shapes of those that the bins were measured on."""
     families = ("box", "can", "bottle", "mug", "bowl", "banana")
     known = [name for name in families if _exists(name)]
     made = [make_object(5, k, [name]) for k, name in enumerate(known * 2)]

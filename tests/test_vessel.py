@@ -9,8 +9,8 @@ import trimesh
 from manifold3d import CrossSection, Manifold
 
 from pointsdf_cli.geometry.axis_fit import axis_point, oriented_points, refined_axis, turned
+from pointsdf_cli.geometry.body_of_revolution import BodyOfRevolution
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
-from pointsdf_cli.geometry.lathe import Lathe
 from pointsdf_cli.geometry.vessel import fit_vessel
 from pointsdf_cli.geometry.vessel_outline import NoVesselError
 from pointsdf_cli.geometry.visibility import ViewEvidence
@@ -86,7 +86,7 @@ def cup():
 def test_a_revolved_outline_is_closed_and_faces_outwards() -> None:
     outline = np.array([[0.0, -0.02], [0.05, -0.02], [0.03, 0.06], [0.0, 0.06]])
     direction = np.array([0.6, 0.0, 0.8])
-    frustum = Lathe.of(direction, np.array([0.1, 0.2, 0.3]), outline)
+    frustum = BodyOfRevolution.of(direction, np.array([0.1, 0.2, 0.3]), outline)
     vertices, faces = frustum.surface(400)
     body = trimesh.Trimesh(vertices, faces)
     assert body.is_watertight
@@ -99,7 +99,7 @@ def test_a_revolved_outline_is_closed_and_faces_outwards() -> None:
 
 def test_sphere_and_gradient_in_closed_form():
     turn = np.linspace(-np.pi / 2, np.pi / 2, 400)
-    ball = Lathe.of(
+    ball = BodyOfRevolution.of(
         np.array([0, 0.6, 0.8]),
         np.array([0.1, -0.2, 0.5]),
         0.05 * np.stack([np.cos(turn), np.sin(turn)], axis=1),

@@ -25,6 +25,7 @@ from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.models.box_frame import box_around
 from pointsdf_cli.models.neighbours import SEARCHES
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
+from pointsdf_cli.models.processor import keep_large_allocations
 from pointsdf_cli.models.registry import build_model, load_model
 from pointsdf_cli.models.revolution import places
 from pointsdf_cli.training.ema import WeightAverage
@@ -185,6 +186,7 @@ class Run:
     def __init__(self, options: argparse.Namespace) -> None:
         self._options, device = options, torch.device(options.device)
         torch.manual_seed(options.seed)
+        keep_large_allocations()
         if device.type == "cuda":
             SEARCHES["exact"] = kernels.nearest
         arguments, config = settings("pointsdf-ray", "small", vars(options))
@@ -266,7 +268,7 @@ def main() -> None:
     parser.add_argument("--queries", type=int, default=256)
     parser.add_argument("--learning-rate", type=float, default=1.5e-3)
     parser.add_argument("--capacity", type=int, default=150_000, help="views, 42 kB each")
-    parser.add_argument("--objects", type=int, default=7000)
+    parser.add_argument("--objects", type=int, default=10_000)
     parser.add_argument("--first-views", type=int, default=2000, help="views to wait for")
     parser.add_argument("--validate", type=float, default=2.0, help="minutes between validations")
     parser.add_argument("--device", default="cuda")

@@ -19,7 +19,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -52,8 +52,12 @@ COLOUR = Camera(640, 480, 1067.0, 1067.0, 319.5, 239.5)
 CAMERA_SHARES = {"colour": 0.25, "xtion": 0.3, "realsense": 0.25, "reference": 0.2}
 SENSORS = ("ideal", "structured-light", "stereo")
 VALIDATION_SEED, VALIDATION_OBJECTS, VALIDATION_VIEWS = 62, 64, 5
-SCAN_TURNS = 4
-"""Views of a scan over those of a generated object."""
+SCAN_SHAPES = 12
+"""Objects made of each scan: itself and others stretched along its axes."""
+STRETCHED = 0.2
+"""Share of generated objects that are stretched too: few real bottles are round."""
+STRETCH = 0.15
+"""Standard deviation of the logarithm of a stretch along an axis."""
 
 
 @dataclass(frozen=True)
@@ -64,13 +68,19 @@ class Source:
     seed: int = 0
     index: int = 0
     path: Path | None = None
+    stretched: bool = False
 
     def mesh(self) -> LoadedMesh:
         """The mesh, in metres."""
         if self.path is not None:
-            return load_mesh(self.path)
-        made = make_object(self.seed, self.index)
-        return LoadedMesh(made.name, made.vertices.astype(np.float64), made.faces, "", "none")
+            mesh = load_mesh(self.path)
+        else:
+            made = make_object(self.seed, self.index)
+            mesh = LoadedMesh(made.name, made.vertices.astype(np.float64), made.faces, "", "none")
+        if not self.stretched:
+            return mesh
+        rng = np.random.default_rng([self.seed, self.number])
+        return replace(mesh, vertices=mesh.vertices * np.exp(STRETCH * rng.standard_normal(3)))
 
 
 @dataclass(frozen=True)
@@ -203,10 +213,12 @@ def tasks(options: argparse.Namespace) -> Iterator[Task]:
     for first in range(0, len(held), 8):
         group = tuple(held[first : first + 8])
         yield Task(first, group, VALIDATION_VIEWS, True, options.exact, 0.0, options.out / "valid")
-    every = [Source(k, options.seed, k) for k in range(options.objects)]
-    scans = find_meshes(options.meshes) if options.meshes else []
-    every += [Source(options.objects + k, path=path) for k, path in enumerate(scans)] * SCAN_TURNS
     rng = np.random.default_rng(options.seed)
+    stretched = rng.random(options.objects) < STRETCHED
+    every = [Source(k, options.seed, k, None, bool(s)) for k, s in enumerate(stretched)]
+    scans = find_meshes(options.meshes) if options.meshes else []
+    for shape, path in itertools.product(range(SCAN_SHAPES), scans):
+        every.append(Source(len(every), options.seed, 0, path, shape > 0))
     number = 0
     for turn in itertools.count():
         order = rng.permutation(len(every))

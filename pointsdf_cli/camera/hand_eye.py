@@ -48,23 +48,23 @@ class HandEye:
     Attributes:
         X: T_base_camera [4, 4] (eye-to-hand) or T_gripper_camera (eye-in-hand).
         Z: T_gripper_board or T_base_board.
-        pixels: [N] root-mean-square reprojection error of each image [px].
-        millimetres: [N] distance between the board's centre by the robot's pose and by the image
-            alone.
-        degrees: [N] angle between these two poses of the board.
+        error_px: [N] root-mean-square reprojection error of each image [px].
+        error_mm: [N] distance between the board's centre by the robot's pose and by the image
+            alone [mm].
+        error_deg: [N] angle between these two poses of the board [°].
         used: [N] whether the image took part in the fit.
-        sigma_millimetres, sigma_degrees: Standard deviation of X's position and rotation, from the
-            scatter between images.
+        sigma_mm, sigma_deg: Standard deviation of X's position and rotation, from the scatter
+            between images.
     """
 
     X: Array
     Z: Array
-    pixels: Array
-    millimetres: Array
-    degrees: Array
+    error_px: Array
+    error_mm: Array
+    error_deg: Array
     used: NDArray[np.bool_]
-    sigma_millimetres: float
-    sigma_degrees: float
+    sigma_mm: float
+    sigma_deg: float
 
 
 @dataclass(frozen=True)
@@ -134,12 +134,12 @@ def calibrate_hand_eye(
     return HandEye(
         X=poses.X,
         Z=poses.Z,
-        pixels=rms,
-        millimetres=1000 * np.linalg.norm(apart[:, 0], axis=1),
-        degrees=np.degrees(np.linalg.norm(turned, axis=1)),
+        error_px=rms,
+        error_mm=1000 * np.linalg.norm(apart[:, 0], axis=1),
+        error_deg=np.degrees(np.linalg.norm(turned, axis=1)),
         used=used,
-        sigma_millimetres=1000 * position,
-        sigma_degrees=float(np.degrees(rotation)),
+        sigma_mm=1000 * position,
+        sigma_deg=float(np.degrees(rotation)),
     )
 
 

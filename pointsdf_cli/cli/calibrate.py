@@ -168,11 +168,11 @@ def _values(found: Calibration) -> dict[str, object]:
         "outliers": found.outliers,
         "without_board": found.without_board,
         "poses_matched_by": "name" if found.matched_by_name else "order",
-        "error_px": _rms(solved.pixels[used]),
-        "error_mm": _rms(solved.millimetres[used]),
-        "error_deg": _rms(solved.degrees[used]),
-        "sigma_mm": solved.sigma_millimetres,
-        "sigma_deg": solved.sigma_degrees,
+        "error_px": _rms(solved.error_px[used]),
+        "error_mm": _rms(solved.error_mm[used]),
+        "error_deg": _rms(solved.error_deg[used]),
+        "sigma_mm": solved.sigma_mm,
+        "sigma_deg": solved.sigma_deg,
         "T_target_board": solved.Z,
         "images": [
             {
@@ -184,7 +184,7 @@ def _values(found: Calibration) -> dict[str, object]:
                 "used": bool(was_used),
             }
             for image, corners, pixels, millimetres, degrees, was_used in zip(
-                found.images, found.corners, solved.pixels, solved.millimetres, solved.degrees,
+                found.images, found.corners, solved.error_px, solved.error_mm, solved.error_deg,
                 used, strict=True,
             )
         ],
@@ -195,13 +195,13 @@ def _lines(found: Calibration, out: Path, name: str) -> list[str]:
     solved, used = found.hand_eye, found.hand_eye.used
     lines = [
         f"{out}: {name} from {used.sum()} images: the robot's poses place the board within "
-        f"{_rms(solved.pixels[used]):.2f} px, {_rms(solved.millimetres[used]):.2f} mm and "
-        f"{_rms(solved.degrees[used]):.2f}° of where the images show it (rms)",
-        f"standard deviation of the camera's pose: {solved.sigma_millimetres:.2f} mm, "
-        f"{solved.sigma_degrees:.3f}°",
+        f"{_rms(solved.error_px[used]):.2f} px, {_rms(solved.error_mm[used]):.2f} mm and "
+        f"{_rms(solved.error_deg[used]):.2f}° of where the images show it (rms)",
+        f"standard deviation of the camera's pose: {solved.sigma_mm:.2f} mm, "
+        f"{solved.sigma_deg:.3f}°",
     ]
     for image, corners, pixels, millimetres, degrees, was_used in zip(
-        found.images, found.corners, solved.pixels, solved.millimetres, solved.degrees, used,
+        found.images, found.corners, solved.error_px, solved.error_mm, solved.error_deg, used,
         strict=True,
     ):  # fmt: skip
         told = "" if was_used else "   does not fit, left out: was the robot there?"

@@ -59,37 +59,37 @@ def segment(
         unit=unit, frame=frame, drop_invalid=drop_invalid,
     )  # fmt: skip
 
-    from pointsdf_cli.planning.list_things import list_things
+    from pointsdf_cli.planning.list_objects import list_objects
     from pointsdf_cli.planning.object_choice import NoObjectError
 
     try:
-        listing = list_things(scene, files, camera_pose, corners, robot, not no_clean, start)
+        listing = list_objects(scene, files, camera_pose, corners, robot, not no_clean, start)
     except NoObjectError as error:
         raise InputError.of(error) from error
     for note in listing.notes:
         reporter.say(note)
-    from pointsdf_cli.service.objects_picture import draw_things
+    from pointsdf_cli.service.objects_picture import draw_numbers
 
-    draw_things(picture, listing, color)
+    draw_numbers(picture, listing, color)
     lines = [f"{'number':>6}  {'centre [m]':^20}  {'size [cm]':^18}  points"]
-    for thing in listing.things:
-        centre = ", ".join(f"{value:6.3f}" for value in thing.centre)
-        size = " × ".join(f"{100 * value:4.1f}" for value in thing.size)
-        doubt = "  several in touch?" if thing.unsplit else ""
-        lines.append(f"{thing.number:>6}  {centre}  {size}  {listing.points[thing.number]}{doubt}")
+    for item in listing.objects:
+        centre = ", ".join(f"{value:6.3f}" for value in item.centre)
+        size = " × ".join(f"{100 * value:4.1f}" for value in item.size)
+        doubt = "  several in touch?" if item.unsplit else ""
+        lines.append(f"{item.number:>6}  {centre}  {size}  {listing.points[item.number]}{doubt}")
     lines.append(f"{picture}: the picture")
     reporter.result(
         {
             "picture": picture,
             "objects": [
                 {
-                    "number": thing.number,
-                    "centre": thing.centre,
-                    "size": thing.size,
-                    "points": listing.points[thing.number],
-                    "may_be_several": thing.unsplit,
+                    "number": item.number,
+                    "centre": item.centre,
+                    "size": item.size,
+                    "points": listing.points[item.number],
+                    "may_be_several": item.unsplit,
                 }
-                for thing in listing.things
+                for item in listing.objects
             ],
         },
         lines,

@@ -3,8 +3,8 @@
 A network's field is least certain where a wall is thinner than the error of its distances: walls
 vanish there. But a camera that looks into a vessel of revolution sees the near outside and the far
 inside, which together are the whole wall. So the axis is fitted (`axis_fit.py`), the wall's outline
-is read off (`vessel_outline.py`), and turned about the axis (`lathe.py`). Parts that are not of
-revolution, such as handles, are left to the network: `others` are the seen points of them.
+is read off (`vessel_outline.py`), and turned about the axis (`body_of_revolution.py`). Parts that
+are not of revolution, such as handles, are left to the network: `others` are their seen points.
 
 Only clouds that show the inside of a surface of revolution are completed so; every other cloud
 raises `NoVesselError`.
@@ -31,8 +31,8 @@ from pointsdf_cli.geometry.axis_fit import (
     refined_axis,
     turned,
 )
+from pointsdf_cli.geometry.body_of_revolution import BodyOfRevolution
 from pointsdf_cli.geometry.cloud_sampling import systematic_sample
-from pointsdf_cli.geometry.lathe import Lathe
 from pointsdf_cli.geometry.vessel_outline import (
     NoVesselError,
     Outline,
@@ -86,8 +86,8 @@ class Vessel:
         thickness: Thickness of the wall [m].
     """
 
-    wall: Lathe
-    filled: Lathe
+    wall: BodyOfRevolution
+    filled: BodyOfRevolution
     others: Array
     thickness: float
 
@@ -144,8 +144,8 @@ def fit_vessel(points: Array, support_plane: Array | None = None) -> Vessel:
     _check_sides(section, around)
     base = _base_height(fit, support_plane)
     outline = wall_outline(section, base)
-    wall = Lathe.of(fit.direction, fit.point, outline.wall)
-    filled = Lathe.of(fit.direction, fit.point, outline.filled)
+    wall = BodyOfRevolution.of(fit.direction, fit.point, outline.wall)
+    filled = BodyOfRevolution.of(fit.direction, fit.point, outline.filled)
     _check_floor(few, wall, outline, base is not None)
     beyond = filled.exact_sdf(few) > max(0.006, 3 * tolerance)
     near = max(0.002, 2 * tolerance, NEAR_WALL * wall.radius)
@@ -237,7 +237,7 @@ def _base_height(fit: AxisFit, support_plane: Array | None) -> float | None:
     return float(gap / (fit.direction @ support_plane[:3]))
 
 
-def _check_floor(points: Array, wall: Lathe, outline: Outline, standing: bool) -> None:
+def _check_floor(points: Array, wall: BodyOfRevolution, outline: Outline, standing: bool) -> None:
     """Require that the floor was measured where the camera looks at it: else there is a hole."""
     # Points of a thinner floor count as the table's.
     if standing and outline.thickness < PLANE_BAND:

@@ -53,7 +53,7 @@ class Section(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """Outlines [K, 2] as `Lathe` takes them.
+    """Outlines [K, 2] as `BodyOfRevolution` takes them.
 
     Attributes:
         wall: The wall and the floor.

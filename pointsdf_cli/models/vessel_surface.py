@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.axis_fit import perpendicular
-from pointsdf_cli.geometry.lathe import Lathe
+from pointsdf_cli.geometry.body_of_revolution import BodyOfRevolution
 from pointsdf_cli.geometry.vessel import Vessel
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def vessel_surface(
     return vertices, np.asarray(made.tri_verts, dtype=np.int32), len(parts) - len(kept)
 
 
-def _revolved(wall: Lathe) -> Manifold:
+def _revolved(wall: BodyOfRevolution) -> Manifold:
     """The body about the origin; its axis has the direction of the wall's."""
     from manifold3d import CrossSection, FillRule
 

@@ -1,8 +1,8 @@
 """Exact distances of the robot's shapes to each other, to the table and to obstacles (coal).
 
 The paper's a_SDF(M_e, FK_l(q)), by GJK for convex shapes and bounding volumes for meshes. Beyond
-`reach`, a pair gets the gap between its bounding balls, and a mesh the distance to its convex hull:
-lower bounds, whose constraints are inactive.
+`exact_to`, a pair gets the gap between its bounding balls, and a mesh the distance to its convex
+hull: lower bounds, whose constraints are inactive.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class BodyDistances:
     Args:
         geometry: Geometry of the robot.
         environment: Obstacles and table.
-        reach: Distances up to here [m] are exact.
+        exact_to: Distances up to here [m] are exact.
 
     Attributes:
         names: Each column's two bodies, as ("link", "link") or ("link", "obstacle").
@@ -42,10 +42,10 @@ class BodyDistances:
     """
 
     def __init__(
-        self, geometry: RobotGeometry, environment: Environment, reach: float = 0.05
+        self, geometry: RobotGeometry, environment: Environment, exact_to: float = 0.05
     ) -> None:
         _settle_boxes()
-        robot, self.reach = geometry.kinematics.robot, reach
+        robot, self.exact_to = geometry.kinematics.robot, exact_to
         self._bodies = list(geometry.bodies)
         moving = len(self._bodies)
         if environment.table:
@@ -59,7 +59,7 @@ class BodyDistances:
             for k, o in enumerate(environment.obstacles)
             if o.vertices is not None and o.faces is not None
         }
-        # The hull shows fifty times as fast that a mesh is farther than `reach`.
+        # The hull shows fifty times as fast that a mesh is farther than `exact_to`.
         self._hulls: dict[int, coal.CollisionGeometry] = {}
         for k in self._inside:
             self._bodies[k].geometry.buildConvexHull(True, "Qt")
@@ -91,10 +91,10 @@ class BodyDistances:
         self._request = coal.DistanceRequest()
         self._request.enable_signed_distance = True
 
-    def with_reach(self, reach: float) -> BodyDistances:
-        """A copy with exact distances up to another `reach` [m]."""
+    def exact_up_to(self, exact_to: float) -> BodyDistances:
+        """A copy whose distances are exact up to `exact_to` [m]."""
         other = copy(self)
-        other.reach = reach
+        other.exact_to = exact_to
         return other
 
     def __call__(self, poses: Poses, wanted: NDArray[np.bool_] | None = None) -> Contacts:
@@ -120,7 +120,7 @@ class BodyDistances:
         contacts = Contacts(
             gap, self.link, centre[:, first], normal, self.other_link, centre[:, second]
         )
-        near = gap < self.reach
+        near = gap < self.exact_to
         if wanted is not None:
             near &= wanted
         shape_turn = turn @ self._local[:, :3, :3]
@@ -137,7 +137,7 @@ class BodyDistances:
         centre, other = (self._placed(poses, rows, body, self._centres) for body in (first, second))
         gap = np.sqrt(((centre - other) ** 2).sum(-1)) - self._radii[first] - self._radii[second]
         gap = np.where(self._table[second], centre[:, 2] - self._radii[first], gap)
-        near = np.flatnonzero(gap < self.reach)
+        near = np.flatnonzero(gap < self.exact_to)
         if not len(near):
             return np.asarray(gap)
         places: dict[tuple[int, int], coal.Transform3s] = {}
@@ -180,7 +180,7 @@ class BodyDistances:
         if hull is not None:
             result.clear()
             least = float(coal.distance(shape, one, hull, two, self._request, result))
-            if least > self.reach:
+            if least > self.exact_to:
                 return least
         result.clear()
         distance = float(coal.distance(shape, one, other, two, self._request, result))
@@ -207,7 +207,7 @@ class BodyDistances:
                 distance = coal.distance(
                     one, places[i], self._hulls[j], places[j], self._request, result
                 )
-            if distance <= self.reach:
+            if distance <= self.exact_to:
                 result.clear()
                 distance = coal.distance(one, places[i], two, places[j], self._request, result)
             out.distance[b, m] = distance

@@ -117,11 +117,11 @@ class NearField:
     Args:
         field: Field to evaluate.
         low, high: [3], the box [m]; it must enclose the surface.
-        reach: Points nearer to the box than this [m] are evaluated.
+        exact_to: Points nearer to the box than this [m] are evaluated.
     """
 
-    def __init__(self, field: Field, low: Array, high: Array, reach: float = 0.03) -> None:
-        self._field, self._low, self._high, self._reach = field, low, high, reach
+    def __init__(self, field: Field, low: Array, high: Array, exact_to: float = 0.03) -> None:
+        self._field, self._low, self._high, self._exact_to = field, low, high, exact_to
 
     def __call__(self, points: Array) -> Array:
         _, gap, near = self._way(points)
@@ -140,7 +140,7 @@ class NearField:
         """Vectors from the box to the points [N, 3], their lengths [N], and a mask of near ones."""
         way = points - np.clip(points, self._low, self._high)
         gap = np.sqrt((way**2).sum(axis=1))
-        return way, gap, gap < self._reach
+        return way, gap, gap < self._exact_to
 
 
 class MeshField:

@@ -101,11 +101,11 @@ class GraspProblem:
         self._critical = min(CRITICAL, int(self._relevant.sum()))
         self._groups = self._make_groups()
 
-    def with_field(self, field: Field, clearances: Clearances, reach: float) -> GraspProblem:
-        """The same with another field of the object, other margins, and another `reach` [m]."""
+    def with_field(self, field: Field, clearances: Clearances, exact_to: float) -> GraspProblem:
+        """The same with another field, exact up to `exact_to` [m], and other margins."""
         other = copy(self)
         other.clearances = clearances
-        other.object = self.object.with_field(field, reach)
+        other.object = self.object.with_field(field, exact_to)
         other._margin = other._margins()
         return other
 
@@ -119,8 +119,9 @@ class GraspProblem:
     def violations(self, x: Array) -> Array:
         """Negative part of the slack [4, B] of each kind of constraint at x [B, n], in the order of
         `Residuals`; cheaper than `residuals`, as only what is too near is measured exactly."""
-        near, reach = copy(self), max(vars(self.clearances).values())
-        near.object, near.bodies = self.object.with_reach(reach), self.bodies.with_reach(reach)
+        near, exact_to = copy(self), max(vars(self.clearances).values())
+        near.object = self.object.exact_up_to(exact_to)
+        near.bodies = self.bodies.exact_up_to(exact_to)
         return np.minimum(0.0, np.stack(near.residuals(x)))
 
     def clearances_by_link(self, x: Array, links: Sequence[str]) -> tuple[Array, Array]:
@@ -128,7 +129,7 @@ class GraspProblem:
         reports, not for solvers. Infinite for links that are not measured."""
         poses = link_poses(self.kinematics, self.variables.configuration(x[None]))
         to_object = self.object.by_link(poses)[[self.kinematics.index(link) for link in links]]
-        bodies = self.bodies.with_reach(np.inf)
+        bodies = self.bodies.exact_up_to(np.inf)
         distance = bodies(poses, bodies.is_table).distance[0]
         to_table = np.full(len(links), np.inf)
         place = {link: k for k, link in enumerate(links)}

@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 from pointsdf_cli.camera.cleaning import Cleaning, clean, flying_pixels
 from pointsdf_cli.camera.mask_edge import grown_mask
 from pointsdf_cli.camera.segmentation import SegmentationConfig
-from pointsdf_cli.camera.things import (
+from pointsdf_cli.camera.table_objects import (
     LOOSE,
     OUTSIDE,
     TABLE,
     VOXEL,
-    Things,
-    find_things,
-    masked_thing,
+    TableObjects,
+    add_masked_object,
+    segment_table,
 )
 from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.frames import apply_transform, plane_in_camera
 from pointsdf_cli.geometry.voxels import Thinned, thin
 from pointsdf_cli.io.clouds import Cloud, DepthImage
-from pointsdf_cli.planning.object_choice import Reach, Thing, numbered
+from pointsdf_cli.planning.object_choice import ListedObject, Reach, numbered
 
 WORKSPACE = SegmentationConfig(low=(0.2, -0.9, -0.05), high=(1.6, 0.9, 0.6))
 """Default workspace. Wider than the bundled arm's reach, so that objects beyond are seen and
@@ -35,7 +35,7 @@ ANYWHERE = SegmentationConfig(low=(-5.0, -5.0, -0.05), high=(5.0, 5.0, 0.6))
 
 ROBOT, UNCLEAN = -4, -5
 """Labels of the robot's points and of those that cleaning dropped, beside those of
-`camera/things.py`."""
+`camera/table_objects.py`."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class LabelledView:
         points: [M, 3], camera frame, m.
         world: [M, 3], world, m.
         pixels: [M, 2], (u, v); None without an image.
-        things: Object of each thinned point, or one of the negative labels.
+        objects: Object of each thinned point, or one of the negative labels.
         listed: The objects, best to grasp first.
         flying: Counts of flying pixels and outliers among the N points.
         T_world_camera: [4, 4].
@@ -69,8 +69,8 @@ class LabelledView:
     points: Array
     world: Array
     pixels: Array | None
-    things: Things
-    listed: list[Thing]
+    objects: TableObjects
+    listed: list[ListedObject]
     flying: Cleaning
     T_world_camera: Array
     image: DepthImage | None
@@ -83,12 +83,12 @@ class LabelledView:
         """The label [N] of every point."""
         known = self.voxel >= 0
         label = np.full(len(self.voxel), UNCLEAN, dtype=np.int64)
-        label[known] = self.things.label[self.voxel[known]]
+        label[known] = self.objects.label[self.voxel[known]]
         return label
 
     def plane_in_camera(self) -> Array | None:
         """The table's plane [4], n·x = offset in the camera's frame; None if none was seen."""
-        plane = self.things.plane
+        plane = self.objects.plane
         return None if plane is None else plane_in_camera(plane, self.T_world_camera)
 
 
@@ -152,16 +152,16 @@ def label_view(
     camera = cloud.T_world_camera[:3, 3]
     own = np.zeros(len(world), dtype=bool) if on_robot is None else on_robot(world)
     label = np.full(len(world), ROBOT, dtype=np.int64)
-    found = find_things(world[~own], camera, workspace)
+    found = segment_table(world[~own], camera, workspace)
     label[~own] = found.label
-    things = Things(label, found.plane, found.unsplit)
+    objects = TableObjects(label, found.plane, found.unsplit)
     mask = None
     if cloud.mask is not None:
         mask = _to_depth_edge(cloud, cloud.mask, thinned.voxel, label)
-        things = masked_thing(mask[thinned.first], things)
+        objects = add_masked_object(mask[thinned.first], objects)
     pixels = None if cloud.pixels is None else cloud.pixels[thinned.first]
     place = image_place(few, pixels, cloud.image)
-    listed = numbered(world, place, things, things.standing(world), reach)
+    listed = numbered(world, place, objects, objects.standing(world), reach)
     return LabelledView(
         name=name,
         all_points=points,
@@ -170,7 +170,7 @@ def label_view(
         points=few,
         world=world,
         pixels=pixels,
-        things=things,
+        objects=objects,
         listed=listed,
         flying=flying,
         T_world_camera=cloud.T_world_camera,
@@ -244,38 +244,38 @@ def image_place(points: Array, pixels: Array | None, image: DepthImage | None) -
 
 
 def sighting(
-    view: LabelledView, thing: Thing, cleaned: bool = True, is_target: bool = True
+    view: LabelledView, item: ListedObject, cleaned: bool = True, is_target: bool = True
 ) -> Sighting:
     """All points of an object, and the other evidence of the view.
 
     Args:
         view: The labelled view.
-        thing: One of its objects.
+        item: One of its objects.
         cleaned: Drop specks and outliers of the object.
         is_target: Whether a mask applies to this object.
     """
-    mine = view.label == thing.label
+    mine = view.label == item.label
     rays = None
     if view.mask is not None and is_target:
         mine &= view.mask
         rays = view.mask_rays
     points = view.all_points[mine]
     cleaning = clean(points) if cleaned else Cleaning(np.ones(len(points), dtype=bool))
-    label = view.things.label
+    label = view.objects.label
     above = (label >= 0) | (label == LOOSE)
     return Sighting(
         object_points=points[cleaning.kept],
-        other_points=view.points[label != thing.label],
+        other_points=view.points[label != item.label],
         support_plane=view.plane_in_camera(),
         T_world_camera=view.T_world_camera,
         image=view.image,
-        others_in_world=view.world[above & (label != thing.label)],
+        others_in_world=view.world[above & (label != item.label)],
         cleaning=cleaning,
         object_rays=rays,
     )
 
 
-def describe(view: LabelledView, thing: Thing, seen: Sighting) -> str:
+def describe(view: LabelledView, item: ListedObject, seen: Sighting) -> str:
     """Summary for the user: points kept, and points dropped by reason."""
     label = view.label
     count = {
@@ -293,9 +293,9 @@ def describe(view: LabelledView, thing: Thing, seen: Sighting) -> str:
     if unclean:
         dropped.append(f"{unclean} by cleaning")
     total = len(view.listed)
-    which = "the masked object" if view.mask is not None else f"object {thing.number} of {total}"
-    said = f"{which}, {thing.describe()}: kept {kept} of {len(label)} points"
+    which = "the masked object" if view.mask is not None else f"object {item.number} of {total}"
+    said = f"{which}, {item.describe()}: kept {kept} of {len(label)} points"
     said += f"; dropped {', '.join(dropped)}" if dropped else ""
-    if thing.unsplit:
+    if item.unsplit:
         said += "; it may be several that touch and could not be told apart (--mask can)"
     return said

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.camera.things import Things
+from pointsdf_cli.camera.table_objects import TableObjects
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.robot.description import RobotDescription
@@ -52,12 +52,12 @@ class TargetChoice:
 
 
 @dataclass(frozen=True)
-class Thing:
+class ListedObject:
     """One observed object.
 
     Attributes:
         number: Number from 1; 1 is the default target.
-        label: Its label in `Things.label`.
+        label: Its label in `TableObjects.label`.
         centre: [3], centre of its bounding box, world, m.
         size: [3], sides of its box: the longer and the shorter level side, and its height, m.
         points: Number of observed points, thinned.
@@ -125,10 +125,10 @@ def reach_of(robot: RobotDescription) -> Reach:
 def numbered(
     points: Array,
     image: Array,
-    things: Things,
+    objects: TableObjects,
     standing: NDArray[np.bool_],
     reach: Reach | None = None,
-) -> list[Thing]:
+) -> list[ListedObject]:
     """Number the objects, best to grasp first.
 
     An object near the middle of the image, within the robot's reach and of a graspable size comes
@@ -137,44 +137,44 @@ def numbered(
     Args:
         points: [N, 3], world, m, one a voxel.
         image: [N, 2], places in the image, in units of half its size.
-        things: The object of each point.
+        objects: The object of each point.
         standing: bool [T], which objects stand on the table.
         reach: Result of `reach_of`; None if the robot's pose is not known.
     """
     found = []
-    for one in range(things.count):
-        mine = things.label == one
+    for one in range(objects.count):
+        mine = objects.label == one
         if not mine.any():
             continue
         seen = points[mine]
         low, high = np.percentile(seen, [0.5, 99.5], axis=0)
-        thing = Thing(
+        item = ListedObject(
             number=0,
             label=one,
             centre=(low + high) / 2,
             size=_sides(seen),
             points=len(seen),
             stands=bool(standing[one]),
-            unsplit=one in things.unsplit,
+            unsplit=one in objects.unsplit,
             image=np.median(image[mine], axis=0),
         )
-        found.append((_merit(thing, reach) * thing.points**SIZE_POWER, thing))
+        found.append((_merit(item, reach) * item.points**SIZE_POWER, item))
     found.sort(key=lambda pair: (not pair[1].stands, -pair[0]))
-    return [replace(thing, number=k) for k, (_, thing) in enumerate(found, 1)]
+    return [replace(item, number=k) for k, (_, item) in enumerate(found, 1)]
 
 
 def choose(
-    things: list[Thing],
+    objects: list[ListedObject],
     target: TargetChoice | None,
     points: Array,
     label: NDArray[np.int64],
     pixels: Array | None,
     where: str,
-) -> Thing:
+) -> ListedObject:
     """The object that the user chose; the first without a choice.
 
     Args:
-        things: Result of `numbered`.
+        objects: Result of `numbered`.
         target: The user's choice.
         points, label: Points as for `numbered`, and the label of each.
         pixels: [N, 2], (u, v) of the points; None without an image.
@@ -185,17 +185,17 @@ def choose(
             or the choice is not one object.
         NoObjectError: There is no object, or none at this place.
     """
-    if not things:
+    if not objects:
         raise NoObjectError("nothing stands on the table", where=where)
     if target is None:
-        return things[0]
+        return objects[0]
     if target.any:
         raise InputError(
             "`any` does not name one object", where="--target", allowed="a number, U,V or X,Y,Z"
         )
     if target.number is not None:
-        return _of_number(things, target.number, where)
-    by_label = {thing.label: thing for thing in things}
+        return _of_number(objects, target.number, where)
+    by_label = {item.label: item for item in objects}
     mine = np.isin(label, list(by_label))
     if target.pixel is not None:
         if pixels is None:
@@ -224,11 +224,11 @@ def choose(
     return by_label[int(label[mine][away.argmin()])]
 
 
-def _of_number(things: list[Thing], number: int, where: str) -> Thing:
-    if not 1 <= number <= len(things):
-        there = "; ".join(f"{thing.number} {thing.describe()}" for thing in things)
+def _of_number(objects: list[ListedObject], number: int, where: str) -> ListedObject:
+    if not 1 <= number <= len(objects):
+        there = "; ".join(f"{item.number} {item.describe()}" for item in objects)
         raise InputError(f"no object {number}", where="--target", allowed=f"of {where}: {there}")
-    return things[number - 1]
+    return objects[number - 1]
 
 
 def _sides(points: Array) -> Array:
@@ -243,12 +243,12 @@ def _sides(points: Array) -> Array:
     return np.array([a, b, high - min(low, 0.0) if low < 0.03 else high - low])
 
 
-def _merit(thing: Thing, reach: Reach | None) -> float:
+def _merit(item: ListedObject, reach: Reach | None) -> float:
     """Merit of an object as a target: 1 is the best."""
-    centred = float(np.exp(-((np.linalg.norm(thing.image) / 0.6) ** 2)))
+    centred = float(np.exp(-((np.linalg.norm(item.image) / 0.6) ** 2)))
     near = 1.0
     if reach is not None:
-        near = float(np.exp(-((reach.beyond(thing.centre) / 0.12) ** 2)))
-    longest = float(thing.size.max())
+        near = float(np.exp(-((reach.beyond(item.centre) / 0.12) ** 2)))
+    longest = float(item.size.max())
     fits = 1.0 if SMALLEST_THING < longest < LARGEST_THING else 0.3
     return centred * near * fits

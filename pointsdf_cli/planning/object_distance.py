@@ -1,9 +1,10 @@
 """The paper's learned constraint: f_SDF(o, FK_l(q)) > 0 at points of every link's surface.
 
 A link's surface is covered by samples (`robot.surface`), grouped into patches a few centimetres
-wide. A patch whose centre is farther from the object than its radius plus `reach` gets the distance
-of its bounding ball, a lower bound; every other patch gets the distance of its nearest sample. A
-link has several patches near a wide contact; the minimum over them is the paper's constraint.
+wide. A patch whose centre is farther from the object than its radius plus `exact_to` gets the
+distance of its bounding ball, a lower bound; every other patch gets the distance of its nearest
+sample. A link has several patches near a wide contact; the minimum over them is the paper's
+constraint.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class ObjectDistances:
     Args:
         geometry: Geometry of the robot.
         field: Field of the object, world frame.
-        reach: Patches with a lower bound above this [m] keep the bound.
+        exact_to: Patches with a lower bound above this [m] keep the bound.
 
     Attributes:
         link: [M], each patch's link.
@@ -36,23 +37,23 @@ class ObjectDistances:
         self,
         geometry: RobotGeometry,
         field: Field,
-        reach: float = 0.05,
+        exact_to: float = 0.05,
     ) -> None:
-        self.field, self._reach = field, reach
+        self.field, self._exact_to = field, exact_to
         patches, links = geometry.patches, geometry.kinematics.links
         self.link: Indices = patches.link
         self.names = tuple((links[i], "object") for i in patches.link)
         self._points, self._centre, self._radius = patches.points, patches.centre, patches.radius
 
-    def with_reach(self, reach: float) -> ObjectDistances:
-        """A copy with exact distances up to another `reach` [m]."""
+    def exact_up_to(self, exact_to: float) -> ObjectDistances:
+        """A copy whose distances are exact up to `exact_to` [m]."""
         other = copy(self)
-        other._reach = reach
+        other._exact_to = exact_to
         return other
 
-    def with_field(self, field: Field, reach: float) -> ObjectDistances:
-        """The same of another field, exact up to `reach` [m]."""
-        other = self.with_reach(reach)
+    def with_field(self, field: Field, exact_to: float) -> ObjectDistances:
+        """The same of another field, exact up to `exact_to` [m]."""
+        other = self.exact_up_to(exact_to)
         other.field = field
         return other
 
@@ -64,7 +65,7 @@ class ObjectDistances:
         distance = self.field(point.reshape(-1, 3)).reshape(count, patches)
         distance = distance - self._radius
         normal = np.zeros_like(point)
-        rows, columns = np.nonzero(distance < self._reach)
+        rows, columns = np.nonzero(distance < self._exact_to)
         if len(rows):
             world = self._points[columns] @ rotation[rows, columns].transpose(0, 2, 1)
             world += position[rows, columns][:, None]
@@ -104,7 +105,7 @@ class ObjectDistances:
         rotation, position = poses.rotation[rows, links], poses.position[rows, links]
         centre = (rotation @ self._centre[columns, :, None])[..., 0] + position
         distance = self.field(centre) - self._radius[columns]
-        near = np.flatnonzero(distance < self._reach)
+        near = np.flatnonzero(distance < self._exact_to)
         if len(near):
             world = self._points[columns[near]] @ rotation[near].transpose(0, 2, 1)
             world += position[near, None]

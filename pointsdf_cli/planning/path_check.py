@@ -24,7 +24,7 @@ from pointsdf_cli.planning.grasp_problem import Clearances
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 
-REACH = 0.02
+EXACT_TO = 0.02
 """Distances between bodies are exact up to here [m], and bounds beyond."""
 
 KEPT = 512
@@ -64,7 +64,7 @@ class PathChecker:
         clearances = clearances or Clearances()
         self._object = ObjectDistances(geometry, field)
         bodies = bodies or BodyDistances(geometry, environment or Environment())
-        self._bodies = bodies.with_reach(REACH)
+        self._bodies = bodies.exact_up_to(EXACT_TO)
         self._body_margin = np.where(
             self._bodies.other_link != WORLD, clearances.self, clearances.environment
         )

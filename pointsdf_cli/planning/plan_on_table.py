@@ -244,7 +244,7 @@ def _first_good(
         return attempt(None, warn)
     said, best = [], None
     for each in ordered:
-        found = attempt(TargetChoice(number=each.thing.number))
+        found = attempt(TargetChoice(number=each.item.number))
         plan = found.answer.plan
         success = plan.success_probability if plan.status == OK else -1.0
         outcome = f"success {success:.2f}" if plan.status == OK else f"no plan ({plan.reason})"
@@ -256,7 +256,7 @@ def _first_good(
     assert best is not None
     success, found, chosen = best
     why = "the first good grasp" if success >= enough else "the best of all"
-    said.append(f"object {chosen.thing.number} is taken: {why}")
+    said.append(f"object {chosen.item.number} is taken: {why}")
     if warn is not None:
         for sentence in found.warnings:
             warn(sentence)

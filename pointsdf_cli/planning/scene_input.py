@@ -12,7 +12,7 @@ import numpy as np
 from pointsdf_cli.camera.scene_file import SceneFileOptions, cleaned_view, masked, read_view
 from pointsdf_cli.camera.segmentation import SegmentationConfig
 from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
-from pointsdf_cli.camera.things import VOXEL
+from pointsdf_cli.camera.table_objects import VOXEL
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
@@ -21,7 +21,7 @@ from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
 from pointsdf_cli.planning.labelled_view import ANYWHERE, WORKSPACE, label_view
 from pointsdf_cli.planning.object_choice import NoObjectError, Reach, TargetChoice, reach_of
 from pointsdf_cli.planning.pose_mistakes import require_no_mistaken_pose
-from pointsdf_cli.planning.table_top import chosen_thing
+from pointsdf_cli.planning.table_top import chosen_object
 from pointsdf_cli.robot.description import RobotDescription
 
 MANY = 400_000
@@ -216,7 +216,7 @@ def _centre(
 ) -> Array:
     """Centre [3] of the chosen object in the world of the cloud's pose."""
     scene = label_view(cloud, name, workspace, None, reach, cleaned)
-    return chosen_thing(scene, target, workspace).centre
+    return chosen_object(scene, target, workspace).centre
 
 
 def _moved(cloud: Cloud, centre: Array, place: tuple[float, float]) -> Cloud:

@@ -1,6 +1,6 @@
-"""Other things on the table as obstacles: their reconstructions, or the hulls of their seen points.
+"""Other objects on the table as obstacles: reconstructions, or hulls of their seen points.
 
-A hull ends where the camera's view does; a reconstruction has a back, too. Each thing is completed
+A hull ends where the camera's view does; a reconstruction has a back, too. Each object is completed
 from the view that shows it, with the evidence of that view.
 """
 
@@ -16,7 +16,7 @@ import scipy
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.segmentation import GAP, clusters
-from pointsdf_cli.camera.things import LOOSE, VOXEL
+from pointsdf_cli.camera.table_objects import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.box import level_width
@@ -32,13 +32,13 @@ from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed
 from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.planning.labelled_view import LabelledView, sighting
-from pointsdf_cli.planning.object_choice import Thing
+from pointsdf_cli.planning.object_choice import ListedObject
 from pointsdf_cli.planning.robot_geometry import coal_mesh
 from pointsdf_cli.planning.table_top import WIDEST, TableTop, view_of
 
 RESOLUTION = 32
-"""Cells along the network's box for an obstacle's surface: 0.2 s a thing on one core, where 64 take
-0.5 s (docs/planning.md)."""
+"""Cells along the network's box for an obstacle's surface: 0.2 s an object on one core, where 64
+take 0.5 s (docs/planning.md)."""
 
 ON_TABLE = 0.02
 """A reconstruction that begins higher than this [m] above the table lacks its hidden foot."""
@@ -62,7 +62,7 @@ at 1.2 m. Smaller groups are mostly noise on the table (docs/notebook.md)."""
 
 
 Found = tuple[list[Surface], float]
-"""Surfaces of things, and how long they took [s]."""
+"""Surfaces of objects, and how long they took [s]."""
 
 
 def seen_obstacles(
@@ -76,10 +76,10 @@ def seen_obstacles(
 
     Args:
         seen: The table top.
-        network: Completes each thing; None for the hulls of the seen points.
+        network: Completes each object; None for the hulls of the seen points.
         taken: Names that other obstacles have.
         seed: Random seed of the resampling of the clouds.
-        cleaned: Whether specks and outliers of a thing are dropped.
+        cleaned: Whether specks and outliers of an object are dropped.
 
     Returns:
         The obstacles, called seen_1, seen_2, …, and how long they took [s].
@@ -95,10 +95,10 @@ def obstacle_tasks(
         return [partial(timed, hulls, seen.others)]
     tasks: list[Callable[[], Found]] = []
     for labelled, target in seen.labelled:
-        for thing in labelled.listed:
-            if thing.label != target:
-                tasks.append(partial(timed, _thing, network, labelled, thing, seed, cleaned))
-        tasks.append(partial(timed, hulls, labelled.world[labelled.things.label == LOOSE]))
+        for item in labelled.listed:
+            if item.label != target:
+                tasks.append(partial(timed, _completed, network, labelled, item, seed, cleaned))
+        tasks.append(partial(timed, hulls, labelled.world[labelled.objects.label == LOOSE]))
     return tasks
 
 
@@ -116,19 +116,19 @@ def named_obstacles(
     return made, sum(seconds for _, seconds in found)
 
 
-def _thing(
-    network: ShapeModel, labelled: LabelledView, thing: Thing, seed: int, cleaned: bool
+def _completed(
+    network: ShapeModel, labelled: LabelledView, item: ListedObject, seed: int, cleaned: bool
 ) -> list[Surface]:
     stop_if_cancelled()
-    view = view_of(sighting(labelled, thing, cleaned, is_target=False))
+    view = view_of(sighting(labelled, item, cleaned, is_target=False))
     return obstacle_surfaces(network, view, seed)
 
 
 def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Surface]:
-    """A thing's reconstruction, and the hulls of seen parts that it misses.
+    """An object's reconstruction, and the hulls of seen parts that it misses.
 
-    A thing that is too large, or without a reconstruction, becomes the hull of its seen points down
-    to the table; one whose reconstruction floats, the hull of both.
+    An object that is too large, or without a reconstruction, becomes the hull of its seen points
+    down to the table; one whose reconstruction floats, the hull of both.
     """
     points = view.in_world
     points = points[thin(points, VOXEL).first] if len(points) else points
@@ -183,7 +183,7 @@ def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[
     found: list[Surface] = []
     if not len(points):
         return found
-    import trimesh  # a quarter of a second, which a scene of whole things does without
+    import trimesh  # a quarter of a second, which a scene of whole objects does without
 
     label, counts = clusters(points, GAP)
     for k in np.flatnonzero(counts >= fewest):

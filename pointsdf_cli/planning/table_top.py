@@ -14,7 +14,7 @@ import scipy
 
 from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.segmentation import FEWEST, SegmentationConfig
-from pointsdf_cli.camera.things import VOXEL
+from pointsdf_cli.camera.table_objects import VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -32,7 +32,13 @@ from pointsdf_cli.planning.labelled_view import (
     label_view,
     sighting,
 )
-from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, Thing, choose, reach_of
+from pointsdf_cli.planning.object_choice import (
+    ListedObject,
+    NoObjectError,
+    TargetChoice,
+    choose,
+    reach_of,
+)
 from pointsdf_cli.planning.option_checks import check_segment
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.own_points import off_robot, robot_points
@@ -157,8 +163,8 @@ def _look(
     first: tuple[Array, Array] | None = None
     for view, name in named_views:
         try:
-            thing = chosen_thing(view, wanted, workspace, first is not None)
-            found = sighting(view, thing, cleaned)
+            item = chosen_object(view, wanted, workspace, first is not None)
+            found = sighting(view, item, cleaned)
             if not len(found.object_points):
                 raise NoObjectError("the mask shows another object", where=name)
             in_world = apply_transform(found.T_world_camera, found.object_points)
@@ -169,13 +175,13 @@ def _look(
             problem = problem or error
             report.append(f"{name}: the object is not seen")
             # What it saw stands there all the same.
-            others.append(view.world[view.things.label >= 0])
+            others.append(view.world[view.objects.label >= 0])
             labelled.append((view, -1))
             continue
-        report.append(f"{name}: {describe(view, thing, found)}")
+        report.append(f"{name}: {describe(view, item, found)}")
         seen.append(found)
         others.append(found.others_in_world)
-        labelled.append((view, thing.label))
+        labelled.append((view, item.label))
         if first is None:
             first = in_world, found.others_in_world
             wanted = TargetChoice(place=np.median(in_world, axis=0))
@@ -202,7 +208,7 @@ def _check_sighting(in_world: Array, first: tuple[Array, Array] | None, name: st
 
 def _table_height(labelled: Sequence[tuple[LabelledView, int]]) -> float | None:
     """Height of the table in the views that show the object [m]; None without a table."""
-    planes = [view.things.plane for view, label in labelled if label >= 0]
+    planes = [view.objects.plane for view, label in labelled if label >= 0]
     heights = [float(plane[3]) for plane in planes if plane is not None]
     return float(np.median(heights)) if heights else None
 
@@ -278,12 +284,12 @@ def bare_object(cloud: Cloud, cleaned: bool = True) -> tuple[Array, str]:
     return points, "; ".join(said)
 
 
-def chosen_thing(
+def chosen_object(
     view: LabelledView,
     wanted: TargetChoice | None,
     workspace: SegmentationConfig,
     again: bool = False,
-) -> Thing:
+) -> ListedObject:
     """The chosen object of a view.
 
     Args:
@@ -299,8 +305,8 @@ def chosen_thing(
     if view.mask is not None and not again:
         if wanted is not None:
             raise InputError("--target and --mask", hint="leave one of the two out")
-        last = view.things.count - 1
-        return next(thing for thing in view.listed if thing.label == last)
+        last = view.objects.count - 1
+        return next(item for item in view.listed if item.label == last)
     if not view.listed:
         count = np.bincount(-np.minimum(view.label, 0), minlength=6)
         raise NoObjectError(
@@ -312,4 +318,4 @@ def chosen_thing(
             f"{workspace.low} and {workspace.high} m in the world",
             hint="check the camera's pose (--camera-pose), the cloud's unit, or --workspace",
         )
-    return choose(view.listed, wanted, view.world, view.things.label, view.pixels, view.name)
+    return choose(view.listed, wanted, view.world, view.objects.label, view.pixels, view.name)

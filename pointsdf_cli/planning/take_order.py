@@ -9,7 +9,7 @@ import scipy
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.labelled_view import LabelledView
-from pointsdf_cli.planning.object_choice import Reach, Thing
+from pointsdf_cli.planning.object_choice import ListedObject, Reach
 
 HAND_ROOM = 0.10
 """Distance [m] within which another object blocks a hand that comes from its side."""
@@ -25,19 +25,19 @@ class OrderedObject(NamedTuple):
     """One object in the order.
 
     Attributes:
-        thing: The object.
+        item: The object.
         free: Share of the level directions around it without a near neighbour.
         reached: Whether the robot's palm can get near the table there.
     """
 
-    thing: Thing
+    item: ListedObject
     free: float
     reached: bool
 
     def describe(self) -> str:
         """Describe the reason for its place in the order."""
         where = "in reach" if self.reached else "at the edge of the reach"
-        return f"object {self.thing.number} ({where}, {self.free:.0%} of the directions free)"
+        return f"object {self.item.number} ({where}, {self.free:.0%} of the directions free)"
 
 
 def take_order(view: LabelledView, reach: Reach | None = None) -> list[OrderedObject]:
@@ -47,13 +47,13 @@ def take_order(view: LabelledView, reach: Reach | None = None) -> list[OrderedOb
         view: The labelled view.
         reach: Result of `object_choice.reach_of`; None if the robot's pose is not known.
     """
-    label = view.things.label
-    standing = [thing for thing in view.listed if thing.stands]
+    label = view.objects.label
+    standing = [item for item in view.listed if item.stands]
     ordered = []
-    for thing in standing:
-        mine = label == thing.label
+    for item in standing:
+        mine = label == item.label
         free = free_share(view.world[mine], view.world[(label >= 0) & ~mine])
-        ordered.append(OrderedObject(thing, free, reach is None or reach.beyond(thing.centre) == 0))
+        ordered.append(OrderedObject(item, free, reach is None or reach.beyond(item.centre) == 0))
     # Objects that are about equally free keep the order of their numbers.
     ordered.sort(key=lambda one: (not one.reached, -round(one.free / EQUALLY_FREE)))
     return ordered

@@ -55,20 +55,20 @@ class SelfCollision:
 
     A pair's distance is the smallest signed distance of surface points of either link to the
     shapes of the other: exact but for the points' spacing, so at most a few millimetres too
-    large where two edges cross. Pairs whose enclosing balls are farther apart than `reach` get
+    large where two edges cross. Pairs whose enclosing balls are farther apart than `exact_to` get
     that gap, a lower bound, instead.
 
     Args:
         kinematics: Kinematics of the robot.
         spacing: Spacing of the surface points [m].
-        reach: Distances up to here [m] are computed from the shapes.
+        exact_to: Distances up to here [m] are computed from the shapes.
     """
 
     def __init__(
-        self, kinematics: Kinematics, spacing: float = SPACING, reach: float = 0.02
+        self, kinematics: Kinematics, spacing: float = SPACING, exact_to: float = 0.02
     ) -> None:
         self._robot = kinematics.robot
-        self.reach = reach
+        self.exact_to = exact_to
         self.pairs = self._robot.checked_pairs
         self._bodies: dict[str, _Body] = {}
         for link in {link for pair in self.pairs for link in pair}:
@@ -103,7 +103,7 @@ class SelfCollision:
         apart = (centres[:, self._first] - centres[:, self._second]).square().sum(-1)
         gap = (apart + 1e-20).sqrt() - self._sum.to(dtype)
         columns = list(gap.unbind(dim=1))
-        near = gap.detach() < self.reach
+        near = gap.detach() < self.exact_to
         for k in torch.nonzero(near.any(dim=0)).flatten().tolist():
             rows = torch.nonzero(near[:, k]).flatten()
             a, b = (self._bodies[link] for link in self.pairs[k])

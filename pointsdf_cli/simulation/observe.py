@@ -14,7 +14,7 @@ from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.camera.raycast import MeshCaster, depth_image
 from pointsdf_cli.camera.sensor import DepthSensor
 from pointsdf_cli.camera.sensor_presets import load_sensor
-from pointsdf_cli.camera.things import nearest_thing
+from pointsdf_cli.camera.table_objects import nearest_object
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -135,7 +135,7 @@ class Observer:
         # Remove the arm's points, which outnumber those of an object below it.
         free = np.flatnonzero(off_robot(world, self._own))
         place = apply_transform(T_world_object, item.mesh.vertices).mean(axis=0)
-        kept, table = nearest_thing(world[free], T_world_camera[:3, 3], place)
+        kept, table = nearest_object(world[free], T_world_camera[:3, 3], place)
         mine = free[kept]
         mine = mine[clean(cloud[mine]).kept]
         points, others = cloud[mine], np.delete(cloud, mine, axis=0)

@@ -199,13 +199,13 @@ def target_number(
         robot: The robot, at home.
     """
     scene = label_table(cloud, "the view", robot, robot.home)
-    label = scene.things.label
-    things = label >= 0
-    if not things.any():
+    label = scene.objects.label
+    objects = label >= 0
+    if not objects.any():
         return None
-    points = scene.world[things]
+    points = scene.world[objects]
     away = np.stack([_away(points, one) for one in standing])
-    mine = label[things][away.argmin(axis=0) == 0]
+    mine = label[objects][away.argmin(axis=0) == 0]
     if not len(mine):
         return None
     chosen = int(np.bincount(mine).argmax())

@@ -45,7 +45,7 @@ FLATTEST = 0.008
 
 
 @dataclass(frozen=True)
-class Things:
+class TableObjects:
     """Objects on a table, unordered.
 
     Attributes:
@@ -93,9 +93,9 @@ class Things:
         return int(self.label.max(initial=-1)) + 1
 
 
-def find_things(
+def segment_table(
     points: Array, camera: Array, workspace: SegmentationConfig | None = None
-) -> Things:
+) -> TableObjects:
     """Crop to the workspace, remove the table, and group the remaining points.
 
     Args:
@@ -117,7 +117,7 @@ def find_things(
     label[index[~above]] = TABLE
     low, index, height = index[~above], index[above], height[above]
     if not len(index):
-        return Things(label, plane)
+        return TableObjects(label, plane)
     own, counts = clusters(points[index], GAP)
     bowls: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
     if plane is not None:
@@ -134,7 +134,7 @@ def find_things(
         index, height, own = index[~flat], height[~flat], own[~flat]
         counts = np.bincount(own, minlength=len(counts))
         if not len(index):
-            return Things(label, plane)
+            return TableObjects(label, plane)
     own = _bridged(points[index], height, own, counts, plane is not None)
     big = np.flatnonzero(np.bincount(own, minlength=len(counts)) >= FEWEST)
     label[index] = LOOSE
@@ -148,10 +148,10 @@ def find_things(
         label[index[mine]] = count + parts
         unsplit |= {count + part for part in doubtful}
         count += int(parts.max()) + 1
-    return Things(label, plane, frozenset(unsplit))
+    return TableObjects(label, plane, frozenset(unsplit))
 
 
-def nearest_thing(
+def nearest_object(
     points: Array, camera: Array, place: Array
 ) -> tuple[NDArray[np.bool_], Array | None]:
     """Mask [N] of the object nearest to a place, and the table's plane.
@@ -165,16 +165,16 @@ def nearest_thing(
         InputError: Nothing stands on the table.
     """
     few = thin(points, VOXEL)
-    found = find_things(points[few.first], camera)
-    things = found.label >= 0
-    if not things.any():
+    found = segment_table(points[few.first], camera)
+    of_object = found.label >= 0
+    if not of_object.any():
         raise InputError("no object in the cloud", allowed="an object that stands on the table")
     away = np.linalg.norm(points[few.first] - place, axis=1)
-    nearest = int(np.where(things, away, np.inf).argmin())
+    nearest = int(np.where(of_object, away, np.inf).argmin())
     return (found.label == found.label[nearest])[few.voxel], found.plane
 
 
-def masked_thing(mask: NDArray[np.bool_], found: Things) -> Things:
+def add_masked_object(mask: NDArray[np.bool_], found: TableObjects) -> TableObjects:
     """Add one more object: the points of a mask above the table.
 
     Raises:
@@ -196,7 +196,7 @@ def masked_thing(mask: NDArray[np.bool_], found: Things) -> Things:
         left = before & (label == one)
         if left.sum() < max(50, 0.2 * before.sum()):
             label[left] = LOOSE
-    return Things(label, found.plane)
+    return TableObjects(label, found.plane)
 
 
 def _band(points: Array, camera: Array) -> Array:

@@ -56,7 +56,7 @@ class Profile:
 
 
 @dataclass(frozen=True)
-class Lathe:
+class BodyOfRevolution:
     """A body of revolution.
 
     Attributes:
@@ -70,7 +70,7 @@ class Lathe:
     profile: Profile
 
     @classmethod
-    def of(cls, direction: Array, point: Array, outline: Array) -> Lathe:
+    def of(cls, direction: Array, point: Array, outline: Array) -> BodyOfRevolution:
         """Turn an outline [K, 2] about an axis; see the attributes."""
         return cls(direction, point, Profile(outline))
 
@@ -126,7 +126,7 @@ class Lathe:
         """Largest radius [m]."""
         return float(self.outline[:, 0].max())
 
-    def moved(self, rotation: Array, translation: Array) -> Lathe:
+    def moved(self, rotation: Array, translation: Array) -> BodyOfRevolution:
         """The body in another frame: rotation [3, 3], then translation [3]."""
         point = rotation @ self.point + translation
         return replace(self, direction=rotation @ self.direction, point=point)

@@ -9,10 +9,10 @@ from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 from pointsdf_cli.planning.labelled_view import LabelledView
-from pointsdf_cli.planning.object_choice import NoObjectError, Thing
+from pointsdf_cli.planning.object_choice import ListedObject, NoObjectError
 from pointsdf_cli.planning.plausibility import require_table_at_zero
 from pointsdf_cli.planning.scene_input import read_scene
-from pointsdf_cli.planning.table_top import chosen_thing, label_table, workspace_of
+from pointsdf_cli.planning.table_top import chosen_object, label_table, workspace_of
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.start import start_configuration
 
@@ -23,18 +23,18 @@ class Listing:
 
     Attributes:
         view: View with a label for each point.
-        things: The objects, best to grasp first.
+        objects: The objects, best to grasp first.
         points: Number of the file's points on each object, by its number.
         notes: Sentences for the user.
     """
 
     view: LabelledView
-    things: tuple[Thing, ...]
+    objects: tuple[ListedObject, ...]
     points: dict[int, int]
     notes: tuple[str, ...]
 
 
-def list_things(
+def list_objects(
     path: Path,
     files: SceneFileOptions,
     pose: str | None,
@@ -67,11 +67,11 @@ def list_things(
     require_pose(cloud, str(path))
     require_table_at_zero([in_world(cloud)], [str(path)], "there is nothing to list")
     view = label_table(cloud, str(path), described, q, around, cleaned)
-    first = chosen_thing(view, None, around)
-    things = tuple(thing for thing in view.listed if thing.stands)
+    first = chosen_object(view, None, around)
+    objects = tuple(item for item in view.listed if item.stands)
     if view.mask is not None:
-        things = (first,)
-    if not things:
+        objects = (first,)
+    if not objects:
         raise NoObjectError("nothing stands on the table", where=path)
-    counts = {thing.number: int((view.label == thing.label).sum()) for thing in things}
-    return Listing(view, things, counts, given.notes)
+    counts = {item.number: int((view.label == item.label).sum()) for item in objects}
+    return Listing(view, objects, counts, given.notes)

@@ -1,4 +1,4 @@
-"""What stands on a table is found, each thing once and whole."""
+"""Objects on a table are found, each once and whole."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from pointsdf_cli.geometry.voxels import thin
 from pointsdf_cli.io.clouds import read_cloud
 from pointsdf_cli.planning.labelled_view import LabelledView, describe, label_view, sighting
 from pointsdf_cli.planning.object_choice import (
+    ListedObject,
     NoObjectError,
     Reach,
     TargetChoice,
-    Thing,
     choose,
     numbered,
     reach_of,
@@ -164,8 +164,8 @@ def _two() -> LabelledView:
     return labelled(scenes.box((0.06, 0.06, 0.1), (0.6, 0.1)), scenes.can(0.03, 0.1, (0.6, -0.1)))
 
 
-def _chosen(scene: LabelledView, target: TargetChoice) -> Thing:
-    return choose(scene.listed, target, scene.world, scene.things.label, scene.pixels, "a")
+def _chosen(scene: LabelledView, target: TargetChoice) -> ListedObject:
+    return choose(scene.listed, target, scene.world, scene.objects.label, scene.pixels, "a")
 
 
 def test_a_number_a_pixel_and_a_place_name_the_same_thing() -> None:
@@ -190,7 +190,9 @@ def test_a_target_that_is_not_there_is_told() -> None:
     with pytest.raises(NoObjectError, match="pixel"):
         _chosen(scene, TargetChoice(pixel=(5.0, 400.0)))
     with pytest.raises(InputError, match="has no image"):
-        choose(scene.listed, TargetChoice(pixel=(1, 1)), scene.world, scene.things.label, None, "a")
+        choose(
+            scene.listed, TargetChoice(pixel=(1, 1)), scene.world, scene.objects.label, None, "a"
+        )
 
 
 def test_thinning_keeps_one_point_a_voxel() -> None:
@@ -207,7 +209,7 @@ def test_thinning_keeps_one_point_a_voxel() -> None:
 def test_numbers_begin_with_one() -> None:
     scene = _two()
     listed = numbered(
-        scene.world, np.zeros((len(scene.world), 2)), scene.things, np.array([True, True])
+        scene.world, np.zeros((len(scene.world), 2)), scene.objects, np.array([True, True])
     )
     assert [thing.number for thing in listed] == [1, 2]
 
