@@ -1,5 +1,6 @@
 """pipelines/gpu on the CPU: its kernels, its batches against the package's, and a short run."""
 
+import argparse
 import ctypes
 import shutil
 import subprocess
@@ -9,12 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import trimesh
 from scipy.spatial import KDTree
 
 from pointsdf_cli.camera.raycast import MeshCaster
 from pointsdf_cli.camera.scene_views import SceneViewConfig, SceneViews
 from pointsdf_cli.geometry.signed_distance import SignedDistance
 from pointsdf_cli.geometry.visibility import ViewEvidence
+from pointsdf_cli.io.checkpoints import read_config
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.models.neighbours import nearest_neighbours
 from pointsdf_cli.models.normalise import network_frame
@@ -148,7 +151,7 @@ def test_a_batch_is_what_the_package_makes_of_the_view(gpu):
 def test_a_short_run_writes_a_checkpoint(tmp_path):
     make = [sys.executable, GPU / "make_views.py", tmp_path / "views", "--objects", "8",
             "--validation", "2", "--views", "2", "--group", "2", "--workers", "1",
-            "--minutes", "0.15"]  # fmt: skip
+            "--files", "4"]  # fmt: skip
     subprocess.run(make, check=True)
     assert (tmp_path / "views" / "000000.npz").is_file()
     learn = [sys.executable, GPU / "learn.py", tmp_path / "views", tmp_path / "out", "--device",
@@ -156,3 +159,23 @@ def test_a_short_run_writes_a_checkpoint(tmp_path):
              "--capacity", "500"]  # fmt: skip
     subprocess.run(learn, check=True)
     assert load_model(tmp_path / "out").config() == load_model(WEIGHTS).config()
+    data = read_config(tmp_path / "out")["data"]
+    assert (data["seed"], data["objects"], data["scans"]) == (1000, 8, 0)
+
+
+def test_a_scan_becomes_several_objects(tmp_path):
+    import make_views
+
+    trimesh.creation.box((0.04, 0.06, 0.1)).export(tmp_path / "box.ply")
+    options = argparse.Namespace(
+        validation=0, seed=5, objects=3, meshes=tmp_path, group=100, views=1, exact=1.0,
+        spread=0.0, out=tmp_path,
+    )  # fmt: skip
+    first = next(make_views.tasks(options))
+    scans = sorted((one for one in first.sources if one.path), key=lambda one: one.number)
+    assert [one.number for one in scans] == list(range(3, 3 + make_views.SCAN_SHAPES))
+    sizes = np.array([np.ptp(one.mesh().vertices, axis=0) for one in scans])
+    np.testing.assert_allclose(sizes[0], [0.04, 0.06, 0.1], atol=1e-6)
+    stretched = np.log(sizes[1:] / sizes[0])
+    assert stretched.std() == pytest.approx(make_views.STRETCH, rel=0.4)
+    assert (np.ptp(stretched, axis=1) > 0.01).all()  # not the same along each axis

@@ -10,6 +10,7 @@ as `train-sdf` writes it, of the averaged weights, renewed every `--validate` mi
 from __future__ import annotations
 
 import argparse
+import json
 import threading
 import time
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any
 
 import kernels
 import torch
+from make_views import RECIPE
 from torch import Tensor
 from views_on_device import Symmetry, Views
 
@@ -237,6 +239,10 @@ class Run:
                 validated = minutes
         self._save()
 
+    def _recipe(self) -> dict[str, Any]:
+        file = self._options.views / RECIPE
+        return json.loads(file.read_text()) if file.exists() else {}
+
     def _save(self) -> None:
         """Validate the averaged weights and write them."""
         training, start = self._training, self._options.start_from
@@ -250,7 +256,7 @@ class Run:
             "progress": {"step": training.steps, "seconds": seconds},
             "best": entry,
             "started_from": read_config(start) if start else None,
-            "data": {"views": self._views.count},
+            "data": {"views": self._views.count, **self._recipe()},
             "git_commit": git_commit(),
         }
         weights = training.average.weights()

@@ -1,6 +1,6 @@
 """Make objects and views of tables with them on every core, as files for learn.py.
 
-    python pipelines/gpu/make_views.py OUT [--minutes M] [--meshes DIR] [--objects N] [--workers N]
+    python pipelines/gpu/make_views.py OUT [--minutes M] [--files N] [--meshes DIR] [--workers N]
 
 Each file holds some views of a few objects and, when an object comes first, labelled points: where
 `render` and `label-sdf` write everything before `train-sdf` begins, learn.py reads files as they
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import json
 import math
 import multiprocessing
 import os
@@ -36,6 +37,7 @@ from pointsdf_cli.geometry.sdf_sampling import BOX, MARGIN, NEAR_VARIANCE, WIDE_
 from pointsdf_cli.geometry.signed_distance import sample_surface
 from pointsdf_cli.geometry.visibility import SIZE
 from pointsdf_cli.io.meshes import LoadedMesh, find_meshes, load_mesh
+from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.objects.generate import make_object
 
@@ -50,6 +52,8 @@ ALL_INSIDE = 99.0
 COLOUR = Camera(640, 480, 1067.0, 1067.0, 319.5, 239.5)
 """Depth registered to a colour camera of long focal length."""
 CAMERA_SHARES = {"colour": 0.25, "xtion": 0.3, "realsense": 0.25, "reference": 0.2}
+RECIPE = "recipe.json"
+"""File beside the views with the options that made them."""
 SENSORS = ("ideal", "structured-light", "stereo")
 VALIDATION_SEED, VALIDATION_OBJECTS, VALIDATION_VIEWS = 62, 64, 5
 SCAN_SHAPES = 12
@@ -231,11 +235,28 @@ def tasks(options: argparse.Namespace) -> Iterator[Task]:
             number += 1
 
 
+def write_recipe(options: argparse.Namespace) -> None:
+    """Write the options that decide what the views are, for the checkpoint's config."""
+    names = ("seed", "objects", "views", "exact", "spread")
+    recipe = {name: getattr(options, name) for name in names} | {
+        "scans": len(find_meshes(options.meshes)) if options.meshes else 0,
+        "shapes_per_scan": SCAN_SHAPES,
+        "stretched": STRETCHED,
+        "stretch": STRETCH,
+        "sensors": SENSORS,
+        "camera_shares": CAMERA_SHARES,
+        "git_commit": git_commit(),
+    }
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / RECIPE).write_text(json.dumps(recipe, indent=1))
+
+
 def main() -> None:
     """Make files until the time is over; those that are there are not made again."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path)
     parser.add_argument("--minutes", type=float, default=math.inf, help="until stopped")
+    parser.add_argument("--files", type=int, help="most files, validation included")
     parser.add_argument("--meshes", type=Path, help="folder of scans")
     parser.add_argument("--objects", type=int, default=6000, help="generated objects")
     parser.add_argument("--validation", type=int, default=VALIDATION_OBJECTS)
@@ -247,7 +268,9 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=max(1, (os.cpu_count() or 2) - 2))
     options = parser.parse_args()
     end = time.monotonic() + 60 * options.minutes
-    missing = (task for task in tasks(options) if not path_of(task).exists())
+    write_recipe(options)
+    every = itertools.islice(tasks(options), options.files)
+    missing = (task for task in every if not path_of(task).exists())
     made = 0
     use_embree_without_open3d()
     # Leaving the block below ends the workers.
@@ -256,12 +279,13 @@ def main() -> None:
     with context.Pool(options.workers, threadpool_limits, (1,)) as pool:
         waiting = [pool.apply_async(make_file, (task,)) for task in
                    itertools.islice(missing, 2 * options.workers)]  # fmt: skip
-        while time.monotonic() < end:
+        while waiting and time.monotonic() < end:
             finished = [result for result in waiting if result.ready()]
             for result in finished:
                 made += result.get()
                 waiting.remove(result)
-                waiting.append(pool.apply_async(make_file, (next(missing),)))
+                for task in itertools.islice(missing, 1):
+                    waiting.append(pool.apply_async(make_file, (task,)))
             if finished:
                 print(f"{made} views", flush=True)
             time.sleep(0.05)
