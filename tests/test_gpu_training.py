@@ -148,6 +148,30 @@ def test_a_batch_is_what_the_package_makes_of_the_view(gpu):
             assert float(error) < 3 * float(plain) + 0.01
 
 
+def test_large_clouds_are_drawn_from_views_that_have_the_points():
+    from make_views import MOST_POINTS
+    from views_on_device import Views
+
+    make = np.random.default_rng(3)
+    views = Views(8, 2, torch.device("cpu"), 0.001, (1000, 2000, 3000))
+    counts = np.array([400, 1500, 3000, 2200, 2999], np.int32)
+    rows = {
+        "points": make.normal(size=(5, MOST_POINTS, 3)).astype(np.float16),
+        "count": counts,
+        "object": np.zeros(5, np.int32),
+        "camera": np.tile(np.array([0, 0, -9.0], np.float32), (5, 1)),
+    }
+    views._is_labelled[0] = True
+    views.add_arrays([rows])
+    views.refresh()
+    parts = {size: views.of_size(size).tolist() for size in views.sizes}
+    assert parts == {1000: [0, 1], 2000: [3, 4], 3000: [2]}
+    assert set(views.draw(300, 1000).tolist()) == {0, 1, 2, 3, 4}
+    assert set(views.draw(300, 2000).tolist()) == {2, 3, 4}
+    cloud = views._sample(views.draw(2, 3000), 3000)
+    assert len(torch.unique(cloud[0], dim=0)) > 2900  # none of them twice, but for rounding
+
+
 def test_a_short_run_writes_a_checkpoint(tmp_path):
     make = [sys.executable, GPU / "make_views.py", tmp_path / "views", "--objects", "8",
             "--validation", "2", "--views", "2", "--group", "2", "--workers", "1",
@@ -158,7 +182,8 @@ def test_a_short_run_writes_a_checkpoint(tmp_path):
              "cpu", "--minutes", "0.03", "--batch-size", "4", "--first-views", "4",
              "--capacity", "500"]  # fmt: skip
     subprocess.run(learn, check=True)
-    assert load_model(tmp_path / "out").config() == load_model(WEIGHTS).config()
+    learned = load_model(tmp_path / "out").config()
+    assert learned == load_model(WEIGHTS).config() | {"most_points": 3000}
     data = read_config(tmp_path / "out")["data"]
     assert (data["seed"], data["objects"], data["scans"]) == (1000, 8, 0)
 

@@ -119,6 +119,26 @@ def test_chunks_and_gradients_give_the_same_values(model: ShapeModel) -> None:
     assert shape.sdf(np.zeros((0, 3))).shape == (0,)
 
 
+def test_two_samplings_agree_where_every_point_is_read() -> None:
+    rng = np.random.default_rng(6)
+    views = {count: rng.uniform(-0.05, 0.05, (count, 3)) + [0, 0, 1.0] for count in (2500, 5000)}
+
+    def apart(most_points: int, count: int) -> float:
+        """Largest difference of the fields of two samplings."""
+        network = build_model("pointsdf-ray", {"most_points": most_points}, seed=1)
+        x = views[count][:50] + 0.01
+        shapes = [
+            Reconstruction.from_cloud(network, views[count], np.zeros(3), seed=s) for s in (0, 1)
+        ]
+        return float(np.abs(shapes[0].sdf(x) - shapes[1].sdf(x)).max())
+
+    assert apart(3000, 2500) == 0.0
+    assert apart(3000, 5000) > 0.0  # a sample again
+    assert apart(1000, 2500) > 0.0
+    with pytest.raises(InputError, match="exact"):
+        build_model("pointsdf-ray", {"most_points": 3000, "search": "subsets"}, seed=1)
+
+
 def test_bad_clouds_are_refused() -> None:
     network = build_model("voxelcnn")
     for cloud in (np.zeros((0, 3)), np.full((60, 3), np.inf), np.ones((60, 3))):

@@ -87,15 +87,15 @@ extern "C" __global__ void sdf(const float* x, const float* tri, float* out, int
 #endif
 #ifdef DEVICE
 extern "C" __global__ void fps(const float* p, long long* out, int points, int wanted) {
-    __shared__ float place[3 * 1024];
+    __shared__ float place[3 * MOST];
     __shared__ float warp_far[8];
     __shared__ int warp_index[8];
     __shared__ int chosen;
     int tid = threadIdx.x;
     const float* cloud = p + (long long)blockIdx.x * points * 3;
     for (int i = tid; i < points * 3; i += 256) place[i] = cloud[i];
-    float nearest[4];
-    for (int k = 0; k < 4; ++k) nearest[k] = 3.0e38f;
+    float nearest[MOST / 256];
+    for (int k = 0; k < MOST / 256; ++k) nearest[k] = 3.0e38f;
     __syncthreads();
     int current = 0;
     for (int s = 0; s < wanted; ++s) {
@@ -104,7 +104,7 @@ extern "C" __global__ void fps(const float* p, long long* out, int points, int w
         float far = -1.0f;
         int index = 0;
         #pragma unroll
-        for (int k = 0; k < 4; ++k) {
+        for (int k = 0; k < MOST / 256; ++k) {
             int i = tid + 256 * k;
             if (i < points) {
                 float x = place[3 * i] - cx, y = place[3 * i + 1] - cy, z = place[3 * i + 2] - cz;

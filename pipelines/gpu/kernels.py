@@ -19,7 +19,7 @@ from pointsdf_cli.models.neighbours import farthest_point_order, nearest_neighbo
 
 SOURCE = Path(__file__).with_name("kernels.cu")
 BLOCK = 128
-MOST_POINTS = 1024
+MOST_POINTS = 3072
 """Largest cloud of `farthest_first`."""
 
 
@@ -47,7 +47,7 @@ def farthest_first(points: Tensor, count: int) -> Tensor:
     points = points.float().contiguous()
     order = torch.empty(len(points), count, dtype=torch.int64, device=points.device)
     sizes = (np.int32(points.shape[1]), np.int32(count))
-    _launch(_kernel("fps"), len(points), 256, points, order, *sizes)
+    _launch(_kernel("fps", MOST=MOST_POINTS), len(points), 256, points, order, *sizes)
     return order
 
 

@@ -13,6 +13,7 @@ import argparse
 import json
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -85,12 +86,12 @@ class Training:
         self.average: WeightAverage[RayWithSymmetry] = WeightAverage(model, config.average)
         self.loss_sum = torch.zeros((), device=device)
         self.steps = 0
-        self._graph = self._recorded() if on_gpu else None
+        self._graphs = {size: self._recorded(size) for size in views.sizes} if on_gpu else {}
 
-    def _operations(self) -> None:
-        """One step but for the learning rate."""
-        drawn = self.views.draw(self.config.batch_size)
-        batch, symmetry = self.views.batch(drawn, self.config.queries)
+    def _operations(self, size: int) -> None:
+        """One step but for the learning rate, with clouds of a size."""
+        drawn = self.views.draw(self.config.batch_size, size)
+        batch, symmetry = self.views.batch(drawn, self.config.queries, size=size)
         with torch.autocast(self.device.type, torch.bfloat16):
             predicted = self.model.predict(batch, symmetry)
         loss = self.config.loss(predicted, batch.sdf)
@@ -99,21 +100,21 @@ class Training:
         self._optimiser.step()
         self.loss_sum += loss.detach()
 
-    def _recorded(self) -> torch.cuda.CUDAGraph:
-        """The step as a graph; its first runs, which allocate memory, learn at a rate of 0."""
+    def _recorded(self, size: int) -> torch.cuda.CUDAGraph:
+        """A step as a graph; its first runs, which allocate memory, learn at a rate of 0."""
         self._set_rate(0.0)
         side = torch.cuda.Stream()
         side.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(side):
             for _ in range(3):
                 self._optimiser.zero_grad(set_to_none=True)
-                self._operations()
+                self._operations(size)
         torch.cuda.current_stream().wait_stream(side)
         # Without gradients before it, a backward pass writes them instead of adding to them.
         self._optimiser.zero_grad(set_to_none=True)
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph, capture_error_mode="thread_local"):
-            self._operations()
+            self._operations(size)
         self.loss_sum.zero_()
         return graph
 
@@ -121,12 +122,13 @@ class Training:
         """A step, `progress` ∈ [0, 1] of the way."""
         self._set_rate(self.config.rate(self.steps, progress))
         if self.steps % REFRESH_EVERY == 0:
-            self.views.drawn_from.fill_(float(self.views.count))
-        if self._graph is None:
-            self._optimiser.zero_grad(set_to_none=True)
-            self._operations()
+            self.views.refresh()
+        size = self.views.sizes[int(torch.randint(len(self.views.sizes), ()))]
+        if self._graphs:
+            self._graphs[size].replay()
         else:
-            self._graph.replay()
+            self._optimiser.zero_grad(set_to_none=True)
+            self._operations(size)
         self.average.update(self.model, self.steps)
         self.steps += 1
 
@@ -143,10 +145,9 @@ class Training:
         numbers = {}
         for name, evidence in (("", True), ("_bare", False)):
             losses, overlaps = [], []
-            for first in range(0, held_out.count, 64):
-                views = torch.arange(first, min(first + 64, held_out.count), device=self.device)
+            for views, size in self._in_parts(held_out):
                 batch, symmetry = held_out.batch(
-                    views, VALIDATION_QUERIES, augment=False, evidence=evidence
+                    views, VALIDATION_QUERIES, augment=False, evidence=evidence, size=size
                 )
                 with torch.autocast(self.device.type, torch.bfloat16):
                     predicted = self.average.model.predict(batch, symmetry)
@@ -155,6 +156,13 @@ class Training:
             numbers[f"object_loss{name}"] = float(torch.stack(losses).mean())
             numbers[f"object_iou{name}"] = float(torch.cat(overlaps).mean())
         return numbers
+
+    @staticmethod
+    def _in_parts(held_out: Views) -> Iterator[tuple[Tensor, int]]:
+        """All views, each with the largest size of cloud that it has points for."""
+        for size in held_out.sizes:
+            for views in held_out.of_size(size).split(64):
+                yield views, size
 
 
 class Files:
@@ -198,8 +206,10 @@ class Run:
             source = load_model(options.start_from)
         model = RayWithSymmetry(**source.config())
         model.load_state_dict(source.state_dict())
-        self._views = Views(options.capacity, options.objects, device, model.sideways)
-        self._held_out = Views(HELD_OUT, HELD_OUT, device, model.sideways)
+        model.most_points = max(options.points)
+        sideways, sizes = model.sideways, sorted(options.points)
+        self._views = Views(options.capacity, options.objects, device, sideways, sizes)
+        self._held_out = Views(HELD_OUT, HELD_OUT, device, sideways, sizes)
         self._files = Files(options.views)
         self._wait_for_views()
         self._began = time.monotonic()
@@ -212,7 +222,7 @@ class Run:
         ):  # fmt: skip
             self._files.add_to(self._views)
             time.sleep(0.2)
-        self._views.drawn_from.fill_(float(self._views.count))
+        self._views.refresh()
 
     def finish(self) -> None:
         """Train until the time is over, and read new files meanwhile."""
@@ -272,6 +282,8 @@ def main() -> None:
     parser.add_argument("--start-from", type=Path)
     parser.add_argument("--batch-size", type=int, default=256)
     parser.add_argument("--queries", type=int, default=256)
+    parser.add_argument("--points", type=int, nargs="+", default=[1000, 2000, 3000],
+                        help="sizes of clouds, one of them in each step")  # fmt: skip
     parser.add_argument("--learning-rate", type=float, default=1.5e-3)
     parser.add_argument("--capacity", type=int, default=150_000, help="views, 42 kB each")
     parser.add_argument("--objects", type=int, default=10_000)

@@ -34,6 +34,7 @@ from pointsdf_cli.models.surroundings import (
 from pointsdf_cli.training.sdf_data import FORGET_ALL, FORGET_IMAGE, HIGHEST, RAISED, Batch
 
 CLOUD_SIZE = 1000
+"""Points of a cloud, unless more are asked for."""
 COLUMNS = {
     "points": ((MOST_POINTS, 3), torch.float16),
     "count": ((), torch.int32),
@@ -71,10 +72,19 @@ class Views:
         objects: Most objects.
         device: Device of the tensors.
         sideways: As in `revolution_axis`.
+        sizes: Sizes of clouds that `draw` is asked for, the smallest first.
     """
 
-    def __init__(self, capacity: int, objects: int, device: torch.device, sideways: float) -> None:
+    def __init__(
+        self,
+        capacity: int,
+        objects: int,
+        device: torch.device,
+        sideways: float,
+        sizes: Sequence[int] = (CLOUD_SIZE,),
+    ) -> None:
         self.device, self.capacity, self._sideways = device, capacity, sideways
+        self.sizes = tuple(sizes)
         self._rows = {
             name: torch.zeros((capacity, *shape), dtype=kind, device=device)
             for name, (shape, kind) in COLUMNS.items()
@@ -84,8 +94,12 @@ class Views:
         self._centre = torch.zeros((objects, 3), device=device)
         self._is_labelled = np.zeros(objects, bool)
         self.count = 0
-        self.drawn_from = torch.zeros((), device=device)
-        """Number of views to draw from, read by recorded steps."""
+        # The views with enough points for each size; recorded steps read from how many they draw.
+        self._enough = {
+            size: torch.zeros(capacity, dtype=torch.int64, device=device) for size in self.sizes
+        }
+        self._counts = dict.fromkeys(self.sizes, 0)
+        self._drawn_from = {size: torch.zeros((), device=device) for size in self.sizes}
 
     @torch.no_grad()
     def add(self, files: Sequence[Path]) -> None:
@@ -111,6 +125,12 @@ class Views:
                 values = np.concatenate([p[name] for p in parts])[labelled][:room]
                 rows[new] = torch.from_numpy(values).to(self.device)
         self._find_symmetry(new)
+        for size in self.sizes:
+            fits = self._rows["count"][new] >= (size if size > self.sizes[0] else 0)
+            views = new.start + fits.nonzero()[:, 0]
+            end = self._counts[size] + len(views)
+            self._enough[size][self._counts[size] : end] = views
+            self._counts[size] = end
         if self.device.type == "cuda":
             torch.cuda.current_stream().synchronize()
         self.count = new.stop
@@ -145,24 +165,42 @@ class Views:
         rows["box_directions"][new] = box.directions
         rows["alignment"][new] = box.trust[:, :ALIGNMENT_SIZE]
 
-    def draw(self, batch_size: int) -> Tensor:
-        """Random views, int64 [B]."""
-        return (torch.rand(batch_size, device=self.device) * self.drawn_from).long()
+    def refresh(self) -> None:
+        """Let `draw` draw from all views that are there by now."""
+        for size in self.sizes:
+            self._drawn_from[size].fill_(float(self._counts[size]))
 
-    def _sample(self, views: Tensor) -> Tensor:
-        """Points [B, CLOUD_SIZE, 3] of each view, as `systematic_sample` takes them."""
+    def draw(self, batch_size: int, size: int = CLOUD_SIZE) -> Tensor:
+        """Random views with enough points for clouds of a size, int64 [B]."""
+        row = (torch.rand(batch_size, device=self.device) * self._drawn_from[size]).long()
+        return self._enough[size][row]
+
+    def of_size(self, size: int) -> Tensor:
+        """The views whose largest of `sizes` this is, int64 [N]."""
+        count = self._rows["count"][: self.count]
+        larger = [each for each in self.sizes if each > size]
+        mine = count >= (size if size > self.sizes[0] else 0)
+        return (mine & (count < larger[0]) if larger else mine).nonzero()[:, 0]
+
+    def _sample(self, views: Tensor, size: int = CLOUD_SIZE) -> Tensor:
+        """Points [B, size, 3] of each view, as `systematic_sample` takes them."""
         total = self._rows["count"][views].float()[:, None]
-        step = torch.arange(CLOUD_SIZE, device=self.device).float()[None]
+        step = torch.arange(size, device=self.device).float()[None]
         start = torch.rand(len(views), 1, device=self.device)
-        again = torch.rand(len(views), CLOUD_SIZE, device=self.device)
-        even = ((step + start) * (total / CLOUD_SIZE)).floor()
+        again = torch.rand(len(views), size, device=self.device)
+        even = ((step + start) * (total / size)).floor()
         few = torch.where(step < total, step, (again * total).floor())
-        index = torch.where(total < CLOUD_SIZE, few, even).minimum(total - 1).long()
+        index = torch.where(total < size, few, even).minimum(total - 1).long()
         points = self._rows["points"][views].float()
         return points.gather(1, index[..., None].expand(-1, -1, 3))
 
     def batch(
-        self, views: Tensor, queries: int, augment: bool = True, evidence: bool | None = None
+        self,
+        views: Tensor,
+        queries: int,
+        augment: bool = True,
+        evidence: bool | None = None,
+        size: int = CLOUD_SIZE,
     ) -> tuple[Batch, Symmetry]:
         """A batch of the views [B] with `queries` labels each, and their symmetry.
 
@@ -171,10 +209,11 @@ class Views:
             queries: Labels of each.
             augment: Mirror and turn the views, and lower their planes.
             evidence: Whether the space around the objects is known; None: as in training.
+            size: Points of each cloud.
         """
         rows = {name: table[views] for name, table in self._rows.items() if name != "points"}
         count, device = len(views), self.device
-        cloud, turn = self._sample(views), self._turns(count, augment)
+        cloud, turn = self._sample(views, size), self._turns(count, augment)
         back = turn.transpose(1, 2)
         cloud = cloud @ back
         low, high = cloud.amin(1, keepdim=True), cloud.amax(1, keepdim=True)

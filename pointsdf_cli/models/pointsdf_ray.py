@@ -73,6 +73,8 @@ class PointSDFRay(ShapeModel):
             `revolution` only).
         surroundings: Whether the decoder also reads what the view knows of the space around the
             object (`surroundings.py`), at the query and, with `revolution`, at its symmetric point.
+        most_points: Most points that a reconstruction reads of a view: with few, two random samples
+            of one view give different shapes.
     """
 
     architecture = "pointsdf-ray"
@@ -94,6 +96,7 @@ class PointSDFRay(ShapeModel):
         sideways: float = 0.0,
         box: bool = False,
         surroundings: bool = False,
+        most_points: int = 1000,
     ) -> None:
         super().__init__()
         self.centres, self.neighbours = tuple(centres), tuple(neighbours)
@@ -101,6 +104,7 @@ class PointSDFRay(ShapeModel):
         self.width, self.blocks, self.local, self.heads = width, blocks, local, heads
         self.search, self.revolution, self.sideways = search, revolution, sideways
         self.has_box, self.reads_surroundings = box, surroundings
+        self.most_points = most_points
         self.packed_neighbours = (centres[0], neighbours[0])
         self._check()
         self.layers = nn.ModuleList(
@@ -141,6 +145,8 @@ class PointSDFRay(ShapeModel):
         for found, k in zip((self.cloud_size, *self.centres), self.neighbours, strict=False):
             if not 1 <= k <= found:
                 raise ValueError(f"{k} neighbours of {found} points")
+        if self.most_points != self.cloud_size and self.search != "exact":
+            raise ValueError("clouds of any size need the exact neighbour search")
         if self.has_box and not self.revolution:
             raise ValueError("the box is read with the axis of revolution only")
 
@@ -169,6 +175,7 @@ class PointSDFRay(ShapeModel):
             "sideways": self.sideways,
             "box": self.has_box,
             "surroundings": self.reads_surroundings,
+            "most_points": self.most_points,
         }
 
     def begin_with(self, other: ShapeModel) -> None:

@@ -100,7 +100,8 @@ class Reconstruction:
         in_camera = (points - position) @ rotation
         frame = network_frame(in_camera)
         rng = np.random.default_rng(seed)
-        cloud = in_camera[systematic_sample(in_camera[:, :2], model.cloud_size, rng)]
+        count = max(model.cloud_size, min(len(in_camera), model.most_points))
+        cloud = in_camera[systematic_sample(in_camera[:, :2], count, rng)]
         device = next(model.parameters()).device
         model.eval()
         with torch.no_grad(), one_thread():

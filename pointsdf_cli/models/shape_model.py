@@ -50,6 +50,9 @@ class ShapeModel(nn.Module, ABC):
     """Whether reconstructions complete vessels by their axis; the published networks' do not."""
     embedding_size: int = 256
     cloud_size: int = 1000
+    """Points of a cloud in training; smaller clouds are filled up with repeats."""
+    most_points: int = 1000
+    """Most points that a reconstruction reads of a view."""
     packed_neighbours: tuple[int, int] | None = None
     """(M, K) if `encode` uses `neighbours`, those of the first layer: int64 [B, M, K]."""
 
