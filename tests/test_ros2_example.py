@@ -1,16 +1,18 @@
 """The ROS 2 example: its messages by the definitions of rosbags, its timing by hand.
 
-ROS itself is not a dependency, so the node that sends the messages is only compiled here.
+ROS itself is not a dependency: the node that sends the messages runs here on stand-ins of ROS.
 """
 
 from __future__ import annotations
 
 import importlib.util
-import py_compile
+import runpy
 import sys
+import types
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -51,7 +53,7 @@ def plan(robot: RobotDescription) -> Plan:
     return replace(plan, lift=lift)
 
 
-def types(example: Any) -> Any:
+def message_types(example: Any) -> Any:
     prefix = "trajectory_msgs/msg/JointTrajectory"
     return example.MessageTypes(
         TYPES[prefix], TYPES[f"{prefix}Point"], TYPES["std_msgs/msg/Header"],
@@ -62,7 +64,7 @@ def types(example: Any) -> Any:
 
 def sent(example: Any, trajectory: Any) -> Any:
     """The message as a subscriber gets it: through ROS's own wire format."""
-    raw = STORE.serialize_cdr(example.message(trajectory, types(example)), NAME)
+    raw = STORE.serialize_cdr(example.message(trajectory, message_types(example)), NAME)
     return STORE.deserialize_cdr(raw, NAME)
 
 
@@ -133,5 +135,124 @@ def test_another_start_is_noticed(example: Any, plan: Plan, tmp_path: Path) -> N
     assert off == pytest.approx(0.25)
 
 
-def test_the_node_compiles(tmp_path: Path) -> None:
-    py_compile.compile(str(FOLDER / "execute_plan.py"), str(tmp_path / "node.pyc"), doraise=True)
+class Goals(list):
+    """The goals that the node sent, in order, and ROS as far as the node uses it.
+
+    ROS cannot be installed from package registries, so its actions are stand-ins here that accept
+    every goal and reach it at once.
+    """
+
+    def modules(self, start: dict[str, float]) -> dict[str, types.ModuleType]:
+        """Stand-ins of the modules that the node imports; the robot stands at `start`."""
+        goals = self
+
+        class Future:
+            def __init__(self, value: Any) -> None:
+                self.result, self.done = (lambda: value), (lambda: True)
+
+        class ActionClient:
+            def __init__(self, node: Any, action: Any, name: str) -> None:
+                self.name, self.wait_for_server = name, lambda timeout_sec: True
+
+            def send_goal_async(self, goal: Any) -> Future:
+                goals.append((self.name, goal))
+                succeeded = SimpleNamespace(result=SimpleNamespace(error_code=0))
+                handle = SimpleNamespace(
+                    accepted=True, get_result_async=lambda: Future(succeeded),
+                    cancel_goal_async=lambda: Future(None),
+                )  # fmt: skip
+                return Future(handle)
+
+        class Node:
+            def __init__(self, name: str) -> None:
+                pass
+
+            def create_subscription(self, kind: Any, topic: str, heard: Any, depth: int) -> None:
+                names, positions = list(start), list(start.values())
+                heard(SimpleNamespace(name=names, position=positions, velocity=[0.0] * len(names)))
+
+            def destroy_node(self) -> None:
+                pass
+
+        class GripperGoal:
+            def __init__(self) -> None:
+                self.command = SimpleNamespace()
+
+        def message_of(name: str) -> Any:
+            return lambda **values: SimpleNamespace(kind=name, **values)
+
+        none = lambda *_, **__: None  # noqa: E731
+        follow = SimpleNamespace(Goal=message_of("goal"), Result=SimpleNamespace(SUCCESSFUL=0))
+        contents = {
+            "rclpy": {"spin_once": none, "init": none, "try_shutdown": none,
+                      "spin_until_future_complete": none},
+            "rclpy.action": {"ActionClient": ActionClient},
+            "rclpy.node": {"Node": Node},
+            "rclpy.signals": {"SignalHandlerOptions": SimpleNamespace(NO=0)},
+            "rclpy.task": {"Future": Future},
+            "control_msgs.action": {"FollowJointTrajectory": follow,
+                                    "GripperCommand": SimpleNamespace(Goal=GripperGoal)},
+            "builtin_interfaces.msg": {n: message_of(n) for n in ("Duration", "Time")},
+            "sensor_msgs.msg": {"JointState": message_of("JointState")},
+            "std_msgs.msg": {"Header": message_of("Header")},
+            "trajectory_msgs.msg": {
+                n: message_of(n) for n in ("JointTrajectory", "JointTrajectoryPoint")
+            },
+        }  # fmt: skip
+        for name in [name for name in contents if "." in name]:
+            contents.setdefault(name.split(".")[0], {})
+        made = {name: types.ModuleType(name) for name in contents}
+        for name, values in contents.items():
+            vars(made[name]).update(values)
+        return made
+
+
+def run_node(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, folder: Path, *more: str, moved: float = 0.0
+) -> Goals:
+    """The goals of the node for a plan, the robot's first joint `moved` from its start."""
+    write_trajectory(folder / "motion.json", plan)
+    write_plan(folder / "plan.h5", plan, seed=0)
+    start = dict(zip(plan.joint_names, plan.trajectory[0].tolist(), strict=True))
+    start[plan.joint_names[0]] += moved
+    goals = Goals()
+    for name, module in goals.modules(start).items():
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.syspath_prepend(str(FOLDER))
+    robot = str(asset_path(DEFAULT_ROBOT))
+    files = [str(folder / "motion.json"), str(folder / "plan.h5"), robot]
+    monkeypatch.setattr(sys, "argv", ["execute_plan.py", *files, *more])
+    monkeypatch.setattr("time.sleep", lambda seconds: None)
+    runpy.run_path(str(FOLDER / "execute_plan.py"), run_name="__main__")
+    return goals
+
+
+def test_the_node_moves_closes_grips_and_lifts(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, robot: RobotDescription, tmp_path: Path
+) -> None:
+    goals = run_node(monkeypatch, plan, tmp_path)
+    arm, hand = (f"/{part}_controller/follow_joint_trajectory" for part in ("arm", "hand"))
+    assert [name for name, _ in goals] == [arm, hand, hand, hand, arm]
+    lift = goals[-1][1].trajectory
+    assert tuple(lift.joint_names) == robot.joint_names[:7]
+    np.testing.assert_allclose(lift.points[-1].positions, plan.lift[-1, :7])
+
+
+def test_a_gripper_opens_before_the_motion_and_closes_before_the_lift(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path
+) -> None:
+    grip = ["--gripper", "/gripper_cmd", "--gripper-open", "0.04", "--gripper-closed", "0"]
+    goals = run_node(monkeypatch, plan, tmp_path, *grip, "--gripper-effort", "15")
+    arm = "/arm_controller/follow_joint_trajectory"
+    assert [name for name, _ in goals] == ["/gripper_cmd", arm, "/gripper_cmd", arm]
+    commands = [goal.command for name, goal in goals if name == "/gripper_cmd"]
+    assert [(each.position, each.max_effort) for each in commands] == [(0.04, 15.0), (0.0, 15.0)]
+    with pytest.raises(SystemExit):
+        run_node(monkeypatch, plan, tmp_path, "--gripper", "/gripper_cmd")
+
+
+def test_the_node_sends_nothing_from_another_start(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path
+) -> None:
+    with pytest.raises(SystemExit, match="plan again with --start"):
+        run_node(monkeypatch, plan, tmp_path, moved=0.1)

@@ -6,7 +6,9 @@
         --arm-controller /arm_controller --hand-controller /hand_controller
 
 Both controllers are joint_trajectory_controllers (ros2_control); positions are read from
-/joint_states. Ctrl-C or an error cancels the running goals. See docs/robot.md.
+/joint_states. A gripper with an action of its own (control_msgs/GripperCommand) takes
+`--gripper /gripper_cmd --gripper-open P --gripper-closed P` in place of --hand-controller, in the
+unit of that action. Ctrl-C or an error cancels the running goals. See docs/robot.md.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from pathlib import Path
 
 import rclpy
 from builtin_interfaces.msg import Duration, Time
-from control_msgs.action import FollowJointTrajectory
+from control_msgs.action import FollowJointTrajectory, GripperCommand
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -46,18 +48,21 @@ GRIP_TIME = 0.5  # s
 
 
 class Executor(Node):
-    """Sends trajectories to two controllers and follows /joint_states."""
+    """Sends goals to the arm's controller and the hand's, or a gripper's, and follows
+    /joint_states."""
 
-    def __init__(self, arm: str, hand: str) -> None:
+    def __init__(self, arm: str, hand: str, gripper: str | None = None) -> None:
         super().__init__("rgrasp_execute_plan")
         self.positions: dict[str, float] = {}
         self.velocities: dict[str, float] = {}
         self.running: list = []
-        self.controllers = {
+        self.clients_of = {
             name: ActionClient(self, FollowJointTrajectory, f"{name}/follow_joint_trajectory")
-            for name in (arm, hand)
+            for name in ((arm,) if gripper else (arm, hand))
         }
-        self.arm, self.hand = arm, hand
+        if gripper:
+            self.clients_of[gripper] = ActionClient(self, GripperCommand, gripper)
+        self.arm, self.hand, self.gripper = arm, hand, gripper
         self.create_subscription(JointState, "/joint_states", self._joint_states, 10)
 
     def _joint_states(self, state: JointState) -> None:
@@ -80,15 +85,29 @@ class Executor(Node):
 
     def send(self, controller: str, trajectory: Trajectory) -> None:
         """Start a trajectory on a controller."""
-        client = self.controllers[controller]
-        if not client.wait_for_server(timeout_sec=5.0):
-            sys.exit(f"no action server {controller}/follow_joint_trajectory")
         goal = FollowJointTrajectory.Goal(trajectory=message(trajectory, TYPES))
+        self.running.append(self._started(controller, goal))
+
+    def _started(self, name: str, goal: object) -> object:
+        """The handle of a goal that its server has accepted."""
+        client = self.clients_of[name]
+        if not client.wait_for_server(timeout_sec=5.0):
+            sys.exit(f"no action server of {name}")
         future = client.send_goal_async(goal)
         self.wait(future)
         if not future.result().accepted:
-            sys.exit(f"{controller} refused the trajectory")
-        self.running.append(future.result())
+            sys.exit(f"{name} refused the goal")
+        return future.result()
+
+    def move_gripper(self, position: float, effort: float) -> None:
+        """Send the gripper to a position, in the unit of its action, and wait. At an object it
+        stalls before it is there, which is no error."""
+        goal = GripperCommand.Goal()
+        goal.command.position, goal.command.max_effort = position, effort
+        handle = self._started(self.gripper, goal)
+        self.running.append(handle)
+        self.wait(handle.get_result_async())
+        self.running = []
 
     def finish(self) -> None:
         """Wait for the running goals, and exit if a controller fails."""
@@ -133,26 +152,39 @@ def main() -> None:
     parser.add_argument("robot", type=Path, help="the robot's YAML")
     parser.add_argument("--arm-controller", default="/arm_controller")
     parser.add_argument("--hand-controller", default="/hand_controller")
+    parser.add_argument("--gripper", help="a GripperCommand action, in place of --hand-controller")
+    parser.add_argument("--gripper-open", type=float, help="position before the grasp")
+    parser.add_argument("--gripper-closed", type=float, help="position to close towards")
+    parser.add_argument("--gripper-effort", type=float, default=20.0, help="largest effort [N]")
     parser.add_argument("--lift-speed", type=float, default=0.1, help="fastest joint [rad/s]")
     parser.add_argument("--squeeze", type=float, default=0.1, help="beyond the contact [rad or m]")
     parser.add_argument("--tolerance", type=float, default=0.02, help="at the start [rad or m]")
     options = parser.parse_args()
+    if options.gripper and None in (options.gripper_open, options.gripper_closed):
+        parser.error("--gripper needs --gripper-open and --gripper-closed")
 
     motion, lift = read_motion(options.motion), read_lift(options.plan, options.lift_speed)
     arm, hand = read_hand(options.robot)
     fingers = tuple(name for name in motion.names if name not in arm)
     # rclpy's own handler would shut the context down on Ctrl-C, and no goal could be cancelled.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = Executor(options.arm_controller, options.hand_controller)
+    node = Executor(options.arm_controller, options.hand_controller, options.gripper)
+    checked = motion.of(arm) if options.gripper else motion
     try:
-        node.wait_for(motion.names)
-        joint, off = farthest_from_start(motion, node.positions)
+        node.wait_for(checked.names)
+        joint, off = farthest_from_start(checked, node.positions)
         if off > options.tolerance:
             sys.exit(f"{joint} is {off:.3f} from the start of the motion: plan again with --start")
+        if options.gripper:
+            node.move_gripper(options.gripper_open, options.gripper_effort)
         node.send(node.arm, motion.of(arm))
-        node.send(node.hand, motion.of(fingers))
+        if not options.gripper:
+            node.send(node.hand, motion.of(fingers))
         node.finish()
-        node.close(hand, fingers, options.squeeze)
+        if options.gripper:
+            node.move_gripper(options.gripper_closed, options.gripper_effort)
+        else:
+            node.close(hand, fingers, options.squeeze)
         if lift is None:
             print("The plan has no lift: lift by hand, or plan again.")
         else:
