@@ -10,7 +10,7 @@ import trimesh
 from PIL import Image
 
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.viz.plan_picture import PlanScene, close_up, dots, plan_picture
+from pointsdf_cli.viz.plan_picture import PlanScene, dots, plan_picture
 from pointsdf_cli.viz.robot_picture import RobotMeshes
 
 ROBOT = load_robot()
@@ -49,8 +49,8 @@ def test_the_hand_alone_is_a_part_of_the_robot(meshes: RobotMeshes) -> None:
 def test_the_seen_points_are_seen_from_the_camera_only(meshes: RobotMeshes) -> None:
     """Blue points lie on the camera's side of the ball; from behind there are hardly any."""
     scene, blue = ball(), []
-    for behind in (False, True):
-        picture = close_up(meshes, ROBOT.home, scene, behind, (120, 110)).astype(int)
+    for made in close_ups(meshes, ROBOT.home, scene, (120, 110)):
+        picture = made.astype(int)
         assert picture.shape == (110, 120, 3)
         blue.append(int((picture[..., 2] > picture[..., 0] + 60).sum()))
     assert blue[0] > 3 * max(1, blue[1])

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pointsdf_cli.io.batch import StageReport
     from pointsdf_cli.io.grasps import Grasps, GraspsMeta
     from pointsdf_cli.simulation.attempt import PreshapeSource
-    from pointsdf_cli.simulation.collect import CollectSummary, CollectTask
+    from pointsdf_cli.simulation.collect import CollectTask
 
 
 def collect_grasps(
@@ -191,7 +191,7 @@ def _collect(
         rates = _Rates(reporter)
         todo = [(n, t) for n, t in tasks.items() if n not in refused and t.quota > 0]
         with reporter.progress("collect-grasps", len(todo)) as progress:
-            report: StageReport[CollectSummary] = run_stage(
+            report: StageReport[dict[str, int]] = run_stage(
                 todo,
                 collect_object,
                 jobs=jobs,
@@ -219,10 +219,10 @@ def _collect(
 
 
 def _one_more(
-    progress: common.Progress, rates: _Rates, name: str, summary: CollectSummary | None
+    progress: common.Progress, rates: _Rates, name: str, causes: dict[str, int] | None
 ) -> None:
     progress.advance(name)
-    rates.add(summary)
+    rates.add(causes)
 
 
 class _Rates:
@@ -235,10 +235,8 @@ class _Rates:
         self._causes: dict[str, int] = {}
         self._spoke = self._began = time.monotonic()
 
-    def add(self, summary: CollectSummary | None) -> None:
-        if summary is None:
-            return
-        for cause, count in summary.causes.items():
+    def add(self, causes: dict[str, int] | None) -> None:
+        for cause, count in (causes or {}).items():
             self._causes[cause] = self._causes.get(cause, 0) + count
         if time.monotonic() - self._spoke > self._EVERY:
             self.say()

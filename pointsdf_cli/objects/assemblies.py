@@ -131,9 +131,7 @@ def bent_plate(draw: Draw) -> Manifold:
 
 
 FAMILIES = (
-    Family("furniture", furniture, 1.0, "compound", "doll's chairs, stools and tables", 0.003),
-    Family(
-        "assembly", assembly, 3.0, "compound", "random simple solids grown into one another", 0.006
-    ),
-    Family("bent_plate", bent_plate, 1.5, "flat", "thin sheets bent up to three times", 0.003),
+    Family("furniture", furniture, 1.0, "compound", 0.003),
+    Family("assembly", assembly, 3.0, "compound", 0.006),
+    Family("bent_plate", bent_plate, 1.5, "flat", 0.003),
 )

@@ -249,37 +249,11 @@ def pitcher(draw: Draw) -> Manifold:
 
 
 FAMILIES = (
-    Family("bottle", bottle, 3.0, "round", "round bottles with cap, some grooved", 0.003, 0),
-    Family(
-        "squeeze_bottle",
-        squeeze_bottle,
-        2.5,
-        "solid",
-        "flat bottles: mustard, shampoo, lotion",
-        0.004,
-        0,
-    ),
-    Family(
-        "handle_bottle",
-        handle_bottle,
-        2.0,
-        "compound",
-        "detergent bottles with a grip hole",
-        0.004,
-        1,
-    ),
-    Family("spray_bottle", spray_bottle, 1.5, "compound", "trigger sprayers", 0.004, 0),
-    Family(
-        "pump_bottle", pump_bottle, 1.0, "compound", "soap dispensers with pump and spout", 0.003, 0
-    ),
-    Family("squeeze_tube", squeeze_tube, 1.5, "solid", "tubes of toothpaste and cream", 0.01, 0),
-    Family(
-        "pitcher",
-        pitcher,
-        2.5,
-        "vessel",
-        "jugs with handle and spout, open or closed by a lid",
-        0.002,
-        1,
-    ),
+    Family("bottle", bottle, 3.0, "round", 0.003, 0),
+    Family("squeeze_bottle", squeeze_bottle, 2.5, "solid", 0.004, 0),
+    Family("handle_bottle", handle_bottle, 2.0, "compound", 0.004, 1),
+    Family("spray_bottle", spray_bottle, 1.5, "compound", 0.004, 0),
+    Family("pump_bottle", pump_bottle, 1.0, "compound", 0.003, 0),
+    Family("squeeze_tube", squeeze_tube, 1.5, "solid", 0.01, 0),
+    Family("pitcher", pitcher, 2.5, "vessel", 0.002, 1),
 )

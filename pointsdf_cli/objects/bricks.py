@@ -162,18 +162,8 @@ def peg_board(draw: Draw) -> Manifold:
 
 
 FAMILIES = (
-    Family(
-        "brick",
-        brick,
-        3.0,
-        "toy",
-        "studded bricks: blocks, curves, slopes; hollow below or filled",
-        0.002,
-        0,
-    ),
-    Family(
-        "brick_stack", brick_stack, 1.5, "toy", "bricks built into stairs, towers and arches", 0.002
-    ),
-    Family("arch_block", arch_block, 1.0, "toy", "wooden arches and bridges", 0.003, 0),
-    Family("peg_board", peg_board, 2.0, "toy", "boards with blind holes and pegs", 0.003, 0),
+    Family("brick", brick, 3.0, "toy", 0.002, 0),
+    Family("brick_stack", brick_stack, 1.5, "toy", 0.002),
+    Family("arch_block", arch_block, 1.0, "toy", 0.003, 0),
+    Family("peg_board", peg_board, 2.0, "toy", 0.003, 0),
 )

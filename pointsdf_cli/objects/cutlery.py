@@ -228,18 +228,10 @@ def rolling_pin(draw: Draw) -> Manifold:
 
 
 FAMILIES = (
-    Family("fork", fork, 2.0, "flat", "forks with two to five tines", 0.002, 0),
-    Family("spoon", spoon, 2.0, "flat", "spoons with a thin dished bowl", 0.002, 0),
-    Family("ladle", ladle, 1.0, "vessel", "ladles, scoops and measuring spoons", 0.002, 0),
-    Family("knife", knife, 2.0, "flat", "table, kitchen and palette knives", 0.002, 0),
-    Family("spatula", spatula, 2.0, "flat", "turners and scrapers, often slotted", 0.002),
-    Family(
-        "rolling_pin",
-        rolling_pin,
-        1.0,
-        "tool",
-        "rolling pins, dumb-bells, bobbins, some with a socket",
-        0.003,
-        0,
-    ),
+    Family("fork", fork, 2.0, "flat", 0.002, 0),
+    Family("spoon", spoon, 2.0, "flat", 0.002, 0),
+    Family("ladle", ladle, 1.0, "vessel", 0.002, 0),
+    Family("knife", knife, 2.0, "flat", 0.002, 0),
+    Family("spatula", spatula, 2.0, "flat", 0.002),
+    Family("rolling_pin", rolling_pin, 1.0, "tool", 0.003, 0),
 )

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,12 +41,7 @@ class _Broken(Exception):
     """Failure of a try that may succeed when repeated."""
 
 
-def download(
-    url: str,
-    path: Path,
-    patience: Patience | None = None,
-    on_bytes: Callable[[int], None] | None = None,
-) -> str:
+def download(url: str, path: Path, patience: Patience | None = None) -> str:
     """Fetch `url` into `path` and return the SHA-256 of the whole file.
 
     The received part is in `path` + `.part`, also after a kill, and the next call fetches only the
@@ -65,7 +59,7 @@ def download(
         while True:
             before = part.stat().st_size if part.exists() else 0
             try:
-                _fetch_rest(client, url, part, tag, patience.largest, on_bytes)
+                _fetch_rest(client, url, part, tag, patience.largest)
                 break
             except (httpx.InvalidURL, httpx.UnsupportedProtocol, httpx.TooManyRedirects) as error:
                 raise InputError(f"cannot be fetched from ({error})", where=url) from error
@@ -90,14 +84,7 @@ def download(
     return digest.hexdigest()
 
 
-def _fetch_rest(
-    client: httpx.Client,
-    url: str,
-    part: Path,
-    tag: Path,
-    largest: int,
-    on_bytes: Callable[[int], None] | None,
-) -> None:
+def _fetch_rest(client: httpx.Client, url: str, part: Path, tag: Path, largest: int) -> None:
     """Append the missing bytes to `part`, which is complete when this returns."""
     have = part.stat().st_size if part.exists() else 0
     validator = tag.read_text(encoding="ascii") if have and tag.exists() else ""
@@ -130,8 +117,6 @@ def _fetch_rest(
                         "is larger than allowed", where=url, allowed=f"{largest} bytes"
                     )
                 file.write(block)
-                if on_bytes:
-                    on_bytes(len(block))
         if "Content-Length" in response.headers and written != expected:
             raise _Broken(f"{written} bytes of {expected}")
 

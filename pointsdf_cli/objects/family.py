@@ -23,7 +23,6 @@ class Family:
             standing or lying as on a table, at any place.
         weight: Relative frequency of the family.
         kind: Kind of shape, for the balance of the mix.
-        summary: One line for the documentation.
         unevenness: Largest displacement of the surface by its smooth irregularities, as a fraction
             of the object's largest extent: fruit is uneven, steel is not.
         genus: Number of through holes of every member; None if it varies.
@@ -33,6 +32,5 @@ class Family:
     build: Callable[[Draw], Manifold]
     weight: float
     kind: Kind
-    summary: str
     unevenness: float = 0.004
     genus: int | None = None

@@ -228,24 +228,14 @@ def _fibonacci_sphere(count: int) -> np.ndarray:
 
 
 FAMILIES = (
-    Family(
-        "ball", ball, 5.0, "round", "balls: smooth, seamed, panelled, dimpled, pointed", 0.004, 0
-    ),
-    Family(
-        "apple",
-        apple,
-        2.5,
-        "round",
-        "apples, tomatoes, pumpkins, peppers, some with a stem",
-        0.015,
-        0,
-    ),
-    Family("pear", pear, 2.0, "round", "pears, avocados, eggs, figs, lying", 0.015, 0),
-    Family("lemon", lemon, 1.5, "round", "lemons and limes, lying", 0.012, 0),
-    Family("strawberry", strawberry, 1.5, "round", "pitted blunt cones", 0.015, 0),
-    Family("plum", plum, 2.0, "round", "plums, peaches and apricots with a crease", 0.012, 0),
-    Family("potato", potato, 2.0, "round", "smooth lumps: potatoes, bread rolls, stones", 0.02, 0),
-    Family("banana", banana, 2.0, "round", "bananas, lying", 0.01, 0),
-    Family("cucumber", cucumber, 2.0, "round", "cucumbers, carrots, squash, lying", 0.012, 0),
-    Family("mushroom", mushroom, 1.0, "round", "mushrooms, door knobs, bulbs", 0.01, 0),
+    Family("ball", ball, 5.0, "round", 0.004, 0),
+    Family("apple", apple, 2.5, "round", 0.015, 0),
+    Family("pear", pear, 2.0, "round", 0.015, 0),
+    Family("lemon", lemon, 1.5, "round", 0.012, 0),
+    Family("strawberry", strawberry, 1.5, "round", 0.015, 0),
+    Family("plum", plum, 2.0, "round", 0.012, 0),
+    Family("potato", potato, 2.0, "round", 0.02, 0),
+    Family("banana", banana, 2.0, "round", 0.01, 0),
+    Family("cucumber", cucumber, 2.0, "round", 0.012, 0),
+    Family("mushroom", mushroom, 1.0, "round", 0.01, 0),
 )

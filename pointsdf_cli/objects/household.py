@@ -294,11 +294,11 @@ def controller(draw: Draw) -> Manifold:
 
 
 FAMILIES = (
-    Family("lamp", lamp, 1.5, "compound", "table lamps with a hollow shade", 0.002),
-    Family("shoe", shoe, 1.5, "vessel", "shoes and slippers, open at the ankle", 0.004, 0),
-    Family("padlock", padlock, 1.0, "compound", "padlocks, handbags, kettle bells", 0.003, 1),
-    Family("cup_to_go", cup_to_go, 1.5, "round", "closed paper cups and yoghurt pots", 0.004, 0),
-    Family("bucket", bucket, 1.0, "vessel", "buckets and baskets under a bow", 0.002, 1),
-    Family("teapot", teapot, 1.0, "compound", "tea pots and watering cans, closed", 0.003, 1),
-    Family("controller", controller, 1.0, "compound", "game controllers and cameras", 0.004, 0),
+    Family("lamp", lamp, 1.5, "compound", 0.002),
+    Family("shoe", shoe, 1.5, "vessel", 0.004, 0),
+    Family("padlock", padlock, 1.0, "compound", 0.003, 1),
+    Family("cup_to_go", cup_to_go, 1.5, "round", 0.004, 0),
+    Family("bucket", bucket, 1.0, "vessel", 0.002, 1),
+    Family("teapot", teapot, 1.0, "compound", 0.003, 1),
+    Family("controller", controller, 1.0, "compound", 0.004, 0),
 )

@@ -33,8 +33,6 @@ class LabelSummary:
 
     points: int
     inside_fraction: float
-    uniform_inside: float
-    expected_inside: float
 
 
 def find_label_tasks(
@@ -111,9 +109,4 @@ def label_file(task: LabelTask) -> LabelSummary | None:
         seed=task.seed,
         config=config,
     )
-    return LabelSummary(
-        len(samples.points),
-        samples.inside_fraction,
-        samples.uniform_inside,
-        samples.expected_inside,
-    )
+    return LabelSummary(len(samples.points), samples.inside_fraction)

@@ -242,24 +242,10 @@ def key(draw: Draw) -> Manifold:
 
 
 FAMILIES = (
-    Family(
-        "scissors",
-        scissors,
-        2.5,
-        "flat",
-        "scissors with finger loops, closed or ajar, lying",
-        0.003,
-    ),
-    Family(
-        "spring_clamp",
-        spring_clamp,
-        3.0,
-        "compound",
-        "spring clamps with pads and long grips, lying",
-        0.003,
-    ),
-    Family("wrench", wrench, 2.0, "flat", "spanners with open, ring or plain ends, lying", 0.002),
-    Family("pliers", pliers, 1.5, "tool", "pliers and tongs, lying", 0.003),
-    Family("c_clamp", c_clamp, 1.5, "compound", "C clamps with screw and crossbar, lying", 0.002),
-    Family("key", key, 1.0, "flat", "keys, openers and hooks with a hole, lying", 0.004),
+    Family("scissors", scissors, 2.5, "flat", 0.003),
+    Family("spring_clamp", spring_clamp, 3.0, "compound", 0.003),
+    Family("wrench", wrench, 2.0, "flat", 0.002),
+    Family("pliers", pliers, 1.5, "tool", 0.003),
+    Family("c_clamp", c_clamp, 1.5, "compound", 0.002),
+    Family("key", key, 1.0, "flat", 0.004),
 )

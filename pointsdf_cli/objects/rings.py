@@ -154,14 +154,12 @@ def tilted_rings(draw: Draw) -> Manifold:
 
 
 FAMILIES = (
-    Family("paper_roll", paper_roll, 1.5, "round", "rolls of toilet and kitchen paper", 0.008, 1),
-    Family("tape_roll", tape_roll, 1.5, "round", "rolls of tape, bracelets", 0.003, 1),
-    Family("doughnut", doughnut, 1.5, "round", "doughnuts, ring toys, tyres", 0.006, 1),
-    Family("chain", chain, 1.5, "compound", "chains of welded oval links, lying", 0.002),
-    Family("nut", nut, 1.0, "flat", "nuts, gears, star cutters", 0.002, 1),
-    Family("ring_stack", ring_stack, 1.0, "toy", "stacking-ring towers", 0.004, 0),
-    Family(
-        "wire_shape", wire_shape, 1.0, "compound", "bent thick wire: hooks, bows, carabiners", 0.003
-    ),
-    Family("tilted_rings", tilted_rings, 0.5, "compound", "crossed hoops", 0.002),
+    Family("paper_roll", paper_roll, 1.5, "round", 0.008, 1),
+    Family("tape_roll", tape_roll, 1.5, "round", 0.003, 1),
+    Family("doughnut", doughnut, 1.5, "round", 0.006, 1),
+    Family("chain", chain, 1.5, "compound", 0.002),
+    Family("nut", nut, 1.0, "flat", 0.002, 1),
+    Family("ring_stack", ring_stack, 1.0, "toy", 0.004, 0),
+    Family("wire_shape", wire_shape, 1.0, "compound", 0.003),
+    Family("tilted_rings", tilted_rings, 0.5, "compound", 0.002),
 )

@@ -212,22 +212,12 @@ def candle(draw: Draw) -> Manifold:
 
 
 FAMILIES = (
-    Family(
-        "can",
-        can,
-        5.0,
-        "round",
-        "closed food tins with beaded rims, low tuna tins included",
-        0.004,
-        0,
-    ),
-    Family(
-        "drink_can", drink_can, 1.5, "round", "necked aluminium cans with a ring pull", 0.004, 0
-    ),
-    Family("crisps_tube", crisps_tube, 1.5, "round", "tall cardboard tubes with a lid", 0.005, 0),
-    Family("spray_can", spray_can, 1.5, "round", "aerosols with a cap or a spray button", 0.003, 0),
-    Family("jar", jar, 2.0, "round", "jars with their lids on, round or squarish", 0.004, 0),
-    Family("marker", marker, 2.5, "tool", "pens and markers, lying", 0.004, 0),
-    Family("flashlight", flashlight, 1.5, "tool", "torches with a sunken lens, lying", 0.003, 0),
-    Family("candle", candle, 1.5, "round", "columns, cones and turned stacks", 0.005, 0),
+    Family("can", can, 5.0, "round", 0.004, 0),
+    Family("drink_can", drink_can, 1.5, "round", 0.004, 0),
+    Family("crisps_tube", crisps_tube, 1.5, "round", 0.005, 0),
+    Family("spray_can", spray_can, 1.5, "round", 0.003, 0),
+    Family("jar", jar, 2.0, "round", 0.004, 0),
+    Family("marker", marker, 2.5, "tool", 0.004, 0),
+    Family("flashlight", flashlight, 1.5, "tool", 0.003, 0),
+    Family("candle", candle, 1.5, "round", 0.005, 0),
 )

@@ -219,32 +219,8 @@ def brush(draw: Draw) -> Manifold:
 
 
 FAMILIES = (
-    Family(
-        "hammer",
-        hammer,
-        2.0,
-        "tool",
-        "claw, ball-peen and sledge hammers, mallets, lying",
-        0.003,
-        0,
-    ),
-    Family(
-        "screwdriver",
-        screwdriver,
-        2.0,
-        "tool",
-        "screwdrivers and awls, fluted or smooth, lying",
-        0.003,
-        0,
-    ),
-    Family(
-        "power_drill",
-        power_drill,
-        2.5,
-        "compound",
-        "cordless drills, lying on their side",
-        0.003,
-        0,
-    ),
-    Family("brush", brush, 1.5, "flat", "paint, tooth and dish brushes, lying", 0.004, 0),
+    Family("hammer", hammer, 2.0, "tool", 0.003, 0),
+    Family("screwdriver", screwdriver, 2.0, "tool", 0.003, 0),
+    Family("power_drill", power_drill, 2.5, "compound", 0.003, 0),
+    Family("brush", brush, 1.5, "flat", 0.004, 0),
 )

@@ -271,9 +271,9 @@ def top_toy(draw: Draw) -> Manifold:
 
 
 FAMILIES = (
-    Family("aeroplane", aeroplane, 2.5, "compound", "toy aeroplanes with one or two wings", 0.003),
-    Family("toy_car", toy_car, 1.5, "toy", "cars, lorries and buses on four wheels", 0.003),
-    Family("animal", animal, 1.5, "compound", "animals and dolls of ellipsoids", 0.008),
-    Family("toy_house", toy_house, 1.0, "toy", "houses with roof, chimney and door", 0.003, 0),
-    Family("top_toy", top_toy, 1.0, "toy", "skittles, tops, chess men", 0.004, 0),
+    Family("aeroplane", aeroplane, 2.5, "compound", 0.003),
+    Family("toy_car", toy_car, 1.5, "toy", 0.003),
+    Family("animal", animal, 1.5, "compound", 0.008),
+    Family("toy_house", toy_house, 1.0, "toy", 0.003, 0),
+    Family("top_toy", top_toy, 1.0, "toy", 0.004, 0),
 )

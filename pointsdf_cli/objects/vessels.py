@@ -293,25 +293,15 @@ def tray(draw: Draw) -> Manifold:
 
 
 FAMILIES = (
-    Family("mug", mug, 3.0, "vessel", "mugs and tea cups with one handle", 0.002, 1),
-    Family("bowl", bowl, 3.0, "vessel", "bowls, some with a lip or a foot ring", 0.003, 0),
-    Family("plate", plate, 2.0, "vessel", "plates and saucers", 0.003, 0),
-    Family(
-        "tumbler",
-        tumbler,
-        2.5,
-        "vessel",
-        "glasses, paper cups and beakers, some upside down",
-        0.002,
-        0,
-    ),
-    Family("rim_cup", rim_cup, 3.0, "vessel", "stacking cups with rolled rims", 0.002, 0),
-    Family("wine_glass", wine_glass, 1.0, "vessel", "stemmed glasses and egg cups", 0.002, 0),
-    Family("pan", pan, 1.5, "vessel", "pans with a long handle, pots with two loops", 0.002),
-    Family("open_tin", open_tin, 1.5, "vessel", "opened tins and tubes", 0.003, 0),
-    Family(
-        "flower_pot", flower_pot, 1.0, "vessel", "tapered pots with a band, some with a hole", 0.003
-    ),
-    Family("lid", lid, 1.0, "vessel", "pot and jar lids, open side down", 0.003, 0),
-    Family("tray", tray, 1.5, "vessel", "open boxes, trays and crates", 0.003, 0),
+    Family("mug", mug, 3.0, "vessel", 0.002, 1),
+    Family("bowl", bowl, 3.0, "vessel", 0.003, 0),
+    Family("plate", plate, 2.0, "vessel", 0.003, 0),
+    Family("tumbler", tumbler, 2.5, "vessel", 0.002, 0),
+    Family("rim_cup", rim_cup, 3.0, "vessel", 0.002, 0),
+    Family("wine_glass", wine_glass, 1.0, "vessel", 0.002, 0),
+    Family("pan", pan, 1.5, "vessel", 0.002),
+    Family("open_tin", open_tin, 1.5, "vessel", 0.003, 0),
+    Family("flower_pot", flower_pot, 1.0, "vessel", 0.003),
+    Family("lid", lid, 1.0, "vessel", 0.003, 0),
+    Family("tray", tray, 1.5, "vessel", 0.003, 0),
 )

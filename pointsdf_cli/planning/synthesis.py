@@ -81,7 +81,6 @@ class Synthesis:
         reason: Reason code if there is no plan; else empty.
         sentence: The reason in words.
         seeds_tried: Number of starts given to the solver.
-        statistics: Counts of the sampled grasps by outcome.
         timings: Seconds by stage.
     """
 
@@ -92,7 +91,6 @@ class Synthesis:
     reason: str
     sentence: str
     seeds_tried: int
-    statistics: SeedStatistics
     timings: dict[str, float]
 
 
@@ -251,7 +249,6 @@ def _outcome(
         reason=reason,
         sentence=sentence,
         seeds_tried=tried,
-        statistics=statistics,
         timings=timings,
     )
 

@@ -34,11 +34,6 @@ class Trajectory:
     times: Array
     positions: Array
 
-    def at(self, time: Array) -> Array:
-        """Positions [N, J] at times [N], interpolated linearly."""
-        columns = [np.interp(time, self.times, column) for column in self.positions.T]
-        return np.stack(columns, axis=-1)
-
 
 def time_path(path: Array, velocity: Array, speed: float = 0.5) -> Trajectory:
     """Compute the times of a path that begins and ends at rest.

@@ -14,8 +14,6 @@ import torch
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.apart import require_apart
 from pointsdf_cli.io.grasps import (
-    HELD,
-    KINDS,
     SCHEMA,
     VERSION,
     Grasps,
@@ -74,30 +72,13 @@ class CollectTask:
         return self.patience[0] + self.patience[1] * executed
 
 
-@dataclass(frozen=True)
-class CollectSummary:
-    """Counts of attempts with one object by outcome.
-
-    Attributes:
-        executed: Grasps that were held or lost.
-        held: Number of held grasps by kind.
-        executed_by_kind: Number of executed grasps by kind.
-        causes: Number of attempts by cause.
-    """
-
-    executed: int
-    held: dict[str, int]
-    executed_by_kind: dict[str, int]
-    causes: dict[str, int]
-
-
-def collect_object(task: CollectTask) -> CollectSummary | None:
-    """Make attempts with one object until its quota is met or its patience ends; None if done.
+def collect_object(task: CollectTask) -> dict[str, int] | None:
+    """Make attempts with one object until its quota is met or its patience ends.
 
     An existing file is continued. An object without a further view counts as exhausted.
 
     Returns:
-        Counts of the new attempts.
+        Number of new attempts by cause; None if nothing was left to do.
 
     Raises:
         InputError: The mesh cannot be used, does not fit the hand, never rests or is never seen.
@@ -140,7 +121,7 @@ def collect_object(task: CollectTask) -> CollectSummary | None:
         robot.preshape_joints,
     )
     write_grasps(task.out, grasps, meta, seed=task.seed, config=config)
-    return summarise(made)
+    return made.count()
 
 
 def require_same_options(tasks: Iterable[CollectTask]) -> None:
@@ -169,16 +150,6 @@ def _options_of(task: CollectTask) -> dict[str, Any]:
     config |= {} if task.source is None else {"preshapes": task.source.as_dict()}
     config |= {} if task.unit == "m" else {"unit": task.unit}
     return config | {"mesh": file_sha256(task.mesh), "robot": robot_digest(task.robot)}
-
-
-def summarise(grasps: Grasps) -> CollectSummary:
-    """Counts of one object's attempts."""
-    by_kind, held = {}, {}
-    for i, kind in enumerate(KINDS):
-        of_kind = grasps.executed & (grasps.kind == i)
-        by_kind[kind] = int(of_kind.sum())
-        held[kind] = int((grasps.label[of_kind] == HELD).sum())
-    return CollectSummary(int(grasps.executed.sum()), held, by_kind, grasps.count())
 
 
 def split_of(names: Sequence[str], seed: int) -> dict[str, str]:

@@ -33,13 +33,9 @@ class WeightAverage(Generic[Model]):
             mine.copy_(theirs)
 
     def weights(self) -> dict[str, Tensor]:
-        """The averaged weights by name."""
-        return dict(self.model.state_dict())
-
-    def state(self) -> dict[str, Tensor]:
-        """State for `load`."""
+        """The averaged weights by name, also the state for `load`."""
         return dict(self.model.state_dict())
 
     def load(self, state: dict[str, Tensor]) -> None:
-        """Continue from `state`."""
+        """Continue from `weights`."""
         self.model.load_state_dict(state)

@@ -265,7 +265,7 @@ class _Run:
                 "data": self._data_hash,
                 "model": model.state_dict(),
                 "optimiser": self._optimiser.state_dict(),
-                "average": self.average.state(),
+                "average": self.average.weights(),
                 "since_validation": self._loss_count,
                 "total": self._loss_sum,
                 "step": self.step,

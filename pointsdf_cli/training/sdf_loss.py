@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -71,10 +70,6 @@ class SdfLoss:
         error = torch.where(error > 0, below * error, -above * error)
         distance = (error / (sdf.abs() + self.near)).mean()
         return distance + self.sign_weight * sign
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain types for config.json."""
-        return asdict(self)
 
 
 def label_iou(predicted: Tensor, sdf: Tensor) -> Tensor:

@@ -103,23 +103,12 @@ def overview(
 def close_ups(
     robot: RobotMeshes, q: Array, scene: PlanScene, size: tuple[int, int] = (480, 440)
 ) -> list[NDArray[np.uint8]]:
-    """The object with the hand, from where the camera stood and from the opposite side."""
-    stage = _translucent_hand(robot, q, scene)
-    return [_close_up(stage, scene, behind, size) for behind in (False, True)]
-
-
-def close_up(
-    robot: RobotMeshes,
-    q: Array,
-    scene: PlanScene,
-    behind: bool,
-    size: tuple[int, int] = (480, 440),
-) -> NDArray[np.uint8]:
-    """The object with the translucent hand, from where the camera stood or from behind.
+    """The object with the translucent hand, from where the camera stood and from behind.
 
     The arm is left out: it reaches over from behind, and would stand before everything.
     """
-    return _close_up(_translucent_hand(robot, q, scene), scene, behind, size)
+    stage = _translucent_hand(robot, q, scene)
+    return [_close_up(stage, scene, behind, size) for behind in (False, True)]
 
 
 def _translucent_hand(robot: RobotMeshes, q: Array, scene: PlanScene) -> Stage:
