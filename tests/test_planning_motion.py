@@ -123,7 +123,9 @@ def test_a_motion_ends_in_the_grasp_and_is_free_at_every_millimetre() -> None:
     assert ((trajectory.positions <= ROBOT.upper + 1e-9).all(axis=0)).all()
     # An independent look: dense samples, every distance, no shortcuts by bounds.
     t = np.linspace(0, trajectory.times[-1], 600)
-    dense = np.stack([np.interp(t, trajectory.times, q) for q in trajectory.positions.T], axis=-1)
+    dense = np.stack(
+        [np.interp(t, trajectory.times, one) for one in trajectory.positions.T], axis=-1
+    )
     assert checker.slack(dense).min() >= -5e-4
     # The preshape is taken first and kept.
     after = motion.corners[1:, 7:]
