@@ -10,7 +10,7 @@ import trimesh
 from PIL import Image
 
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.viz.plan_picture import PlanScene, dots, plan_picture
+from pointsdf_cli.viz.plan_picture import PlanScene, close_ups, dots, plan_picture
 from pointsdf_cli.viz.robot_picture import RobotMeshes
 
 ROBOT = load_robot()
