@@ -19,7 +19,7 @@ from typing import Any
 
 import kernels
 import torch
-from make_views import RECIPE
+from make_views import MOST_POINTS, RECIPE
 from torch import Tensor
 from views_on_device import Symmetry, Views
 
@@ -291,7 +291,10 @@ def main() -> None:
     parser.add_argument("--validate", type=float, default=2.0, help="minutes between validations")
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--seed", type=int, default=0)
-    Run(parser.parse_args()).finish()
+    options = parser.parse_args()
+    if max(options.points) > MOST_POINTS:
+        parser.error(f"--points: views hold at most {MOST_POINTS} points")
+    Run(options).finish()
 
 
 if __name__ == "__main__":

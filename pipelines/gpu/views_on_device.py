@@ -126,8 +126,7 @@ class Views:
                 rows[new] = torch.from_numpy(values).to(self.device)
         self._find_symmetry(new)
         for size in self.sizes:
-            fits = self._rows["count"][new] >= (size if size > self.sizes[0] else 0)
-            views = new.start + fits.nonzero()[:, 0]
+            views = new.start + self._fits(size, new).nonzero()[:, 0]
             end = self._counts[size] + len(views)
             self._enough[size][self._counts[size] : end] = views
             self._counts[size] = end
@@ -177,10 +176,15 @@ class Views:
 
     def of_size(self, size: int) -> Tensor:
         """The views whose largest of `sizes` this is, int64 [N]."""
-        count = self._rows["count"][: self.count]
-        larger = [each for each in self.sizes if each > size]
-        mine = count >= (size if size > self.sizes[0] else 0)
-        return (mine & (count < larger[0]) if larger else mine).nonzero()[:, 0]
+        here = slice(0, self.count)
+        mine = self._fits(size, here)
+        for larger in self.sizes[self.sizes.index(size) + 1 :]:
+            mine = mine & ~self._fits(larger, here)
+        return mine.nonzero()[:, 0]
+
+    def _fits(self, size: int, views: slice) -> Tensor:
+        """Whether views have enough points for a size, bool [N]; for the smallest all have."""
+        return self._rows["count"][views] >= (0 if size == self.sizes[0] else size)
 
     def _sample(self, views: Tensor, size: int = CLOUD_SIZE) -> Tensor:
         """Points [B, size, 3] of each view, as `systematic_sample` takes them."""
