@@ -1,9 +1,9 @@
-"""The mean of two checkpoints of one architecture, of which the second learned from the first.
+"""The mean of two checkpoints that learned from the same weights, or one from the other.
 
-    python pipelines/average_weights.py BEFORE AFTER SHARE OUT
+    python pipelines/average_weights.py FIRST SECOND SHARE OUT
 
-OUT gets (1 − SHARE) · BEFORE + SHARE · AFTER. Such a mean errs less than either where the second
-run specialised (Wortsman et al. 2022, "Model soups").
+OUT gets (1 − SHARE) · FIRST + SHARE · SECOND in half precision. Such a mean errs less than either
+where a run specialised (Wortsman et al. 2022, "Model soups").
 """
 
 from __future__ import annotations
@@ -13,18 +13,22 @@ from pathlib import Path
 
 from pointsdf_cli.io.checkpoints import read_checkpoint, write_checkpoint
 
+OF_A_RUN = ("training", "progress", "best", "data", "git_commit")
+"""Entries of a checkpoint's configuration that describe its last run."""
 
-def main(before: Path, after: Path, share: float, out: Path) -> None:
-    """Write the mean with the configuration of AFTER, which then says what it is the mean of."""
-    first, second = read_checkpoint(before), read_checkpoint(after)
+
+def main(first_path: Path, second_path: Path, share: float, out: Path) -> None:
+    """Write the mean with the configuration of SECOND and, under `mean`, that of the other run."""
+    first, second = read_checkpoint(first_path), read_checkpoint(second_path)
     weights = {
         name: (1 - share) * first.weights[name].float() + share * value.float()
         if value.is_floating_point()
         else value
         for name, value in second.weights.items()
     }
-    config = dict(second.config) | {"mean": {"share_of_last_run": share}}
-    write_checkpoint(out, config=config, weights=weights)
+    other = {name: first.config[name] for name in OF_A_RUN if name in first.config}
+    config = dict(second.config) | {"mean": {"share": share, "of_the_rest": other}}
+    write_checkpoint(out, config=config, weights=weights, half=True)
 
 
 if __name__ == "__main__":

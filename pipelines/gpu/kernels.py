@@ -47,7 +47,7 @@ def farthest_first(points: Tensor, count: int) -> Tensor:
     points = points.float().contiguous()
     order = torch.empty(len(points), count, dtype=torch.int64, device=points.device)
     sizes = (np.int32(points.shape[1]), np.int32(count))
-    _launch(_kernel("fps", MOST=MOST_POINTS), len(points), 256, points, order, *sizes)
+    _launch(_kernel("fps"), len(points), 256, points, order, *sizes)
     return order
 
 
@@ -72,7 +72,7 @@ def signed_distance(x: Tensor, triangles: Tensor) -> Tensor:
 def _kernel(name: str, **defines: int) -> Any:
     import cupy
 
-    values = {"DIM": 3, "COUNT": 1} | defines
+    values = {"DIM": 3, "COUNT": 1, "MOST": MOST_POINTS} | defines
     text = "".join(f"#define {key} {value}\n" for key, value in values.items())
     return cupy.RawModule(code=text + SOURCE.read_text(), options=("-std=c++17",)).get_function(
         name

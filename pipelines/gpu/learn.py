@@ -37,7 +37,7 @@ from pointsdf_cli.training.sdf_config import TrainConfig
 from pointsdf_cli.training.sdf_data import Batch, predict
 from pointsdf_cli.training.sdf_loss import label_iou
 
-FILES_AT_ONCE = 16
+FILES_AT_ONCE = 3
 VALIDATION_QUERIES = 1500
 REPORT_EVERY = 500
 HELD_OUT = 1000
@@ -266,7 +266,7 @@ class Run:
             "progress": {"step": training.steps, "seconds": seconds},
             "best": entry,
             "started_from": read_config(start) if start else None,
-            "data": {"views": self._views.count, **self._recipe()},
+            "data": {"view_count": self._views.count, **self._recipe()},
             "git_commit": git_commit(),
         }
         weights = training.average.weights()
