@@ -27,6 +27,7 @@ _RANGES = {
     "registration": (0.0, 10.0),
     "registration_window": (10.0, 1000.0),
     "fattening": (0.0, 20.0),
+    "matching_window": (0.0, 50.0),
     "edge_slope": (1.0, 100.0),
     "missing_at_edge": (0.0, 1.0),
     "missing_reach": (0.1, 50.0),
@@ -48,8 +49,8 @@ _RANGES = {
 
 _VARIED = (
     *("displacement", "displacement_window", "registration", "registration_window"),
-    *("fattening", "missing_at_edge", "missing_reach", "missing_patches", "missing_grazing"),
-    *("flying", "quantisation", "axial_floor", "axial_depth", "axial_incidence"),
+    *("fattening", "matching_window", "missing_at_edge", "missing_reach", "missing_patches"),
+    *("missing_grazing", "flying", "quantisation", "axial_floor", "axial_depth", "axial_incidence"),
     *("disparity_noise", "noise_window", "bias", "bias_window"),
 )
 """Errors that `varied` scales; geometry stays."""
@@ -76,6 +77,7 @@ class DepthSensor:
         registration: σ of the low-frequency displacement of whole objects [px].
         registration_window: Length over which it is correlated [px].
         fattening: Growth of near surfaces over far ones [px].
+        matching_window: Side of the window in which disparities are matched, and so averaged [px].
         edge_slope: tan of the incidence beyond which two neighbouring pixels are a depth edge.
         missing_at_edge: Probability of no return at a depth edge.
         missing_reach: Distance from the edge at which it has fallen to 1/e [px].
@@ -108,6 +110,7 @@ class DepthSensor:
     registration: float = 0.0
     registration_window: float = 50.0
     fattening: float = 0.0
+    matching_window: float = 0.0
     edge_slope: float = 6.0
     missing_at_edge: float = 0.0
     missing_reach: float = 2.0
@@ -147,6 +150,7 @@ class DepthSensor:
             getattr(self, name)
             for name in (
                 *("displacement", "registration", "fattening", "flying", "quantisation", "bias"),
+                *("matching_window",),
                 *("missing_at_edge", "missing_patches", "missing_grazing", "disparity_noise"),
                 *("axial_floor", "axial_depth", "axial_incidence", "shadow_left", "shadow_right"),
             )
@@ -246,6 +250,9 @@ class DepthSensor:
         slopes = effects.gradient(inverse)
         if cosine is None:
             cosine = effects.cos_incidence(inverse, slopes, camera, origin)
+        if self.matching_window:
+            inverse = effects.averaged(inverse, scale * self.matching_window / 2, jump)
+            slopes = effects.gradient(inverse)
         incidence = effects.incidence_index(np.asarray(cosine, dtype=np.float32))
         if self.displacement or self.registration:
             shape = (2, *inverse.shape)

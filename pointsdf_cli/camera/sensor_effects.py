@@ -28,6 +28,9 @@ _ROUNDING = 0.01
 _FEW_STEPS = 6
 """Number of comparisons up to which they are faster than a running maximum."""
 
+_AVERAGED = 4
+"""Most distances at which `averaged` takes neighbours."""
+
 STEEPEST = 1.4
 """Incidence [rad] beyond which the axial noise is constant: its formula diverges."""
 
@@ -161,6 +164,42 @@ def grown(inverse: Image, radius: float, relative: float) -> Image:
     for _ in range(round(radius)):
         near = _dilated(found)
         found = np.where(near > found * np.float32(1 + relative), near, found)
+    return found
+
+
+def averaged(inverse: Image, radius: float, relative: float) -> Image:
+    """Inverse depths averaged within surfaces, as by the window in which disparities are matched.
+
+    Near a silhouette only the near side of the window is left, so that round surfaces look flatter
+    there. Rows and columns are averaged in turn, at up to `_AVERAGED` distances to each side.
+
+    Args:
+        inverse: Inverse depths.
+        radius: Half the window's side [px].
+        relative: Difference of a pixel, as a share of its depth, beyond which a neighbouring one
+            is another surface.
+    """
+    count = min(round(radius), _AVERAGED)
+    if count < 1:
+        return inverse
+    distances = np.unique(np.rint(np.linspace(radius / count, radius, count)).astype(int))
+    found = inverse
+    for axis in (0, 1):
+        total, weight = found.copy(), np.ones_like(found)
+        values = found.swapaxes(0, axis)
+        sums, weights = total.swapaxes(0, axis), weight.swapaxes(0, axis)
+        for away in distances[distances < len(values)]:
+            limit = np.float32(relative * away)
+            for here, there in (
+                (np.s_[away:], np.s_[:-away]),
+                (np.s_[:-away], np.s_[away:]),
+            ):
+                centre, other = values[here], values[there]
+                same = np.abs(other - centre) <= limit * np.minimum(centre, other)
+                same &= other > 0
+                sums[here] += other * same
+                weights[here] += same
+        found = total / weight
     return found
 
 

@@ -55,6 +55,7 @@ SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
                 registration=0.7,
                 registration_window=60.0,
                 fattening=1.0,
+                matching_window=9.0,
                 missing_at_edge=0.2,
                 missing_reach=1.0,
                 missing_patches=0.002,
@@ -65,9 +66,10 @@ SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
                 flying=0.3,
                 quantisation=1 / 32,
                 axial_incidence=7e-5,
-                disparity_noise=0.1,
-                noise_window=2.0,
-                bias=0.0025,
+                disparity_noise=0.14,
+                noise_window=8.0,
+                bias=0.005,
+                bias_window=60.0,
             ),
         )
     }
