@@ -189,16 +189,15 @@ def averaged(inverse: Image, radius: float, relative: float) -> Image:
         values = found.swapaxes(0, axis)
         sums, weights = total.swapaxes(0, axis), weight.swapaxes(0, axis)
         for away in distances[distances < len(values)]:
-            limit = np.float32(relative * away)
-            for here, there in (
-                (np.s_[away:], np.s_[:-away]),
-                (np.s_[:-away], np.s_[away:]),
-            ):
-                centre, other = values[here], values[there]
-                same = np.abs(other - centre) <= limit * np.minimum(centre, other)
-                same &= other > 0
-                sums[here] += other * same
-                weights[here] += same
+            one, other = values[away:], values[:-away]
+            lesser = np.minimum(one, other)
+            same = np.abs(one - other) <= np.float32(relative * away) * lesser
+            same &= lesser > 0
+            share = same.astype(np.float32)
+            sums[away:] += other * share
+            sums[:-away] += one * share
+            weights[away:] += share
+            weights[:-away] += share
         found = total / weight
     return found
 
