@@ -18,7 +18,7 @@ OF_A_RUN = ("training", "progress", "best", "data", "git_commit")
 
 
 def main(first_path: Path, second_path: Path, share: float, out: Path) -> None:
-    """Write the mean with the configuration of SECOND and, under `mean`, that of the other run."""
+    """Write the mean with the configuration of SECOND and, under `mean`, the first run."""
     first, second = read_checkpoint(first_path), read_checkpoint(second_path)
     weights = {
         name: (1 - share) * first.weights[name].float() + share * value.float()
@@ -27,7 +27,7 @@ def main(first_path: Path, second_path: Path, share: float, out: Path) -> None:
         for name, value in second.weights.items()
     }
     other = {name: first.config[name] for name in OF_A_RUN if name in first.config}
-    config = dict(second.config) | {"mean": {"share": share, "of_the_rest": other}}
+    config = dict(second.config) | {"mean": {"share_of_second_run": share, "first_run": other}}
     write_checkpoint(out, config=config, weights=weights, half=True)
 
 

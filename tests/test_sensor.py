@@ -110,7 +110,7 @@ def test_the_middle_of_a_wall_that_faces_the_camera_is_measured_everywhere(name:
     measured = observe(sensor, flat(1.0))
     assert (measured > 0).all()
     sigma = math.hypot(sensor.deviation(1.0), sensor.bias)
-    assert np.abs(measured - 1).max() < 5.5 * sigma < 0.04
+    assert np.abs(measured - 1).max() < 5.5 * sigma < 0.025
 
 
 def test_disparity_is_quantised_in_steps_of_its_own() -> None:

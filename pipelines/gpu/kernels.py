@@ -39,7 +39,7 @@ def nearest(queries: Tensor, points: Tensor, count: int) -> Tensor:
 
 @torch.no_grad()
 def farthest_first(points: Tensor, count: int) -> Tensor:
-    """`farthest_point_order` of points [B, N ≤ 1024, 3]: int64 [B, count]."""
+    """`farthest_point_order` of points [B, N ≤ MOST_POINTS, 3]: int64 [B, count]."""
     if not points.is_cuda:
         return farthest_point_order(points, count)
     if points.shape[1] > MOST_POINTS:

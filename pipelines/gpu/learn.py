@@ -38,6 +38,7 @@ from pointsdf_cli.training.sdf_data import Batch, predict
 from pointsdf_cli.training.sdf_loss import label_iou
 
 FILES_AT_ONCE = 3
+"""Files read together: eigenvectors of the normals of 16 fill the memory of a GPU."""
 VALIDATION_QUERIES = 1500
 REPORT_EVERY = 500
 HELD_OUT = 1000

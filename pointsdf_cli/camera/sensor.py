@@ -149,9 +149,9 @@ class DepthSensor:
         return not any(
             getattr(self, name)
             for name in (
-                *("displacement", "registration", "fattening", "flying", "quantisation", "bias"),
-                *("matching_window",),
-                *("missing_at_edge", "missing_patches", "missing_grazing", "disparity_noise"),
+                *("displacement", "registration", "fattening", "matching_window", "flying"),
+                *("missing_at_edge", "missing_patches", "missing_grazing"),
+                *("quantisation", "bias", "disparity_noise"),
                 *("axial_floor", "axial_depth", "axial_incidence", "shadow_left", "shadow_right"),
             )
         )

@@ -66,9 +66,9 @@ SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
                 flying=0.3,
                 quantisation=1 / 32,
                 axial_incidence=7e-5,
-                disparity_noise=0.14,
+                disparity_noise=0.1,
                 noise_window=8.0,
-                bias=0.005,
+                bias=0.003,
                 bias_window=60.0,
             ),
         )
