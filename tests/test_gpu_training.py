@@ -194,7 +194,7 @@ def test_a_scan_becomes_several_objects(tmp_path):
     trimesh.creation.box((0.04, 0.06, 0.1)).export(tmp_path / "box.ply")
     options = argparse.Namespace(
         validation=0, seed=5, objects=3, meshes=tmp_path, group=100, views=1, exact=1.0,
-        spread=0.0, out=tmp_path,
+        spread=0.0, dark=0.0, out=tmp_path,
     )  # fmt: skip
     first = next(make_views.tasks(options))
     scans = sorted((one for one in first.sources if one.path), key=lambda one: one.number)

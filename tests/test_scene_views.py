@@ -166,6 +166,20 @@ def test_each_view_has_a_sensor_of_its_own_where_they_vary(box: LoadedMesh) -> N
         SceneViewConfig(sensor_spread=-1.0)
 
 
+def test_dark_things_lose_pixels(box: LoadedMesh) -> None:
+    config = SceneViewConfig(("structured-light",), RESTING, EXACT)
+    counts = []
+    for dark in (0.0, 1.0):
+        views = SceneViews(box, CAMERAS["xtion"], replace(config, dark=dark))
+        counts.append([len(views.draw(np.random.default_rng(k))[0].points) for k in range(12)])
+    kept = np.array(counts[1]) / counts[0]
+    # DARK: 5 to 50% are lost beside what other errors take.
+    assert 0.55 < np.mean(kept) < 0.85
+    assert kept.max() - kept.min() > 0.15
+    with pytest.raises(InputError, match="dark"):
+        SceneViewConfig(dark=1.5)
+
+
 def test_unknown_sensors_are_refused() -> None:
     with pytest.raises(InputError, match="lidar"):
         SceneViewConfig(("lidar",))

@@ -95,8 +95,7 @@ class Task:
     sources: tuple[Source, ...]
     views: int
     labelled: bool
-    exact: float
-    spread: float
+    config: SceneViewConfig
     out: Path
 
 
@@ -139,8 +138,7 @@ def path_of(task: Task) -> Path:
 def _draw(mesh: LoadedMesh, task: Task, rng: np.random.Generator) -> list[SceneView]:
     cameras = [COLOUR, *(CAMERAS[name] for name in list(CAMERA_SHARES)[1:])]
     camera = cameras[rng.choice(len(cameras), p=list(CAMERA_SHARES.values()))]
-    config = SceneViewConfig(sensors=SENSORS, exact=task.exact, sensor_spread=task.spread)
-    drawer = SceneViews(mesh, camera, config)
+    drawer = SceneViews(mesh, camera, task.config)
     return [drawer.draw(rng)[0] for _ in range(task.views)]
 
 
@@ -213,10 +211,14 @@ def label_arrays(mesh: LoadedMesh, rng: np.random.Generator) -> dict[str, NDArra
 
 def tasks(options: argparse.Namespace) -> Iterator[Task]:
     """Validation first, then rounds over all objects in new orders, without end."""
+    config = SceneViewConfig(
+        SENSORS, exact=options.exact, sensor_spread=options.spread, dark=options.dark
+    )
+    preset = replace(config, sensor_spread=0.0, dark=0.0)
     held = [Source(k, VALIDATION_SEED, k) for k in range(options.validation)]
     for first in range(0, len(held), 8):
         group = tuple(held[first : first + 8])
-        yield Task(first, group, VALIDATION_VIEWS, True, options.exact, 0.0, options.out / "valid")
+        yield Task(first, group, VALIDATION_VIEWS, True, preset, options.out / "valid")
     rng = np.random.default_rng(options.seed)
     stretched = rng.random(options.objects) < STRETCHED
     every = [Source(k, options.seed, k, None, bool(s)) for k, s in enumerate(stretched)]
@@ -228,16 +230,13 @@ def tasks(options: argparse.Namespace) -> Iterator[Task]:
         order = rng.permutation(len(every))
         for first in range(0, len(order), options.group):
             sources = tuple(every[k] for k in order[first : first + options.group])
-            yield Task(
-                number, sources, options.views, turn == 0, options.exact, options.spread,
-                options.out,
-            )  # fmt: skip
+            yield Task(number, sources, options.views, turn == 0, config, options.out)
             number += 1
 
 
 def write_recipe(options: argparse.Namespace) -> None:
     """Write the options that decide what the views are, for the checkpoint's config."""
-    names = ("seed", "objects", "views", "exact", "spread")
+    names = ("seed", "objects", "views", "exact", "spread", "dark")
     recipe = {name: getattr(options, name) for name in names} | {
         "scans": len(find_meshes(options.meshes)) if options.meshes else 0,
         "shapes_per_scan": SCAN_SHAPES,
@@ -264,6 +263,7 @@ def main() -> None:
     parser.add_argument("--group", type=int, default=12, help="objects of a file")
     parser.add_argument("--exact", type=float, default=0.4, help="share of views without errors")
     parser.add_argument("--spread", type=float, default=0.5, help="spread of the sensors' errors")
+    parser.add_argument("--dark", type=float, default=0.15, help="share of views of dark things")
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=max(1, (os.cpu_count() or 2) - 2))
     options = parser.parse_args()

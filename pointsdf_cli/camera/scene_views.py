@@ -17,6 +17,7 @@ from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster
 from pointsdf_cli.camera.seen_object import SeenObject, SegmentationErrors, segment_scene
+from pointsdf_cli.camera.sensor import DepthSensor
 from pointsdf_cli.camera.sensor_presets import SENSORS, load_sensor
 from pointsdf_cli.camera.table_scene import OBJECT, RenderedScene, SceneConfig, draw_scene
 from pointsdf_cli.errors import InputError
@@ -29,6 +30,10 @@ FEWEST_POINTS = 60
 MOST_HIDDEN = 0.45
 """A view in which more of the object's pixels are hidden is drawn again."""
 DRAWS = 30
+DARK = (0.05, 0.5)
+"""Shares of a dark or shiny thing's pixels without a return; a black marker loses 40%."""
+DARK_PATCH = (5.0, 30.0)
+"""Lengths over which these are correlated [px of the sensor]."""
 NO_ERRORS = SegmentationErrors(
     masked=1.0,
     offset=(0.0, 0.0),
@@ -54,6 +59,7 @@ class SceneViewConfig:
         exact_resting: Share of these in which the object rests on a table; in the others it is
             turned at random.
         sensor_spread: Spread of the errors of each view's sensor (`DepthSensor.varied`).
+        dark: Share of the other views whose surfaces return little, as dark or shiny ones do.
 
     Raises:
         InputError: No sensor, or one that does not exist.
@@ -65,10 +71,12 @@ class SceneViewConfig:
     exact: float = 0.0
     exact_resting: float = 0.6
     sensor_spread: float = 0.0
+    dark: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.exact <= 1:
-            raise InputError(f"exact = {self.exact}", allowed="a share from 0 to 1")
+        for name in ("exact", "dark"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"{name} = {getattr(self, name)}", allowed="a share from 0 to 1")
         if not 0 <= self.sensor_spread <= 2:
             raise InputError(f"sensor_spread = {self.sensor_spread}", allowed="0 to 2")
         if not self.sensors:
@@ -128,7 +136,7 @@ class SceneViews:
             if _hidden(scene) > MOST_HIDDEN:
                 continue
             drawn = self._sensors[rng.integers(len(self._sensors))]
-            sensor = self._ideal if exact else drawn.varied(config.sensor_spread, rng)
+            sensor = self._ideal if exact else self._varied(drawn, rng)
             window = scene.window
             measured = sensor.observe(window.depth, camera, rng, window.origin, window.cosine)
             seen = segment_scene(scene, measured, camera, errors, rng)
@@ -145,6 +153,14 @@ class SceneViews:
             f"{DRAWS} scenes showed fewer than {FEWEST_POINTS} points of it",
             hint="check its size and unit, or choose another --camera",
         )
+
+    def _varied(self, sensor: DepthSensor, rng: np.random.Generator) -> DepthSensor:
+        """A sensor with this view's errors."""
+        varied = sensor.varied(self._config.sensor_spread, rng)
+        if varied.is_ideal or not self._config.dark or rng.random() >= self._config.dark:
+            return varied
+        share, window = rng.uniform(*DARK), rng.uniform(*DARK_PATCH)
+        return replace(varied, missing_patches=share, patch_window=window)
 
 
 def _hidden(scene: RenderedScene) -> float:
