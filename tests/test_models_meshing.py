@@ -98,8 +98,10 @@ def test_interpolated_values_make_the_surface_that_all_values_make(
     made, exact = (mesh_reconstruction(mug, resolution, exact=e) for e in (False, True))
     solid, whole = (trimesh.Trimesh(m.vertices, m.faces, process=False) for m in (made, exact))
     assert solid.is_watertight
-    assert solid.volume == pytest.approx(whole.volume, rel=0.02)
     unit = 1 / mug.scale
+    # Mean offset along the normals, whatever the thickness of the walls.
+    offset = abs(solid.volume - whole.volume) / whole.area
+    assert offset < 0.05 * 1.6 * unit / resolution
     apart = cKDTree(exact.vertices).query(made.vertices)[0]
     assert np.percentile(apart, 95) < 0.25 * 1.6 * unit / 64  # of a cell that was halved
     assert made.queries < (1.1 if resolution == 128 else 0.5) * exact.queries
