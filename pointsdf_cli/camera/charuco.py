@@ -126,7 +126,7 @@ def without_distortion(view: BoardView, camera: Camera, coefficients: Sequence[f
     import cv2
 
     lens, still, pixels = np.asarray(coefficients), np.zeros(3), view.pixels.copy()
-    for _ in range(30):  # fixed point of: the ideal pixel, distorted, is the one found
+    for _ in range(30):  # fixed point: ideal pixels that distort to those found
         rays = camera.back_project(pixels[:, 0], pixels[:, 1], 1.0)
         bent = cv2.projectPoints(rays, still, still, camera.K, lens)[0].reshape(-1, 2)
         pixels = pixels + view.pixels - bent

@@ -37,7 +37,7 @@ PART_GAP = 0.4
 """A smaller group is a speck if it is farther from what is kept than this share of the object's
 size."""
 TINY_SHARE, TINY_GAP = 0.005, 0.015
-"""A group with less than this share may be this far [m]."""
+"""Share of all points below which a group is tiny, and largest gap [m] at which it is kept."""
 
 
 @dataclass(frozen=True)

@@ -265,7 +265,7 @@ def _standard_deviations(
         information += jacobian.T @ jacobian
         scatter += np.outer(gradient, gradient)
     inverse = np.linalg.pinv(information)
-    # Twelve unknowns were fitted, six numbers an image say anything about the robot's pose.
+    # Small-sample correction: 12 unknowns fitted, 6 numbers per image about the robot's pose.
     few = len(images) / max(len(images) - 2, 1)
     variance = np.diag(inverse @ scatter @ inverse) * few
     return float(np.sqrt(variance[3:6].sum())), float(np.sqrt(variance[:3].sum()))

@@ -145,7 +145,7 @@ class SceneViews:
             kept = clean(seen.points).kept
             if kept.sum() < FEWEST_POINTS:
                 continue
-            # What cleaning drops lies between surfaces: of its pixels nothing is known.
+            # Points that cleaning drops lie between surfaces: their pixels count as unknown.
             seen = SeenObject(seen.points[kept], seen.others, seen.support_plane, seen.rays)
             view = SceneView(seen.points, scene.T_camera_object, seen.evidence(1.0 / camera.fx))
             return view, rejected

@@ -119,7 +119,7 @@ def segment_scene(
         mask = _erring_mask(scene, camera, errors, rng)
         rays = camera.rays_of(mask & ~returned, scene.window.origin)
     else:
-        # Whatever stands above the plane and hangs together: up to a few pixels of flying ones.
+        # The object's pixels and those up to a few pixels beside it: flying ones.
         near = ndimage.binary_dilation(scene.label == OBJECT, iterations=3)
         mask = near & (scene.label != OTHER)
     kept = mask[rows, columns] & above

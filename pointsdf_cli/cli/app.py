@@ -34,8 +34,8 @@ COMMANDS = (
     "robot",
     "view",
 )
-"""In the order of the help. Each is in the module of its name: a function of that name, or, with
-commands of its own, `app`."""
+"""Commands in the order of the help. Each is defined in the module of its name: as a function of
+that name or, if it has subcommands, as `app`."""
 
 
 class _Commands(TyperGroup):
@@ -53,7 +53,7 @@ class _Commands(TyperGroup):
             option, inner = error.param, error.ctx
             if option is None or inner is None:
                 raise
-            # What completion offers is known to every version of Typer in the same way.
+            # The values offered for completion are available in the same way in all Typer versions.
             offered = [item.value for item in option.shell_complete(inner, "") if item.value]
             if not offered:
                 raise

@@ -77,7 +77,7 @@ def main() -> None:
         print(printable(f"rgrasp: {error.message}"), file=sys.stderr)
         sys.exit(error.exit_code)
     except SystemExit as leave:
-        # Typer has made exit codes of these.
+        # Typer has converted these exceptions to exit codes.
         if _came_of(leave, KeyboardInterrupt):
             print(STOPPED, file=sys.stderr)
             sys.exit(130)
@@ -217,7 +217,7 @@ def _interruptible_imports() -> Iterator[None]:
 
     usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if not usual or threading.current_thread() is not threading.main_thread():
-        yield  # ignored, as behind `nohup … &`, or somebody else's
+        yield  # SIGINT is ignored (`nohup … &`), or handled elsewhere
         return
     signal.signal(signal.SIGINT, interrupt)
     try:

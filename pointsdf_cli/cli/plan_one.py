@@ -97,7 +97,7 @@ def plan_one(
     answer = result.plan
     for stale in (trajectory, picture):  # a motion to another object must not outlive its plan
         if stale is not None:
-            stale.resolve().unlink(missing_ok=True)  # of a link, what it leads to
+            stale.resolve().unlink(missing_ok=True)  # of a symbolic link, its target
     config = _config(result.options, request.names, request.seed) | dict(asked)
     write_plan(out, answer, seed=request.seed, config=config)
     found = answer.status == OK
@@ -194,10 +194,10 @@ def _report(
 
     plan, warnings = result.plan, result.warnings
     files = {"out": out, "picture": picture, "trajectory_file": trajectory}
-    lines = []  # why there is no plan is the message with which the command fails
+    lines = []  # empty without a plan: the error message states the reason
     if not plan.reason:
         lines.append(f"{out}: {headline(plan)}")
-        # What was said before the planning is not said again.
+        # Do not repeat warnings that were printed before the planning.
         doubt = plan.sentence.removesuffix(as_sentences(warnings)).strip()
         if doubt:
             reporter.say(f"warning: {doubt}")

@@ -41,7 +41,7 @@ class Reporter:
             text = printable_json(to_json(values))
             try:
                 text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
-            except UnicodeEncodeError:  # then all of it as escapes, which JSON has its own of
+            except UnicodeEncodeError:  # escape non-ASCII characters, as JSON allows
                 text = json.dumps(json.loads(text))
             print(text)
         else:

@@ -152,7 +152,7 @@ class BodyOfRevolution:
         value = (1 - x) * ((1 - y) * a + y * b) + x * ((1 - y) * c + y * d)
         by_radius = ((1 - y) * (c - a) + y * (d - b)) / sides[0]
         by_height = ((1 - x) * (b - a) + x * (d - c)) / sides[1]
-        # Beyond the table, where nothing needs exact values: its edge's value and the way there.
+        # Beyond the table an estimate is enough: the value at its edge plus the distance to it.
         out = np.linalg.norm(beyond, axis=1)
         away = out > 0
         if away.any():

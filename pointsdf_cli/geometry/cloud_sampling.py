@@ -1,8 +1,8 @@
 """Systematic sampling: a subset of a cloud that is spread over the image as the cloud is.
 
-Independent draws leave gaps that change from draw to draw, and with them what a network believes of
-the hidden side. Points taken at equal steps along a space-filling curve leave none: two samples of
-one cloud differ by a fraction of the point spacing.
+Independent random samples leave gaps that differ from sample to sample, and a network predicts a
+different hidden side from each. Points taken at equal steps along a space-filling curve leave no
+such gaps: two samples of one cloud differ by a fraction of the point spacing.
 """
 
 from __future__ import annotations

@@ -29,9 +29,9 @@ def cubic_cells(around: NDArray[np.float32], factor: int) -> NDArray[np.float32]
     weights = np.stack(
         [-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, t**3 - t**2]
     ).astype(np.float32) / np.float32(2)
-    # Cells last, so that each sum runs along memory. Not a product of matrices: its rounding
-    # depends on the row's place, and neighbours that round the corners of their common face to
-    # other signs would leave a hole.
+    # Cells last, so that each sum runs along memory. A matrix product is avoided: its rounding
+    # depends on the row's position, so that two neighbouring cells could round a corner of their
+    # common face to different signs, which would leave a hole.
     block = np.ascontiguousarray(around.reshape(-1, 64).T).reshape(4, 4, 4, -1)
     for _ in range(3):  # along the first axis, which then becomes the last of the three
         rows = [sum(weights[k, j] * block[k] for k in range(4)) for j in range(factor + 1)]

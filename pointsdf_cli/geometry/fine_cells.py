@@ -47,7 +47,7 @@ def refine_cells(
     """The finer cells that the surface crosses, inside the given ones and, from there, beyond.
 
     Args:
-        grid: Asked at the corners of the cells; the corners around them are asked here.
+        grid: Has values at the corners of these cells; corners around them are evaluated.
         rows: [C, 8], the corner rows of the grid's finest cells that the surface crosses.
         factor: Finer cells along each side of one.
 

@@ -2,11 +2,11 @@
 
 MISE finds the cells (`mise.py`), marching cubes interpolates the field's own values (not a
 thresholded copy, which would leave stairs), and one Newton step along each crossed edge pulls the
-vertices to zero. A grid as coarse as it is fine (`coarse = resolution`) is the dense extraction;
-both give the same surface wherever the coarse grid sees any of it.
+vertices to zero. With `coarse = resolution` the extraction is dense; it gives the same surface
+wherever the coarse grid detects any of it.
 
-Limit: a separate part that no corner of the coarse grid is inside of, or within half a cell of, is
-not found. A sheet cannot hide like that; a ball thinner than √3 − 1 = 0.73 coarse cells can.
+Limit: a separate part is missed if no corner of the coarse grid lies inside it or within half a
+cell of it. A sheet is always found; a ball thinner than √3 − 1 = 0.73 coarse cells may be missed.
 """
 
 from __future__ import annotations

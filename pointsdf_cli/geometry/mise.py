@@ -25,8 +25,8 @@ from pointsdf_cli.geometry.sampled_grid import Cells, SampledGrid
 
 _FEWEST = 8
 """Cells along each side of the largest cells that the search may begin with."""
-# By which of a cell's corners are inside (`cell_cases`): which corners end a crossed edge [256, 8],
-# and which faces the surface cuts [6, 256], with the way across each.
+# Tables over the 256 patterns of a cell's inside corners (`cell_cases`): the corners that end a
+# crossed edge [256, 8], and the faces that the surface cuts [6, 256], with the step across each.
 _INSIDE = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1, bitorder="little") > 0
 _CROSSED_ENDS = np.any([_INSIDE[:, np.arange(8) ^ bit] != _INSIDE for bit in (4, 2, 1)], axis=0)
 _FACES = [(axis, side) for axis in range(3) for side in (0, 1)]

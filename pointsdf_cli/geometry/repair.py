@@ -113,8 +113,8 @@ def _turned(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold
 def _unite(solid: manifold3d.Manifold) -> tuple[manifold3d.Manifold, str]:
     """Overlapping pieces made one; pieces turned inward inside others stay as cavities.
 
-    One turned inward elsewhere is a body whose faces are the wrong way round: taken for a cavity,
-    a mug would lose its handle.
+    A piece turned inward outside all others is a body with reversed faces. If it were treated as a
+    cavity, a mug would lose its handle.
     """
     pieces = solid.decompose()
     if len(pieces) < 2:

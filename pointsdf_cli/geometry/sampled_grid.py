@@ -136,7 +136,7 @@ class SampledGrid:
 
     def cases(self, rows: NDArray[np.integer]) -> NDArray[np.uint8]:
         """Inside corners as bits, u1 [C] (`cell_cases`), of cells with corner rows [C, 8]."""
-        # Bytes before they are picked: a quarter of the memory that is jumped about in.
+        # Compare before gathering: random access then covers bytes, a quarter of the memory.
         return cell_cases((self.values < 0)[rows])
 
     def halve(self, cells: Cells, stride: int, slope: float) -> Cells:

@@ -165,7 +165,7 @@ def _best_axis(seen: OrientedPoints, support_plane: Array | None) -> AxisFit:
     fits = []
     for direction, upright in starts:
         point = axis_point(seen, direction)
-        # Of convex bodies no normal points to the axis: they are dismissed here, at little cost.
+        # A convex body has no normal towards its axis, so it is rejected here at little cost.
         if point is not None and _some_inside(turned(seen, direction, point)):
             fits.append((refined_axis(seen, direction, point, upright, BRIEF), upright))
     least = min((_cost(*each) for each in fits), default=np.inf)

@@ -15,7 +15,7 @@ from scipy import ndimage
 from pointsdf_cli.geometry.arrays import Array, Mask
 
 THINNEST, USUAL = 0.001, 0.003
-"""Least thickness of a wall, and its thickness where nothing tells it [m]."""
+"""Least thickness of a wall, and default thickness where it cannot be measured [m]."""
 RIM = (0.002, 0.005)
 """Range [m] of thicknesses that a rim's width may tell."""
 THICKEST, CROSSED = 0.35, 0.1
@@ -24,7 +24,7 @@ outside."""
 SHALLOW = 0.05
 """Least depth of the seen inside over the radius."""
 DISH = 0.25
-"""Least depth of a seen floor over the radius: of plates and lids the network knows more."""
+"""Least depth of a seen floor over the radius: plates and lids are left to the network."""
 ANGLES = 48
 HEIGHTS = (8, 60)
 """Fewest and most bins of height."""

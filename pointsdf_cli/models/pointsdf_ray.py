@@ -181,7 +181,7 @@ class PointSDFRay(ShapeModel):
     def begin_with(self, other: ShapeModel) -> None:
         state = other.state_dict()
         if isinstance(other, PointSDFRay) and other.revolution <= self.revolution:
-            # What is new counts for nothing at first: the same function to begin with.
+            # Weights of new inputs start at zero, so that the function is the same at first.
             narrow = state["enter.weight"]
             missing = max(0, self.enter.in_features - narrow.shape[1])
             state["enter.weight"] = torch.nn.functional.pad(narrow, (0, missing))
@@ -226,7 +226,7 @@ class PointSDFRay(ShapeModel):
             "cloud": cloud,
             "camera": camera,
             "cloud_image": cloud_image,
-            # Tensors of their own, which their search trees stay with.
+            # Separate tensors, because search trees are cached by tensor.
             "cloud_plane": cloud_image[..., :2].clone(),
             "fine_at": fine_at,
             "coarse_at": coarse_at,

@@ -90,7 +90,7 @@ class VesselField:
         return values, gradients
 
     def other_parts(self, points: Array, network: Network) -> Array:
-        """Signed distances [N] of the parts beyond the wall alone, which reach half into it."""
+        """Signed distances [N] of the other parts, reaching into the wall by half its thickness."""
         if self._others is None:
             return np.ones(len(points))
         near = self._others.query(points)[0] - REACH

@@ -54,9 +54,9 @@ MARGIN = 0.004
 millimetres on the unseen side, and arms lag behind their trajectory by as much."""
 
 PREFERRED_SLACK = 0.006
-"""Distance to the object [m] up to which a candidate's slack is exact, for any clearance. Of
-equally good grasps those with this much are rehearsed first: the unseen side may be nearer than
-predicted."""
+"""Distance to the object [m] up to which a candidate's slack is exact, for any clearance. Among
+equally good grasps, those that keep this distance are rehearsed first, because the unseen side may
+be nearer than predicted."""
 
 QUICK_CHECKS = 1000
 """Configurations checked at most by a brief motion search, with the margin and without: most
@@ -125,7 +125,7 @@ class Planner:
             beyond = inside.object + BEYOND
             quick, polish = grid, RefinedField(grid, target.field, beyond)
 
-        # Only what is too near decides; a network need not be asked about the rest.
+        # Only distances below `reach` matter; the network need not be evaluated beyond it.
         reach = max(asked.object + 0.005, config.margin, PREFERRED_SLACK)
         searched = GraspProblem(self.geometry, target.score, quick, environment, inside)
         exact = searched.with_field(target.field, asked, reach)

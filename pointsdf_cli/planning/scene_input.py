@@ -191,7 +191,7 @@ def stand_on_table(
     above = pose_over_plane(plane)
     cloud = replace(cloud, T_world_camera=above, over_table=True)
     try:
-        # What is listed first stands at the place, so that numbers are those of `segment`.
+        # Put the first listed object at the place, so that the numbers match those of `segment`.
         cloud = _moved(cloud, _centre(cloud, name, None, ANYWHERE, cleaned, None), place)
         if target is not None and not target.any:
             chosen = _centre(cloud, name, target, workspace, cleaned, reach)

@@ -146,8 +146,8 @@ def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Su
 
 
 def _enlarged(shape: Reconstruction) -> Surface:
-    """The reconstruction, larger all round. Of a vessel the outside alone: its wall is thinner than
-    the cells."""
+    """The reconstruction, enlarged on all sides. For a vessel, the filled outside is used, because
+    its wall is thinner than the cells."""
     if shape.vessel is not None:
         return offset_surface(shape.vessel.vessel.filled.surface(), KEPT_OFF)
     mesh = mesh_reconstruction(shape, RESOLUTION, field=lambda x: shape.sdf(x) - LEVEL)

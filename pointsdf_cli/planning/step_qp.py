@@ -3,7 +3,8 @@
     min  ½ ‖F d‖² + g · d + μ Σ t      over the step d [n] and slack t [k]
     s.t. J d + c + t ≥ 0,   t ≥ 0,   low ≤ d ≤ high
 
-With slack an infeasible linearisation only costs; for μ above the multipliers the penalty is exact.
+Slack keeps the subproblem feasible even if the linearised constraints are not; for μ above the
+multipliers the penalty is exact.
 
 Clarabel minimises ½ xᵀP x + q · x with A x + s = b, s in a cone. Here x = (y, d, t) with y = F d,
 so that P is the identity on y, and the rows of A are
@@ -14,9 +15,9 @@ so that P is the identity on y, and the rows of A are
     [  0  −I    0 ]     −low     d ≥ low
     [  0   I    0 ]     high     d ≤ high
 
-cvxpy makes the same matrices of the problem as it is written above (a test compares them), but
-takes longer to import than all steps of a plan take to solve. Their pattern never changes: each
-step writes its numbers into it.
+cvxpy would build the same matrices from the problem above (a test compares them), but importing it
+takes longer than solving all steps of a plan. The sparsity pattern of the matrices never changes:
+each step writes its numbers into it.
 """
 
 from __future__ import annotations

@@ -174,7 +174,7 @@ def _look(
                 raise  # a number or a pixel says nothing about other cameras
             problem = problem or error
             report.append(f"{name}: the object is not seen")
-            # What it saw stands there all the same.
+            # Objects that this camera saw remain obstacles.
             others.append(view.world[view.objects.label >= 0])
             labelled.append((view, -1))
             continue

@@ -132,7 +132,7 @@ class ObstacleBody(_Body):
         faces = None if self.faces is None else self.faces.astype(np.int32)
         corners = 0 if self.vertices is None else len(self.vertices)
         if faces is not None and faces.size and not 0 <= faces.min() <= faces.max() < corners:
-            raise InputError("triangles name vertices that it has not", where=self.name)
+            raise InputError("triangles refer to vertices that do not exist", where=self.name)
         if not is_rigid(self.pose):
             raise InputError("pose is not a rigid transform", where=self.name)
         return Obstacle(self.name, self.kind, tuple(self.size), self.pose, self.vertices, faces)
@@ -173,7 +173,7 @@ class SceneBody(_Body):
     expects: Served = Field(default_factory=Served)
 
     def check(self) -> None:
-        """Refuse what makes no sense before it waits for its turn.
+        """Refuse an invalid request before it enters the queue.
 
         Raises:
             InputError: A view or an option makes no sense.

@@ -33,8 +33,8 @@ class PunctualProtocol(_Protocol):
         self._expect_head()
 
     def data_received(self, data: bytes) -> None:
-        """Start the deadline for a request's head, or stop it at a complete one; more bytes win no
-        more time."""
+        """Start the deadline for a request's head, or stop it when the head is complete; further
+        bytes do not extend it."""
         super().data_received(data)
         self._expect_head()
 

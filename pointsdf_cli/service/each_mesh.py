@@ -141,7 +141,7 @@ def mesh_cloud(task: MeshTask) -> MeshSummary | None:
     made = completed.mesh
     vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[task.files.unit]
     summary = MeshSummary(len(vertices), len(made.faces), completed.seconds)
-    task.out.unlink(missing_ok=True)  # a record that is no longer its own must not stand beside it
+    task.out.unlink(missing_ok=True)  # the old mesh must not stand beside the new record
     write_text_atomic(task.record, to_json({"config": config, **asdict(summary)}, indent=1) + "\n")
     save_mesh(task.out, vertices, made.faces)
     return summary

@@ -1,4 +1,4 @@
-"""Options of plans from files, and what they make of a scene's files."""
+"""Settings of plans whose scenes are read from files, and the request for each scene."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """URDF of a robot for PyBullet, with the same hulls as in planning and a mass for each link.
 
-PyBullet's own reader makes links without a body of some mesh formats (text STL), fails at others
-(PLY, OFF, GLB), and gives a link without `<inertial>` 1 kg. So such a URDF is rewritten, with the
-hulls of `robot/shapes.py` and masses by the links' volumes; so is one with hulls or cylinders,
-which PyBullet enlarges (`skin.py`).
+PyBullet's own reader creates links without a body for meshes in some formats (text STL), fails for
+others (PLY, OFF, GLB), and assumes 1 kg for a link without `<inertial>`. A URDF with any of these
+is therefore rewritten, with the hulls of `robot/shapes.py` and masses from the links' volumes. A
+URDF with hulls or cylinders is rewritten too, because PyBullet enlarges these (`skin.py`).
 
 The hand alone is several files, one for the parts fixed to the palm and one for each finger: the
 time of a PyBullet step grows with the square of a body's joints, so five small bodies are several
@@ -80,8 +80,8 @@ def hand_urdfs(robot: RobotDescription, folder: Path, skin: float) -> list[Path]
                 inside.append(joint.child)
         inner = [joints[name] for name in inside if name not in fingers]
         finger = _body([links[name] for name in inside], inner, carrier)
-        # PyBullet takes what is fixed to the first link of a fixed base for a part of the base,
-        # which meets no resistance: a fingertip there would pass through the table.
+        # PyBullet treats links fixed to the first link of a fixed base as part of the base, which
+        # contacts cannot stop: a fingertip there would pass through the table.
         finger.append(_link_without_shape(base))
         finger.append(_fixed(carrier, base, np.eye(4)))
         for first, pose in fingers.items():

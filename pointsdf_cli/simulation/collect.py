@@ -47,8 +47,8 @@ class CollectTask:
         config: Settings that determine outcomes.
         seed: Random seed.
         robot: YAML file of the robot; the bundled one if None.
-        patience: Largest number of attempts, executed or not: without an executed grasp, and the
-            increase for each executed one.
+        patience: Two numbers: the largest number of attempts (executed or not) before the first
+            executed grasp, and its increase for each executed grasp.
         force: Replace an existing file.
         source: Planner that proposes preshapes; the paper's heuristic if None.
         unit: Unit of the mesh.
@@ -146,7 +146,7 @@ def require_same_options(tasks: Iterable[CollectTask]) -> None:
 def _options_of(task: CollectTask) -> dict[str, Any]:
     """All settings that determine the grasps of one object."""
     config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
-    config |= {"split": task.split}  # which other meshes there are decides it
+    config |= {"split": task.split}  # the split depends on the other meshes
     config |= {} if task.source is None else {"preshapes": task.source.as_dict()}
     config |= {} if task.unit == "m" else {"unit": task.unit}
     return config | {"mesh": file_sha256(task.mesh), "robot": robot_digest(task.robot)}

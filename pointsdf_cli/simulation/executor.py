@@ -36,8 +36,8 @@ LONGEST_CLOSING = 1.5
 GRIP_TIME = 0.2
 """Time to build up the grip [s]."""
 SQUEEZE = 0.1
-"""Angle [rad] beyond its place at the end of the grip to which a turning joint may still close:
-torques of fingers that press without end do not balance, and push an object out of the hand."""
+"""Angle [rad] by which a turning joint may still close after the grip is built up: the torques of
+fingers that press without a limit do not balance, and push an object out of the hand."""
 LIFT_TIME = 0.8
 """Duration of the lift [s]."""
 SETTLE_TIME = 0.5
@@ -196,7 +196,7 @@ class Executor:
         ends = np.where(
             speeds > 0, robot.hard_upper[self._closing], robot.hard_lower[self._closing]
         )
-        # 0.02 rad of a finger; of a jaw that slides a few centimetres, as small a part.
+        # Tolerance at the end of travel: 2% of it, but at most 0.02 (rad for a finger).
         travel = (robot.hard_upper - robot.hard_lower)[self._closing]
         at_end = np.minimum(0.02, 0.02 * travel)
         longest = max(LONGEST_CLOSING, 1.25 * float((travel / np.abs(speeds)).max()))

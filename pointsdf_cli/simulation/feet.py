@@ -60,8 +60,8 @@ def with_flat_foot(pieces: Pieces, vertices: NDArray[np.float64], pose: StablePo
     Args:
         pieces: Corners [V, 3] and faces [F, 3] of each.
         vertices: [N, 3], vertices of the mesh.
-        pose: Resting pose. Flattened for several poses, pieces outgrow the mesh: a ball by 9% of
-            its volume.
+        pose: Resting pose. Only one, because pieces flattened for several poses would be larger
+            than the mesh: a ball by 9% of its volume.
     """
     up, height = pose.T_table_object[2, :3], pose.T_table_object[2, 3]
     lowest = min(float((corners @ up).min()) for corners, _ in pieces) + height

@@ -1,4 +1,4 @@
-"""Palm poses of a hand with jaws: the object between the pads, the jaws across what fits them."""
+"""Palm poses of a hand with jaws, which close on the object across a width that fits them."""
 
 from __future__ import annotations
 

@@ -28,9 +28,9 @@ class PhysicsConfig:
 
     Attributes:
         step: Time step [s].
-        iterations: Iterations of the contact solver in each step. For the whole arm with 40, half
-            the step changes 9% of labels, and objects of many pieces slip that hold with 200; with
-            200, half the step changes 4%, and moving the object by 0.1 mm 3%.
+        iterations: Iterations of the contact solver in each step. With 40 and the whole arm,
+            halving the step changes 9% of the labels, and objects of many pieces slip that are held
+            with 200. With 200, halving the step changes 4%; moving the object by 0.1 mm, 3%.
         object_friction: Coefficient of lateral friction of the object.
         skin: Measured thickness [m] by which PyBullet inflates convex hulls and a URDF's cylinders;
             they are shrunk by it (`skin.py`). With 0 they stay inflated.

@@ -157,8 +157,8 @@ def look(
 ) -> tuple[View, TableTop | None]:
     """View of the target, empty if it is not seen, and the table top around it.
 
-    The scene is segmented as by `rgrasp plan`. A target that stands alone is not named: it must be
-    found.
+    The scene is segmented as by `rgrasp plan`. If the target is the only object, no number is given
+    to the segmentation, which must find it.
 
     Args:
         observer: The camera.
