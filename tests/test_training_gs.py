@@ -301,8 +301,7 @@ def test_embeddings_asked_for_alone_are_those_asked_for_with_distances(
     both = evidence_of(*asked, sweep=SweepConfig(stages=2, grid=(1, 1, 1)))
     for name in ("centre", "scale", "size"):
         assert np.allclose(getattr(alone, name), getattr(both, name), atol=1e-5)
-    # The order of the cloud's points moves the farthest point samples a little.
-    assert np.corrcoef(alone.embedding.ravel(), both.embedding.ravel())[0, 1] > 0.98
+    assert np.corrcoef(alone.embedding.ravel(), both.embedding.ravel())[0, 1] > 0.999
     assert alone.distance.shape == (20, 0)
     # Distances in the world: a palm's own points are outside of the ball it has not reached.
     assert (both.distance[:, -1] > -0.06).all()

@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.atomic import require_folder
@@ -190,6 +191,11 @@ def _scene_evidence(
     )
 
 
+def _in_reading_order(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The points [N, 3] as `Reconstruction.from_cloud` samples them."""
+    return points[systematic_sample(points[:, :2], len(points), np.random.default_rng(0))]
+
+
 def _embeddings(
     model: ShapeModel,
     cloud: NDArray[np.float32],
@@ -198,8 +204,10 @@ def _embeddings(
 ) -> Evidence:
     """Embeddings of all grasps [G] of one file: each scene's view is encoded, nothing decoded."""
     first, of_grasp = np.unique(scene, return_index=True, return_inverse=True)[1:]
-    frames = [network_frame(cloud[row]) for row in first]
-    clouds = np.stack([f.to_network(cloud[row]) for f, row in zip(frames, first, strict=True)])
+    # In the order in which a reconstruction reads them: the order moves the embedding a little.
+    seen = [_in_reading_order(cloud[row]) for row in first]
+    frames = [network_frame(points) for points in seen]
+    clouds = np.stack([f.to_network(points) for f, points in zip(frames, seen, strict=True)])
     cameras = np.stack([frame.to_network(np.zeros(3)) for frame in frames])
     with torch.no_grad():
         embedding = model.embed(torch.tensor(clouds).float(), torch.tensor(cameras).float())
