@@ -150,6 +150,7 @@ def main() -> None:
     parser.add_argument("--checkpoint", type=Path)
     parser.add_argument("--views", type=int, default=2)
     parser.add_argument("--sensor", default="ideal")
+    parser.add_argument("--hiding", type=float, default=0.0, help="share with a body in front")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-vessels", action="store_true", help="The network alone.")
     options = parser.parse_args()
@@ -158,7 +159,7 @@ def main() -> None:
     model = load_model(options.checkpoint)
     config = SceneViewConfig(
         (options.sensor,),
-        SceneConfig(resting=1.0),
+        SceneConfig(resting=1.0, hiding=options.hiding),
         exact=1.0 if options.sensor == "ideal" else 0.0,
         exact_resting=1.0,
     )

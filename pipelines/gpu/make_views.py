@@ -54,7 +54,8 @@ COLOUR = Camera(640, 480, 1067.0, 1067.0, 319.5, 239.5)
 CAMERA_SHARES = {"colour": 0.25, "xtion": 0.3, "realsense": 0.25, "reference": 0.2}
 RECIPE = "recipe.json"
 """File beside the views with the options that made them."""
-SENSORS = ("ideal", "structured-light", "stereo")
+SENSORS = ("ideal", *3 * ("structured-light",), *2 * ("stereo",))
+"""One of these is drawn for each view: the share of each is a matter of how much it errs."""
 VALIDATION_SEED, VALIDATION_OBJECTS, VALIDATION_VIEWS = 62, 64, 5
 SCAN_SHAPES = 12
 """Objects made of each scan: itself and others stretched along its axes."""

@@ -27,7 +27,7 @@ from pointsdf_cli.io.meshes import LoadedMesh
 
 FEWEST_POINTS = 60
 """A view of fewer points of the object is drawn again."""
-MOST_HIDDEN = 0.45
+MOST_HIDDEN = 0.5
 """A view in which more of the object's pixels are hidden is drawn again."""
 DRAWS = 30
 DARK = (0.05, 0.5)

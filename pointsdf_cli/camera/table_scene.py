@@ -34,6 +34,10 @@ BESIDE = 0.3
 """Share of the neighbours between the object and the camera."""
 GAP = 0.12
 """Largest gap between a neighbour and the object [m]."""
+HIDING_HEIGHT = (0.1, 0.8)
+"""Height up to which a body in front hides the object, as a share of the object's."""
+TALLEST = 0.35
+"""Largest height of a body in front [m]."""
 TABLE_RADIUS = (0.1, 1.0)
 """Distance from the object to the table's edge [m]."""
 WALL_BEHIND = (0.3, 2.5)
@@ -53,6 +57,8 @@ class SceneConfig:
             they leaned on something.
         lean: Angle of this tilt [rad].
         neighbours: Largest number of bodies around the object.
+        hiding: Share of the scenes with neighbours that have one more body in front, which hides
+            the object's lower part.
         wall: Share of scenes with a wall; without one, space beyond the table returns no depth.
     """
 
@@ -60,6 +66,7 @@ class SceneConfig:
     leaning: float = 0.35
     lean: tuple[float, float] = (0.1, 0.9)
     neighbours: int = 3
+    hiding: float = 0.5
     wall: float = 0.6
 
 
@@ -153,27 +160,63 @@ def _neighbours(
     """Boxes, cylinders and balls around the object, table frame."""
     middle = (resting.min(axis=0) + resting.max(axis=0))[:2] / 2
     reach = float(np.linalg.norm(resting[:, :2] - middle, axis=1).max())
-    eye = invert_transform(T_camera_table)[:2, 3] - middle
-    towards = np.arctan2(eye[1], eye[0])
+    eye = invert_transform(T_camera_table)[:3, 3]
+    towards = float(np.arctan2(*(eye[:2] - middle)[::-1]))
     bodies = []
     for _ in range(rng.integers(config.neighbours + 1)):
-        size = rng.uniform(0.03, 0.16, 3)
-        kind = rng.integers(3)
-        if kind == 0:
-            body = trimesh.creation.box(size)
-        elif kind == 1:
-            body = trimesh.creation.cylinder(size[0] / 2, size[2], sections=24)
-        else:
-            body = trimesh.creation.icosphere(2, size[0] / 2)
+        body = _simple_body(rng.uniform(0.03, 0.16, 3), rng)
         in_front = rng.random() < BESIDE
         azimuth = towards + rng.normal(0, 0.5) if in_front else rng.uniform(0, 2 * np.pi)
         body.apply_transform(_turned(rng.uniform(0, 2 * np.pi)))
-        own = float(np.linalg.norm(body.vertices[:, :2], axis=1).max())
-        away = reach + own + rng.uniform(0.003, GAP)
-        foot = middle + away * np.array([np.cos(azimuth), np.sin(azimuth)])
-        body.apply_translation([*foot, -body.vertices[:, 2].min()])
+        _stand(body, middle, reach + rng.uniform(0.003, GAP), azimuth)
         bodies.append(body)
+    # Drawn last: without it a seed gives the same scenes.
+    if config.neighbours and config.hiding and rng.random() < config.hiding:
+        bodies.append(_hiding_body(resting, eye, middle, reach, towards, rng))
     return bodies
+
+
+def _simple_body(size: Array, rng: np.random.Generator) -> trimesh.Trimesh:
+    """A box, cylinder or ball of a size [3] in m."""
+    kind = rng.integers(3)
+    if kind == 0:
+        return trimesh.creation.box(size)
+    if kind == 1:
+        return trimesh.creation.cylinder(size[0] / 2, size[2], sections=24)
+    return trimesh.creation.icosphere(2, size[0] / 2)
+
+
+def _stand(body: trimesh.Trimesh, middle: Array, clear: float, azimuth: float) -> float:
+    """Put the body on the table, `clear` [m] beyond its own reach from `middle` [2]; its distance
+    from there."""
+    away = clear + float(np.linalg.norm(body.vertices[:, :2], axis=1).max())
+    foot = middle + away * np.array([np.cos(azimuth), np.sin(azimuth)])
+    body.apply_translation([*foot, -body.vertices[:, 2].min()])
+    return away
+
+
+def _hiding_body(
+    resting: Array,
+    eye: Array,
+    middle: Array,
+    reach: float,
+    towards: float,
+    rng: np.random.Generator,
+) -> trimesh.Trimesh:
+    """A body before the object, as tall as hides the object up to a random height.
+
+    The line of sight from there to the camera `eye` [3] rises over the body's foot.
+    """
+    body = _simple_body(np.array([*rng.uniform(0.03, 0.2, 2), 0.1]), rng)
+    body.apply_transform(_turned(rng.uniform(0, 2 * np.pi)))
+    azimuth = towards + rng.normal(0, 0.35)
+    away = _stand(body, middle, reach + rng.uniform(0.003, GAP / 2), azimuth)
+    hidden_to = rng.uniform(*HIDING_HEIGHT) * float(resting[:, 2].max())
+    level = float(np.linalg.norm(eye[:2] - middle))
+    rises = (float(eye[2]) - hidden_to) / max(level, 1e-3)
+    height = np.clip(hidden_to + away * rises, 0.02, TALLEST)
+    body.apply_scale([1.0, 1.0, height / float(body.vertices[:, 2].max())])
+    return body
 
 
 def _compose(
