@@ -23,6 +23,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import apply_transform, is_rigid
+from pointsdf_cli.models.best_sampling import SAMPLINGS
 from pointsdf_cli.models.bundled_success import grasps_learned_from
 from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
 from pointsdf_cli.models.grasp_features import FAR, GraspFeatures, ObjectBody, object_body
@@ -88,11 +89,15 @@ class GraspModel:
             raise InputError(f"a cloud of shape {points.shape}", allowed="finite [N, 3]")
         world = apply_transform(pose, points)
         place = ObjectPlace.of(world, self.robot.T_world_base[:3, 3])
-        if isinstance(self.network, EmbeddingNet) or field is None:
+        by_embedding = isinstance(self.network, EmbeddingNet)
+        if by_embedding or field is None:
+            # Networks on embeddings learned from one sampling.
             shape = Reconstruction.from_cloud(
-                self.encoder, world, pose[:3, 3], pose[:3, :3], seed=seed
+                *(self.encoder, world, pose[:3, 3], pose[:3, :3]),
+                seed=seed,
+                tries=1 if by_embedding else SAMPLINGS,
             )
-        if isinstance(self.network, EmbeddingNet):
+        if by_embedding:
             return EmbeddingGrasps(self, place, shape)
         values = shape.sdf if field is None else (lambda x: field.with_gradient(x)[0])
         return GeometryGrasps(self, place, world, values, own=field is None)

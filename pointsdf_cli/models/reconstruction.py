@@ -20,18 +20,15 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.visibility import ViewEvidence
-from pointsdf_cli.models.normalise import network_frame
+from pointsdf_cli.models.best_sampling import SAMPLINGS, best_sampling
 from pointsdf_cli.models.processor import (
     even_parts,
     fast_products,
     in_steps,
-    one_thread,
     side_by_side,
 )
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
-from pointsdf_cli.models.surroundings import surroundings_of
 from pointsdf_cli.models.vessel_field import VesselField, vessel_in
 
 CHUNK = 4096
@@ -75,6 +72,7 @@ class Reconstruction:
         seed: int | Sequence[int] = 0,
         evidence: ViewEvidence | None = None,
         vessels: bool = True,
+        tries: int = SAMPLINGS,
     ) -> Reconstruction:
         """Read one partial cloud.
 
@@ -88,6 +86,7 @@ class Reconstruction:
             evidence: Observed space around the object, camera frame; ignored if None.
             vessels: Complete cups, bowls and mugs by their axis (`vessel_field.py`), if the
                 architecture does.
+            tries: Samplings of the points, of which the best is kept (`best_sampling.py`).
 
         Raises:
             InputError: The points are not a cloud, or the rotation is not one.
@@ -98,18 +97,10 @@ class Reconstruction:
         _check(points, position, rotation)
 
         in_camera = (points - position) @ rotation
-        frame = network_frame(in_camera)
-        rng = np.random.default_rng(seed)
-        count = max(model.cloud_size, min(len(in_camera), model.most_points))
-        cloud = in_camera[systematic_sample(in_camera[:, :2], count, rng)]
-        device = next(model.parameters()).device
         model.eval()
-        with torch.no_grad(), one_thread():
-            encoding = model.encode(
-                _tensor(frame.to_network(cloud), device)[None],
-                _tensor(frame.to_network(np.zeros(3)), device)[None],
-                surroundings=surroundings_of([evidence or ViewEvidence()], [frame], device),
-            )
+        rng = np.random.default_rng(seed)
+        known = evidence or ViewEvidence()
+        frame, encoding = best_sampling(model, in_camera, known, tries, rng)
         shape = cls(
             model=model,
             encoding=encoding,

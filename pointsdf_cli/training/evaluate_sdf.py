@@ -221,6 +221,7 @@ def reconstruct(
         np.zeros(3),
         seed=task.config.seed + view,
         evidence=views.evidence[view],
+        tries=1,  # as the paper reads a view
     ).in_precision(autocast_dtype(task.config.precision, torch.device("cpu")))
     try:
         mesh = mesh_reconstruction(reconstruction, task.config.resolution, exact=task.config.exact)

@@ -171,7 +171,8 @@ def _scene_evidence(
     count = len(preshape)
     points = apply_transform(T_world_camera, cloud)
     position, axes = T_world_camera[:3, 3], T_world_camera[:3, :3]
-    shape = Reconstruction.from_cloud(model, points, position, axes, evidence=known)
+    # One sampling, as `_embeddings` reads it.
+    shape = Reconstruction.from_cloud(model, points, position, axes, evidence=known, tries=1)
     low_precision = autocast_dtype("auto", torch.device("cpu"))
 
     def field(x: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -1,0 +1,113 @@
+"""Encoding of a cloud by the best of several random samplings.
+
+With a sensor's errors a network's answer depends on the points that it reads: of one sampling in
+twenty it makes a thin shell or nothing, where others of the same cloud give a body. The object lies
+behind the points that were seen of it. So the best of several encodings is the one with most of the
+space close behind these points inside.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pointsdf_cli.geometry.cloud_sampling import systematic_sample
+from pointsdf_cli.geometry.visibility import ViewEvidence
+from pointsdf_cli.models.normalise import NetworkFrame, network_frame
+from pointsdf_cli.models.processor import at_once, one_thread
+from pointsdf_cli.models.shape_model import Encoding, ShapeModel
+from pointsdf_cli.models.surroundings import surroundings_of
+
+SAMPLINGS = 4
+"""Samplings of a cloud. The first is of all points."""
+KEPT = 0.8
+"""Share of the points that each further sampling is of."""
+FEWEST = 30
+"""Clouds of fewer points are sampled once."""
+ENOUGH = 0.6
+"""Share inside from which no further sampling is tried."""
+DEPTHS = (0.05, 0.1)
+"""Distances behind the seen points [network units]."""
+CHECKED = 192
+"""Number of seen points behind which is looked."""
+
+
+class Sampling(NamedTuple):
+    """A cloud as a network read it: the network's frame, and the encoding in it."""
+
+    frame: NetworkFrame
+    encoding: Encoding
+
+
+def best_sampling(
+    model: ShapeModel,
+    points: NDArray[np.float64],
+    evidence: ViewEvidence,
+    tries: int,
+    rng: np.random.Generator,
+) -> Sampling:
+    """The sampling with the largest share inside close behind the points, the first of equals.
+
+    Args:
+        model: Network in evaluation mode.
+        points: [N, 3], camera frame, m.
+        evidence: Observed space around the object.
+        tries: Number of samplings.
+        rng: Random generator.
+    """
+    with one_thread():
+        first = _read(model, points, evidence, rng)
+        if tries == 1 or len(points) < FEWEST or not model.gives_distances:
+            return first
+        share = _inside_behind(model, first, points)
+    if share >= ENOUGH:
+        return first
+    parts = [points[rng.random(len(points)) < KEPT] for _ in range(tries - 1)]
+    seeds = rng.spawn(len(parts))
+
+    def tried(part: NDArray[np.float64], own: np.random.Generator) -> tuple[float, Sampling]:
+        sampling = _read(model, part, evidence, own)
+        return _inside_behind(model, sampling, points), sampling
+
+    others = at_once([partial(tried, *each) for each in zip(parts, seeds, strict=True)])
+    return max([(share, first), *others], key=lambda found: found[0])[1]
+
+
+@torch.no_grad()
+def _read(
+    model: ShapeModel,
+    points: NDArray[np.float64],
+    evidence: ViewEvidence,
+    rng: np.random.Generator,
+) -> Sampling:
+    """A sampling of the points, and its encoding."""
+    frame = network_frame(points)
+    count = max(model.cloud_size, min(len(points), model.most_points))
+    cloud = points[systematic_sample(points[:, :2], count, rng)]
+    device = next(model.parameters()).device
+    encoding = model.encode(
+        _tensor(frame.to_network(cloud), device)[None],
+        _tensor(frame.to_network(np.zeros(3)), device)[None],
+        surroundings=surroundings_of([evidence], [frame], device),
+    )
+    return Sampling(frame, encoding)
+
+
+@torch.no_grad()
+def _inside_behind(model: ShapeModel, sampling: Sampling, points: NDArray[np.float64]) -> float:
+    """Share inside of the places at `DEPTHS` behind evenly chosen points [N, 3]."""
+    chosen = points[np.linspace(0, len(points) - 1, min(CHECKED, len(points))).astype(int)]
+    rays = chosen / np.linalg.norm(chosen, axis=1, keepdims=True)
+    seen = sampling.frame.to_network(chosen)
+    places = np.concatenate([seen + depth * rays for depth in DEPTHS])
+    device = sampling.encoding.embedding.device
+    values = model.decode(sampling.encoding, _tensor(places, device)[None])
+    return float((values < 0).float().mean())
+
+
+def _tensor(array: NDArray[np.float64], device: torch.device) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)).to(device)
