@@ -26,9 +26,26 @@ def systematic_sample(plane: ArrayLike, count: int, rng: np.random.Generator) ->
     total = len(places)
     if total < count:
         return np.concatenate([np.arange(total), rng.integers(total, size=count - total)])
-    order = np.argsort(_curve_position(places), kind="stable")
+    order = _along_curve(places)
     steps = ((np.arange(count) + rng.random()) * (total / count)).astype(np.int64)
     return order[np.minimum(steps, total - 1)]
+
+
+def all_but_every(plane: ArrayLike, step: int, first: int) -> NDArray[np.int64]:
+    """Indices of all points but every `step`-th along the curve, from number `first` on.
+
+    Args:
+        plane: [N, 2], as in `systematic_sample`.
+        step: Distance along the curve between points that are left out, at least 2.
+        first: Number of the first point that is left out, below `step`.
+    """
+    order = _along_curve(np.asarray(plane, dtype=np.float64))
+    return np.sort(order[np.arange(len(order)) % step != first])
+
+
+def _along_curve(places: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Indices of the points in their order along the curve."""
+    return np.argsort(_curve_position(places), kind="stable")
 
 
 def _curve_position(plane: NDArray[np.float64]) -> NDArray[np.uint64]:
