@@ -9,8 +9,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from pointsdf_cli.geometry.cloud_sampling import all_but_every
 from pointsdf_cli.geometry.visibility import ViewEvidence
-from pointsdf_cli.models.best_sampling import SAMPLINGS, best_sampling
+from pointsdf_cli.models.best_sampling import LEFT_OUT, SAMPLINGS, best_sampling
 from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 
@@ -90,4 +91,14 @@ def test_the_frame_is_of_the_points_that_were_read() -> None:
         HalfSpaces([9.0, -0.1, 9.0, 9.0]), points, ViewEvidence(), SAMPLINGS,
         np.random.default_rng(0),
     )  # fmt: skip
-    assert solid_later.frame.scale > solid_first.frame.scale  # some outermost points are left out
+    part = points[all_but_every(points[:, :2], LEFT_OUT, 0)]
+    assert solid_later.frame.scale == network_frame(part).scale
+
+
+def test_each_point_is_left_out_once() -> None:
+    plane = flat_cloud(103)[:, :2]
+    parts = [all_but_every(plane, LEFT_OUT, first) for first in range(LEFT_OUT)]
+    assert sorted(len(part) for part in parts) == [82, 82, 82, 83, 83]
+    times = np.bincount(np.concatenate(parts), minlength=103)
+    assert (times == LEFT_OUT - 1).all()
+    assert all((np.diff(part) > 0).all() for part in parts)
