@@ -190,7 +190,7 @@ def test_the_hand_keeps_off_what_was_seen_where_the_network_saw_nothing(
     planner: GraspPlanner,
 ) -> None:
     # A wire that stands out of the can: far too thin for a reconstruction.
-    wire = np.array(CAN) + np.column_stack([np.zeros((3, 2)), HEIGHT / 2 + 0.02 * np.arange(3)])
+    wire = np.array(CAN) + [[0.0, 0.0, HEIGHT / 2], [0.0, 0.0, HEIGHT / 2 + 0.02]]
     T = VIEW.T_world_camera
     seen = np.concatenate([VIEW.points, (wire - T[:3, 3]) @ T[:3, :3]])
     perceived = planner.see([View(seen, T)])
