@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,15 @@ from pointsdf_cli.geometry.cloud_sampling import all_but_every
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.models.best_sampling import LEFT_OUT, SAMPLINGS, best_sampling
 from pointsdf_cli.models.normalise import network_frame
+from pointsdf_cli.models.processor import one_thread
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
+
+
+@pytest.fixture(autouse=True)
+def in_turn() -> Iterator[None]:
+    """The networks below answer by the order in which they are asked."""
+    with one_thread():
+        yield
 
 
 class HalfSpaces(ShapeModel):
@@ -49,7 +58,6 @@ def flat_cloud(count: int = 400) -> np.ndarray:
 
 def chosen_depth(model: HalfSpaces, points: np.ndarray, tries: int = SAMPLINGS) -> float:
     """Depth of the encoding that is chosen."""
-    torch.set_num_threads(1)
     found = best_sampling(model, points, ViewEvidence(), tries, np.random.default_rng(0))
     return float(found.encoding.embedding)
 

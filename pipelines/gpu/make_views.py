@@ -55,7 +55,7 @@ CAMERA_SHARES = {"colour": 0.25, "xtion": 0.3, "realsense": 0.25, "reference": 0
 RECIPE = "recipe.json"
 """File beside the views with the options that made them."""
 SENSORS = ("ideal", *3 * ("structured-light",), *2 * ("stereo",))
-"""One of these is drawn for each view: the share of each is a matter of how much it errs."""
+"""Sensors, one drawn for each view; those that err are repeated to be drawn more often."""
 VALIDATION_SEED, VALIDATION_OBJECTS, VALIDATION_VIEWS = 62, 64, 5
 SCAN_SHAPES = 12
 """Objects made of each scan: itself and others stretched along its axes."""

@@ -1,4 +1,4 @@
-"""Encoding of a cloud by the best of several random samplings.
+"""Encoding of a cloud by the best of several samplings.
 
 With a sensor's errors a network's answer depends on the points that it reads: of one sampling in
 twenty it makes a thin shell or nothing, where others of the same cloud give a body. The object lies
@@ -25,7 +25,7 @@ from pointsdf_cli.models.surroundings import surroundings_of
 SAMPLINGS = 4
 """Samplings of a cloud. The first is of all points."""
 LEFT_OUT = 5
-"""Each further sampling leaves out every fifth point: which, does not depend on the seed."""
+"""Each further sampling leaves out every fifth point, starting at another one; not by the seed."""
 FEWEST = 30
 """Clouds of fewer points are sampled once."""
 ENOUGH = 0.6
@@ -33,7 +33,7 @@ ENOUGH = 0.6
 DEPTHS = (0.05, 0.1)
 """Distances behind the seen points [network units]."""
 CHECKED = 192
-"""Number of seen points behind which is looked."""
+"""Seen points behind which the space is checked."""
 
 
 class Sampling(NamedTuple):
@@ -99,9 +99,9 @@ def _read(
 
 @torch.no_grad()
 def _inside_behind(model: ShapeModel, sampling: Sampling, points: NDArray[np.float64]) -> float:
-    """Share inside of the places at `DEPTHS` behind evenly chosen points [N, 3]."""
+    """Share of places that are inside, at `DEPTHS` behind evenly chosen ones of the points [N, 3]."""
     chosen = points[np.linspace(0, len(points) - 1, min(CHECKED, len(points))).astype(int)]
-    rays = chosen / np.linalg.norm(chosen, axis=1, keepdims=True)
+    rays = chosen / np.maximum(np.linalg.norm(chosen, axis=1, keepdims=True), 1e-9)
     seen = sampling.frame.to_network(chosen)
     places = np.concatenate([seen + depth * rays for depth in DEPTHS])
     device = sampling.encoding.embedding.device
