@@ -90,8 +90,8 @@ def _read(
     cloud = points[systematic_sample(points[:, :2], count, rng)]
     device = next(model.parameters()).device
     encoding = model.encode(
-        _tensor(frame.to_network(cloud), device)[None],
-        _tensor(frame.to_network(np.zeros(3)), device)[None],
+        float_tensor(frame.to_network(cloud), device)[None],
+        float_tensor(frame.to_network(np.zeros(3)), device)[None],
         surroundings=surroundings_of([evidence], [frame], device),
     )
     return Sampling(frame, encoding)
@@ -99,15 +99,16 @@ def _read(
 
 @torch.no_grad()
 def _inside_behind(model: ShapeModel, sampling: Sampling, points: NDArray[np.float64]) -> float:
-    """Share of places that are inside, at `DEPTHS` behind evenly chosen ones of the points [N, 3]."""
+    """Share that is inside of places at `DEPTHS` behind evenly chosen points of [N, 3]."""
     chosen = points[np.linspace(0, len(points) - 1, min(CHECKED, len(points))).astype(int)]
     rays = chosen / np.maximum(np.linalg.norm(chosen, axis=1, keepdims=True), 1e-9)
     seen = sampling.frame.to_network(chosen)
     places = np.concatenate([seen + depth * rays for depth in DEPTHS])
     device = sampling.encoding.embedding.device
-    values = model.decode(sampling.encoding, _tensor(places, device)[None])
+    values = model.decode(sampling.encoding, float_tensor(places, device)[None])
     return float((values < 0).float().mean())
 
 
-def _tensor(array: NDArray[np.float64], device: torch.device) -> torch.Tensor:
+def float_tensor(array: NDArray[np.float64], device: torch.device) -> torch.Tensor:
+    """The array on the device, float32."""
     return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)).to(device)

@@ -91,11 +91,9 @@ class GraspModel:
         place = ObjectPlace.of(world, self.robot.T_world_base[:3, 3])
         by_embedding = isinstance(self.network, EmbeddingNet)
         if by_embedding or field is None:
-            # Networks on embeddings learned from one sampling.
+            tries = 1 if by_embedding else SAMPLINGS  # embeddings were learned from one sampling
             shape = Reconstruction.from_cloud(
-                *(self.encoder, world, pose[:3, 3], pose[:3, :3]),
-                seed=seed,
-                tries=1 if by_embedding else SAMPLINGS,
+                self.encoder, world, pose[:3, 3], pose[:3, :3], seed=seed, tries=tries
             )
         if by_embedding:
             return EmbeddingGrasps(self, place, shape)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -21,7 +20,7 @@ from torch import Tensor
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.visibility import ViewEvidence
-from pointsdf_cli.models.best_sampling import SAMPLINGS, best_sampling
+from pointsdf_cli.models.best_sampling import SAMPLINGS, best_sampling, float_tensor
 from pointsdf_cli.models.processor import (
     even_parts,
     fast_products,
@@ -201,15 +200,11 @@ class Reconstruction:
     def _to_network(self, x: ArrayLike) -> Tensor:
         places = np.asarray(x, dtype=np.float64).reshape(-1, 3)
         network = (places - self.centre) @ self.R_frame_camera * self.scale
-        return _tensor(network, self.encoding.embedding.device)
+        return float_tensor(network, self.encoding.embedding.device)
 
     def _distances(self, values: list[Tensor], shape: tuple[int, ...]) -> NDArray[np.float32]:
         metres = torch.cat(values).cpu().numpy() / np.float32(self.scale)
         return metres.astype(np.float32).reshape(shape)
-
-
-def _tensor(array: NDArray[Any], device: torch.device) -> Tensor:
-    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)).to(device)
 
 
 def _check(
