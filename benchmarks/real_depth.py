@@ -6,8 +6,8 @@ CAPTURES holds folders with depth.png (0.1 mm a step), K.json, truth.json and ei
 T_world_camera.json; MESHES the scans that truth.json names. Prints IoU and Chamfer distance of
 
 1. each registered object in each capture, cut out by its label (2 px too small) or by the table's
-   plane: the bare cloud; cleaned; with the depth image around it, as `mesh` without a pose; with
-   the support plane and the mask grown to the depth's edge, as `plan`, and `mesh` with a pose;
+   plane: the bare cloud; cleaned; with the depth image around it; with the support plane and the
+   mask grown to the depth's edge, as `plan` and `mesh` of a depth image;
 2. exact views of the meshes at 1 m (fx 1067) whose masks are too small by 0, 1, 2 and 4 px, with
    the image around them: the mask as it is, and grown.
 """

@@ -114,6 +114,35 @@ def test_a_mask_a_pixel_too_small_grows_back_above_a_table(scene: list[Any]) -> 
     assert counts["whole"] - 0.5 * lost < counts["small"] <= counts["whole"]
 
 
+def test_a_mask_without_a_pose_finds_the_table_under_the_object(scene: list[Any]) -> None:
+    folder = scene[0].parent
+    whole = scenes.seen(scenes.can(0.035, 0.12, CAN)) > 0
+    Image.fromarray(binary_erosion(whole).astype(np.uint8)).save(folder / "small.png")
+    given = options(scene, mask=str(folder / "small.png"))
+    view = bare_view(scene[0], given, None)
+    posed = segmented_view(scene[0], given, str(folder / "T.json"), "auto", None, None, None)
+    assert view.evidence is not None and view.evidence.support_plane is not None
+    # The table is z = 0 of the world: its normal is the world's z axis, seen by the camera.
+    normal, offset = view.evidence.support_plane[:3], view.evidence.support_plane[3]
+    assert normal @ scenes.POSE[:3, :3].T @ [0, 0, 1] == pytest.approx(1.0, abs=1e-4)
+    assert offset == pytest.approx(-scenes.POSE[2, 3], abs=0.003)
+    # The mask grows as it does with the pose, and the mesh stays in the camera's frame.
+    assert len(view.points) == pytest.approx(len(posed.points), rel=0.01)
+    assert len(view.points) > binary_erosion(whole).sum()
+    assert np.allclose(view.T_frame_camera, np.eye(4))
+
+
+def test_a_mask_of_what_stands_on_no_table_stays_as_it_is(tmp_path: Path) -> None:
+    floating = scenes.box((0.06, 0.08, 0.1), BOX)
+    floating.apply_translation([0, 0, 0.2])
+    given = scenes.write_scene(tmp_path, scenes.seen(scenes.table(), floating))
+    own = scenes.seen(floating) > 0
+    Image.fromarray(own.astype(np.uint8)).save(tmp_path / "own.png")
+    view = bare_view(given[0], options(given, mask=str(tmp_path / "own.png")), None)
+    assert view.evidence is not None and view.evidence.support_plane is None
+    assert len(view.points) == pytest.approx(own.sum(), rel=0.05)
+
+
 def test_a_mask_alone_tells_what_is_free_and_where_the_object_returned_nothing(
     scene: list[Any],
 ) -> None:

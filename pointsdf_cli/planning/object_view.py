@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from pointsdf_cli.robot.description import RobotDescription
 
 
+LEAST_ABOVE = 0.5
+"""Least share of a mask's points above the table for the table to be used: of a fork little is."""
+
+
 @dataclass(frozen=True)
 class ObjectView:
     """One object as seen in one view.
@@ -105,7 +109,10 @@ def bare_cloud(view: Cloud, name: str, cleaned: bool = True) -> ObjectView:
     from pointsdf_cli.planning.table_top import bare_object
 
     alone = masked(view)
-    _, T_frame_camera = alone.in_camera_frame()
+    points, T_frame_camera = alone.in_camera_frame()
+    standing = None if view.mask is None else _on_its_table(view, name, cleaned)
+    if standing is not None and len(standing.points) > LEAST_ABOVE * len(points):
+        return standing
     if view.mask is None:  # what a mask takes in by mistake may be far away
         check_object_cloud(alone, name)
     points, said = bare_object(alone, cleaned)
@@ -113,6 +120,39 @@ def bare_cloud(view: Cloud, name: str, cleaned: bool = True) -> ObjectView:
     notes = [*view.notes, *([said] if said else [])]
     return ObjectView(
         points, T_frame_camera, view.frame, tuple(f"{name}: {note}" for note in notes), True, around
+    )
+
+
+def _on_its_table(view: Cloud, name: str, cleaned: bool) -> ObjectView | None:
+    """The object under a view's mask, as it is seen with a pose; None without a table under it.
+
+    The table is looked for in the view. Where it is known, a mask that is too small can grow, and
+    the table's rays are known to miss the object.
+    """
+    from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
+    from pointsdf_cli.planning.labelled_view import ANYWHERE, describe, label_view, sighting
+    from pointsdf_cli.planning.object_choice import NoObjectError
+    from pointsdf_cli.planning.table_top import chosen_object, view_of
+
+    points, T_frame_camera = view.in_camera_frame()
+    try:
+        above = pose_over_plane(find_support_plane(points))
+        posed = replace(view, points=points, frame="camera", T_world_camera=above, over_table=True)
+        labelled = label_view(posed, name, ANYWHERE, cleaned=cleaned)
+        item = chosen_object(labelled, None, ANYWHERE)
+    except (InputError, NoObjectError):
+        return None
+    if not item.stands:
+        return None
+    found = sighting(labelled, item, cleaned)
+    said = [*view.notes, describe(labelled, item, found)]
+    return ObjectView(
+        found.object_points,
+        T_frame_camera,
+        view.frame,
+        tuple(f"{name}: {note}" for note in said),
+        True,
+        view_of(found).evidence,
     )
 
 
