@@ -61,6 +61,10 @@ class InputError(RgraspError):
         return cls(error.what, where=place, allowed=error.allowed, hint=error.hint)
 
 
+class EmptyResultError(RgraspError):
+    """The input is valid, but what was computed from it is empty (exit code 1)."""
+
+
 class NoPlanError(RgraspError):
     """No configuration meets the constraints (exit code 3)."""
 

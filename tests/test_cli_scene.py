@@ -121,7 +121,8 @@ def test_a_mask_without_a_pose_finds_the_table_under_the_object(scene: list[Any]
     given = options(scene, mask=str(folder / "small.png"))
     view = bare_view(scene[0], given, None)
     posed = segmented_view(scene[0], given, str(folder / "T.json"), "auto", None, None, None)
-    assert view.evidence is not None and view.evidence.support_plane is not None
+    assert view.evidence is not None
+    assert view.evidence.support_plane is not None
     # The table is z = 0 of the world: its normal is the world's z axis, seen by the camera.
     normal, offset = view.evidence.support_plane[:3], view.evidence.support_plane[3]
     assert normal @ scenes.POSE[:3, :3].T @ [0, 0, 1] == pytest.approx(1.0, abs=1e-4)
@@ -139,7 +140,8 @@ def test_a_mask_of_what_stands_on_no_table_stays_as_it_is(tmp_path: Path) -> Non
     own = scenes.seen(floating) > 0
     Image.fromarray(own.astype(np.uint8)).save(tmp_path / "own.png")
     view = bare_view(given[0], options(given, mask=str(tmp_path / "own.png")), None)
-    assert view.evidence is not None and view.evidence.support_plane is None
+    assert view.evidence is not None
+    assert view.evidence.support_plane is None
     assert len(view.points) == pytest.approx(own.sum(), rel=0.05)
 
 

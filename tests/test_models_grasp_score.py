@@ -325,8 +325,9 @@ def test_world_points_reach_the_field_in_the_world() -> None:
 
 def test_a_network_on_geometry_is_known_to_read_another_reconstruction() -> None:
     bundled = default_checkpoint().parent
-    assert reconstruction_of_training(None, bundled / "pointsdf_real") is None
-    assert str(reconstruction_of_training(None, bundled / "pointsdf")) == "bundled:pointsdf_real"
+    assert reconstruction_of_training(bundled / "grasp_geometry", bundled / "pointsdf_real") is None
+    other = reconstruction_of_training(bundled / "grasp_geometry", bundled / "pointsdf")
+    assert str(other) == "bundled:pointsdf_real"
     # Each bundled robot's plans read the network that its success weights were trained on.
     learned = {
         robot: reconstruction_for(bundled_success(load_robot(robot))).name

@@ -266,6 +266,8 @@ def test_environment_file(tmp_path: Path) -> None:
         ("obstacles: [{box: [1, 1, 1], sphere: [1]}]", "2 shapes"),
         ("obstacles: [{box: [1, 1]}]", "3 finite"),
         ("obstacles: [{box: [1, 1, -1]}]", "above 0"),
+        ("obstacles: [{box: '123'}]", "3 finite"),
+        ("obstacles: [{sphere: [1], scale: 2}]", "scale with mesh only"),
         ("obstacles: [{mesh: gone.stl}]", "gone.stl"),
         ("obstacles: [{sphere: [1], wxyz: [1, 1, 0, 0]}]", "unit quaternion"),
         ("obstacles: [{name: a, sphere: [1]}, {name: a, sphere: [1]}]", "share a name"),

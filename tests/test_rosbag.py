@@ -19,6 +19,7 @@ from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.clouds import read_cloud
+from tests import scenes
 
 CAMERA = Camera(8, 6, 500.0, 400.0, 3.0, 2.0)
 INFO = "/camera/depth/camera_info"
@@ -160,6 +161,31 @@ def test_a_rectified_image_has_the_matrix_of_the_rectified(tmp_path: Path, cli: 
     done = cli("cloud", bag, "--out", tmp_path / "cloud.ply")
     assert done.code == 0, done.err
     assert np.allclose(read_cloud(tmp_path / "cloud.ply").points, POINTS, atol=1e-6)
+
+
+def test_corrected_is_not_rectified(tmp_path: Path, cli: Callable) -> None:
+    topic = "/camera/depth_corrected/image_raw"
+    info = "/camera/depth_corrected/camera_info"
+    renamed = {TOPIC: topic, INFO: info}
+    parts = [(renamed.get(t, t), time, m) for t, time, m in messages(raw(), **{INFO: BENT})]
+    done = cli("cloud", write_bag(tmp_path / "bag", parts), "--out", tmp_path / "cloud.ply")
+    assert done.code == 2
+    assert "distorted" in done.err
+
+
+def test_a_pose_from_the_table_in_a_bag(tmp_path: Path, cli: Callable) -> None:
+    seen = scenes.seen(scenes.table(), scenes.box((0.06, 0.08, 0.1), (0.62, 0.12)))
+    parts = [
+        (INFO, BEGIN, camera_info(BEGIN, scenes.CAMERA)),
+        (TOPIC, BEGIN, image(BEGIN, np.round(seen * 1000).astype(np.uint16), "16UC1")),
+    ]
+    out = tmp_path / "cloud.ply"
+    bag = write_bag(tmp_path / "bag", parts)
+    done = cli("cloud", bag, "--camera-pose", "table", "--out", out)
+    assert done.code == 0, done.err
+    pose = read_cloud(out).T_world_camera
+    assert pose is not None
+    assert pose[2, 3] == pytest.approx(scenes.POSE[2, 3], abs=0.005)
 
 
 def of(parts: list[tuple[str, int, Any]], *options: object) -> Callable[[Path], list[object]]:

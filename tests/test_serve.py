@@ -23,8 +23,10 @@ import numpy as np
 import pytest
 import trimesh
 from doc_blocks import blocks
+from test_cli_mesh import constant_network
 
 from pointsdf_cli.assets import asset_path
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import Cloud, DepthImage, read_cloud, write_cloud
 from pointsdf_cli.io.hdf5 import read_artifact
 from pointsdf_cli.io.plans import read_plan
@@ -41,11 +43,13 @@ pytest.importorskip("uvicorn", reason="the extra `serve` is not installed")
 
 from pointsdf_cli.models.registry import use_threads
 from pointsdf_cli.service.bodies import PlanBody, read_body
+from pointsdf_cli.service.identity import PlannerFiles
 from pointsdf_cli.service.resident import Resident
 from pointsdf_cli.service.server import Server
 
 ROOT = Path(__file__).parent.parent
 TABLE, MUG = asset_path("clouds/table.ply"), asset_path("clouds/mug.ply")
+DRILL = asset_path("clouds/power_drill.ply")
 
 
 @pytest.fixture(scope="module")
@@ -190,13 +194,23 @@ def test_a_mesh_is_closed_and_where_the_cloud_is(server: Server) -> None:
 
 
 def test_a_mesh_takes_the_robots_configuration(server: Server) -> None:
-    asked = cloud_body(TABLE, resolution=16, segment="auto", start=[0.0, 9.0])
+    asked = cloud_body(TABLE, resolution=32, segment="auto", start=[0.0, 9.0])
     answer = post(server, "/mesh", asked)
     assert answer.status_code == 400
     assert "--start" in answer.json()["error"]["message"]
     answer = post(server, "/mesh", asked | {"segment": "none"})
     assert answer.status_code == 400
     assert "segment: auto" in answer.json()["error"]["message"]
+
+
+# Two triangles in a plane: a hull of them ends the process in a collision library.
+FLAT = {
+    "name": "sheet",
+    "kind": "mesh",
+    "pose": np.eye(4),
+    "vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]],
+    "faces": [[0, 1, 2], [1, 3, 2]],
+}
 
 
 @pytest.mark.parametrize(
@@ -214,6 +228,9 @@ def test_a_mesh_takes_the_robots_configuration(server: Server) -> None:
         ({**cloud_body(MUG), "target": [1, 2, 3, 4]}, "target"),
         ({**cloud_body(MUG), "expects": {"robot": "another"}}, "another robot"),
         ({**cloud_body(MUG), "start": [0.1, 0.2]}, "joint positions"),
+        ({**cloud_body(MUG), "environment": {"obstacles": [FLAT]}}, "encloses no volume"),
+        ({**cloud_body(MUG), "environment": {"obstacles": [{**FLAT, "faces": []}]}}, "faces"),
+        ({"clouds": [{"points": [[0, 0, 1]], "mask": [0]}]}, "0 everywhere"),
     ],
 )
 def test_a_bad_body_is_told_and_harms_nothing(server: Server, tree: object, words: str) -> None:
@@ -222,6 +239,28 @@ def test_a_bad_body_is_told_and_harms_nothing(server: Server, tree: object, word
     assert words in answer.json()["error"]["message"]
     health = httpx.get(server.url + "/health").json()
     assert (health["status"], health["waiting"]) == ("ok", 0)
+
+
+def test_an_empty_reconstruction_is_no_failure_of_the_server(tmp_path: Path) -> None:
+    files = PlannerFiles(checkpoint=constant_network(tmp_path, 0.1))
+    with Server(Resident(files)) as empty:
+        answer = post(empty, "/mesh", cloud_body(DRILL, resolution=32))
+        assert answer.status_code == 422
+        assert "nothing solid" in answer.json()["error"]["message"]
+        # Options are told before the request waits for its turn.
+        wrong = post(empty, "/mesh", cloud_body(DRILL, resolution=77))
+        assert (wrong.status_code, "--resolution" in wrong.text) == (400, True)
+
+
+def test_weights_that_change_under_a_server_are_refused(tmp_path: Path) -> None:
+    served = Resident(PlannerFiles(checkpoint=constant_network(tmp_path / "net", 0.1)))
+    loaded = served.identity()
+    first = served.planner(PlanChoices())
+    constant_network(tmp_path / "net", -0.1)  # trained again, meanwhile
+    assert served.identity() == loaded
+    assert served.planner(PlanChoices()) is first
+    with pytest.raises(InputError, match="have changed"):
+        served.planner(PlanChoices(kind="top"))
 
 
 def test_what_is_no_npz_or_json_or_too_large_is_refused(server: Server) -> None:

@@ -146,12 +146,20 @@ def test_what_is_left_out_reads_like_what_was_never_known() -> None:
         assert torch.equal(before, after)
 
 
+SMALL = {
+    "centres": (64, 32, 16, 8), "neighbours": (8, 8, 8, 4), "hidden": (8, 8, 8, 8),
+    "channels": (8, 8, 16, 16), "width": 32, "blocks": 1, "local": 8, "heads": 1,
+}  # fmt: skip
+
+
+def test_inputs_that_come_between_others_are_refused() -> None:
+    without_box = PointSDFRay(**SMALL, revolution=True, surroundings=True)
+    with pytest.raises(RuntimeError, match="not the first"):
+        PointSDFRay(**SMALL, revolution=True, box=True, surroundings=True).begin_with(without_box)
+
+
 def test_new_inputs_change_nothing_before_they_are_trained() -> None:
-    arguments = {
-        "centres": (64, 32, 16, 8), "neighbours": (8, 8, 8, 4), "hidden": (8, 8, 8, 8),
-        "channels": (8, 8, 16, 16), "width": 32, "blocks": 1, "local": 8, "heads": 1,
-        "revolution": True, "box": True,
-    }  # fmt: skip
+    arguments = {**SMALL, "revolution": True, "box": True}
     torch.manual_seed(0)
     old, new = PointSDFRay(**arguments).eval(), PointSDFRay(**arguments, surroundings=True).eval()
     new.begin_with(old)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -137,7 +138,8 @@ def _camera(bag: Bag, frames: DepthFrames, wanted: str | None) -> Camera:
             allowed="the camera_info of the depth images themselves (--info-topic)",
         )
     # The matrix P belongs to the rectified image, the distortion to the image before rectification.
-    rectified = "rect" in frames.topic and info.P[0, 0] > 0
+    named = re.search(r"(^|[/_])rect(ified)?($|[/_])", frames.topic)
+    rectified = named is not None and info.P[0, 0] > 0
     if not rectified and np.abs(info.distortion).max(initial=0.0) > SMALLEST_DISTORTION:
         raise InputError(
             f"{info.topic} says that the images on {frames.topic} are distorted",

@@ -30,7 +30,7 @@ DISTANCE = (0.4, 1.6)
 """Distance from the camera to the object's centre [m]."""
 ELEVATION = (0.2, 1.3)
 """Elevation of the camera above the table [rad]."""
-BESIDE = 0.3
+IN_FRONT = 0.3
 """Share of the neighbours between the object and the camera."""
 GAP = 0.12
 """Largest gap between a neighbour and the object [m]."""
@@ -52,7 +52,7 @@ class SceneConfig:
 
     Attributes:
         resting: Share of scenes in which the object rests on a table; in the others it is turned at
-            random and stands in the void.
+            random without one.
         leaning: Share of the objects on a table that are tilted out of their stable pose, as if
             they leaned on something.
         lean: Angle of this tilt [rad].
@@ -165,7 +165,7 @@ def _neighbours(
     bodies = []
     for _ in range(rng.integers(config.neighbours + 1)):
         body = _simple_body(rng.uniform(0.03, 0.16, 3), rng)
-        in_front = rng.random() < BESIDE
+        in_front = rng.random() < IN_FRONT
         azimuth = towards + rng.normal(0, 0.5) if in_front else rng.uniform(0, 2 * np.pi)
         body.apply_transform(_turned(rng.uniform(0, 2 * np.pi)))
         _stand(body, middle, reach + rng.uniform(0.003, GAP), azimuth)

@@ -96,7 +96,7 @@ def cloud(
         for option, given in options_of_images.items():
             if given is not None:
                 raise InputError(f"{option} with a bag", where=depth, hint="leave it out")
-        _cloud_of_bag(reporter, depth, bag, options, camera_pose, out)
+        _cloud_of_bag(reporter, depth, bag, options, camera_pose, not no_clean, out)
         return
     if bag != BagOptions():
         raise InputError("is not a bag, but an option for bags is given", where=depth)
@@ -145,35 +145,46 @@ def _cloud_of_bag(
     bag: BagOptions,
     options: SceneFileOptions,
     pose: str | None,
+    cleaned: bool,
     out: Path,
 ) -> None:
     """Write the cloud of a bag's depth images and report its sources."""
     from dataclasses import replace
 
     from pointsdf_cli.camera.bag_cloud import cloud_of_bag
+    from pointsdf_cli.camera.scene_file import cleaned_view
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.clouds import write_cloud
-    from pointsdf_cli.io.poses import camera_pose
+    from pointsdf_cli.io.poses import camera_pose, table_place
+    from pointsdf_cli.planning.scene_input import stand_on_table, table_note
 
-    fixed = None if pose is None else camera_pose(pose)
-    if fixed is not None and bag.world_frame is not None:
+    place = None if pose is None else table_place(pose)
+    fixed = None if pose is None or place is not None else camera_pose(pose)
+    if pose is not None and bag.world_frame is not None:
         raise InputError(
             "two poses: --world-frame and --camera-pose", where=path, hint="leave one out"
         )
     made, frames, said = cloud_of_bag(path, bag, options.intrinsics, options.near, options.far)
+    said += made.notes
+    if cleaned:
+        made, report = cleaned_view(made, whole_scene=True)
+        said += [report] if report else []
     if fixed is not None:
         made = replace(made, T_world_camera=fixed)
+    elif place is not None:
+        made, _ = stand_on_table(made, str(path), place, cleaned=cleaned)
+        said.append(table_note(made, place))
     elif made.T_world_camera is None:
         said.append("rgrasp mesh needs no pose, rgrasp plan will ask for --camera-pose")
-    write_cloud(out, made)
-    place = f"image {frames.number}" if frames.number >= 0 else f"the image at {bag.time:g} s"
+    write_cloud(out, replace(made, pixels=None, image=None))
+    source = f"image {frames.number}" if frames.number >= 0 else f"the image at {bag.time:g} s"
     if bag.frames > 1:
-        place = f"{bag.frames} images from {place}"
+        source = f"{bag.frames} images from {source}"
     values, line = _told(out, made)
     about = {"topic": frames.topic, "frame_id": frames.frame, "stamps": frames.stamps}
     reporter.result(
         {**values, **about, "said": said},
-        [f"{line}, from {place} on {frames.topic} ({frames.frame})", *said],
+        [f"{line}, from {source} on {frames.topic} ({frames.frame})", *said],
     )
 
 

@@ -257,22 +257,30 @@ def check_suffix(path: Path, option: str, suffixes: tuple[str, ...]) -> None:
 
 
 def say_if_from_another(
-    reporter: Reporter, checkpoint: Path | None, grasp_checkpoint: Path | None
+    reporter: Reporter,
+    checkpoint: Path | None,
+    grasp_checkpoint: Path | None,
+    robot: Path | None,
 ) -> None:
     """Warn if the success network was trained on another reconstruction than it will read.
 
     Raises:
-        InputError: No such checkpoint.
+        InputError: No such checkpoint or robot.
     """
+    from pointsdf_cli.models.bundled_success import bundled_success
     from pointsdf_cli.models.grasp_checkpoint import (
         reconstruction_for,
         reconstruction_of_training,
     )
+    from pointsdf_cli.robot.description import load_robot
 
     if checkpoint is None and grasp_checkpoint is None:
         return
-    read = checkpoint or reconstruction_for(grasp_checkpoint)
-    other = reconstruction_of_training(grasp_checkpoint, read)
+    success = grasp_checkpoint or bundled_success(load_robot(robot))
+    if success is None:  # the robot has no bundled one: planning will ask for it
+        return
+    read = checkpoint or reconstruction_for(success)
+    other = reconstruction_of_training(success, read)
     if other is not None:
         reporter.say(
             f"the success network was trained on the reconstruction {other} but reads {read}: its "
@@ -324,6 +332,9 @@ def torch_device(name: str) -> str:
     Raises:
         InputError: It is not on this machine.
     """
+    if name == "cpu":
+        return name
+
     import torch
 
     device = torch.device(name)

@@ -16,8 +16,7 @@ def doctor(quiet: common.Quiet = False, as_json: common.Json = False) -> None:
     checks = examine()
     values = {check.name: {"ok": check.ok, "detail": check.detail} for check in checks}
     lines = [f"{'ok  ' if c.ok else 'FAIL'}  {c.name}: {c.detail}" for c in checks]
-    if not quiet or as_json:
-        common.Reporter(quiet, as_json).result(values, lines)
+    common.Reporter(quiet, as_json).result(values, lines)
     failed = [check.name for check in checks if not check.ok]
     if failed:
         raise RgraspError(f"{len(failed)} checks failed: {', '.join(failed)}")

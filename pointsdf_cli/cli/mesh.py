@@ -122,7 +122,7 @@ def mesh(
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new
     from pointsdf_cli.io.checkpoints import read_config
-    from pointsdf_cli.io.each_file import require_without
+    from pointsdf_cli.io.each_file import require_each, require_without
     from pointsdf_cli.planning.mesh_choices import MeshChoices
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
@@ -144,11 +144,13 @@ def mesh(
     if each:
         one = {"--picture": picture is not None, "--mask": mask is not None}
         require_without(one, "leave one of the two out")
+        common.torch_device(device)
         mesh_each(
             reporter, clouds, camera_pose, files, settings, inputs, out=out or Path("meshes"),
             form=form or "ply", jobs=jobs, threads=threads, force=force, skip_bad=skip_bad,
         )  # fmt: skip
         return
+    require_each({"--skip-bad": skip_bad})
     if len(clouds) > 1:
         raise InputError(f"{len(clouds)} inputs", allowed="one", hint="add --each")
     out = mesh_path(out, form)

@@ -172,12 +172,13 @@ def plan(
 
     Example: rgrasp plan scenes/*.ply --each --out plans/
     """
-    from pointsdf_cli.io.each_file import require_without
+    from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.each_file import require_each, require_without
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.poses import box
     from pointsdf_cli.io.present import require_present
     from pointsdf_cli.planning.environment import Environment, read_environment
-    from pointsdf_cli.planning.option_checks import check_segment
+    from pointsdf_cli.planning.option_checks import RECONSTRUCTION, check_segment
     from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
     from pointsdf_cli.preload import preload
     from pointsdf_cli.robot.description import load_robot
@@ -190,10 +191,13 @@ def plan(
         start, target, workspace, checkpoint, grasp_checkpoint,
     ]  # fmt: skip
     out = out or Path("plans" if each else "plan.h5")
+    if picture is not None and no_picture:
+        raise InputError("--picture with --no-picture", hint="leave one of the two out")
     if each:
         one = {"--trajectory": trajectory, "--picture": picture, "--server": server}
         require_without({k: v is not None for k, v in one.items()}, "leave one of the two out")
     else:
+        require_each({"--skip-bad": skip_bad})
         drawn = None if no_picture else picture or out.with_suffix(".png")
         outputs = PlanOutputs(out, drawn, trajectory)
         outputs.require_free(inputs, force)
@@ -223,6 +227,9 @@ def plan(
     planner = PlannerFiles(robot, checkpoint, grasp_checkpoint)
     settings = PlanSettings(request, target, planner, device)
     if each:
+        common.torch_device(device)
+        if method == RECONSTRUCTION:
+            common.say_if_from_another(reporter, checkpoint, grasp_checkpoint, robot)
         plan_each(
             reporter, clouds, camera_pose or [], files, settings, inputs, out=out,
             pictures=not no_picture, jobs=jobs, threads=threads, force=force, skip_bad=skip_bad,

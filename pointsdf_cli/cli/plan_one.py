@@ -170,7 +170,7 @@ def _plan_here(
     use_threads(threads or idle.count())
     resident.planner(request.choices)  # what cannot be loaded is told first
     if request.choices.method == RECONSTRUCTION:
-        common.say_if_from_another(reporter, files.checkpoint, files.grasp_checkpoint)
+        common.say_if_from_another(reporter, files.checkpoint, files.grasp_checkpoint, files.robot)
     return resident.plan(request, lambda sentence: reporter.say(f"warning: {sentence}"))
 
 

@@ -23,7 +23,12 @@ def render(
             "and height."
         ),
     ] = "reference",
-    distance: Annotated[float, typer.Option(help="Distance from camera to object [m].")] = 1.5,
+    distance: Annotated[
+        float | None,
+        typer.Option(
+            help="Distance from camera to object [m]; 1.5 if not given.", show_default=False
+        ),
+    ] = None,
     sensor: Annotated[
         str,
         typer.Option(
@@ -93,14 +98,21 @@ def render(
     if scene == "table" and (keep_depth or above):
         option = "--keep-depth" if keep_depth else "--above"
         raise InputError(f"{option} with --scene table", hint="leave one of the two out")
+    if scene == "table" and (noise is not None or distance is not None):
+        option = "--noise" if noise is not None else "--distance"
+        raise InputError(
+            f"{option} with --scene table",
+            hint="leave it out: the scenes vary the distance, and --sensor makes the errors",
+        )
     sensors = tuple(name.strip() for name in sensor.split(","))
     if scene == "void" and (len(sensors) > 1 or exact):
         option = f"--sensor {sensor}" if len(sensors) > 1 else f"--exact {exact:g}"
         raise InputError("is for --scene table", where=option, hint="add --scene table")
     depth_noise = DepthNoise() if noise is None else DepthNoise(noise)
     table = SceneViewConfig(sensors, exact=exact) if scene == "table" else None
+    away = ViewConfig.distance if distance is None else distance
     config = ViewConfig(
-        views, distance, load_camera(camera), depth_noise, keep_depth, unit, above, table,
+        views, away, load_camera(camera), depth_noise, keep_depth, unit, above, table,
         sensor=sensors[0],
     )  # fmt: skip
     found = shard_of(find_meshes(meshes, pattern), shard)

@@ -80,6 +80,7 @@ def serve(
     files = PlannerFiles(robot, checkpoint, grasp_checkpoint)
     resident = Resident(files, common.torch_device(device))
     use_threads(threads or idle_processors())
+    resident.identity()  # of the files that are loaded now
     resident.planner(PlanChoices())
     with stop_requests() as stopped:
         server = Server(resident, host, port, token, queue, largest_body << 20)

@@ -129,7 +129,7 @@ def trial(
     )
     execution = ExecutorConfig(shake=shake, hold=hold, push=push)
     config = TrialConfig(VariantOptions(planning, rehearse), execution=execution, sensor=sensor)
-    common.say_if_from_another(reporter, checkpoint, grasp_checkpoint)
+    common.say_if_from_another(reporter, checkpoint, grasp_checkpoint, robot)
     chosen = protocol.choose_objects(meshes, objects, pattern, unit)
     pool = protocol.clutter_pool(meshes, pattern, unit) if clutter else []
     asked = [c for c in cameras.split(",") if c]

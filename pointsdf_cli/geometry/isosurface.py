@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.errors import EmptyResultError, InputError
 from pointsdf_cli.geometry.fine_cells import FineGrid, refine_cells
 from pointsdf_cli.geometry.marching_cubes import cross_cells
 from pointsdf_cli.geometry.mise import SearchRules, find_surface_cells
@@ -28,7 +28,7 @@ _END_GAP = 1e-3
 when the mesh is stored in float32."""
 
 
-class EmptySurfaceError(RgraspError):
+class EmptySurfaceError(EmptyResultError):
     """The field is nowhere negative inside the box, as far as the coarse grid shows."""
 
 

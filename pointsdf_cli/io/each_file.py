@@ -47,6 +47,20 @@ def one_for_each(values: Sequence[Value], count: int, option: str) -> list[Value
     return own * count if len(own) == 1 else own
 
 
+def require_each(options: dict[str, bool]) -> None:
+    """Refuse options that are for many inputs, with one.
+
+    Args:
+        options: Whether each option was given.
+
+    Raises:
+        InputError: One was given.
+    """
+    for option, given in options.items():
+        if given:
+            raise InputError(f"{option} without --each", hint=f"add --each, or leave {option} out")
+
+
 def require_without(options: dict[str, bool], instead: str) -> None:
     """Refuse options that name one output or one question where there are many.
 

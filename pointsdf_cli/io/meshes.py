@@ -165,17 +165,42 @@ def load_body(path: Path | str, scale: float = 1.0) -> LoadedMesh:
     """
     path = Path(path)
     vertices, faces = _surface(path)
+    _check_extent(vertices, faces, scale, path)
+    return _closed(path, vertices * scale, faces)
+
+
+def closed_body(
+    vertices: NDArray[np.float64], faces: NDArray[np.integer], where: object
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Vertices [V, 3] m and faces [F, 3] of a closed body from those of an obstacle.
+
+    Raises:
+        InputError: As `load_body`.
+    """
+    if not len(faces):
+        raise InputError("holds no faces", where=where, allowed="a triangle mesh")
+    _check_extent(vertices, faces, 1.0, where)
+    try:
+        closed = close_mesh(vertices, np.asarray(faces, dtype=np.int64))
+    except InputError as error:
+        raise InputError.of(error, where) from error
+    return closed.vertices, closed.faces
+
+
+def _check_extent(
+    vertices: NDArray[np.float64], faces: NDArray[np.integer], scale: float, where: object
+) -> None:
+    """Refuse sizes and places on which collision libraries crash."""
     used = vertices[np.unique(faces)]
     with np.errstate(over="ignore"):
         farthest = float(np.abs(used).max()) * scale
         size = float(np.ptp(used, axis=0).max()) * scale
-    if not (farthest < FARTHEST and size > NARROWEST):  # libraries crash on such numbers
+    if not (farthest < FARTHEST and size > NARROWEST):
         raise InputError(
             f"is {size:.3g} m across and up to {farthest:.3g} m away, scaled by {scale:g}",
-            where=path,
+            where=where,
             allowed=f"{NARROWEST:g} to {FARTHEST:g} m",
         )
-    return _closed(path, vertices * scale, faces)
 
 
 def _surface(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

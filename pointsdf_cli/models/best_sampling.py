@@ -25,7 +25,7 @@ from pointsdf_cli.models.surroundings import surroundings_of
 SAMPLINGS = 4
 """Samplings of a cloud. The first is of all points."""
 LEFT_OUT = 5
-"""Each further sampling leaves out every fifth point, starting at another one; not by the seed."""
+"""Sampling k leaves out every fifth point, from point k − 1 on, whatever the seed."""
 FEWEST = 30
 """Clouds of fewer points are sampled once."""
 ENOUGH = 0.6

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import is_rigid
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
@@ -63,6 +65,10 @@ def complete(
         EmptySurfaceError: The network sees no object in the points.
     """
     pose = np.eye(4) if T_frame_camera is None else np.asarray(T_frame_camera, dtype=np.float64)
+    if not is_rigid(pose):
+        raise InputError(
+            "is not a rigid transform", where="T_frame_camera", allowed="[4, 4], a rotation, m"
+        )
     model = _model(None if checkpoint is None else str(checkpoint))
     shape = Reconstruction.from_cloud(model, points, pose[:3, 3], pose[:3, :3], seed, evidence)
     mesh = mesh_reconstruction(shape, resolution)

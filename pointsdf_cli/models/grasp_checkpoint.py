@@ -173,6 +173,12 @@ def _check_config(config: Mapping[str, Any], where: object) -> None:
         )
         if missing or any(name not in config[key] for name in inner):
             raise InputError(f"its config.json has no usable {key!r}", where=where)
+    joints, encoder = config["robot"]["preshape_joints"], config["encoder"]
+    if not (isinstance(joints, list) and all(isinstance(name, str) for name in joints)):
+        raise InputError("its config.json has no usable 'preshape_joints'", where=where)
+    own = config["mode"] != FIXED
+    if own and not {"architecture", "model"} <= set(encoder):
+        raise InputError("its config.json has no usable 'encoder'", where=where)
 
 
 def check_hand(sweep: HandSweep, config: Mapping[str, Any], where: object) -> None:
@@ -185,7 +191,11 @@ def check_hand(sweep: HandSweep, config: Mapping[str, Any], where: object) -> No
     now = sweep.course()
     if learned is None:
         return
-    if np.shape(learned) != now.shape or not np.allclose(learned, now, atol=COURSE_OFF):
+    try:
+        course = np.asarray(learned, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError("its config.json has no usable 'course'", where=where) from error
+    if course.shape != now.shape or not np.allclose(course, now, atol=COURSE_OFF):
         raise InputError(
             f"was trained with another hand or palm frame of {config['robot']['name']!r}: the "
             "fingers close elsewhere, so its predictions do not apply",
@@ -281,7 +291,7 @@ def reconstruction_for(grasp_checkpoint: Path | str | None) -> Path:
 
 
 def reconstruction_of_training(
-    grasp_checkpoint: Path | str | None, sdf_checkpoint: Path | str
+    grasp_checkpoint: Path | str, sdf_checkpoint: Path | str
 ) -> Path | None:
     """Reconstruction that a success network on geometry was trained with, if not `sdf_checkpoint`.
 
@@ -289,7 +299,7 @@ def reconstruction_of_training(
     reconstruction that it was trained with.
 
     Args:
-        grasp_checkpoint: The success network; the bundled one if None.
+        grasp_checkpoint: The success network.
         sdf_checkpoint: The reconstruction network that it will read.
 
     Returns:
@@ -298,9 +308,7 @@ def reconstruction_of_training(
     Raises:
         InputError: A checkpoint does not exist.
     """
-    checkpoint = read_checkpoint(
-        grasp_checkpoint if grasp_checkpoint is not None else asset_path(BUNDLED)
-    )
+    checkpoint = read_checkpoint(grasp_checkpoint)
     config = checkpoint.config
     if config.get("inputs") != "geometry" or config.get("mode") != FIXED:
         return None

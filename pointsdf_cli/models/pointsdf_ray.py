@@ -160,6 +160,10 @@ class PointSDFRay(ShapeModel):
             size += SURROUNDINGS_SIZE + (VISIBILITY_SIZE if self.revolution else 0)
         return size
 
+    def _optional_inputs(self) -> tuple[bool, ...]:
+        """Presence of the decoder's optional inputs, in their order."""
+        return bool(self.revolution), self.has_box, self.reads_surroundings
+
     def config(self) -> dict[str, Any]:
         return {
             "centres": list(self.centres),
@@ -183,6 +187,10 @@ class PointSDFRay(ShapeModel):
         if isinstance(other, PointSDFRay) and other.revolution <= self.revolution:
             # Weights of new inputs start at zero, so that the function is the same at first.
             narrow = state["enter.weight"]
+            had, has = other._optional_inputs(), self._optional_inputs()
+            if had != tuple(mine and any(had[k:]) for k, mine in enumerate(has)):
+                # The columns of later inputs would stand where the missing ones belong.
+                raise RuntimeError("its inputs are not the first of this model's inputs")
             missing = max(0, self.enter.in_features - narrow.shape[1])
             state["enter.weight"] = torch.nn.functional.pad(narrow, (0, missing))
         self.load_state_dict(state)

@@ -77,7 +77,7 @@ class Reconstruction:
 
         Args:
             model: A network; it is put into evaluation mode.
-            points: [N, 3], m, in any frame; N ≥ 1, resampled to the network's size.
+            points: [N, 3], m, in any frame; two places or more, resampled to the network's size.
             camera_position: [3], the camera's centre in that frame, m.
             R_frame_camera: [3, 3], the camera's axes (OpenCV: z forward, y down) in that frame;
                 None if the frame already has the camera's axes.

@@ -23,8 +23,7 @@ ARCHITECTURES: dict[str, type[ShapeModel]] = {
 
 
 def default_checkpoint() -> Path:
-    """The bundled reconstruction network, trained with errors of sensors and masks; the bundled
-    success networks were trained on its fields."""
+    """The bundled reconstruction network, trained with errors of sensors and masks."""
     return asset_path("weights/pointsdf_real")
 
 
@@ -46,8 +45,9 @@ def build_model(
             f"no architecture {architecture!r}", where="model", allowed=", ".join(ARCHITECTURES)
         )
     try:
-        torch.manual_seed(seed)
-        return ARCHITECTURES[architecture](**dict(arguments or {}))
+        with torch.random.fork_rng(devices=[]):  # the caller's generator stays as it is
+            torch.manual_seed(seed)
+            return ARCHITECTURES[architecture](**dict(arguments or {}))
     except (TypeError, ValueError, RuntimeError, LookupError) as error:
         raise InputError(f"cannot be built as {architecture}: {error}", where="model") from error
 

@@ -34,13 +34,14 @@ class AcceptanceConfig:
     floor: float = 0.03
 
     def __post_init__(self) -> None:
-        bounds = 0 <= self.least <= self.success < 1 and 0 <= self.floor < 1
-        if not (bounds and self.objective > 0):
+        if not (0 <= self.least <= self.success < 1 and 0 <= self.floor < 1):
             raise InputError(
                 f"a probability of success of at least {self.least:g}, good above {self.success:g}",
                 where="--min-success",
-                allowed="0 ≤ least ≤ good < 1, an objective above 0",
+                allowed="0 ≤ least ≤ good < 1",
             )
+        if not self.objective > 0:
+            raise InputError(f"a largest objective of {self.objective:g}", allowed="above 0")
 
 
 @dataclass(frozen=True)

@@ -118,6 +118,8 @@ def _obstacle(entry: Any, place: int, path: Path) -> Obstacle:
         raise InputError(f"has wxyz {wxyz.tolist()}", where=where, allowed="a unit quaternion")
     pose = transform(rotation_from_wxyz(wxyz), _vector(entry, "xyz", (0.0, 0.0, 0.0), where))
     if kind != "mesh":
+        if "scale" in entry:
+            raise InputError(f"a {kind} with a scale", where=where, allowed="scale with mesh only")
         size = _vector(entry, kind, (1.0,) * SIZES[kind], where)
         return Obstacle(name, kind, tuple(float(v) for v in size), pose)
     scale = _vector({"scale": [entry.get("scale", 1.0)]}, "scale", (1.0,), where)[0]
@@ -130,7 +132,7 @@ def _obstacle(entry: Any, place: int, path: Path) -> Obstacle:
 def _vector(entry: Mapping[str, Any], key: str, default: tuple[float, ...], where: str) -> Array:
     value = entry.get(key, default)
     try:
-        numbers = np.array([float(v) for v in value])
+        numbers = np.array([float(v) for v in ([] if isinstance(value, str) else value)])
     except (TypeError, ValueError):
         numbers = np.empty(0)
     if len(numbers) != len(default) or not np.isfinite(numbers).all():

@@ -70,8 +70,8 @@ class SeenField:
     def at_most(self, points: Array, limits: Array) -> Array:
         """Minimum of the distance and a limit [N] at points [N, 3], m.
 
-        Far quicker than exact distances: among thousands of nearly equally distant points a nearest
-        neighbour search must visit all, a search that ends at the limit need not.
+        Much faster than exact distances. Where thousands of points are about equally near, an exact
+        search visits all of them; this one stops at the limit.
         """
         values = np.array(limits, dtype=np.float64)
         asked = np.flatnonzero(values > 0)

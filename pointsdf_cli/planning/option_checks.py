@@ -13,7 +13,7 @@ METHODS = get_args(choices.Method)
 KINDS = ("side", "top")
 
 LARGEST_CLEARANCE = 0.015
-"""Largest clearance [m]: distances are exact up to 2 cm only, and a hand farther away than this
+"""Largest clearance [m]. Distances are exact only up to 2 cm, and a hand that keeps 1.5 cm away
 holds nothing."""
 
 

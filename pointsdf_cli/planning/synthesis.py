@@ -44,8 +44,8 @@ STALLED = 0.8
 
 
 ENOUGH = 2
-"""Round from which on any accepted grasp ends the search; so does little gain while all free grasps
-are poor. In earlier rounds only a good grasp ends it."""
+"""Round (from 1) from which on any accepted grasp ends the search, or, without one, a round that
+gains little. The rounds before end it only with a good grasp."""
 POLISHED = 3
 """Largest number of solutions of a round that are solved again with the exact field."""
 POLISH_ITERATIONS = 12

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.errors import EmptyResultError, InputError
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.smoothing import taubin_smooth
@@ -52,7 +52,7 @@ GIVEN_REACH = 0.25
 """Distance [m] from the seen points within which a given field's surface is searched."""
 
 
-class EmptyFieldError(RgraspError):
+class EmptyFieldError(EmptyResultError):
     """The field has no inside: there is nothing to grasp."""
 
 

@@ -8,7 +8,6 @@ from pointsdf_cli.io.plans import plan_as_json, write_plan
 from pointsdf_cli.io.scratch import Scratch
 from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.io.trees import tree_to_npz
-from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_view import bare_cloud, segmented_cloud
 from pointsdf_cli.planning.plan_request import PlanResult
 from pointsdf_cli.planning.table_top import workspace_of
@@ -38,10 +37,6 @@ def mesh_answer(resident: Resident, body: MeshBody, form: str) -> tuple[bytes, s
     require_expected(resident, body)
     given = body.clouds[0]
     if body.segment == "none":
-        if not (body.target is None and body.workspace is None and body.start is None):
-            raise InputError(
-                "target, workspace or start without segment auto", hint="add segment: auto"
-            )
         view = bare_cloud(given.cloud(), given.name, body.clean)
     else:
         robot = load_robot(resident.files.robot)
@@ -55,8 +50,7 @@ def mesh_answer(resident: Resident, body: MeshBody, form: str) -> tuple[bytes, s
             body.clean,
             start_configuration(body.start, robot),
         )
-    choices = MeshChoices(body.resolution, body.smooth, body.all_parts, body.exact, seed=body.seed)
-    completed = resident.mesh(view, choices, given.name)
+    completed = resident.mesh(view, body.choices(), given.name)
     made = completed.mesh
     answer = {
         "vertices": apply_transform(view.T_frame_camera, made.vertices),
@@ -83,7 +77,7 @@ def require_expected(resident: Resident, body: SceneBody) -> None:
     Raises:
         InputError: One of these differs.
     """
-    own = resident.files.identity()
+    own = resident.identity()
     for name, wanted in body.expects.model_dump().items():
         if wanted is not None and wanted != own[name]:
             shown = {name: value[:12] for name, value in (("wanted", wanted), ("own", own[name]))}

@@ -12,14 +12,14 @@ from fastapi import FastAPI, Request, Response
 from starlette.requests import ClientDisconnect
 
 from pointsdf_cli import __version__
-from pointsdf_cli.errors import InputError, RgraspError
+from pointsdf_cli.errors import EmptyResultError, InputError, RgraspError
 from pointsdf_cli.planning.cancellation import CancelledError
 from pointsdf_cli.service.answers import mesh_answer, plan_answer, score_answer
 from pointsdf_cli.service.bodies import (
     HDF5,
     JSON,
     NPZ,
-    Body,
+    AnyBody,
     MeshBody,
     PlanBody,
     ScoreBody,
@@ -84,7 +84,9 @@ def make_app(
             "done": queue.done,
         }
 
-    def offer(path: str, kind: type[Body], answer: Callable[[Resident, Body, str], Answer]) -> None:
+    def offer(
+        path: str, kind: type[AnyBody], answer: Callable[[Resident, AnyBody, str], Answer]
+    ) -> None:
         async def ask(request: Request) -> Response:
             def work(data: bytes) -> Callable[[], Answer]:
                 body = read_body(kind, data, request.headers.get("content-type", ""))
@@ -166,8 +168,11 @@ async def _answered(
     except ClosingError as error:
         return _error_response(error, 503)
     try:
-        async with asyncio.timeout(SLOWEST_BODY):
-            data = await _body(request, largest)
+        try:
+            async with asyncio.timeout(SLOWEST_BODY):
+                data = await _body(request, largest)
+        except TimeoutError:
+            return _error_response(RgraspError("the body did not arrive in time"), 408)
         ready = await asyncio.to_thread(work, data)
         del data
         waiting = asyncio.wrap_future(queue.submit(job, ready))
@@ -177,8 +182,6 @@ async def _answered(
                 queue.leave(job)
         answer, form = waiting.result()
         return Response(answer, media_type=form)
-    except TimeoutError:
-        return _error_response(RgraspError("the body did not arrive in time"), 408)
     except TooLargeError as error:
         return _error_response(error, 413, {"Connection": "close"})
     except CancelledError as error:
@@ -190,7 +193,8 @@ async def _answered(
     except InputError as error:
         return _error_response(error, 400)
     except RgraspError as error:
-        return _error_response(error, 422 if error.exit_code == 3 else 500)
+        empty = error.exit_code == 3 or isinstance(error, EmptyResultError)
+        return _error_response(error, 422 if empty else 500)
     except MemoryError:
         return _error_response(RgraspError("not enough memory for this request"), 500)
     finally:

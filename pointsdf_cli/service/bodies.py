@@ -2,150 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
+from pydantic import Field, ValidationError
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import is_rigid
-from pointsdf_cli.io.clouds import Cloud, DepthImage
 from pointsdf_cli.io.trees import tree_of_json, tree_of_npz
-from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
+from pointsdf_cli.service.body_parts import Body, CloudBody, EnvironmentBody, numbers
 
 JSON, NPZ, HDF5 = "application/json", "application/x-npz", "application/x-hdf5"
 
 
-def _numbers(*shape: int | None) -> Any:
-    """Finite numbers as an array of a shape, in which None is any length."""
-    text = ", ".join("N" if side is None else str(side) for side in shape)
-
-    def check(value: Any) -> NDArray[np.float64]:
-        try:
-            array = np.asarray(value)
-            if array.dtype.kind not in "buif":
-                raise ValueError
-        except (ValueError, TypeError, OverflowError):
-            raise ValueError(f"not numbers [{text}]") from None
-        fits = len(shape) == array.ndim and all(
-            side in (None, length) for side, length in zip(shape, array.shape, strict=True)
-        )
-        if not fits:
-            raise ValueError(f"numbers {list(array.shape)}, not [{text}]")
-        if not np.isfinite(array).all():
-            raise ValueError("holds NaN or infinity")
-        return array.astype(np.float64)
-
-    schema: dict[str, Any] = {"type": "number"}
-    for _ in shape:
-        schema = {"type": "array", "items": schema}
-    return Annotated[
-        Any, BeforeValidator(check), WithJsonSchema({**schema, "description": f"[{text}]"})
-    ]
-
-
-class _Body(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-class CloudBody(_Body):
-    """One view of the scene, in metres."""
-
-    points: _numbers(None, 3) = Field(description="[N, 3] m, in `frame`")  # type: ignore[valid-type]
-    frame: Literal["camera", "world"] = "camera"
-    T_world_camera: _numbers(4, 4) | None = None  # type: ignore[valid-type]
-    name: str = Field("cloud", max_length=4096, description="For messages")
-    pixels: _numbers(None, 2) | None = None  # type: ignore[valid-type]
-    depth: _numbers(None, None) | None = None  # type: ignore[valid-type]
-    K: _numbers(3, 3) | None = None  # type: ignore[valid-type]
-    mask: _numbers(None) | None = None  # type: ignore[valid-type]
-    mask_rays: _numbers(None, 2) | None = Field(  # type: ignore[valid-type]
-        None, description="[K, 2], tangents x/z, y/z of the mask's pixels without depth"
-    )
-    over_table: bool = Field(
-        False, description="The pose was made from the table and is unrelated to the robot"
-    )
-
-    def cloud(self) -> Cloud:
-        """The view.
-
-        Raises:
-            InputError: Parts that do not fit each other.
-        """
-        pose = self.T_world_camera
-        if pose is not None and not is_rigid(pose):
-            raise InputError("T_world_camera is not a rigid transform", where=self.name)
-        if (self.depth is None) != (self.K is None):
-            raise InputError("a depth image without its K, or K alone", where=self.name)
-        if self.K is not None and not (self.K[0, 0] > 0 and self.K[1, 1] > 0):
-            raise InputError("focal lengths of K that are not above 0", where=self.name)
-        for part in (self.pixels, self.mask):
-            if part is not None and len(part) != len(self.points):
-                raise InputError(
-                    f"{len(part)} pixels or mask values for {len(self.points)} points",
-                    where=self.name,
-                    allowed="one for each",
-                )
-        image = (
-            DepthImage(self.depth, self.K)
-            if self.depth is not None and self.K is not None
-            else None
-        )
-        if image is not None and self.pixels is not None and len(self.pixels):
-            height, width = image.depth.shape
-            if (self.pixels < -0.5).any() or (self.pixels >= np.array([width, height])).any():
-                raise InputError("pixels lie outside of the depth image", where=self.name)
-        mask = None if self.mask is None else self.mask != 0
-        return Cloud(
-            self.points,
-            frame=self.frame,
-            T_world_camera=pose,
-            pixels=self.pixels,
-            image=image,
-            mask=mask,
-            mask_rays=None if mask is None else self.mask_rays,
-            over_table=self.over_table,
-        )
-
-
-class ObstacleBody(_Body):
-    """A body that the robot may not touch."""
-
-    name: str = Field(max_length=200)
-    kind: Literal["box", "cylinder", "sphere", "mesh"]
-    size: list[float] = Field(
-        default_factory=list, max_length=3, description="box x y z, cylinder r h, sphere r [m]"
-    )
-    pose: _numbers(4, 4)  # type: ignore[valid-type]
-    vertices: _numbers(None, 3) | None = None  # type: ignore[valid-type]
-    faces: _numbers(None, 3) | None = None  # type: ignore[valid-type]
-
-    def obstacle(self) -> Obstacle:
-        """The body.
-
-        Raises:
-            InputError: Sizes or triangles that make no sense.
-        """
-        faces = None if self.faces is None else self.faces.astype(np.int32)
-        corners = 0 if self.vertices is None else len(self.vertices)
-        if faces is not None and faces.size and not 0 <= faces.min() <= faces.max() < corners:
-            raise InputError("triangles refer to vertices that do not exist", where=self.name)
-        if not is_rigid(self.pose):
-            raise InputError("pose is not a rigid transform", where=self.name)
-        return Obstacle(self.name, self.kind, tuple(self.size), self.pose, self.vertices, faces)
-
-
-class EnvironmentBody(_Body):
-    """Everything known but the robot and the object."""
-
-    table: bool = True
-    obstacles: list[ObstacleBody] = Field(default_factory=list, max_length=1000)
-
-
-class Served(_Body):
+class Served(Body):
     """Version, robot and weights that the client expects; those left out are not checked."""
 
     version: str | None = None
@@ -154,7 +27,7 @@ class Served(_Body):
     grasp_checkpoint: str | None = None
 
 
-class SceneBody(_Body):
+class SceneBody(Body):
     """Views of one scene, and the chosen object."""
 
     clouds: list[CloudBody] = Field(min_length=1, max_length=16)
@@ -166,8 +39,10 @@ class SceneBody(_Body):
         description="Number in the list of `rgrasp segment`, pixel [u, v] or place [x, y, z] m; "
         "any for the first object that can be grasped",
     )
-    workspace: _numbers(2, 3) | None = Field(None, description="Corners of what is looked at [m]")  # type: ignore[valid-type]
-    start: _numbers(None) | None = Field(None, description="All joints [rad]; home if null")  # type: ignore[valid-type]
+    workspace: numbers(2, 3) | None = Field(None, description="Corners of what is looked at [m]")  # type: ignore[valid-type]
+    start: numbers(None) | None = Field(  # type: ignore[valid-type]
+        None, description="The arm's joints, or all [rad]; home if null"
+    )
     clean: bool = True
     seed: int = Field(0, ge=0, lt=2**63)
     expects: Served = Field(default_factory=Served)
@@ -274,7 +149,7 @@ class PlanBody(SceneBody):
 class ScoreBody(PlanBody):
     """A question for the success of given grasps."""
 
-    q: _numbers(None, None) = Field(description="Grasps [G, J], rad, in the robot's joint order")  # type: ignore[valid-type]
+    q: numbers(None, None) = Field(description="Grasps [G, J], rad, in the robot's joint order")  # type: ignore[valid-type]
 
 
 class MeshBody(SceneBody):
@@ -287,11 +162,31 @@ class MeshBody(SceneBody):
     all_parts: bool = False
     exact: bool = False
 
+    def choices(self) -> MeshChoices:
+        """Meshing options.
 
-Body = TypeVar("Body", bound=SceneBody)
+        Raises:
+            InputError: As `MeshChoices`.
+        """
+        return MeshChoices(self.resolution, self.smooth, self.all_parts, self.exact, seed=self.seed)
+
+    def check(self) -> None:
+        """Refuse a view or an option that makes no sense; see `SceneBody.check`."""
+        super().check()
+        self.choices()
+        self.wanted()
+        self.corners()
+        for_scenes = (self.target, self.workspace, self.start)
+        if self.segment == "none" and any(given is not None for given in for_scenes):
+            raise InputError(
+                "target, workspace or start without segment auto", hint="add segment: auto"
+            )
 
 
-def read_body(kind: type[Body], data: bytes, content_type: str) -> Body:
+AnyBody = TypeVar("AnyBody", bound=SceneBody)
+
+
+def read_body(kind: type[AnyBody], data: bytes, content_type: str) -> AnyBody:
     """A body of either form.
 
     Raises:
@@ -315,19 +210,19 @@ def read_body(kind: type[Body], data: bytes, content_type: str) -> Body:
         ) from error
 
 
-def schema_of(kind: type[_Body]) -> dict[str, Any]:
+def schema_of(kind: type[Body]) -> dict[str, Any]:
     """OpenAPI description of a body."""
     binary = {"type": "string", "format": "binary"}
     content = {JSON: {"schema": _schema(kind)}, NPZ: {"schema": binary}}
     return {"requestBody": {"required": True, "content": content}}
 
 
-def parts_of(kind: type[_Body]) -> dict[str, Any]:
+def parts_of(kind: type[Body]) -> dict[str, Any]:
     """The schemas that the one of a body refers to, by name."""
     return dict(_schema(kind, parts=True))
 
 
-def _schema(kind: type[_Body], parts: bool = False) -> dict[str, Any]:
+def _schema(kind: type[Body], parts: bool = False) -> dict[str, Any]:
     schema = kind.model_json_schema(ref_template="#/components/schemas/{model}")
     inner = schema.pop("$defs", {})
     return dict(inner if parts else schema)

@@ -56,7 +56,6 @@ def _robot(path: Path | None) -> str:
     return robot_digest(path)
 
 
-@lru_cache(maxsize=8)
 def weights_digest(path: Path | None) -> str:
     """Digest of a checkpoint; `BUNDLED` for None.
 

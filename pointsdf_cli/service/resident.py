@@ -41,8 +41,20 @@ class Resident:
 
     def __init__(self, files: PlannerFiles | None = None, device: str = "cpu") -> None:
         self.files, self.device = files or PlannerFiles(), device
+        self._identity: dict[str, str] | None = None
         self._shape: ShapeModel | None = None
         self._planners: OrderedDict[PlanChoices, GraspPlanner] = OrderedDict()
+
+    def identity(self) -> dict[str, str]:
+        """Digests of the files when this was first asked. A server asks before it loads them; from
+        then on, changed files are refused.
+
+        Raises:
+            InputError: The robot or a checkpoint cannot be read.
+        """
+        if self._identity is None:
+            self._identity = self.files.identity()
+        return self._identity
 
     def planner(self, choices: PlanChoices) -> GraspPlanner:
         """The planner for these options, made at their first use.
@@ -51,6 +63,11 @@ class Resident:
             InputError: The robot or a checkpoint cannot be used.
         """
         if choices not in self._planners:
+            if self._identity not in (None, self.files.identity()):
+                raise InputError(
+                    "the robot or the weights have changed since the server was started",
+                    hint="start `rgrasp serve` again",
+                )
             self._planners[choices] = self._made(choices)
             while len(self._planners) > KEPT:
                 self._planners.popitem(last=False)

@@ -172,7 +172,9 @@ class TrialPlanner:
     def surroundings(self, seen: TableTop, seed: int) -> Environment:
         """The table and the other observed objects: reconstructions, or hulls for a variant without
         a reconstruction network."""
-        return Environment(seen_obstacles(seen, self._planner.shape, seed=seed)[0])
+        cleaned = self.variant.ablation != protocol.NO_CLEANING
+        found, _ = seen_obstacles(seen, self._planner.shape, seed=seed, cleaned=cleaned)
+        return Environment(found)
 
     def believed(self, answer: Answer, points: Array) -> Surface | None:
         """Surface of the object in the variant's model, for pictures; points [N, 3] in the
