@@ -133,6 +133,32 @@ def test_a_mask_without_a_pose_finds_the_table_under_the_object(scene: list[Any]
     assert np.allclose(view.T_frame_camera, np.eye(4))
 
 
+def test_a_generous_mask_says_nothing_about_what_is_beside_the_object(scene: list[Any]) -> None:
+    folder = scene[0].parent
+    own = scenes.seen(scenes.can(0.035, 0.12, CAN)) > 0
+    rows, columns = np.nonzero(own)
+    # Nothing returned in a strip beside the can, as in a stereo camera's shadow.
+    depth = np.array(Image.open(scene[0]))
+    strip = slice(rows.min(), rows.max()), slice(columns.max() + 2, columns.max() + 9)
+    depth[strip] = 0
+    Image.fromarray(depth).save(folder / "shadow.png")
+    box = np.zeros_like(own)
+    box[rows.min() - 15 : rows.max() + 16, columns.min() - 15 : columns.max() + 16] = True
+    views = {}
+    for name, mask in (("own", own), ("box", box)):
+        Image.fromarray(mask.astype(np.uint8)).save(folder / f"{name}.png")
+        given = options(scene, mask=str(folder / f"{name}.png"))
+        views[name] = bare_view(folder / "shadow.png", given, None)
+    assert len(views["box"].points) == pytest.approx(len(views["own"].points), rel=0.02)
+    for view in views.values():
+        assert view.evidence is not None
+        image = view.evidence.visibility
+        assert image is not None
+        x, y = np.linalg.inv(scenes.CAMERA.K)[:2] @ [columns.max() + 5, np.median(rows), 1.0]
+        at = (np.array([y, x]) - image.window[[1, 0]]) / image.window[[3, 2]] * len(image.seen)
+        assert not image.seen[tuple(at.astype(int))]
+
+
 def test_a_mask_of_what_stands_on_no_table_stays_as_it_is(tmp_path: Path) -> None:
     floating = scenes.box((0.06, 0.08, 0.1), BOX)
     floating.apply_translation([0, 0, 0.2])
@@ -311,6 +337,13 @@ def test_a_mask_may_be_an_image_of_labels_or_of_colours(tmp_path: Path) -> None:
         read_mask(str(tmp_path / "l.png"))
     assert "l.png:1" in str(refused.value.hint)
     Image.fromarray(np.array([[0, 90], [255, 255]], np.uint8)).save(tmp_path / "soft.png")
+    Image.fromarray(np.full((4, 4), 255, np.uint8)).save(tmp_path / "m.jpg")
+    with pytest.raises(InputError, match="JPEG"):
+        read_mask(str(tmp_path / "m.jpg"))
+    noise = np.random.default_rng(0).integers(1, 255, (40, 40), dtype=np.uint8)
+    Image.fromarray(noise).save(tmp_path / "photo.png")
+    with pytest.raises(InputError, match="photograph"):
+        read_mask(str(tmp_path / "photo.png"))
     assert read_mask(str(tmp_path / "soft.png")).tolist() == [[False, True], [True, True]]
     assert read_mask(f"{tmp_path / 'l.png'}:2").tolist() == [[False, False], [True, True]]
     colours = np.zeros((2, 2, 4), np.uint8)

@@ -104,6 +104,30 @@ def test_a_table_at_another_height_names_the_pose(height: float) -> None:
         require_table_at_zero([scene], ["a"])
 
 
+@pytest.mark.parametrize(
+    ("tilt", "off", "said"),
+    [
+        (2.0, 0.0, ""),
+        (5.0, 0.0, "tilted by 5°"),
+        (10.0, 0.0, "tilted by 10°"),
+        (0.0, 0.03, ""),
+        (0.0, 0.05, "z = 50 mm"),
+        (0.0, -3.0, "below z = 0"),
+    ],
+)
+def test_a_tilted_or_missing_table_is_refused(tilt: float, off: float, said: str) -> None:
+    angle = np.deg2rad(tilt)
+    turn = np.array(
+        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
+    )
+    world = np.concatenate([TABLE, THINGS]) @ turn.T + [0.0, 0.0, off]
+    if not said:
+        require_table_at_zero([world], ["a"])
+        return
+    with pytest.raises(InputError, match=said):
+        require_table_at_zero([world], ["a"])
+
+
 def test_a_table_at_another_height_is_said_before_the_planning(
     cli: Callable[..., Any], tmp_path: Path
 ) -> None:

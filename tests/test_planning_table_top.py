@@ -12,10 +12,11 @@ import trimesh
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.clouds import Cloud
+from pointsdf_cli.planning.cloud_checks import in_world
 from pointsdf_cli.planning.environment import Obstacle, read_environment
 from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
-from pointsdf_cli.planning.plan_on_table import table_doubt
+from pointsdf_cli.planning.plausibility import table_doubt
 from pointsdf_cli.planning.seen_obstacles import hulls
 from pointsdf_cli.planning.table_top import NoObjectError, look_at_table, workspace_of
 from pointsdf_cli.robot.description import load_robot
@@ -176,7 +177,7 @@ def test_it_does_not_matter_which_camera_comes_first() -> None:
 def test_a_pose_at_the_wrong_height_is_doubted(off: float, said: str) -> None:
     scene = cloud(np.concatenate([TABLE, THINGS]) + [0.0, 0.0, off])
     seen = look_at_table([scene], ["a"], ROBOT, HOME)
-    doubt = table_doubt(seen.table_height, [scene])
+    doubt = table_doubt(seen.table_height, [in_world(scene)])
     assert said in doubt
     assert bool(doubt) == bool(said)
 

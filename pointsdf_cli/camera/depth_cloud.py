@@ -100,7 +100,8 @@ def _scale_hint(seen: NDArray[np.float64], nearest: float, farthest: float) -> s
         if nearest <= low and high <= farthest:
             return (
                 f"multiply --depth-scale by {factor:g} (without the option: --depth-scale "
-                f"{0.001 * factor:g}); the depths are then {low:.2g} to {high:.2g} m"
+                f"{0.001 * factor:g} for whole numbers, {factor:g} for floats); the depths are "
+                f"then {low:.2g} to {high:.2g} m"
             )
     return "check --depth-scale: 0.001 if the numbers are millimetres, 1 for metres"
 

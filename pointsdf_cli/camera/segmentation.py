@@ -49,7 +49,7 @@ class SegmentationConfig:
             )
 
 
-def find_table(points: Array, share: float = PLANE_SHARE) -> Array | None:
+def find_table(points: Array, share: float = PLANE_SHARE, tilt: float = PLANE_TILT) -> Array | None:
     """The plane [4] through most points near z = 0; None if there is no such plane.
 
     Random sampling of triples, then two rounds of least squares. The seed is fixed: the same
@@ -58,6 +58,7 @@ def find_table(points: Array, share: float = PLANE_SHARE) -> Array | None:
     Args:
         points: [N, 3], world, m.
         share: Least share of the points near z = 0 on the plane.
+        tilt: Largest tilt of the plane [rad].
     """
     # `compress` copies rows several times as fast as an index of booleans.
     near = np.compress(np.abs(points[:, 2]) < PLANE_SEARCH, points, axis=0)
@@ -72,7 +73,7 @@ def find_table(points: Array, share: float = PLANE_SHARE) -> Array | None:
     normals = normals[usable] / length[usable, None]
     normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
     offsets = (normals * triples[usable, 0]).sum(axis=1)
-    level = normals[:, 2] > np.cos(PLANE_TILT)
+    level = normals[:, 2] > np.cos(tilt)
     normals, offsets = normals[level], offsets[level]
     if not len(normals):
         return None
@@ -89,7 +90,7 @@ def find_table(points: Array, share: float = PLANE_SHARE) -> Array | None:
         normal = axes[:, 0] * np.sign(axes[2, 0])
         offset = float(normal @ centre)
     fits = np.abs(near @ normal - offset) < PLANE_BAND
-    if float(fits.mean()) < share or normal[2] < np.cos(PLANE_TILT):
+    if float(fits.mean()) < share or normal[2] < np.cos(tilt):
         return None
     # The top of a flat object can be a plane near z = 0 too, but a table reaches far.
     if max(np.ptp(near[fits, axis]) for axis in (0, 1)) < 0.3:

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.service.each_mesh import MeshSettings
 
+FEW = 200
+"""Number of points below which a shape is mostly poor."""
 SCENE = 0.45
 """A cloud wider than this [m] is more often of a whole table than of one object."""
 
@@ -189,6 +191,8 @@ def _mesh_one(
     points = seen.points
     for line in seen.said:
         reporter.say(line)
+    if len(points) < FEW:
+        reporter.say(f"{cloud}: {len(points)} points are few: expect a poor shape below {FEW}")
     if seen.alone and np.ptp(points, axis=0).max() > SCENE:
         reporter.say(f"{cloud}: wide for one object; if it shows a table, add --segment auto")
 

@@ -147,7 +147,11 @@ def _require_places(files: dict[str, Path], force: bool) -> None:
 
     places = [path.resolve() for path in files.values()]
     if len(set(places)) < len(places):
-        raise InputError("two outputs have one path", where=", ".join(files), allowed="one each")
+        raise InputError(
+            "two outputs have one path",
+            where=", ".join(f"{option} {path}" for option, path in files.items()),
+            allowed="one each",
+        )
     for path in files.values():
         require_folder(require_new(path, force).parent)
 

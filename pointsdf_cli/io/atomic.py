@@ -200,8 +200,8 @@ def unwritable(path: Path | str, error: OSError) -> UnwritableError:
         return UnwritableError(
             "the disk is full; nothing half-written was kept",
             where=path,
-            hint="free some space or choose another --out, then run the same command again; add "
+            hint="free some space or choose another place, then run the same command again; add "
             "--resume to a training, and --force if it says that a file exists already",
         )
     reason = error.strerror or str(error)
-    return UnwritableError(f"cannot be written ({reason})", where=path, hint="choose another --out")
+    return UnwritableError(f"cannot be written ({reason})", where=path, hint="choose another place")

@@ -72,6 +72,8 @@ def read_colour(path: Path | str) -> NDArray[np.uint8]:
 LABELS = 64
 """Largest number of different values in an image of labels; one of more is a mask with soft
 edges."""
+PHOTOGRAPH = 0.9
+"""Share of pixels that are not 0 above which an image of many values is no mask."""
 
 
 def mask_file(text: str) -> tuple[Path, int | None]:
@@ -98,6 +100,12 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
         values = _array(path)
     else:
         with open_image(path) as image:
+            if image.format == "JPEG":
+                raise InputError(
+                    "is a JPEG, which changes a mask's values",
+                    where=path,
+                    allowed="a mask as PNG, TIFF, BMP or NPY",
+                )
             try:
                 # The numbers of a palette are labels, its colours are not.
                 plain = image.mode if image.mode in ("P", "L", "1", "I", "I;16", "F") else "RGBA"
@@ -132,10 +140,10 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
 
 
 def _require_one_object(values: NDArray[Any], path: Path) -> None:
-    """Refuse an image of labels of which none is named.
+    """Refuse a photograph, and an image of labels of which none is named.
 
     Raises:
-        InputError: It holds the numbers of several objects.
+        InputError: It is a photograph, or holds the numbers of several objects.
     """
     numbers = np.unique(values[values != 0])
     # 255 is the foreground of masks, whose edges may have other numbers.
@@ -145,6 +153,12 @@ def _require_one_object(values: NDArray[Any], path: Path) -> None:
             where=path,
             allowed="a mask of one object",
             hint=f"name the object's number: --mask {path}:{numbers[0]:g}",
+        )
+    if len(numbers) > LABELS and (values != 0).mean() > PHOTOGRAPH:
+        raise InputError(
+            f"looks like a photograph: {len(numbers)} values, {(values != 0).mean():.0%} not 0",
+            where=path,
+            allowed="a mask: 0 beside the object",
         )
 
 

@@ -37,6 +37,10 @@ ROBOT, UNCLEAN = -4, -5
 """Labels of the robot's points and of those that cleaning dropped, beside those of
 `camera/table_objects.py`."""
 
+GENEROUS = 0.1
+"""Ratio of other points under a mask to the object's above which pixels without depth under it are
+not taken for the object's."""
+
 
 @dataclass(frozen=True)
 class LabelledView:
@@ -258,7 +262,9 @@ def sighting(
     rays = None
     if view.mask is not None and is_target:
         mine &= view.mask
-        rays = view.mask_rays
+        # A generous mask takes in what returns nothing beside the object, too.
+        if (view.mask & ~mine).sum() <= GENEROUS * mine.sum():
+            rays = view.mask_rays
     points = view.all_points[mine]
     cleaning = clean(points) if cleaned else Cleaning(np.ones(len(points), dtype=bool))
     label = view.objects.label
@@ -275,8 +281,9 @@ def sighting(
     )
 
 
-def describe(view: LabelledView, item: ListedObject, seen: Sighting) -> str:
-    """Summary for the user: points kept, and points dropped by reason."""
+def describe(view: LabelledView, item: ListedObject, seen: Sighting, place: bool = True) -> str:
+    """Summary for the user: points kept, and points dropped by reason; without the object's place
+    if the world is not the user's."""
     label = view.label
     count = {
         "outside the workspace": OUTSIDE,
@@ -294,7 +301,9 @@ def describe(view: LabelledView, item: ListedObject, seen: Sighting) -> str:
         dropped.append(f"{unclean} by cleaning")
     total = len(view.listed)
     which = "the masked object" if view.mask is not None else f"object {item.number} of {total}"
-    said = f"{which}, {item.describe()}: kept {kept} of {len(label)} points"
+    said = (
+        f"{which}, {item.describe() if place else item.sides}: kept {kept} of {len(label)} points"
+    )
     said += f"; dropped {', '.join(dropped)}" if dropped else ""
     if item.unsplit:
         said += "; it may be several that touch and could not be told apart (--mask can)"

@@ -10,7 +10,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.cloud_checks import in_world, require_pose
 from pointsdf_cli.planning.labelled_view import LabelledView
 from pointsdf_cli.planning.object_choice import ListedObject, NoObjectError
-from pointsdf_cli.planning.plausibility import require_table_at_zero
+from pointsdf_cli.planning.plausibility import require_table_at_zero, table_doubt
 from pointsdf_cli.planning.scene_input import read_scene
 from pointsdf_cli.planning.table_top import chosen_object, label_table, workspace_of
 from pointsdf_cli.robot.description import load_robot
@@ -74,4 +74,8 @@ def list_objects(
     if not objects:
         raise NoObjectError("nothing stands on the table", where=path)
     counts = {item.number: int((view.label == item.label).sum()) for item in objects}
-    return Listing(view, objects, counts, given.notes)
+    plane = view.objects.plane
+    height = None if plane is None else float(plane[3])
+    doubt = "" if cloud.over_table else table_doubt(height, [in_world(cloud)])
+    notes = (*given.notes, *([f"warning: {doubt}"] if doubt else []))
+    return Listing(view, objects, counts, notes)

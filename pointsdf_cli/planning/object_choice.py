@@ -78,8 +78,13 @@ class ListedObject:
     def describe(self) -> str:
         """Describe place and size in words."""
         x, y, z = self.centre
+        return f"at {x:.2f},{y:.2f},{z:.2f} m, {self.sides}"
+
+    @property
+    def sides(self) -> str:
+        """The size in words."""
         a, b, c = self.size * 100
-        return f"at {x:.2f},{y:.2f},{z:.2f} m, {a:.0f} × {b:.0f} × {c:.0f} cm"
+        return f"{a:.0f} × {b:.0f} × {c:.0f} cm"
 
 
 class Reach(NamedTuple):

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from pointsdf_cli.robot.description import RobotDescription
 
 
-LEAST_ABOVE = 0.5
-"""Least share of a mask's points above the table for the table to be used: of a fork little is."""
+FLAT, LEAST_ABOVE = 0.03, 0.5
+"""An object lower than this [m] of whose points under the mask a smaller share is above the table,
+such as a fork, is taken as the mask shows it."""
 
 
 @dataclass(frozen=True)
@@ -109,9 +110,12 @@ def bare_cloud(view: Cloud, name: str, cleaned: bool = True) -> ObjectView:
     from pointsdf_cli.planning.table_top import bare_object
 
     alone = masked(view)
-    points, T_frame_camera = alone.in_camera_frame()
-    standing = None if view.mask is None else _on_its_table(view, name, cleaned)
-    if standing is not None and len(standing.points) > LEAST_ABOVE * len(points):
+    try:
+        points, T_frame_camera = alone.in_camera_frame()
+    except InputError as error:
+        raise InputError.of(error, name) from error
+    standing = None if view.mask is None else _on_its_table(view, len(points), name, cleaned)
+    if standing is not None:
         return standing
     if view.mask is None:  # what a mask takes in by mistake may be far away
         check_object_cloud(alone, name)
@@ -123,11 +127,16 @@ def bare_cloud(view: Cloud, name: str, cleaned: bool = True) -> ObjectView:
     )
 
 
-def _on_its_table(view: Cloud, name: str, cleaned: bool) -> ObjectView | None:
+def _on_its_table(view: Cloud, under_mask: int, name: str, cleaned: bool) -> ObjectView | None:
     """The object under a view's mask, as it is seen with a pose; None without a table under it.
 
     The table is looked for in the view. Where it is known, a mask that is too small can grow, and
     the table's rays are known to miss the object.
+
+    Args:
+        view: A view with a mask.
+        under_mask: Number of points under the mask.
+        name, cleaned: As in `bare_cloud`.
     """
     from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
     from pointsdf_cli.planning.labelled_view import ANYWHERE, describe, label_view, sighting
@@ -145,7 +154,9 @@ def _on_its_table(view: Cloud, name: str, cleaned: bool) -> ObjectView | None:
     if not item.stands:
         return None
     found = sighting(labelled, item, cleaned)
-    said = [*view.notes, describe(labelled, item, found)]
+    if item.size[2] < FLAT and len(found.object_points) < LEAST_ABOVE * under_mask:
+        return None
+    said = [*view.notes, describe(labelled, item, found, place=False)]
     return ObjectView(
         found.object_points,
         T_frame_camera,

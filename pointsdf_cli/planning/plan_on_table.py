@@ -21,18 +21,12 @@ from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
 from pointsdf_cli.planning.option_checks import RECONSTRUCTION
 from pointsdf_cli.planning.plan_request import Corners, PlanRequest, PlanResult
-from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero
+from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero, table_doubt
 from pointsdf_cli.planning.seen_obstacles import named_obstacles, obstacle_tasks
 from pointsdf_cli.planning.table_top import TableTop, label_table, look_at_table, workspace_of
 from pointsdf_cli.planning.take_order import OrderedObject, take_order
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.start import start_configuration
-
-TABLE_OFF = 0.005
-"""Distance [m] of the observed table from z = 0 above which a warning is given."""
-
-BELOW, MUCH = 0.01, 0.1
-"""Depth [m] below the table, and share of all points there, above which they are not noise."""
 
 
 @dataclass(frozen=True)
@@ -179,6 +173,9 @@ def _plan_for(
         answer = planner.nothing(perceived.what, notes)
     else:
         answer = planner.plan_seen(perceived, environment, q, request.seed, notes=notes)
+        if answer.rehearsed is not None and answer.rehearsed.tries:
+            held, tries = answer.rehearsed.held, answer.rehearsed.tries
+            report.append(f"the grasp held in {held} of {tries} rehearsals")
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
     return TablePlan(
@@ -207,7 +204,9 @@ def _without_object(
 
 
 def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: bool) -> list[str]:
-    off = table_doubt(seen.table_height, clouds) if segment == "auto" and has_table else ""
+    # A pose from the table has no height to be wrong by.
+    checked = segment == "auto" and has_table and not clouds[0].over_table
+    off = table_doubt(seen.table_height, [in_world(each) for each in clouds]) if checked else ""
     height = (seen.table_height or 0.0) if has_table else None
     return [off] * bool(off) + doubts(seen.views, height)
 
@@ -261,20 +260,3 @@ def _first_good(
         for sentence in found.warnings:
             warn(sentence)
     return replace(found, report=(*said, *found.report))
-
-
-def table_doubt(height: float | None, clouds: Sequence[Cloud]) -> str:
-    """Evidence against the camera's pose; empty if the table is where it should be."""
-    if height is not None and abs(height) > TABLE_OFF:
-        return (
-            f"the table is seen at z = {height * 1000:.0f} mm, not 0: it is uneven, or the "
-            "camera's pose is wrong"
-        )
-    world = np.concatenate([in_world(cloud) for cloud in clouds])
-    below = float((world[:, 2] < -BELOW).mean())
-    if height is None and below > MUCH:
-        return (
-            f"no table is seen at z = 0, and {below:.0%} of the points lie below it: check the "
-            "camera's pose"
-        )
-    return ""

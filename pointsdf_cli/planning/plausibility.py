@@ -27,6 +27,14 @@ PART, FEWEST = 0.1, 50
 """Smallest share of a cloud's points, and smallest number, that count as a part."""
 ROUND = 0.03
 """Largest typical distance of points from a fitted sphere, as a share of its radius."""
+STEEPEST_TABLE, TILTED = np.deg2rad(20), np.deg2rad(3.5)
+"""Largest tilt at which a plane near z = 0 counts as a table, and above which the pose is wrong."""
+OFF = 0.04
+"""Largest distance [m] of the table from z = 0: calibrations by hand err by less."""
+UNEVEN = 0.005
+"""Distance [m] of the table from z = 0 above which a warning is given."""
+MUCH, MOST_BELOW = 0.1, 0.9
+"""Share of the points below the table above which the pose is doubted, and is wrong."""
 OTHER_TABLE = 0.6
 """Height [m] around z = 0 within which a table is searched if none is seen at z = 0."""
 
@@ -44,18 +52,57 @@ def require_table_at_zero(
         without_table: Advice for scenes without a table.
 
     Raises:
-        InputError: A view shows a table at another height, and none at z = 0.
+        InputError: A view shows a table that is tilted or at another height, or almost all of it
+            lies below z = 0.
     """
     for world, name in zip(worlds, names, strict=True):
-        height = table_elsewhere(world)
-        if height is not None:
+        wrong = _wrong_table(world)
+        if wrong:
             raise InputError(
-                f"a table is seen at z = {1000 * height:.0f} mm, but must be at z = 0: the "
-                "camera's pose is off by as much",
+                f"{wrong}: the camera's pose, its intrinsics or the depth scale is wrong",
                 where=name,
+                allowed="a level table at z = 0",
                 hint="correct --camera-pose; --camera-pose table puts z = 0 on the table that is "
                 f"seen. If there is no table: {without_table}",
             )
+
+
+def _wrong_table(world: Array) -> str:
+    """Reason why points [N, 3] of a view do not show a level table at z = 0; empty if they may."""
+    few = world[:: max(1, len(world) // 20_000)]
+    plane = find_table(few, tilt=STEEPEST_TABLE)
+    if plane is None:
+        height = table_elsewhere(world)
+        if height is not None:
+            return f"a table is seen at z = {1000 * height:.0f} mm"
+        below = float((few[:, 2] < -BELOW).mean())
+        return f"{below:.0%} of the points lie below z = 0" if below > MOST_BELOW else ""
+    tilt = float(np.arccos(min(plane[2], 1.0)))
+    if tilt > TILTED:
+        return f"the table is seen tilted by {np.rad2deg(tilt):.0f}°"
+    middle = np.median(few[np.abs(few @ plane[:3] - plane[3]) < BELOW], axis=0)
+    return f"a table is seen at z = {1000 * middle[2]:.0f} mm" if abs(middle[2]) > OFF else ""
+
+
+def table_doubt(height: float | None, worlds: Sequence[Array]) -> str:
+    """Warning that the camera's pose may be wrong; empty if the table is where it should be.
+
+    Args:
+        height: Height of the observed table [m]; None without one.
+        worlds: Points [N, 3] of each view in the world, m.
+    """
+    if height is not None and abs(height) > UNEVEN:
+        return (
+            f"the table is seen at z = {height * 1000:.0f} mm, not 0: it is uneven, or the "
+            "camera's pose is wrong"
+        )
+    below = float((np.concatenate(worlds)[:, 2] < -BELOW).mean())
+    if height is None and below > MUCH:
+        return (
+            f"no table is seen at z = 0, and {below:.0%} of the points lie below it: check the "
+            "camera's pose"
+        )
+    return ""
 
 
 def table_elsewhere(world: Array) -> float | None:
