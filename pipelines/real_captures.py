@@ -148,7 +148,7 @@ class Page:
     def _object(self, capture: Capture) -> ObjectView:
         if capture.files.frame == "world":
             return bare_view(capture.path, capture.files, capture.pose)
-        return segmented_view(capture.path, capture.files, capture.pose, "auto", None, None, None)
+        return segmented_view(capture.path, capture.files, capture.pose, None, None, None)
 
     def _mesh(self, capture: Capture, view: ObjectView, stem: Path, said: list[str]) -> Path:
         shape = Reconstruction.from_cloud(
@@ -165,7 +165,7 @@ class Page:
     def _plan(self, capture: Capture, stem: Path, said: list[str]) -> Path:
         robot = self._planner.robot
         poses = [] if capture.pose is None else [capture.pose]
-        given = read_scene([capture.path], poses, [capture.files], robot=robot)
+        given = read_scene([capture.path], poses, [capture.files])
         alone = capture.files.frame == "world"
         planned = plan_on_table(
             self._planner,

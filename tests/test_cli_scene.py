@@ -79,13 +79,12 @@ def test_a_number_a_pixel_and_a_mask_name_the_same_object(
     mask[depth > 0] = 7
     Image.fromarray(mask).save(folder / "mask.png")
     views = [
-        segmented_view(scene[0], options(scene), pose, "auto", str(can), None, None),
-        segmented_view(scene[0], options(scene), pose, "auto", f"{u:.0f},{v:.0f}", None, None),
+        segmented_view(scene[0], options(scene), pose, str(can), None, None),
+        segmented_view(scene[0], options(scene), pose, f"{u:.0f},{v:.0f}", None, None),
         segmented_view(
             scene[0],
             options(scene, mask=f"{folder / 'mask.png'}:7"),
             pose,
-            "auto",
             None,
             None,
             None,
@@ -107,7 +106,7 @@ def test_a_mask_a_pixel_too_small_grows_back_above_a_table(scene: list[Any]) -> 
     for name, mask in (("whole", whole), ("small", small)):
         Image.fromarray(mask.astype(np.uint8)).save(folder / f"{name}.png")
         given = options(scene, mask=str(folder / f"{name}.png"))
-        view = segmented_view(scene[0], given, "table", "auto", None, None, None)
+        view = segmented_view(scene[0], given, "table", None, None, None)
         counts[name] = len(view.points)
     # The round side comes back in part: its rim is too steep to tell from an edge.
     lost = int(whole.sum() - small.sum())
@@ -120,7 +119,7 @@ def test_a_mask_without_a_pose_finds_the_table_under_the_object(scene: list[Any]
     Image.fromarray(binary_erosion(whole).astype(np.uint8)).save(folder / "small.png")
     given = options(scene, mask=str(folder / "small.png"))
     view = bare_view(scene[0], given, None)
-    posed = segmented_view(scene[0], given, str(folder / "T.json"), "auto", None, None, None)
+    posed = segmented_view(scene[0], given, str(folder / "T.json"), None, None, None)
     assert view.evidence is not None
     assert view.evidence.support_plane is not None
     # The table is z = 0 of the world: its normal is the world's z axis, seen by the camera.
@@ -199,16 +198,14 @@ def test_a_mask_alone_tells_what_is_free_and_where_the_object_returned_nothing(
 def test_numbers_stay_when_the_world_moves_with_the_target(scene: list[Any]) -> None:
     listing = list_objects(scene[0], options(scene), "table")
     for thing in listing.objects:
-        found = segmented_view(
-            scene[0], options(scene), "table", "auto", str(thing.number), None, None
-        )
+        found = segmented_view(scene[0], options(scene), "table", str(thing.number), None, None)
         assert f"object {thing.number} of {len(listing.objects)}" in " ".join(found.said)
 
 
 def test_a_pixel_outside_the_image_is_refused(scene: list[Any]) -> None:
     for pixel in ("640,100", "10,480", "-1,5"):
         with pytest.raises(InputError, match="outside of the image"):
-            segmented_view(scene[0], options(scene), "table", "auto", pixel, None, None)
+            segmented_view(scene[0], options(scene), "table", pixel, None, None)
 
 
 def test_cloud_and_depth_image_show_the_same_object(cli: Callable, scene: list[Any]) -> None:
@@ -217,8 +214,8 @@ def test_cloud_and_depth_image_show_the_same_object(cli: Callable, scene: list[A
     done = cli("cloud", *scene, "--camera-pose", "table", "--out", out)
     assert done.code == 0, done.err
     assert read_cloud(out).T_world_camera is not None
-    first = segmented_view(scene[0], options(scene), "table", "auto", None, None, None).points
-    second = segmented_view(out, SceneFileOptions(), None, "auto", None, None, None).points
+    first = segmented_view(scene[0], options(scene), "table", None, None, None).points
+    second = segmented_view(out, SceneFileOptions(), None, None, None, None).points
     assert np.median(first, axis=0) == pytest.approx(np.median(second, axis=0), abs=0.003)
     posed = cli("cloud", *scene, "--camera-pose", folder / "T.json", "--out", out, "--force")
     assert posed.code == 0
@@ -368,7 +365,7 @@ def test_points_of_a_robot_that_is_not_at_home_are_dropped(cli: Callable, scene:
     assert points_on_can("--start", start) < 0.7 * points_on_can()
     place = f"{CAN[0]},{CAN[1]},0.06"
     wholes = [
-        segmented_view(scene[0], options(scene), str(pose), "auto", place, None, None, start=given)
+        segmented_view(scene[0], options(scene), str(pose), place, None, None, start=given)
         for given in (None, start)
     ]
     assert len(wholes[1].points) < 0.7 * len(wholes[0].points)

@@ -6,7 +6,8 @@ from pointsdf_cli.cli import common
 
 
 def doctor(quiet: common.Quiet = False, as_json: common.Json = False) -> None:
-    """Check versions and processor, and test every part against known results.
+    """Check versions and processor, and test geometry, files, robot and libraries against known
+    results.
 
     Example: rgrasp doctor
     """

@@ -50,11 +50,10 @@ def view(
     from pointsdf_cli.robot.description import load_robot
 
     require_present(*artifacts, meshes)
-    load_robot(robot)
+    described = load_robot(robot)
 
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new, write_text_atomic
-    from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.viz.artifact_scene import scenes_of
     from pointsdf_cli.viz.html_scene import scene_page
     from pointsdf_cli.viz.scene_sources import SceneOptions
@@ -63,7 +62,7 @@ def view(
     if export:
         require_apart([export], [*artifacts, robot, meshes])
         require_new(export, force)
-    options = SceneOptions(load_robot(robot), meshes, most, unit)
+    options = SceneOptions(described, meshes, most, unit)
     scene = scenes_of(artifacts, options)
     facts = {"title": scene.title, "frames": scene.frames, "parts": len(scene.parts)}
     if export:

@@ -124,12 +124,8 @@ def at_once(tasks: Sequence[Callable[[], T]]) -> list[T]:
     if threads <= 1:
         return [task() for task in tasks]
 
-    def alone(task: Callable[[], T]) -> T:
-        with one_thread():
-            return task()
-
-    with ThreadPoolExecutor(threads) as pool:
-        begun = [pool.submit(copy_context().run, alone, task) for task in tasks]
+    with one_thread(), ThreadPoolExecutor(threads) as pool:
+        begun = [pool.submit(copy_context().run, task) for task in tasks]
     return [each.result() for each in begun]
 
 

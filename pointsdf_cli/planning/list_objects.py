@@ -60,9 +60,7 @@ def list_objects(
     around = workspace_of(workspace)
     described = load_robot(robot)
     q = start_configuration(start, described)
-    given = read_scene(
-        [path], [] if pose is None else [pose], [files], None, around, cleaned, described
-    )
+    given = read_scene([path], [] if pose is None else [pose], [files], None, around, cleaned)
     (cloud,) = given.clouds
     require_pose(cloud, str(path))
     require_table_at_zero([in_world(cloud)], [str(path)], "there is nothing to list")

@@ -86,7 +86,7 @@ def object_view(
                 raise InputError(f"{option} without --segment auto", hint="add --segment auto")
         return bare_view(path, files, pose, cleaned)
     corners = None if workspace is None else box(workspace, "--workspace")
-    return segmented_view(path, files, pose, segment, target, robot, corners, cleaned, start)
+    return segmented_view(path, files, pose, target, robot, corners, cleaned, start)
 
 
 def bare_view(
@@ -180,7 +180,6 @@ def segmented_view(
     path: Path,
     files: SceneFileOptions,
     pose: str | None,
-    segment: str,
     target: str | None,
     robot: Path | None,
     workspace: tuple[tuple[float, ...], tuple[float, ...]] | None,
@@ -192,7 +191,6 @@ def segmented_view(
     Args:
         path, files: The view and its reading options.
         pose, target: As typed; see `scene_input.read_scene`.
-        segment: As for `look_at_table`.
         robot: YAML file of the robot; the bundled one if None.
         workspace: Corners [m] of the workspace; the default ones if None.
         cleaned: Drop flying pixels, outliers and specks.
@@ -211,14 +209,10 @@ def segmented_view(
     described = load_robot(robot)
     q = start_configuration(start, described)
     try:
-        given = read_scene(
-            [path], [] if pose is None else [pose], [files], target, around, cleaned, described
-        )
+        given = read_scene([path], [] if pose is None else [pose], [files], target, around, cleaned)
     except NoObjectError as error:
         raise InputError.of(error) from error
-    cut = segmented_cloud(
-        given.clouds[0], str(path), described, segment, given.target, around, cleaned, q
-    )
+    cut = segmented_cloud(given.clouds[0], str(path), described, given.target, around, cleaned, q)
     return replace(cut, said=(*given.notes, *cut.said))
 
 
@@ -226,7 +220,6 @@ def segmented_cloud(
     cloud: Cloud,
     name: str,
     robot: RobotDescription,
-    segment: str,
     target: TargetChoice | None,
     workspace: SegmentationConfig,
     cleaned: bool = True,
@@ -243,18 +236,16 @@ def segmented_cloud(
     from pointsdf_cli.planning.table_top import look_at_table
 
     require_pose(cloud, name)
-    if segment == "auto":
-        require_table_at_zero([in_world(cloud)], [name], "--segment none")
+    require_table_at_zero([in_world(cloud)], [name], "--segment none")
     try:
         found = look_at_table(
             [cloud],
             [name],
             robot,
             robot.home if q is None else q,
-            segment,
-            target,
-            workspace,
-            cleaned,
+            target=target,
+            workspace=workspace,
+            cleaned=cleaned,
         )
     except NoObjectError as error:
         raise InputError.of(error) from error

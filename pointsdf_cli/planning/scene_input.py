@@ -19,10 +19,9 @@ from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import Cloud, check_scene_cloud
 from pointsdf_cli.io.poses import camera_pose, table_place, target_numbers
 from pointsdf_cli.planning.labelled_view import ANYWHERE, WORKSPACE, label_view
-from pointsdf_cli.planning.object_choice import NoObjectError, Reach, TargetChoice, reach_of
+from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice
 from pointsdf_cli.planning.pose_mistakes import require_no_mistaken_pose
 from pointsdf_cli.planning.table_top import chosen_object
-from pointsdf_cli.robot.description import RobotDescription
 
 MANY = 400_000
 """Number of points from which a scene takes seconds and a note announces it."""
@@ -71,7 +70,6 @@ def read_scene(
     target: str | None = None,
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
-    robot: RobotDescription | None = None,
 ) -> SceneInput:
     """Read views of one scene.
 
@@ -81,7 +79,7 @@ def read_scene(
             table and the object in the robot's reach; `table:X,Y` puts it at X,Y.
         options: Reading options of each file.
         target: --target as typed.
-        workspace, cleaned, robot: As in `look_at_table`; used with the pose `table`.
+        workspace, cleaned: As in `look_at_table`; used with the pose `table`.
 
     Raises:
         InputError: A file cannot be read, an option does not fit, no table is seen,
@@ -114,10 +112,7 @@ def read_scene(
             side = f"{VOXEL * 1000:g} mm"
             notes.append(f"{path}: {len(cloud.points)} points, thinned to voxels of {side}")
         if place is not None:
-            reach = None if robot is None or wanted is None else reach_of(robot)
-            cloud, wanted = stand_on_table(
-                cloud, str(path), place, wanted, workspace, cleaned, reach
-            )
+            cloud, wanted = stand_on_table(cloud, str(path), place, wanted, workspace, cleaned)
             notes.append(table_note(cloud, place))
         else:
             require_no_mistaken_pose(cloud, str(path))
@@ -157,7 +152,6 @@ def stand_on_table(
     target: TargetChoice | None = None,
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
-    reach: Reach | None = None,
 ) -> tuple[Cloud, TargetChoice | None]:
     """Give a cloud the pose in which z = 0 is its table and the object stands at `place`.
 
@@ -167,7 +161,6 @@ def stand_on_table(
         place: x and y [m] of the object.
         target: The user's choice: a number in the list of `segment`, or a pixel.
         workspace, cleaned: As in `look_at_table`.
-        reach: Result of `object_choice.reach_of`, for the numbering.
 
     Returns:
         The cloud, and the object as a place in the world if one was chosen.
@@ -192,9 +185,9 @@ def stand_on_table(
     cloud = replace(cloud, T_world_camera=above, over_table=True)
     try:
         # Put the first listed object at the place, so that the numbers match those of `segment`.
-        cloud = _moved(cloud, _centre(cloud, name, None, ANYWHERE, cleaned, None), place)
+        cloud = _moved(cloud, _centre(cloud, name, None, ANYWHERE, cleaned), place)
         if target is not None and not target.any:
-            chosen = _centre(cloud, name, target, workspace, cleaned, reach)
+            chosen = _centre(cloud, name, target, workspace, cleaned)
             cloud = _moved(cloud, chosen, place)
             target = TargetChoice(place=np.array([*place, chosen[2]]))
     except NoObjectError:
@@ -212,10 +205,9 @@ def _centre(
     target: TargetChoice | None,
     workspace: SegmentationConfig,
     cleaned: bool,
-    reach: Reach | None,
 ) -> Array:
     """Centre [3] of the chosen object in the world of the cloud's pose."""
-    scene = label_view(cloud, name, workspace, None, reach, cleaned)
+    scene = label_view(cloud, name, workspace, cleaned=cleaned)
     return chosen_object(scene, target, workspace).centre
 
 

@@ -44,7 +44,6 @@ def mesh_answer(resident: Resident, body: MeshBody, form: str) -> tuple[bytes, s
             given.cloud(),
             given.name,
             robot,
-            body.segment,
             body.wanted(),
             workspace_of(body.corners()),
             body.clean,

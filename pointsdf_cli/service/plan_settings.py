@@ -51,7 +51,6 @@ class PlanSettings:
             self.target,
             workspace_of(self.request.workspace),
             self.request.cleaned,
-            load_robot(self.files.robot),
         )
         names = [str(path) for path in clouds]
         request = replace(self.request, clouds=given.clouds, names=names, target=given.target)

@@ -148,6 +148,5 @@ class RequestQueue:
             job.future.set_exception(error)
         else:
             job.future.set_result(outcome)
-            del outcome
         job.work = None
         self._after()

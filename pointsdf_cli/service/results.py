@@ -15,14 +15,7 @@ from pointsdf_cli.planning.plan_request import PlanResult
 
 def result_tree(result: PlanResult) -> dict[str, Any]:
     """The whole answer."""
-    tree = asdict(replace(result, plan=replace(result.plan, timings=dict(result.plan.timings))))
-    tree["obstacles"] = [obstacle_tree(obstacle) for obstacle in result.obstacles]
-    return tree
-
-
-def obstacle_tree(obstacle: Obstacle) -> dict[str, Any]:
-    """One body that does not move."""
-    return asdict(obstacle)
+    return asdict(replace(result, plan=replace(result.plan, timings=dict(result.plan.timings))))
 
 
 def result_of(tree: Any) -> PlanResult:
