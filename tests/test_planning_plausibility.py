@@ -22,9 +22,13 @@ from pointsdf_cli.planning.plausibility import (
     in_parts,
     in_the_air,
     require_table_at_zero,
+    seen_through,
     table_elsewhere,
 )
+from pointsdf_cli.planning.table_top import look_at_table
+from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.shading import look_at
+from tests import scenes
 
 BOX = sheet((0.6, 0.0, 0.05), (0.04, 0.04, 0.05))
 
@@ -102,6 +106,21 @@ def test_a_table_at_another_height_names_the_pose(height: float) -> None:
     assert table_elsewhere(scene) == pytest.approx(height, abs=0.002)
     with pytest.raises(InputError, match=f"z = {1000 * height:.0f} mm(.|\n)*--camera-pose"):
         require_table_at_zero([scene], ["a"])
+
+
+@pytest.mark.parametrize(("shift", "doubted"), [(0.0, False), (0.05, True)])
+def test_cameras_that_do_not_see_the_same_are_doubted(shift: float, doubted: bool) -> None:
+    left, right = (
+        look_at((1.0, -0.5, 0.6), (0.6, 0, 0.05)),
+        look_at((1.0, 0.5, 0.6), (0.6, 0, 0.05)),
+    )
+    views = []
+    for pose, off in ((left, 0.0), (right, shift)):
+        depth = scenes.seen(scenes.table(), scenes.box((0.06, 0.08, 0.1), (0.6, off)), pose=pose)
+        seen = look_at_table([scenes.cloud(depth, pose)], ["a"], load_robot(), load_robot().home)
+        views += seen.views
+    assert bool(seen_through(views)) == doubted
+    assert bool([one for one in doubts(views) if "saw past" in one]) == doubted
 
 
 @pytest.mark.parametrize(

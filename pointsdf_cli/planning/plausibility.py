@@ -14,6 +14,7 @@ from pointsdf_cli.camera.segmentation import clusters, find_table
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 
 ABOVE = 0.08
 """Height [m] above the table from which an object's lowest seen point suggests that it floats."""
@@ -35,6 +36,9 @@ UNEVEN = 0.005
 """Distance [m] of the table from z = 0 above which a warning is given."""
 MUCH, MOST_BELOW = 0.1, 0.9
 """Share of the points below the table above which the pose is doubted, and is wrong."""
+THROUGH, MUCH_THROUGH = 0.03, 0.15
+"""Distance [m] behind a point to which a camera must see for its ray to have missed the object, and
+share of such points above which the views disagree."""
 OTHER_TABLE = 0.6
 """Height [m] around z = 0 within which a table is searched if none is seen at z = 0."""
 
@@ -147,6 +151,7 @@ def doubts(views: Sequence[View], table: float | None = 0.0) -> list[str]:
         said.append(in_the_air(views, table))
     said += [from_inside(view) for view in views]
     said.append(in_parts(world))
+    said.append(seen_through(views))
     return list(dict.fromkeys(sentence for sentence in said if sentence))
 
 
@@ -195,6 +200,34 @@ def from_inside(view: View) -> str:
     return (
         "the seen points bulge away from the camera: this is the inside of something hollow that "
         "lies on its side, or the cloud or its pose is wrong"
+    )
+
+
+def seen_through(views: Sequence[View]) -> str:
+    """Warning that one camera saw through what another saw of the object; else empty."""
+    worst = 0.0
+    for one in views:
+        image = None if one.evidence is None else one.evidence.visibility
+        if image is None:
+            continue
+        for other in views:
+            points = apply_transform(invert_transform(one.T_world_camera), other.in_world)
+            points = points[points[:, 2] > 0]
+            left, top, width, height = image.window
+            cell = np.floor(
+                (points[:, :2] / points[:, 2:] - (left, top)) / (width, height) * len(image.seen)
+            ).astype(np.int64)
+            inside = ((cell >= 0) & (cell < len(image.seen))).all(axis=1)
+            if other is one or not inside.any():
+                continue
+            column, row = cell[inside].T
+            free = image.free[row, column] > points[inside, 2] + THROUGH
+            worst = max(worst, float((free & ~image.seen[row, column]).mean()))
+    if worst < MUCH_THROUGH:
+        return ""
+    return (
+        f"{worst:.0%} of the points that one camera sees on the object lie where another saw past "
+        "it: is a pose wrong, are the poses in the order of the images, has the object moved?"
     )
 
 
