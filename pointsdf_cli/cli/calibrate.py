@@ -92,7 +92,7 @@ def calibrate(
     from pointsdf_cli.camera.charuco import CharucoBoard
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
-    from pointsdf_cli.io.atomic import require_folder, require_new
+    from pointsdf_cli.io.atomic import require_new, require_place
     from pointsdf_cli.io.board_images import list_images
     from pointsdf_cli.io.poses import camera_pose, write_pose
     from pointsdf_cli.robot.description import load_robot
@@ -115,9 +115,8 @@ def calibrate(
     name = "T_gripper_camera" if eye_in_hand and placed is None else "T_world_camera"
     out = out or Path(f"{name}.json")
     require_apart([out], [robot_poses, intrinsics, at, robot])
-    require_new(out, force)
+    require_place(out, force)
     common.check_suffix(out, "--out", (".json",))
-    require_folder(out.parent)
     T_world_base = load_robot(robot).T_world_base
     with reporter.progress("images", len(list_images(images))) as progress:
         found = calibrate_from_files(

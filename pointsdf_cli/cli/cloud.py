@@ -79,13 +79,13 @@ def cloud(
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
-    from pointsdf_cli.io.atomic import require_new
+    from pointsdf_cli.io.atomic import require_place
     from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES
     from pointsdf_cli.io.rosbag import is_bag
 
     out = out or Path("cloud.ply")
     require_apart([out], [depth, intrinsics, camera_pose, color, mask])
-    require_new(out, force)
+    require_place(out, force)
     if out.suffix.lower() != ".ply":
         raise InputError(f"{out.suffix!r} is not written", where="--out", allowed=".ply")
     bag = BagOptions(topic, info_topic, world_frame, index, time, frames)

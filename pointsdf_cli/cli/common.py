@@ -316,13 +316,13 @@ def check_picture(path: Path | None, force: bool) -> Path | None:
     Raises:
         InputError: It has another suffix, exists already, or its folder cannot be written.
     """
-    from pointsdf_cli.io.atomic import require_folder, require_new
+    from pointsdf_cli.io.atomic import require_place
 
     if path is None:
         return None
     if path.suffix.lower() != ".png" or path.is_dir():
         raise InputError("is not a PNG file name", where=path, allowed="a name that ends in .png")
-    require_folder(require_new(path, force).parent)
+    require_place(path, force)
     return path
 
 

@@ -122,7 +122,7 @@ def mesh(
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
-    from pointsdf_cli.io.atomic import require_new
+    from pointsdf_cli.io.atomic import require_place
     from pointsdf_cli.io.checkpoints import read_config
     from pointsdf_cli.io.each_file import require_each, require_without
     from pointsdf_cli.planning.mesh_choices import MeshChoices
@@ -157,7 +157,7 @@ def mesh(
         raise InputError(f"{len(clouds)} inputs", allowed="one", hint="add --each")
     out = mesh_path(out, form)
     require_apart([out, picture], inputs)
-    require_new(out, force)
+    require_place(out, force)
     common.check_picture(picture, force)
     _mesh_one(reporter, clouds[0], files, camera_pose, settings, out, picture, threads)
 

@@ -207,7 +207,8 @@ def plan(
         _check_server(server, threads, device)
     check_segment(segment, target is not None, workspace is not None)
     around = Environment() if environment is None else read_environment(environment)
-    start_at = None if start is None else start_configuration(start, load_robot(robot))
+    described = load_robot(robot)  # a wrong one is told before seconds of imports
+    start_at = None if start is None else start_configuration(start, described)
     require_present(checkpoints=[checkpoint, grasp_checkpoint])
     if server is None and not each:
         preload(("torch",) if no_picture else ("torch", "open3d"))

@@ -38,12 +38,10 @@ class PlanOutputs:
                 that cannot be written.
         """
         from pointsdf_cli.io.apart import require_apart
-        from pointsdf_cli.io.atomic import require_new
 
         common.check_suffix(self.out, "--out", (".h5", ".hdf5"))
         require_apart([self.out, self.picture, self.trajectory], inputs)
         force = force or _is_failed_plan(self.out)
-        require_new(self.out, force)
         common.check_picture(self.picture, force)
         files = {"--out": self.out, "--picture": self.picture, "--trajectory": self.trajectory}
         _require_places({k: path for k, path in files.items() if path is not None}, force)
@@ -143,7 +141,7 @@ def _require_places(files: dict[str, Path], force: bool) -> None:
         InputError: Two have one path, one exists already, or a folder cannot be written.
     """
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.atomic import require_folder, require_new
+    from pointsdf_cli.io.atomic import require_place
 
     places = [path.resolve() for path in files.values()]
     if len(set(places)) < len(places):
@@ -153,7 +151,7 @@ def _require_places(files: dict[str, Path], force: bool) -> None:
             allowed="one each",
         )
     for path in files.values():
-        require_folder(require_new(path, force).parent)
+        require_place(path, force)
 
 
 def _plan_here(

@@ -52,7 +52,7 @@ def report(
     require_present(artifacts, meshes)
 
     from pointsdf_cli.io.apart import require_apart
-    from pointsdf_cli.io.atomic import require_folder, require_new, write_text_atomic
+    from pointsdf_cli.io.atomic import require_place, write_text_atomic
     from pointsdf_cli.viz.data_report import data_report, sample_items
     from pointsdf_cli.viz.sheets import save_figure, sdf_slices, views_sheet
 
@@ -72,7 +72,7 @@ def report(
             hint="leave it out: the page contains its pictures",
         )
     for path in (page, *drawn):  # known before anything is written
-        require_folder(require_new(path, force).parent)
+        require_place(path, force)
     text = made if isinstance(made, str) else data_report(made, title)
     write_text_atomic(page, text)
     written = [page]

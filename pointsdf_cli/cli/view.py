@@ -53,7 +53,7 @@ def view(
     described = load_robot(robot)
 
     from pointsdf_cli.io.apart import require_apart
-    from pointsdf_cli.io.atomic import require_new, write_text_atomic
+    from pointsdf_cli.io.atomic import require_place, write_text_atomic
     from pointsdf_cli.viz.artifact_scene import scenes_of
     from pointsdf_cli.viz.html_scene import scene_page
     from pointsdf_cli.viz.scene_sources import SceneOptions
@@ -61,7 +61,7 @@ def view(
     reporter = common.Reporter(quiet, as_json)
     if export:
         require_apart([export], [*artifacts, robot, meshes])
-        require_new(export, force)
+        require_place(export, force)
     options = SceneOptions(described, meshes, most, unit)
     scene = scenes_of(artifacts, options)
     facts = {"title": scene.title, "frames": scene.frames, "parts": len(scene.parts)}

@@ -175,6 +175,17 @@ def require_new(path: Path | str, force: bool, inputs: Iterable[Path] = ()) -> P
     return path
 
 
+def require_place(path: Path | str, force: bool) -> Path:
+    """Check, before any work, that a file can be written at `path`, and return it.
+
+    Raises:
+        InputError: As `require_new`, or its folder cannot be made or written.
+    """
+    path = require_new(path, force)
+    require_folder(path.parent)
+    return path
+
+
 def require_folder(path: Path | str) -> Path:
     """Check that `path` is a writable folder, created if missing, and return it.
 
