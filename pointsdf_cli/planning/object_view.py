@@ -77,6 +77,8 @@ def object_view(
     """
     if segment is None:
         segment = "auto" if is_scene(path, files, pose) else "none"
+        if segment == "auto" and pose is None:
+            pose = "table"  # the mesh is in the camera's frame: where the robot is does not matter
     if segment == "none":
         typed = {
             "--target": target, "--robot": robot, "--start": start, "--workspace": workspace
