@@ -77,8 +77,6 @@ def object_view(
     """
     if segment is None:
         segment = "auto" if is_scene(path, files, pose) else "none"
-        if segment == "auto" and pose is None:
-            pose = "table"  # the mesh is in the camera's frame: where the robot is does not matter
     if segment == "none":
         typed = {
             "--target": target, "--robot": robot, "--start": start, "--workspace": workspace
@@ -88,6 +86,12 @@ def object_view(
                 raise InputError(f"{option} without --segment auto", hint="add --segment auto")
         return bare_view(path, files, pose, cleaned)
     corners = None if workspace is None else box(workspace, "--workspace")
+    if pose is None and is_depth_image(path, files.intrinsics):
+        from pointsdf_cli.planning.scene_input import FROM_TABLE
+
+        # The object is wanted in the camera's frame: where the robot is does not matter.
+        seen = segmented_view(path, files, "table", target, robot, corners, cleaned, start)
+        return replace(seen, said=tuple(one for one in seen.said if FROM_TABLE not in one))
     return segmented_view(path, files, pose, target, robot, corners, cleaned, start)
 
 

@@ -30,6 +30,10 @@ ANY = "any"
 """`--target` for the first object that can be grasped."""
 
 
+FROM_TABLE = "camera pose from the table"
+"""Beginning of the note on a pose that was made from the table."""
+
+
 @dataclass(frozen=True)
 class SceneInput:
     """Input of a command: clouds, target and notes.
@@ -139,7 +143,7 @@ def table_note(cloud: Cloud, place: tuple[float, float]) -> str:
     assert cloud.T_world_camera is not None
     height = cloud.T_world_camera[2, 3]
     return (
-        f"camera pose from the table: z = 0 is the table ({height:.2f} m below the camera), the "
+        f"{FROM_TABLE}: z = 0 is the table ({height:.2f} m below the camera), the "
         f"object at {place[0]:g},{place[1]:g}. For trying out: it says nothing of where a robot "
         "stands"
     )
