@@ -267,6 +267,9 @@ def say_if_from_another(
     Raises:
         InputError: No such checkpoint or robot.
     """
+    if checkpoint is None and grasp_checkpoint is None:
+        return
+
     from pointsdf_cli.models.bundled_success import bundled_success
     from pointsdf_cli.models.grasp_checkpoint import (
         reconstruction_for,
@@ -274,8 +277,6 @@ def say_if_from_another(
     )
     from pointsdf_cli.robot.description import load_robot
 
-    if checkpoint is None and grasp_checkpoint is None:
-        return
     success = grasp_checkpoint or bundled_success(load_robot(robot))
     if success is None:  # the robot has no bundled one: planning will ask for it
         return

@@ -81,7 +81,8 @@ def eval_sdf(
     aside = sorted({*(apart or [])})
     tasks = evaluation.make_tasks(views, meshes, config, aside)
     reporter = common.Reporter(quiet, as_json)
-    if without_mesh := sum(1 for _ in views.rglob("*.h5")) - len(tasks):
+    without_mesh = sum(1 for _ in views.rglob("*.h5")) - len(tasks)
+    if without_mesh and meshes.is_dir():
         reporter.say(f"{views}: {without_mesh} files without a mesh in {meshes} are not scored")
     with reporter.progress("eval-sdf", len(tasks)) as progress:
         report = run_stage(

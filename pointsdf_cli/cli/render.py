@@ -85,15 +85,7 @@ def render(
 
     require_present(meshes)
 
-    from pointsdf_cli.camera.noise import DepthNoise
-    from pointsdf_cli.camera.pinhole import load_camera
-    from pointsdf_cli.camera.scene_views import SceneViewConfig
-    from pointsdf_cli.camera.views import ViewConfig, ViewTask, render_file
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.apart import require_apart
-    from pointsdf_cli.io.atomic import require_folder
-    from pointsdf_cli.io.batch import run_stage, shard_of
-    from pointsdf_cli.io.meshes import find_meshes, named_artifacts
 
     if scene == "table" and (keep_depth or above):
         option = "--keep-depth" if keep_depth else "--above"
@@ -108,6 +100,17 @@ def render(
     if scene == "void" and (len(sensors) > 1 or exact):
         option = f"--sensor {sensor}" if len(sensors) > 1 else f"--exact {exact:g}"
         raise InputError("is for --scene table", where=option, hint="add --scene table")
+
+    # Seconds of imports: only for options that fit each other.
+    from pointsdf_cli.camera.noise import DepthNoise
+    from pointsdf_cli.camera.pinhole import load_camera
+    from pointsdf_cli.camera.scene_views import SceneViewConfig
+    from pointsdf_cli.camera.views import ViewConfig, ViewTask, render_file
+    from pointsdf_cli.io.apart import require_apart
+    from pointsdf_cli.io.atomic import require_folder
+    from pointsdf_cli.io.batch import run_stage, shard_of
+    from pointsdf_cli.io.meshes import find_meshes, named_artifacts
+
     depth_noise = DepthNoise() if noise is None else DepthNoise(noise)
     table = SceneViewConfig(sensors, exact=exact) if scene == "table" else None
     away = ViewConfig.distance if distance is None else distance

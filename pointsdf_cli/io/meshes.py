@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.choices import Unit, require_choice
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.repair import close_mesh
+from pointsdf_cli.geometry.repair import ClosedMesh, close_mesh
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.input_files import check_input, read_input
 from pointsdf_cli.io.provenance import file_sha256
@@ -180,10 +180,7 @@ def closed_body(
     if not len(faces):
         raise InputError("holds no faces", where=where, allowed="a triangle mesh")
     _check_extent(vertices, faces, 1.0, where)
-    try:
-        closed = close_mesh(vertices, np.asarray(faces, dtype=np.int64))
-    except InputError as error:
-        raise InputError.of(error, where) from error
+    closed = _closed_mesh(vertices, np.asarray(faces, dtype=np.int64), where)
     return closed.vertices, closed.faces
 
 
@@ -213,11 +210,17 @@ def _surface(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _closed(path: Path, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> LoadedMesh:
-    try:
-        closed = close_mesh(vertices, faces)
-    except InputError as error:
-        raise InputError.of(error, path) from error
+    closed = _closed_mesh(vertices, faces, path)
     return LoadedMesh(path.stem, closed.vertices, closed.faces, file_sha256(path), closed.repair)
+
+
+def _closed_mesh(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], where: object
+) -> ClosedMesh:
+    try:
+        return close_mesh(vertices, faces)
+    except InputError as error:
+        raise InputError.of(error, where) from error
 
 
 def read_triangles(path: Path | str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -38,8 +38,8 @@ ROBOT, UNCLEAN = -4, -5
 `camera/table_objects.py`."""
 
 GENEROUS = 0.1
-"""Ratio of other points under a mask to the object's above which pixels without depth under it are
-not taken for the object's."""
+"""Ratio of the other points under a mask to the object's. Above it, pixels under the mask that have
+no depth are not taken for the object's."""
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 
 FLAT, LEAST_ABOVE = 0.03, 0.5
-"""An object lower than this [m] of whose points under the mask a smaller share is above the table,
-such as a fork, is taken as the mask shows it."""
+"""Height [m] and share. A lower object with a smaller share of the mask's points above the table,
+such as a fork, keeps all points under the mask."""
 
 
 @dataclass(frozen=True)

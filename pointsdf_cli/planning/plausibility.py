@@ -7,6 +7,7 @@ table, an object in the air. The planner would plan for it without complaint.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import permutations
 
 import numpy as np
 
@@ -204,22 +205,20 @@ def from_inside(view: View) -> str:
 
 
 def seen_through(views: Sequence[View]) -> str:
-    """Warning that one camera saw through what another saw of the object; else empty."""
+    """Warning that one camera saw past the place where another saw the object; else empty."""
     worst = 0.0
-    for one in views:
+    for one, other in permutations(views, 2):
         image = None if one.evidence is None else one.evidence.visibility
         if image is None:
             continue
-        for other in views:
-            points = apply_transform(invert_transform(one.T_world_camera), other.in_world)
-            points = points[points[:, 2] > 0]
-            left, top, width, height = image.window
-            cell = np.floor(
-                (points[:, :2] / points[:, 2:] - (left, top)) / (width, height) * len(image.seen)
-            ).astype(np.int64)
-            inside = ((cell >= 0) & (cell < len(image.seen))).all(axis=1)
-            if other is one or not inside.any():
-                continue
+        points = apply_transform(invert_transform(one.T_world_camera), other.in_world)
+        points = points[points[:, 2] > 0]
+        left, top, width, height = image.window
+        cell = np.floor(
+            (points[:, :2] / points[:, 2:] - (left, top)) / (width, height) * len(image.seen)
+        ).astype(np.int64)
+        inside = ((cell >= 0) & (cell < len(image.seen))).all(axis=1)
+        if inside.any():
             column, row = cell[inside].T
             free = image.free[row, column] > points[inside, 2] + THROUGH
             worst = max(worst, float((free & ~image.seen[row, column]).mean()))
