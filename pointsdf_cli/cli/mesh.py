@@ -58,7 +58,7 @@ def mesh(
     segment: Annotated[
         choices.Segment | None,
         typer.Option(
-            help="auto: segment the object in a view of a table, a cloud with its camera pose; "
+            help="auto: segment the object in a view of a table (a cloud needs its camera pose); "
             "none: the object is alone [default: auto for a depth image without --mask, "
             "or with --camera-pose table; else none].",
             show_default=False,
