@@ -60,6 +60,17 @@ def test_jaws_that_meet_nothing_sweep_all_of_their_way() -> None:
     assert slack(beside, 0.005, grasped=0.02, centre=FAR) > 0.01
 
 
+def test_the_slack_of_a_hand_does_not_depend_on_the_hands_checked_with_it() -> None:
+    half = OPEN.copy()
+    half[PANDA.closing_columns] = 0.021
+    obstacle = Obstacle("ball", "sphere", (0.008,), transform(np.eye(3), BETWEEN))
+    bodies = BodyDistances(GEOMETRY, Environment((obstacle,)))
+    check = ClosingCheck(GEOMETRY, SphereField(0.0205, tuple(BETWEEN)), bodies, 0.0)
+    together = check.slack(np.stack([OPEN, half]))
+    apart = np.concatenate([check.slack(OPEN[None]), check.slack(half[None])])
+    np.testing.assert_array_equal(together, apart)
+
+
 def test_without_obstacles_there_is_nothing_to_meet() -> None:
     bodies = BodyDistances(GEOMETRY, Environment())
     check = ClosingCheck(GEOMETRY, SphereField(0.02, tuple(BETWEEN)), bodies, 0.0)

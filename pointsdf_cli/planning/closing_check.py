@@ -73,7 +73,8 @@ class ClosingCheck:
         speeds = robot.closing_speeds
         q = np.array(q, dtype=np.float64)
         ends = np.where(speeds > 0, high, low)
-        step = float(np.max((ends - q[:, columns]) / speeds)) / STEPS * speeds
+        duration = ((ends - q[:, columns]) / speeds).max(axis=1, keepdims=True)
+        step = duration / STEPS * speeds
         moving = np.ones((len(q), len(columns)), dtype=bool)
         for _ in range(STEPS):
             q[:, columns] = np.clip(q[:, columns] + step * moving, low, high)
