@@ -19,13 +19,15 @@ import numpy as np
 import torch
 from textbook_pointconv import TextbookPointSDF
 
-from pointsdf_cli.models.pointsdf import PRESETS, PointSDF
+from pointsdf_cli.models.pointsdf import PointSDF
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.processor import keep_large_allocations
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.training.precision import autocast_dtype
+from pointsdf_cli.training.presets import POINTSDF
+from pointsdf_cli.training.sdf_config import SdfLoss
 from pointsdf_cli.training.sdf_data import augment, predict, read_batch
-from pointsdf_cli.training.sdf_loss import SdfLoss
+from pointsdf_cli.training.sdf_loss import sdf_loss
 from pointsdf_cli.training.sdf_pack import Pack, pack_views
 
 PAPER_CLOUDS = 8_500_000
@@ -66,7 +68,7 @@ def stepper(
         data = augment(read_batch(pack, views, queries, rng), rng).to(device)
         with torch.autocast(device.type, low_precision, enabled=low_precision is not None):
             predicted = predict(model, data)
-        value = loss(predicted, data.sdf)
+        value = sdf_loss(loss, predicted, data.sdf)
         optimiser.zero_grad(set_to_none=True)
         value.backward()
         optimiser.step()
@@ -90,7 +92,7 @@ def main() -> None:
     torch.set_num_threads(chosen.threads)
     torch.manual_seed(0)
     keep_large_allocations()
-    device, arguments = torch.device(chosen.device), PRESETS[chosen.preset]
+    device, arguments = torch.device(chosen.device), POINTSDF[chosen.preset]
 
     def timed(model: ShapeModel, precision: str) -> Callable[[int], None]:
         return stepper(model, precision, pack, chosen.batch_size, chosen.queries, device)

@@ -20,12 +20,12 @@ import torch
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.models.revolution import (
-    SIDEWAYS,
     places,
     revolution_axis,
     surface_normals,
     symmetric_points,
 )
+from pointsdf_cli.training.presets import SIDEWAYS
 from pointsdf_cli.training.sdf_pack import read_pack
 
 INSIDE = 0.002

@@ -9,19 +9,19 @@ import pytest
 import torch
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.models.pointsdf import PRESETS
 from pointsdf_cli.models.ray_evidence import image_coordinates, ray_evidence
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import build_model
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.models.voxelcnn import VOXEL, occupancy
+from pointsdf_cli.training.presets import POINTSDF
 
 MODELS = {
     "ray": ("pointsdf-ray", {}),
     "ray-subsets": ("pointsdf-ray", {"search": "subsets"}),
     "ray-revolution": ("pointsdf-ray", {"revolution": True}),
     "ray-revolution-subsets": ("pointsdf-ray", {"revolution": True, "search": "subsets"}),
-    "pointsdf": ("pointsdf", PRESETS["small"]),
+    "pointsdf": ("pointsdf", POINTSDF["small"]),
     "voxelcnn": ("voxelcnn", {}),
 }
 

@@ -9,13 +9,13 @@ import torch
 from pointsdf_cli.models.neighbours import farthest_point_order, gather, nearest_neighbours
 from pointsdf_cli.models.registry import build_model
 from pointsdf_cli.models.revolution import (
-    SIDEWAYS,
     Axis,
     places,
     revolution_axis,
     surface_normals,
     symmetric_points,
 )
+from pointsdf_cli.training.presets import SIDEWAYS
 
 CAMERA = torch.tensor([[0.0, 0.0, -10.0]], dtype=torch.float64)
 DIRECTION = np.array([0.3, 0.8, -0.52]) / np.linalg.norm([0.3, 0.8, -0.52])

@@ -31,7 +31,8 @@ from pointsdf_cli.io.views import Views, write_views
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import build_model, load_model
-from pointsdf_cli.training.sdf_config import TrainConfig
+from pointsdf_cli.training import sdf_loop
+from pointsdf_cli.training.sdf_config import SdfLoss, TrainConfig
 from pointsdf_cli.training.sdf_data import (
     augment,
     held_out_names,
@@ -40,7 +41,7 @@ from pointsdf_cli.training.sdf_data import (
     training_views,
 )
 from pointsdf_cli.training.sdf_loop import train_sdf
-from pointsdf_cli.training.sdf_loss import SdfLoss, label_iou
+from pointsdf_cli.training.sdf_loss import label_iou, sdf_loss
 from pointsdf_cli.training.sdf_pack import Pack, open_pack, pair_artifacts, read_pack
 from pointsdf_cli.training.sdf_progress import Progress, TrainResult
 
@@ -135,14 +136,14 @@ def _run(
 def test_the_loss_by_hand() -> None:
     predicted, sdf = torch.tensor([[0.1, -0.2]]), torch.tensor([[0.15, -0.05]])
     # |0.1 − 0.15| / 0.2 = 0.25 and |−0.2 + 0.05| / 0.1 = 1.5; both signs are right.
-    assert SdfLoss(sign_weight=0.0)(predicted, sdf) == pytest.approx(0.875)
+    assert sdf_loss(SdfLoss(sign_weight=0.0), predicted, sdf) == pytest.approx(0.875)
     cross_entropy = (np.log1p(np.exp(-0.1 / 0.02)) + np.log1p(np.exp(-0.2 / 0.02))) / 2
-    assert SdfLoss("sign", sign_weight=1.0)(predicted, sdf) == pytest.approx(
+    assert sdf_loss(SdfLoss("sign", sign_weight=1.0), predicted, sdf) == pytest.approx(
         cross_entropy, rel=1e-4
     )
-    assert SdfLoss("mse")(predicted, sdf) == pytest.approx((0.05**2 + 0.15**2) / 2)
-    wrong_side = SdfLoss()(torch.tensor([[-0.01]]), torch.tensor([[0.01]]))
-    right_side = SdfLoss()(torch.tensor([[0.03]]), torch.tensor([[0.01]]))
+    assert sdf_loss(SdfLoss("mse"), predicted, sdf) == pytest.approx((0.05**2 + 0.15**2) / 2)
+    wrong_side = sdf_loss(SdfLoss(), torch.tensor([[-0.01]]), torch.tensor([[0.01]]))
+    right_side = sdf_loss(SdfLoss(), torch.tensor([[0.03]]), torch.tensor([[0.01]]))
     assert wrong_side > right_side
 
 
@@ -154,12 +155,13 @@ def test_the_quantile_is_where_the_loss_is_least() -> None:
 
     def best(quantile: float) -> float:
         loss = SdfLoss(sign_weight=0.5, quantile=quantile)
-        return float(levels[int(torch.stack([loss(sdf * 0 + s, sdf) for s in levels]).argmin())])
+        values = [sdf_loss(loss, sdf * 0 + s, sdf) for s in levels]
+        return float(levels[int(torch.stack(values).argmin())])
 
     assert best(0.5) > 0 > best(0.3)
     logits = torch.linspace(-3, 3, 601) * -0.02
     sign = SdfLoss("sign", sign_weight=1.0, quantile=0.4)
-    level = logits[int(torch.stack([sign(sdf * 0 + s, sdf) for s in logits]).argmin())]
+    level = logits[int(torch.stack([sdf_loss(sign, sdf * 0 + s, sdf) for s in logits]).argmin())]
     assert level == pytest.approx(0.0, abs=2e-4)
 
 
@@ -400,16 +402,18 @@ def test_dropout_resumes_where_it_stopped(pack: Pack, tmp_path: Path) -> None:
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 
-def test_a_run_that_diverged_keeps_the_last_good_state(pack: Pack, tmp_path: Path) -> None:
+def test_a_run_that_diverged_keeps_the_last_good_state(
+    pack: Pack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     _run(pack, tmp_path, stop_at=2)
     good = read_train_state(tmp_path)["model"]
 
-    class Lost(SdfLoss):
-        def __call__(self, predicted: torch.Tensor, sdf: torch.Tensor) -> torch.Tensor:
-            return super().__call__(predicted, sdf) * float("nan")
+    def lost(loss: SdfLoss, predicted: torch.Tensor, sdf: torch.Tensor) -> torch.Tensor:
+        return sdf_loss(loss, predicted, sdf) * float("nan")
 
+    monkeypatch.setattr(sdf_loop, "sdf_loss", lost)
     with pytest.raises(RgraspError, match="the loss is nan"):
-        _run(pack, tmp_path, replace(CONFIG, loss=Lost()), stop_at=1, resume=True)
+        _run(pack, tmp_path, stop_at=1, resume=True)
     kept = read_train_state(tmp_path)["model"]
     assert all(torch.equal(kept[name], good[name]) for name in good)
 

@@ -112,6 +112,27 @@ def add_arm(model: Model) -> None:
         )
 
 
+RUBBER = 1.5e6
+"""Young's modulus of rubber [Pa], that of GraspIt!'s soft fingers (manual, chapter 6)."""
+POISSON, CURVATURE = 0.5, 0.03
+"""Poisson's ratio of rubber; radius of what the jaws usually grasp [m]."""
+OBJECT = 1e-3 / 0.6
+"""Part that PyBullet adds for the object: its own torsional over its lateral friction [m]
+(`simulation/physics.py`)."""
+EFFORT = 20.0
+"""Force of a jaw [N]; more makes round things creep out of the simulated jaws (docs/notebook.md)."""
+
+
+def torsional_friction() -> float:
+    """Torsional friction of a rubber pad [m], over lateral friction and force.
+
+    The contact of a ball with a rubber half-space is a disc of radius a, a³ = 3 F R (1 − ν²) / 4 E
+    (Hertz); its pressure resists a torque of 3π/16 a μ F.
+    """
+    disc = (3 * EFFORT * CURVATURE * (1 - POISSON**2) / (4 * RUBBER)) ** (1 / 3)
+    return 3 * math.pi / 16 * disc - OBJECT
+
+
 def add_gripper(model: Model) -> None:
     """The hand, 0.107 m beyond joint 7 and turned by 45 degrees, and two jaws of 4 cm of travel."""
     body = [
@@ -135,8 +156,7 @@ def add_gripper(model: Model) -> None:
             (Shape("box", (0.0175, 0.012, 0.022), (0, side * 0.0140, 0.0305)), GREY),
             (Shape("box", (0.0175, 0.0152, 0.0185), (0, side * 0.0076, 0.04525)), DARK),
         ]
-        model.links.append(Link(f"panda_{name}", 0.015, jaw))
-        # More makes round things creep out of the simulated jaws (docs/notebook.md).
+        model.links.append(Link(f"panda_{name}", 0.015, jaw, torsional_friction()))
         model.joints.append(
             Joint(
                 f"panda_finger_joint{1 if side > 0 else 2}",
@@ -145,7 +165,7 @@ def add_gripper(model: Model) -> None:
                 (0, 0, 0.0584),
                 axis=(0, side, 0),
                 limit=(0.0, 0.04),
-                effort=20.0,
+                effort=EFFORT,
                 velocity=0.05,
                 damping=10.0,
                 kind="prismatic",

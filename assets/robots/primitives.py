@@ -45,11 +45,13 @@ class Shape:
 
 @dataclass(frozen=True)
 class Link:
-    """A link with its mass and shapes."""
+    """A link with its mass and shapes; `spinning_friction` [m] as PyBullet reads it in `<contact>`:
+    torsional friction of a soft surface, times the other body's lateral friction and the force."""
 
     name: str
     mass: float
     shapes: list[tuple[Shape, str]]
+    spinning_friction: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,9 @@ def urdf(model: Model, robot: str, colours: Mapping[str, str]) -> ET.Element:
         keys["izz"] = (2, 2)
         values = {key: text(inertia[at]) for key, at in keys.items()}
         ET.SubElement(mass_node, "inertia", attrib=values)
+        if link.spinning_friction:
+            contact = ET.SubElement(node, "contact")
+            ET.SubElement(contact, "spinning_friction", value=text(link.spinning_friction))
         for role in ("visual", "collision"):
             for shape, colour in link.shapes:
                 part = ET.SubElement(node, role)

@@ -35,7 +35,7 @@ from pointsdf_cli.training.ema import WeightAverage
 from pointsdf_cli.training.presets import settings
 from pointsdf_cli.training.sdf_config import TrainConfig
 from pointsdf_cli.training.sdf_data import Batch, predict
-from pointsdf_cli.training.sdf_loss import label_iou
+from pointsdf_cli.training.sdf_loss import label_iou, sdf_loss
 
 FILES_AT_ONCE = 3
 """Files read together: eigenvectors of the normals of 16 fill the memory of a GPU."""
@@ -95,7 +95,7 @@ class Training:
         batch, symmetry = self.views.batch(drawn, self.config.queries, size=size)
         with torch.autocast(self.device.type, torch.bfloat16):
             predicted = self.model.predict(batch, symmetry)
-        loss = self.config.loss(predicted, batch.sdf)
+        loss = sdf_loss(self.config.loss, predicted, batch.sdf)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config.clip)
         self._optimiser.step()
@@ -152,7 +152,7 @@ class Training:
                 )
                 with torch.autocast(self.device.type, torch.bfloat16):
                     predicted = self.average.model.predict(batch, symmetry)
-                losses += [self.config.loss(predicted, batch.sdf)] * len(views)
+                losses += [sdf_loss(self.config.loss, predicted, batch.sdf)] * len(views)
                 overlaps.append(label_iou(predicted, batch.sdf))
             numbers[f"object_loss{name}"] = float(torch.stack(losses).mean())
             numbers[f"object_iou{name}"] = float(torch.cat(overlaps).mean())

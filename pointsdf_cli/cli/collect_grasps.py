@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from pointsdf_cli.io.batch import StageReport
     from pointsdf_cli.io.grasps import Grasps, GraspsMeta
+    from pointsdf_cli.robot.description import RobotDescription
     from pointsdf_cli.simulation.attempt import PreshapeSource
     from pointsdf_cli.simulation.collect import CollectTask
 
@@ -28,7 +29,10 @@ def collect_grasps(
         "grasps"
     ),
     count: Annotated[
-        int, typer.Option(help="Total number of executed grasps; a fifth are of held-out objects.")
+        int,
+        typer.Option(
+            min=1, help="Total number of executed grasps; a fifth are of held-out objects."
+        ),
     ] = 9111,
     robot: common.Robot = None,
     sensor: common.Sensor = "structured-light",
@@ -45,8 +49,10 @@ def collect_grasps(
     push: Annotated[
         float,
         typer.Option(
+            min=0,
+            max=1000,
             help="Push the held object's centre of mass with this force [N] for 1 s along each of "
-            "±x, ±y and ±z, and record whether it stays held; 0 for none."
+            "±x, ±y and ±z, and record whether it stays held; 0 for none.",
         ),
     ] = 0.0,
     record: Annotated[
@@ -78,6 +84,7 @@ def collect_grasps(
     from pointsdf_cli.robot.description import load_robot
 
     machine, found = load_robot(robot), find_meshes(meshes, pattern)
+    _check_networks(preshapes, checkpoint, grasp_checkpoint, machine)
 
     # Seconds of imports: only for what can be used.
     from pointsdf_cli.simulation.attempt import AttemptConfig
@@ -115,15 +122,19 @@ def collect_grasps(
     reporter.result({**values, "report": page, "seconds": seconds}, [_line(values), f"{page}"])
 
 
-def _source(
-    preshapes: Preshapes, robot: Path | None, checkpoint: Path | None, grasps: Path | None
-) -> PreshapeSource | None:
-    """Source of preshapes; None for the heuristic.
+def _check_networks(
+    preshapes: Preshapes,
+    checkpoint: Path | None,
+    grasps: Path | None,
+    robot: RobotDescription,
+) -> None:
+    """Check the networks that propose preshapes.
 
     Raises:
-        InputError: Networks were given that nothing would use, or that cannot be read.
+        InputError: One is of another kind, or nothing would use it.
     """
     from pointsdf_cli.errors import InputError
+    from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
 
     if preshapes == "heuristic":
         for option, value in (("--checkpoint", checkpoint), ("--grasp-checkpoint", grasps)):
@@ -133,6 +144,19 @@ def _source(
                     where=option,
                     hint="add --preshapes planned, or leave it out",
                 )
+    require_reconstructions([checkpoint])
+    require_successes([grasps], robot)
+
+
+def _source(
+    preshapes: Preshapes, robot: Path | None, checkpoint: Path | None, grasps: Path | None
+) -> PreshapeSource | None:
+    """Source of preshapes; None for the heuristic.
+
+    Raises:
+        InputError: A network cannot be read.
+    """
+    if preshapes == "heuristic":
         return None
     from pointsdf_cli.planning.grasp_planner import PlanOptions
     from pointsdf_cli.planning.planned_preshapes import PlannedPreshapes

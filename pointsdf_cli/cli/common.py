@@ -132,7 +132,8 @@ Pattern = Annotated[
     str, typer.Option(help="Only meshes whose names match this pattern, such as '*.ply'.")
 ]
 Shake = Annotated[
-    float, typer.Option(help="Shake the lifted object with this acceleration [m/s²].")
+    float,
+    typer.Option(min=0, max=100, help="Shake the lifted object with this acceleration [m/s²]."),
 ]
 Views = Annotated[Path, typer.Option(help="Folder of views made by `rgrasp render`.")]
 Grasps = Annotated[Path, typer.Option(help="Folder of grasps made by `rgrasp collect-grasps`.")]

@@ -44,12 +44,14 @@ def eval_gs(
 
     Example: rgrasp eval-gs --checkpoint gs/ --grasps grasps/ --out figure3.json
     """
-    from pointsdf_cli.io.present import require_present
+    from pointsdf_cli.io.present import require_artifacts
+    from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
     from pointsdf_cli.robot.description import load_robot
 
-    require_present(grasps, hint="rgrasp collect-grasps --meshes DIR --out DIR")
-    require_present(checkpoints=[*checkpoint, sdf])
     machine = load_robot(robot)
+    require_artifacts(grasps, "grasps", "rgrasp collect-grasps --meshes DIR --out DIR")
+    require_successes(checkpoint, machine)
+    require_reconstructions([sdf])
 
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import write_text_atomic

@@ -22,9 +22,13 @@ def eval_sdf(
             help="Output table; a .csv and a .png of the same name are written beside it."
         ),
     ] = Path("table.json"),
-    count: Annotated[int, typer.Option(help="Number of views of each object; 0 uses all.")] = 10,
+    count: Annotated[
+        int, typer.Option(min=0, help="Number of views of each object; 0 uses all.")
+    ] = 10,
     resolution: Annotated[int, typer.Option(help="Resolution of the scored meshes.")] = 128,
-    samples: Annotated[int, typer.Option(help="Number of points for each metric.")] = 100_000,
+    samples: Annotated[
+        int, typer.Option(min=1, help="Number of points for each metric.")
+    ] = 100_000,
     exact: Annotated[
         bool,
         typer.Option(
@@ -41,7 +45,7 @@ def eval_sdf(
         typer.Option(help="Also print the published rows of this data set."),
     ] = None,
     gallery: Annotated[
-        int, typer.Option(help="Number of best, median and worst views each in the picture.")
+        int, typer.Option(min=0, help="Number of best, median and worst views each in the picture.")
     ] = 3,
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
@@ -54,13 +58,20 @@ def eval_sdf(
 
     Example: rgrasp eval-sdf --checkpoint ckpt/ --views views/ --meshes ycb/ --out table.json
     """
-    from pointsdf_cli.io.present import require_present
-
-    require_present(views, hint=f"rgrasp render --meshes {meshes} --out {views}")
-    require_present(meshes, checkpoints=checkpoint)
-
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.geometry.isosurface import IsosurfaceConfig
+    from pointsdf_cli.io.meshes import find_meshes
+    from pointsdf_cli.io.present import require_artifacts
+    from pointsdf_cli.models.checkpoint_kinds import require_reconstructions
+
+    IsosurfaceConfig(resolution)
+    require_artifacts(views, "views", f"rgrasp render --meshes {meshes} --out {views}")
+    find_meshes(meshes)
+    require_reconstructions(checkpoint)
+    table_path, csv_path, picture = common.table_files(
+        out, (".csv", ".png"), [*checkpoint, views, meshes], force
+    )
+
+    # Seconds of imports: only for what can be used.
     from pointsdf_cli.io.atomic import write_text_atomic
     from pointsdf_cli.io.batch import run_stage
     from pointsdf_cli.io.strict_json import to_json
@@ -68,12 +79,6 @@ def eval_sdf(
     from pointsdf_cli.training import evaluate_sdf as evaluation
     from pointsdf_cli.training.sdf_table import objects_csv
 
-    IsosurfaceConfig(resolution)
-    table_path, csv_path, picture = common.table_files(
-        out, (".csv", ".png"), [*checkpoint, views, meshes], force
-    )
-    if gallery < 0:
-        raise InputError(f"{gallery} views", where="--gallery", allowed="0 or more")
     for path in checkpoint:
         load_model(path)  # a bad checkpoint is known before the processes start
     labelled = tuple(zip(common.labels_of(checkpoint), checkpoint, strict=True))

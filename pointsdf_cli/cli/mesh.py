@@ -123,8 +123,8 @@ def mesh(
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_place
-    from pointsdf_cli.io.checkpoints import read_config
     from pointsdf_cli.io.each_file import require_each, require_without
+    from pointsdf_cli.models.checkpoint_kinds import require_reconstructions
     from pointsdf_cli.planning.mesh_choices import MeshChoices
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
@@ -134,8 +134,7 @@ def mesh(
     # A wrong resolution is known before anything is read.
     meshing = MeshChoices(resolution, smooth, all_parts, exact, precision, seed)
     inputs = [*clouds, camera_pose, intrinsics, mask, checkpoint, robot, start]
-    if checkpoint is not None:
-        read_config(checkpoint)
+    require_reconstructions([checkpoint])
     files = SceneFileOptions(
         intrinsics, depth_scale, mask=mask, unit=unit, frame=frame, drop_invalid=drop_invalid
     )

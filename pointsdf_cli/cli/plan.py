@@ -176,7 +176,7 @@ def plan(
     from pointsdf_cli.io.each_file import require_each, require_without
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.poses import box
-    from pointsdf_cli.io.present import require_present
+    from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
     from pointsdf_cli.planning.environment import Environment, read_environment
     from pointsdf_cli.planning.option_checks import RECONSTRUCTION, check_segment
     from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
@@ -209,7 +209,8 @@ def plan(
     around = Environment() if environment is None else read_environment(environment)
     described = load_robot(robot)  # a wrong one is told before seconds of imports
     start_at = None if start is None else start_configuration(start, described)
-    require_present(checkpoints=[checkpoint, grasp_checkpoint])
+    require_reconstructions([checkpoint])
+    require_successes([grasp_checkpoint], described)
     if server is None and not each:
         preload(("torch",) if no_picture else ("torch", "open3d"))
     # What reads clouds is loaded for options that can be used.

@@ -37,7 +37,7 @@ def serve(
     Example: rgrasp serve & rgrasp plan cloud.ply --server http://127.0.0.1:8765
     """
     from pointsdf_cli.errors import InputError, RgraspError
-    from pointsdf_cli.io.present import require_present
+    from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.service.address import LOOPBACK, TOKEN
 
@@ -56,8 +56,8 @@ def serve(
             allowed="127.0.0.1, or any address with a token",
             hint=f"export {TOKEN}=$(openssl rand -hex 16), for the server and its clients",
         )
-    load_robot(robot)
-    require_present(checkpoints=[checkpoint, grasp_checkpoint])
+    require_reconstructions([checkpoint])
+    require_successes([grasp_checkpoint], load_robot(robot))
     try:
         import fastapi
         import uvicorn

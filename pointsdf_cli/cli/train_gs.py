@@ -67,11 +67,12 @@ def train_gs(
 
     Example: rgrasp train-gs --grasps grasps/ --out gs/
     """
-    from pointsdf_cli.io.present import require_present
+    from pointsdf_cli.io.present import require_artifacts
+    from pointsdf_cli.models.checkpoint_kinds import require_reconstructions
     from pointsdf_cli.robot.description import load_robot
 
-    require_present(grasps, hint="rgrasp collect-grasps --meshes DIR --out DIR")
-    require_present(checkpoints=[sdf])
+    require_artifacts(grasps, "grasps", "rgrasp collect-grasps --meshes DIR --out DIR")
+    require_reconstructions([sdf])
     machine = load_robot(robot)
 
     from pointsdf_cli.cli.signals import stop_requests

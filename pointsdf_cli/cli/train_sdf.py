@@ -82,11 +82,14 @@ def train_sdf(
 
     Example: rgrasp train-sdf --views views/ --labels labels/ --out ckpt/ --minutes 60
     """
-    from pointsdf_cli.io.present import require_present
+    from pointsdf_cli.io.present import require_artifacts
+    from pointsdf_cli.models.checkpoint_kinds import require_reconstructions
+    from pointsdf_cli.training.presets import settings
 
-    require_present(views, hint="rgrasp render --meshes DIR --out DIR")
-    require_present(labels, hint="rgrasp label-sdf --views DIR --meshes DIR --out DIR")
-    require_present(checkpoints=[start_from])
+    settings(model, preset, context.params)  # a mistake is told before the data are read
+    require_artifacts(views, "views", "rgrasp render --meshes DIR --out DIR")
+    require_artifacts(labels, "labels", "rgrasp label-sdf --views DIR --meshes DIR --out DIR")
+    require_reconstructions([start_from])
 
     # Seconds of imports: only for what can be used.
     from pointsdf_cli.cli.signals import stop_requests
@@ -96,12 +99,10 @@ def train_sdf(
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.training import sdf_loop
     from pointsdf_cli.training.distributed import join_workers
-    from pointsdf_cli.training.presets import settings
     from pointsdf_cli.training.sdf_pack import open_pack, pair_artifacts
     from pointsdf_cli.training.sdf_run import SdfRun, view_limits
     from pointsdf_cli.viz.loss_curve import draw_loss_curve
 
-    settings(model, preset, context.params)  # a mistake is told before the data are read
     common.torch_device(device)
     require_apart([out, pack], [views, labels, start_from])
     require_checkpoint_place(out, replace=resume or force)

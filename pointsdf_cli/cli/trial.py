@@ -40,18 +40,21 @@ def trial(
             show_default=False,
         ),
     ] = None,
-    yaws: Annotated[int, typer.Option(help="Number of evenly spaced yaws of each object.")] = 3,
+    yaws: Annotated[
+        int, typer.Option(min=1, help="Number of evenly spaced yaws of each object.")
+    ] = 3,
     cameras: Annotated[
         str, typer.Option(help="Cameras: high, low, or both separated by a comma.")
     ] = "high,low",
     repeats: Annotated[
-        int, typer.Option(help="Number of repetitions, each with its own yaws, place and noise.")
+        int,
+        typer.Option(min=1, help="Number of repetitions, each with its own yaws, place and noise."),
     ] = 1,
     solver: common.Solver = "sqp",
     rehearse: Annotated[
         int,
         typer.Option(
-            help="Number of grasps per round to rehearse on the reconstruction; 0 for none."
+            min=0, help="Number of grasps per round to rehearse on the reconstruction; 0 for none."
         ),
     ] = 12,
     clearance: Annotated[
@@ -67,25 +70,33 @@ def trial(
     clutter: Annotated[
         int,
         typer.Option(
+            min=0,
             help="Number of other objects of the folder around the target; a trial in which one "
-            "falls over or moves more than 2 cm fails."
+            "falls over or moves more than 2 cm fails.",
         ),
     ] = 0,
     shake: common.Shake = 0.0,
     hold: Annotated[
-        float, typer.Option(help="Time that the lifted object must be held [s]; 0 for none.")
+        float,
+        typer.Option(
+            min=0, max=600, help="Time that the lifted object must be held [s]; 0 for none."
+        ),
     ] = 5.0,
     push: Annotated[
         float,
         typer.Option(
+            min=0,
+            max=1000,
             help="Then push its centre of mass with this force [N] for 1 s along each of "
-            "±x, ±y and ±z; 0 for none."
+            "±x, ±y and ±z; 0 for none.",
         ),
     ] = 2.5,
     unit: common.Unit = "m",
     pattern: common.Pattern = "*",
-    record: Annotated[int, typer.Option(help="Write this many trials as GIF films.")] = 0,
-    pictures: Annotated[int, typer.Option(help="Number of failures to draw in the report.")] = 40,
+    record: Annotated[int, typer.Option(min=0, help="Write this many trials as GIF films.")] = 0,
+    pictures: Annotated[
+        int, typer.Option(min=0, help="Number of failures to draw in the report.")
+    ] = 40,
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     shard: common.Shard = None,
@@ -99,30 +110,34 @@ def trial(
 
     Example: rgrasp trial --out trials/ --meshes ycb/
     """
-    counts = {"--rehearse": rehearse, "--record": record, "--pictures": pictures}
-    for name, value in (counts | {"--clutter": clutter}).items():
-        if value < 0:
-            raise InputError(f"{value}", where=name, allowed="0 or more")
     from pointsdf_cli.io.present import require_present
+    from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
     from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.trials import protocol
 
-    require_present(meshes, checkpoints=[checkpoint, grasp_checkpoint])
-    load_robot(robot)  # before seconds of imports
     reporter = common.Reporter(quiet, as_json)
+    require_present(meshes)
+    machine = load_robot(robot)
+    variants = protocol.planner_variants(method, ablation or [])
+    require_reconstructions([checkpoint, *protocol.checkpoints_of(variants)])
+    require_successes([grasp_checkpoint], machine)
+    chosen = protocol.choose_objects(meshes, objects, pattern, unit)
+    pool = protocol.clutter_pool(meshes, pattern, unit) if clutter else []
+    asked = [c for c in cameras.split(",") if c]
+    trials = protocol.make_trials(chosen, variants, yaws, asked, repeats, seed, clutter, pool)
 
+    # Seconds of imports: only for what can be used.
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.planning.grasp_planner import PlanOptions
     from pointsdf_cli.planning.grasp_problem import Clearances
     from pointsdf_cli.planning.planner import PlannerConfig
     from pointsdf_cli.simulation.executor import ExecutorConfig
     from pointsdf_cli.simulation.world import try_robot
-    from pointsdf_cli.trials import protocol
     from pointsdf_cli.trials.experiment import make_tasks, write_results
     from pointsdf_cli.trials.planner_variants import VariantOptions
     from pointsdf_cli.trials.run import TrialConfig, run_trial_task
 
-    try_robot(load_robot(robot))  # report a wrong robot once, here
-    variants = protocol.planner_variants(method, ablation or [])
+    try_robot(machine)  # report a wrong robot once, here
     planner = PlannerConfig(solver, Clearances(object=clearance), margin)
     planning = PlanOptions(
         robot=robot, checkpoint=checkpoint, grasp_checkpoint=grasp_checkpoint, planner=planner
@@ -130,10 +145,6 @@ def trial(
     execution = ExecutorConfig(shake=shake, hold=hold, push=push)
     config = TrialConfig(VariantOptions(planning, rehearse), execution=execution, sensor=sensor)
     common.say_if_from_another(reporter, checkpoint, grasp_checkpoint, robot)
-    chosen = protocol.choose_objects(meshes, objects, pattern, unit)
-    pool = protocol.clutter_pool(meshes, pattern, unit) if clutter else []
-    asked = [c for c in cameras.split(",") if c]
-    trials = protocol.make_trials(chosen, variants, yaws, asked, repeats, seed, clutter, pool)
     tasks = make_tasks(trials, config, out, record, force)
     started = time.monotonic()
     mine = shard_of(list(tasks.items()), shard)

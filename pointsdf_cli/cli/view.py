@@ -33,7 +33,8 @@ def view(
     ] = 200,
     unit: common.Unit = "m",
     port: Annotated[
-        int, typer.Option(help="Port to serve at; the next free one if it is taken.")
+        int,
+        typer.Option(min=1, max=65535, help="Port to serve at; the next free one if it is taken."),
     ] = 8080,
     host: Annotated[
         str, typer.Option(help="Address to serve at; 0.0.0.0 lets other machines connect.")
@@ -46,23 +47,26 @@ def view(
 
     Example: rgrasp view plan.h5 cloud.ply
     """
-    from pointsdf_cli.io.present import require_present
-    from pointsdf_cli.robot.description import load_robot
-
-    require_present(*artifacts, meshes)
-    described = load_robot(robot)
-
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_place, write_text_atomic
-    from pointsdf_cli.viz.artifact_scene import scenes_of
-    from pointsdf_cli.viz.html_scene import scene_page
-    from pointsdf_cli.viz.scene_sources import SceneOptions
+    from pointsdf_cli.io.present import require_present
+    from pointsdf_cli.robot.description import load_robot
+    from pointsdf_cli.viz.scene_sources import SceneOptions, kind_of
 
     reporter = common.Reporter(quiet, as_json)
+    for path in artifacts:
+        kind_of(path)
+    require_present(meshes)
+    options = SceneOptions(load_robot(robot), meshes, most, unit)
     if export:
+        common.check_suffix(export, "--export", (".html", ".htm"))
         require_apart([export], [*artifacts, robot, meshes])
         require_place(export, force)
-    options = SceneOptions(described, meshes, most, unit)
+
+    # Seconds of imports: only for what can be shown.
+    from pointsdf_cli.viz.artifact_scene import scenes_of
+    from pointsdf_cli.viz.html_scene import scene_page
+
     scene = scenes_of(artifacts, options)
     facts = {"title": scene.title, "frames": scene.frames, "parts": len(scene.parts)}
     if export:

@@ -259,9 +259,17 @@ def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[
     return True
 
 
-def _require_schema(
-    path: Path, file: h5py.File, schema: str, version: int, oldest: int | None = None
-) -> None:
+def require_schema(path: Path, schema: str) -> None:
+    """Require that a file is an artifact of a schema, of any version.
+
+    Raises:
+        InputError: It is of another one, or cannot be read.
+    """
+    with open_hdf5(path) as file:
+        _named_schema(path, file, schema)
+
+
+def _named_schema(path: Path, file: h5py.File, schema: str) -> None:
     found = file.attrs.get("schema")
     if found is None:
         raise InputError(
@@ -275,6 +283,12 @@ def _require_schema(
             where=path,
             hint=f"rgrasp info {path} shows what it is",
         )
+
+
+def _require_schema(
+    path: Path, file: h5py.File, schema: str, version: int, oldest: int | None = None
+) -> None:
+    _named_schema(path, file, schema)
     theirs = file.attrs.get("schema_version")
     oldest = version if oldest is None else oldest
     if not isinstance(theirs, (int, np.integer)) or not oldest <= int(theirs) <= version:

@@ -26,6 +26,7 @@ from pointsdf_cli.io.checkpoints import (
 )
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.models.bundled_success import ARCHITECTURE, bundled_success
+from pointsdf_cli.models.checkpoint_kinds import check_robot, check_success
 from pointsdf_cli.models.grasp_prior import GraspPrior
 from pointsdf_cli.models.grasp_success import NETWORKS, EmbeddingNet, GeometryNet
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
@@ -131,12 +132,7 @@ def read_grasp_checkpoint(
     robot = robot or load_robot()
     checkpoint = read_checkpoint(path or bundled_success(robot) or asset_path(BUNDLED))
     config, where = checkpoint.config, checkpoint.path
-    if config.get("architecture") != ARCHITECTURE:
-        raise InputError(
-            f"is a {config.get('architecture')}, not a success network",
-            where=where,
-            hint="rgrasp train-gs --grasps DIR --out CKPT",
-        )
+    check_success(config, where)
     _check_config(config, where)
     check_robot(robot, config["robot"]["name"], config["robot"]["preshape_joints"], where)
     try:
@@ -207,24 +203,6 @@ def check_hand(sweep: HandSweep, config: Mapping[str, Any], where: object) -> No
 
 COURSE_OFF = 3e-3
 """Largest distance [m] between the pad positions of hands that count as the same."""
-
-
-def check_robot(
-    robot: RobotDescription, name: str, preshape_joints: list[str] | tuple[str, ...], where: object
-) -> None:
-    """Refuse data made with another hand.
-
-    Raises:
-        InputError: The names differ.
-    """
-    if robot.name != name or list(robot.preshape_joints) != list(preshape_joints):
-        raise InputError(
-            f"was made with the robot {name!r} ({len(preshape_joints)} preshape joints), "
-            f"not {robot.name!r} ({len(robot.preshape_joints)})",
-            where=where,
-            hint="give that robot's YAML with --robot; for another hand train a network with "
-            "collect-grasps and train-gs --robot, and plan with --grasp-checkpoint",
-        )
 
 
 def weights_hash(path: Path | str) -> str:

@@ -31,19 +31,6 @@ from pointsdf_cli.models.surroundings import Surroundings
 BANDWIDTHS = (0.05, 0.1, 0.2, 0.4)
 """Bandwidth of the density's Gaussian kernel in each layer, network units."""
 
-PRESETS: dict[str, dict[str, Any]] = {
-    "paper": {},
-    "small": {
-        "centres": (256, 96, 32, 12),
-        "neighbours": (24, 16, 16, 12),
-        "mlps": ((32, 64), (64, 128), (96, 192), (128, 256)),
-        "weight_channels": 8,
-        "query_width": 256,
-        "head": (256, 256, 256),
-        "tail": (256, 256, 256),
-    },
-}
-
 
 class PointSDF(ShapeModel):
     """See the module's docstring; the default arguments are the paper's numbers.

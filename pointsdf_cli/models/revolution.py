@@ -30,10 +30,6 @@ TOLERANCE = 0.03
 """Distance between normal and axis (network units) at which the normal's weight is one half."""
 RIDGE = 1e-3
 """Regularisation: fixes the undetermined part of a line, as for cylinders and planes."""
-SIDEWAYS = 1e-3
-"""Preference for an axis across the viewing direction over one along it, as a mean square of the
-distance between normals and axis, network units (`experiments/symmetric_point_distance.py
---sideways`)."""
 NEARNESS = 0.15
 """Weight of the distance in space when a symmetric point's azimuth is chosen: among points observed
 at the same height and radius, the one nearest to the query wins."""
@@ -92,7 +88,8 @@ def revolution_axis(points: Tensor, normals: Tensor, camera: Tensor, sideways: f
         points: [B, M, 3], float32.
         normals: [B, M, 3], of unit length.
         camera: [B, 3].
-        sideways: Preference for an axis across the viewing direction, see `SIDEWAYS`.
+        sideways: Preference for an axis across the viewing direction over one along it, as a mean
+            square of the distance between normals and axis, network units.
     """
     moment = torch.cross(points, normals, dim=-1)
     weight = torch.ones_like(points[..., 0])

@@ -17,7 +17,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.grasps import HELD, Grasps, collection_of, read_grasps
 from pointsdf_cli.io.hdf5 import artifacts_below
-from pointsdf_cli.models.grasp_checkpoint import check_robot
+from pointsdf_cli.models.checkpoint_kinds import check_robot
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
 

@@ -8,11 +8,23 @@ from typing import Any
 
 from pointsdf_cli.choices import Model, Preset, require_choice
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.models.pointsdf import PRESETS as POINTSDF_PRESETS
-from pointsdf_cli.models.revolution import SIDEWAYS
-from pointsdf_cli.training.sdf_config import TrainConfig
-from pointsdf_cli.training.sdf_loss import SdfLoss
+from pointsdf_cli.training.sdf_config import SdfLoss, TrainConfig
 
+POINTSDF: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "small": {
+        "centres": (256, 96, 32, 12),
+        "neighbours": (24, 16, 16, 12),
+        "mlps": ((32, 64), (64, 128), (96, 192), (128, 256)),
+        "weight_channels": 8,
+        "query_width": 256,
+        "head": (256, 256, 256),
+        "tail": (256, 256, 256),
+    },
+}
+"""Architecture of `pointsdf` in each preset."""
+SIDEWAYS = 1e-3
+"""`sideways` of `pointsdf-ray` (`experiments/symmetric_point_distance.py --sideways`)."""
 PAPER_EPOCHS = 100
 """Epochs of preset `paper`."""
 
@@ -32,7 +44,7 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
     if name == "paper":
         if model == "pointsdf-ray":
             raise InputError("pointsdf-ray is not in the paper", where="--preset", allowed="small")
-        return dict(POINTSDF_PRESETS["paper"]) if model == "pointsdf" else {}, TrainConfig(
+        return dict(POINTSDF["paper"]) if model == "pointsdf" else {}, TrainConfig(
             batch_size=16,
             learning_rate=1e-5,
             schedule="constant",
@@ -47,7 +59,7 @@ def preset(model: str, name: str) -> tuple[dict[str, Any], TrainConfig]:
     if model == "voxelcnn":
         return {}, TrainConfig(loss=SdfLoss("sign", sign_weight=1.0))
     if model == "pointsdf":
-        return dict(POINTSDF_PRESETS["small"]), TrainConfig()
+        return dict(POINTSDF["small"]), TrainConfig()
     evidence = {"revolution": True, "sideways": SIDEWAYS, "box": True, "surroundings": True}
     return evidence, TrainConfig()
 

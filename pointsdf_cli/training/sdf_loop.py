@@ -28,6 +28,7 @@ from pointsdf_cli.training.resuming import (
 )
 from pointsdf_cli.training.sdf_config import TrainConfig
 from pointsdf_cli.training.sdf_data import Split, augment, predict, read_batch, training_views
+from pointsdf_cli.training.sdf_loss import sdf_loss
 from pointsdf_cli.training.sdf_pack import Pack
 from pointsdf_cli.training.sdf_progress import Progress, TrainResult
 from pointsdf_cli.training.sdf_validation import validate
@@ -171,7 +172,7 @@ class _Run:
         low = self._precision
         with torch.autocast(self._device.type, low, enabled=low is not None):
             predicted = predict(model, batch)
-        loss = config.loss(predicted, batch.sdf)
+        loss = sdf_loss(config.loss, predicted, batch.sdf)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
         self._workers.average_gradients(model)

@@ -9,8 +9,9 @@ import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.sdf_config import SdfLoss
 from pointsdf_cli.training.sdf_data import Split, predict, read_batch
-from pointsdf_cli.training.sdf_loss import SdfLoss, label_iou
+from pointsdf_cli.training.sdf_loss import label_iou, sdf_loss
 from pointsdf_cli.training.sdf_pack import Pack
 
 QUERIES, BATCH = 1024, 32
@@ -61,7 +62,7 @@ def _mean(
         batch = read_batch(pack, chosen, QUERIES, rng).to(device)
         with torch.autocast(device.type, low_precision, enabled=low_precision is not None):
             predicted = predict(model, batch)
-        losses += [float(loss(predicted, batch.sdf))] * len(chosen)
+        losses += [float(sdf_loss(loss, predicted, batch.sdf))] * len(chosen)
         ious += label_iou(predicted, batch.sdf).tolist()
     if not losses:
         return float("nan"), float("nan")

@@ -7,7 +7,7 @@ depend on (seed, object, repeat, yaw, camera) only, not on the order of the tria
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -157,6 +157,12 @@ class Trial:
             "view": self.pair_name,
         }
         return np.random.default_rng([self.seed, zlib.crc32(f"{of} {names[of]}".encode())])
+
+
+def checkpoints_of(variants: Iterable[PlannerVariant]) -> list[Path]:
+    """Reconstruction networks that variants name by "checkpoint=PATH"."""
+    named = [v.ablation for v in variants if v.ablation.startswith(CHECKPOINT)]
+    return [Path(name.removeprefix(CHECKPOINT)) for name in named]
 
 
 def choose_objects(

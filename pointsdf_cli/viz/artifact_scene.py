@@ -9,17 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, read_cloud
-from pointsdf_cli.io.describe import is_cloud
-from pointsdf_cli.io.hdf5 import open_hdf5
-from pointsdf_cli.io.meshes import MESH_SUFFIXES
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.grasp_scenes import grasps_scene, plan_scene, trial_scene
 from pointsdf_cli.viz.robot_check_picture import robot_scene
 from pointsdf_cli.viz.scene import Scene, joined
-from pointsdf_cli.viz.scene_sources import SceneOptions
+from pointsdf_cli.viz.scene_sources import SceneOptions, kind_of
 from pointsdf_cli.viz.shape_scenes import (
     cloud_place,
     cloud_scene,
@@ -35,30 +31,7 @@ def scene_of(path: Path, options: SceneOptions) -> Scene:
     Raises:
         InputError: The file does not exist, or is of a kind that cannot be shown.
     """
-    suffix = path.suffix.lower()
-    if not path.exists():
-        raise InputError("no such file", where=path)
-    if path.is_dir():
-        raise InputError("is a folder", where=path, allowed="one file: a cloud, mesh or artifact")
-    if is_cloud(path):
-        return cloud_scene(path, options)
-    if suffix in MESH_SUFFIXES:
-        return mesh_scene(path, options)
-    if suffix in (".yaml", ".yml"):
-        return robot_scene(load_robot(path), path.name)
-    if suffix in (".h5", ".hdf5"):
-        with open_hdf5(path) as file:
-            schema = str(file.attrs.get("schema", "nothing that rgrasp wrote"))
-        if schema in _ARTIFACTS:
-            return _ARTIFACTS[schema](path, options)
-        raise InputError(
-            f"holds {schema}, which has no picture", where=path, allowed=", ".join(_ARTIFACTS)
-        )
-    raise InputError(
-        f"{suffix or 'a file without suffix'} cannot be shown",
-        where=path,
-        allowed=", ".join([*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".h5", ".yaml"]),
-    )
+    return _SCENES[kind_of(path)](path, options)
 
 
 def scenes_of(paths: Sequence[Path], options: SceneOptions) -> Scene:
@@ -82,7 +55,14 @@ def scenes_of(paths: Sequence[Path], options: SceneOptions) -> Scene:
     return joined(placed)
 
 
-_ARTIFACTS = {
+def _robot(path: Path, options: SceneOptions) -> Scene:
+    return robot_scene(load_robot(path), path.name)
+
+
+_SCENES = {
+    "cloud": cloud_scene,
+    "mesh": mesh_scene,
+    "robot": _robot,
     "views": views_scene,
     "labels": labels_scene,
     "grasps": grasps_scene,

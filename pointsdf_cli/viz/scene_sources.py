@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.clouds import CLOUD_SUFFIXES
+from pointsdf_cli.io.describe import is_cloud
 from pointsdf_cli.io.hdf5 import mesh_unit, open_hdf5
-from pointsdf_cli.io.meshes import load_mesh
+from pointsdf_cli.io.meshes import MESH_SUFFIXES, load_mesh
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.viz.scene import Part
@@ -38,6 +40,42 @@ class SceneOptions:
     def __post_init__(self) -> None:
         if not 1 <= self.most <= 5000:
             raise InputError(f"{self.most} frames", where="--most", allowed="1 to 5000")
+
+
+ARTIFACTS = ("views", "labels", "grasps", "plan", "trial")
+"""Schemas of artifacts that have a scene."""
+
+
+def kind_of(path: Path) -> str:
+    """Kind of a file that can be shown: "cloud", "mesh", "robot" or one of `ARTIFACTS`.
+
+    Raises:
+        InputError: The file does not exist, or is of a kind that cannot be shown.
+    """
+    suffix = path.suffix.lower()
+    if not path.exists():
+        raise InputError("no such file", where=path)
+    if path.is_dir():
+        raise InputError("is a folder", where=path, allowed="one file: a cloud, mesh or artifact")
+    if is_cloud(path):
+        return "cloud"
+    if suffix in MESH_SUFFIXES:
+        return "mesh"
+    if suffix in (".yaml", ".yml"):
+        return "robot"
+    if suffix in (".h5", ".hdf5"):
+        with open_hdf5(path) as file:
+            schema = str(file.attrs.get("schema", "nothing that rgrasp wrote"))
+        if schema in ARTIFACTS:
+            return schema
+        raise InputError(
+            f"holds {schema}, which has no picture", where=path, allowed=", ".join(ARTIFACTS)
+        )
+    raise InputError(
+        f"{suffix or 'a file without suffix'} cannot be shown",
+        where=path,
+        allowed=", ".join([*dict.fromkeys([*CLOUD_SUFFIXES, *MESH_SUFFIXES]), ".h5", ".yaml"]),
+    )
 
 
 def require_joints(path: Path, names: Sequence[str], robot: RobotDescription) -> None:

@@ -1,0 +1,77 @@
+"""Checks of checkpoints by their config.json, without the seconds of imports that networks take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+from pointsdf_cli.choices import Model
+from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.checkpoints import read_config
+from pointsdf_cli.models.bundled_success import ARCHITECTURE
+from pointsdf_cli.robot.description import RobotDescription
+
+
+def require_reconstructions(paths: Iterable[Path | None]) -> None:
+    """Require reconstruction networks; None is passed over.
+
+    Raises:
+        InputError: One is no checkpoint, or of another kind.
+    """
+    for path in paths:
+        found = None if path is None else read_config(path).get("architecture")
+        if path is not None and found not in get_args(Model):
+            raise InputError(
+                f"is a {found}, not a reconstruction network",
+                where=path,
+                allowed=", ".join(get_args(Model)),
+                hint="rgrasp train-sdf --views DIR --labels DIR --out CKPT",
+            )
+
+
+def require_successes(paths: Iterable[Path | None], robot: RobotDescription) -> None:
+    """Require success networks of a robot; None is passed over.
+
+    Raises:
+        InputError: One is no checkpoint, of another kind, or learned with another robot.
+    """
+    for path in paths:
+        if path is not None:
+            config = read_config(path)
+            check_success(config, path)
+            learned = config.get("robot")
+            if isinstance(learned, Mapping) and {"name", "preshape_joints"} <= set(learned):
+                check_robot(robot, learned["name"], learned["preshape_joints"], path)
+
+
+def check_success(config: Mapping[str, Any], where: object) -> None:
+    """Require the config.json of a success network.
+
+    Raises:
+        InputError: It is of another kind.
+    """
+    if config.get("architecture") != ARCHITECTURE:
+        raise InputError(
+            f"is a {config.get('architecture')}, not a success network",
+            where=where,
+            hint="rgrasp train-gs --grasps DIR --out CKPT",
+        )
+
+
+def check_robot(
+    robot: RobotDescription, name: str, preshape_joints: list[str] | tuple[str, ...], where: object
+) -> None:
+    """Refuse data made with another hand.
+
+    Raises:
+        InputError: The names differ.
+    """
+    if robot.name != name or list(robot.preshape_joints) != list(preshape_joints):
+        raise InputError(
+            f"was made with the robot {name!r} ({len(preshape_joints)} preshape joints), "
+            f"not {robot.name!r} ({len(robot.preshape_joints)})",
+            where=where,
+            hint="give that robot's YAML with --robot; for another hand train a network with "
+            "collect-grasps and train-gs --robot, and plan with --grasp-checkpoint",
+        )
