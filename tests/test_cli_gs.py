@@ -20,6 +20,7 @@ from pointsdf_cli.models.registry import default_checkpoint
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.training import gs_loop
 
+BUNDLED = asset_path("weights/grasp_geometry")
 QUICK = ("--epochs", 3, "--threads", 1, "--jobs", 1, "--quiet")
 GRIPPER = Path(__file__).parent / "robots" / "gripper.yaml"
 
@@ -164,7 +165,7 @@ def test_every_bad_input_gets_one_message(cli, grasps: Path, tmp_path: Path) -> 
     for options, told in (
         (("--checkpoint", tmp_path / "none", "--grasps", grasps), "not a checkpoint"),
         (("--checkpoint", default_checkpoint(), "--grasps", grasps), "not a success network"),
-        (("--checkpoint", default_checkpoint(), "--grasps", tmp_path / "held"), "held and lost"),
+        (("--checkpoint", BUNDLED, "--grasps", tmp_path / "held"), "held and lost"),
     ):
         refused = cli("eval-gs", "--out", table, "--threads", 1, "--jobs", 1, *options)
         assert refused.code == 2, (options, refused.err)

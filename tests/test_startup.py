@@ -6,12 +6,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import pytest
 
 from pointsdf_cli.assets import asset_path
 
 TABLE = str(asset_path("clouds/table.ply"))
-HEAVY = ("torch", "open3d", "trimesh", "matplotlib", "cvxpy")
+SUCCESS = str(asset_path("weights/grasp_geometry"))
+RECONSTRUCTION = str(asset_path("weights/pointsdf_real"))
+HEAVY = ("torch", "open3d", "trimesh", "matplotlib", "cvxpy", "pybullet")
 
 RUN = """
 import sys
@@ -74,6 +77,29 @@ def run(code: str, *words: str) -> list[str]:
         ["segment", "none.ply"],
         ["mesh", "none.ply"],
         ["cloud", "none.png", "--intrinsics", "kinect2"],
+        ["plan", TABLE, "--checkpoint", SUCCESS],
+        ["plan", TABLE, "--grasp-checkpoint", RECONSTRUCTION],
+        ["plan", TABLE, "--grasp-checkpoint", SUCCESS, "--robot", "panda"],
+        ["mesh", TABLE, "--checkpoint", SUCCESS],
+        ["serve", "--grasp-checkpoint", RECONSTRUCTION],
+        ["trial", "--yaws", "0"],
+        ["trial", "--ablation", "guess"],
+        ["trial", "--ablation", "checkpoint=none"],
+        ["trial", "--objects", "nothing"],
+        ["trial", "--meshes", "{}"],
+        ["trial", "--hold", "-1"],
+        ["train-sdf", "--views", "{}", "--labels", "{}", "--out", "{}/c", "--minutes", "-1"],
+        ["train-sdf", "--views", "{}/views", "--labels", "{}/views", "--out", "{}/c"],
+        ["train-gs", "--grasps", "{}", "--out", "{}/c"],
+        ["train-gs", "--grasps", "{}/views", "--out", "{}/c"],
+        ["eval-gs", "--grasps", "{}/views", "--checkpoint", SUCCESS, "--out", "{}/t.json"],
+        ["eval-sdf", "--checkpoint", SUCCESS, "--views", "{}/views", "--meshes", TABLE],
+        ["eval-sdf", "--checkpoint", RECONSTRUCTION, "--views", "{}/views", "--meshes", "{}"],
+        ["collect-grasps", "--meshes", TABLE, "--count", "0", "--out", "{}/g"],
+        ["collect-grasps", "--meshes", TABLE, "--checkpoint", RECONSTRUCTION, "--out", "{}/g"],
+        ["view", "{}"],
+        ["view", TABLE, "--port", "70000"],
+        ["view", TABLE, "--export", "page.txt"],
         ["calibrate", "none", "--intrinsics", "kinect2", "--robot-poses", "none.json"],
     ],
 )
@@ -82,6 +108,9 @@ def test_a_mistake_is_told_before_anything_heavy_loads(words: list[str], tmp_pat
     for name, factor in (("lost", 1), ("millimetres", 1000)):
         lines = [" ".join(f"{factor * value}" for value in place) for place in places]
         (tmp_path / f"{name}.xyz").write_text("\n".join(lines))
+    (tmp_path / "views").mkdir()
+    with h5py.File(tmp_path / "views" / "mug.h5", "w") as file:
+        file.attrs["schema"], file.attrs["schema_version"] = "views", 1
     names = {"plan": "no.h5", "mesh": "no.ply"}
     out = ["--out", str(tmp_path / names[words[0]])] if words[0] in names else []
     code = RUN.replace("{heavy}", repr(HEAVY))
