@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numpy as np
@@ -287,10 +288,18 @@ def test_what_is_no_npz_or_json_or_too_large_is_refused(server: Server) -> None:
     assert httpx.get(server.url + "/health").json()["waiting"] == 0
 
 
+def test_the_page_of_the_interface_needs_no_internet(server: Server, page: Any) -> None:
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(server.url + "/docs")
+    page.wait_for_selector("#operations-default-_plan, [id$=plan_plan_post]", timeout=60_000)
+    assert "/mesh" in page.inner_text("body")
+    assert all(url.startswith((server.url, "data:")) for url in asked), asked
+
+
 def test_pages_of_others_are_refused(server: Server) -> None:
     for headers in ({"Origin": "http://elsewhere.example"}, {"Host": "elsewhere.example"}):
         assert httpx.get(server.url + "/health", headers=headers).status_code == 403
-    assert httpx.get(server.url + "/docs").status_code == 200
     schema = httpx.get(server.url + "/openapi.json").json()
     assert {"/plan", "/mesh", "/score", "/health"} <= set(schema["paths"])
     referred = set(_references(schema))

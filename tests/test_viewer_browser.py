@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import io
-import os
-import shutil
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,39 +20,12 @@ from pointsdf_cli.viz.scene import Scene
 from pointsdf_cli.viz.scene_sources import SceneOptions
 
 ROBOT = load_robot()
-NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-SOFTWARE_GL = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     folder = tmp_path_factory.mktemp("plan")
     return scene_of(turning_plan_file(folder, ROBOT), SceneOptions(ROBOT))
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    path = os.environ.get("RGRASP_BROWSER") or next(filter(None, map(shutil.which, NAMES)), None)
-    if path is None:
-        pytest.skip("no Chromium here (apt-get install chromium, or set RGRASP_BROWSER)")
-    with playwright.sync_playwright() as driver:
-        started = driver.chromium.launch(
-            executable_path=path, args=[*SOFTWARE_GL, "--enable-unsafe-swiftshader"]
-        )
-        yield started
-        started.close()
-
-
-@pytest.fixture
-def page(browser: Any) -> Iterator[Any]:
-    """A page that fails the test if anything is written to its console as an error."""
-    opened, errors = browser.new_page(viewport={"width": 800, "height": 600}), []
-    opened.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
-    opened.on("pageerror", lambda error: errors.append(str(error)))
-    yield opened
-    opened.close()
-    assert not errors, errors
 
 
 def pixels(page: Any, box: tuple[int, int, int, int] = (50, 160, 500, 520)) -> np.ndarray:

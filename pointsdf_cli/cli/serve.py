@@ -60,13 +60,14 @@ def serve(
     require_successes([grasp_checkpoint], load_robot(robot))
     try:
         import fastapi
+        import fastapi_offline
         import uvicorn
     except ImportError as error:
         raise RgraspError(
             f"the server needs FastAPI and uvicorn, and {error.name} is not installed",
             hint="in rgrasp's folder: pip install -c constraints.txt '.[serve]'",
         ) from error
-    del fastapi, uvicorn
+    del fastapi, fastapi_offline, uvicorn
 
     # Seconds of imports: only for options that can be used.
     from pointsdf_cli.cli.signals import stop_requests

@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
+from fastapi_offline import FastAPIOffline
 from starlette.requests import ClientDisconnect
 
 from pointsdf_cli import __version__
@@ -64,7 +65,7 @@ def make_app(
         token: Secret that requests must bear in `Authorization: Bearer`; None for none.
         largest: Bytes of a body.
     """
-    app = FastAPI(
+    app = FastAPIOffline(  # robots' machines rarely reach the internet
         title="rgrasp",
         version=__version__,
         description="Grasps of objects that nobody has modelled. Lengths in metres, angles in "
