@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.motion_file import trajectory_as_json, velocities_of, write_trajectory
 from pointsdf_cli.io.plans import (
     AcceptedGrasps,
     Plan,
     RejectedSeeds,
     plan_as_json,
     read_plan,
-    trajectory_as_json,
     write_plan,
-    write_trajectory,
 )
 
 
@@ -178,3 +177,19 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     (tmp_path / "plan.h5").write_bytes(b"no")
     with pytest.raises(InputError, match="HDF5"):
         read_plan(tmp_path / "plan.h5")
+
+
+def test_velocities_are_exact_along_a_leg_and_zero_at_a_corner() -> None:
+    # From rest at 2 rad/s² for 1 s along x, and back to rest in the next; then the same along y.
+    t = np.linspace(0, 2, 9)
+    way = np.where(t < 1, t**2, 2 - (2 - t) ** 2)
+    x = np.concatenate([way, np.full(8, 2.0)])
+    y = np.concatenate([np.zeros(9), way[1:]])
+    times = np.concatenate([t, 2 + t[1:]])
+    velocities = velocities_of(times, np.stack([x, y], axis=1))
+    speed = np.where(t < 1, 2 * t, 2 * (2 - t))
+    np.testing.assert_allclose(velocities[1:4, 0], speed[1:4], atol=1e-12)
+    np.testing.assert_allclose(velocities[13:16, 1], speed[5:8], atol=1e-12)
+    np.testing.assert_array_equal(velocities[[0, 8, 16]], 0)  # the ends and the corner
+    np.testing.assert_array_equal(velocities[9:, 0], 0)  # cubics stay on the leg
+    assert velocities_of(np.array([0.0, 1.0]), np.eye(2)).tolist() == [[0, 0], [0, 0]]

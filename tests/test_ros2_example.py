@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import runpy
+import signal
 import sys
 import types
 from collections.abc import Iterator
@@ -21,7 +22,8 @@ from bags import STORE, TYPES
 from plan_files import turning_plan
 
 from pointsdf_cli.assets import DEFAULT_ROBOT, asset_path
-from pointsdf_cli.io.plans import Plan, write_plan, write_trajectory
+from pointsdf_cli.io.motion_file import velocities_of, write_trajectory
+from pointsdf_cli.io.plans import Plan, write_plan
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 
 FOLDER = Path(__file__).resolve().parents[1] / "examples" / "ros2"
@@ -77,7 +79,9 @@ def test_the_motion_arrives_as_it_was_planned(example: Any, plan: Plan, tmp_path
     np.testing.assert_allclose([p.positions for p in got.points], plan.trajectory[1:])
     seconds = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in got.points]
     np.testing.assert_allclose(seconds, plan.times[1:], atol=1e-9)
-    assert all(len(p.velocities) == len(p.effort) == 0 for p in got.points)
+    velocities = velocities_of(plan.times, plan.trajectory)
+    np.testing.assert_allclose([p.velocities for p in got.points], velocities[1:])
+    assert all(len(p.accelerations) == len(p.effort) == 0 for p in got.points)
 
 
 def test_a_controller_gets_its_own_joints(
@@ -96,8 +100,13 @@ def test_a_controller_gets_its_own_joints(
 def test_no_joint_is_faster_than_the_lift_may_be(example: Any, plan: Plan, tmp_path: Path) -> None:
     write_plan(tmp_path / "plan.h5", plan, seed=0)
     lift = example.read_lift(tmp_path / "plan.h5", speed=0.2)
-    np.testing.assert_allclose(lift.times, [0, 0.5, 1.5, 2.0])
     np.testing.assert_allclose(lift.positions, plan.lift)
+    # 0.4 rad at 0.2 rad/s at most; 3 t² − 2 t³ of the way at the share t of 3 s.
+    assert lift.times[-1] == pytest.approx(3.0)
+    t = lift.times / 3
+    np.testing.assert_allclose(3 * t**2 - 2 * t**3, [0, 0.25, 0.75, 1], atol=1e-5)
+    assert np.abs(lift.velocities).max() <= 0.2
+    np.testing.assert_array_equal(lift.velocities[[0, -1]], 0)
     write_plan(tmp_path / "none.h5", replace(plan, lift=plan.lift[:0]), seed=0)
     assert example.read_lift(tmp_path / "none.h5", speed=0.2) is None
 
@@ -128,9 +137,9 @@ def test_another_start_is_noticed(example: Any, plan: Plan, tmp_path: Path) -> N
     write_trajectory(tmp_path / "motion.json", plan)
     motion = example.read_motion(tmp_path / "motion.json")
     measured = dict(zip(plan.joint_names, plan.trajectory[0], strict=True))
-    assert example.farthest_from_start(motion, measured)[1] == 0
+    assert example.farthest_from(motion, 0, measured)[1] == 0
     measured[plan.joint_names[2]] += 0.25
-    joint, off = example.farthest_from_start(motion, measured)
+    joint, off = example.farthest_from(motion, 0, measured)
     assert joint == plan.joint_names[2]
     assert off == pytest.approx(0.25)
 
@@ -140,11 +149,34 @@ class Goals(list):
 
     ROS cannot be installed from package registries, so its actions are stand-ins here that accept
     every goal and reach it at once.
+
+    Args:
+        off: Distance of the arm's first joint from where each trajectory ends [rad].
+        gripper: Results (reached_goal, stalled) of the gripper's goals in turn; None for one that
+            is aborted.
     """
+
+    def __init__(self, off: float, gripper: list[tuple[bool, bool] | None]) -> None:
+        super().__init__()
+        self.off, self.gripper = off, gripper
+        self.heard: list[Any] = []
+
+    def result_of(self, goal: Any, state: dict[str, float]) -> Any:
+        """Result of a goal; a trajectory moves the robot."""
+        if not hasattr(goal, "trajectory"):
+            found = self.gripper.pop(0)
+            reached, stalled = found or (False, False)
+            result = SimpleNamespace(reached_goal=reached, stalled=stalled)
+            return SimpleNamespace(status=4 if found else 6, result=result)
+        names, end = goal.trajectory.joint_names, goal.trajectory.points[-1].positions
+        state.update(zip(names, end, strict=True))
+        if names[0] == next(iter(state)):
+            state[names[0]] += self.off
+        return SimpleNamespace(status=4, result=SimpleNamespace(error_code=0))
 
     def modules(self, start: dict[str, float]) -> dict[str, types.ModuleType]:
         """Stand-ins of the modules that the node imports; the robot stands at `start`."""
-        goals = self
+        goals, state = self, dict(start)
 
         class Future:
             def __init__(self, value: Any) -> None:
@@ -156,9 +188,9 @@ class Goals(list):
 
             def send_goal_async(self, goal: Any) -> Future:
                 goals.append((self.name, goal))
-                succeeded = SimpleNamespace(result=SimpleNamespace(error_code=0))
+                result = goals.result_of(goal, state)
                 handle = SimpleNamespace(
-                    accepted=True, get_result_async=lambda: Future(succeeded),
+                    accepted=True, get_result_async=lambda: Future(result),
                     cancel_goal_async=lambda: Future(None),
                 )  # fmt: skip
                 return Future(handle)
@@ -168,8 +200,7 @@ class Goals(list):
                 pass
 
             def create_subscription(self, kind: Any, topic: str, heard: Any, depth: int) -> None:
-                names, positions = list(start), list(start.values())
-                heard(SimpleNamespace(name=names, position=positions, velocity=[0.0] * len(names)))
+                goals.heard.append(heard)
 
             def destroy_node(self) -> None:
                 pass
@@ -181,10 +212,15 @@ class Goals(list):
         def message_of(name: str) -> Any:
             return lambda **values: SimpleNamespace(kind=name, **values)
 
+        def spin_once(node: Any, timeout_sec: float) -> None:
+            for heard in goals.heard:
+                names, positions = list(state), list(state.values())
+                heard(SimpleNamespace(name=names, position=positions, velocity=[0.0] * len(names)))
+
         none = lambda *_, **__: None  # noqa: E731
         follow = SimpleNamespace(Goal=message_of("goal"), Result=SimpleNamespace(SUCCESSFUL=0))
         contents = {
-            "rclpy": {"spin_once": none, "init": none, "try_shutdown": none,
+            "rclpy": {"spin_once": spin_once, "init": none, "try_shutdown": none,
                       "spin_until_future_complete": none},
             "rclpy.action": {"ActionClient": ActionClient},
             "rclpy.node": {"Node": Node},
@@ -192,6 +228,7 @@ class Goals(list):
             "rclpy.task": {"Future": Future},
             "control_msgs.action": {"FollowJointTrajectory": follow,
                                     "GripperCommand": SimpleNamespace(Goal=GripperGoal)},
+            "action_msgs.msg": {"GoalStatus": SimpleNamespace(STATUS_SUCCEEDED=4)},
             "builtin_interfaces.msg": {n: message_of(n) for n in ("Duration", "Time")},
             "sensor_msgs.msg": {"JointState": message_of("JointState")},
             "std_msgs.msg": {"Header": message_of("Header")},
@@ -208,14 +245,22 @@ class Goals(list):
 
 
 def run_node(
-    monkeypatch: pytest.MonkeyPatch, plan: Plan, folder: Path, *more: str, moved: float = 0.0
+    monkeypatch: pytest.MonkeyPatch,
+    plan: Plan,
+    folder: Path,
+    *more: str,
+    moved: float = 0.0,
+    off: float = 0.0,
+    gripper: tuple[tuple[bool, bool] | None, ...] = (),
+    lifts: Plan | None = None,
 ) -> Goals:
-    """The goals of the node for a plan, the robot's first joint `moved` from its start."""
+    """The goals of the node for a plan, the robot's first joint `moved` from its start; plan.h5 is
+    of the plan `lifts`."""
     write_trajectory(folder / "motion.json", plan)
-    write_plan(folder / "plan.h5", plan, seed=0)
+    write_plan(folder / "plan.h5", lifts or plan, seed=0)
     start = dict(zip(plan.joint_names, plan.trajectory[0].tolist(), strict=True))
     start[plan.joint_names[0]] += moved
-    goals = Goals()
+    goals = Goals(off, list(gripper))
     for name, module in goals.modules(start).items():
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.syspath_prepend(str(FOLDER))
@@ -223,36 +268,88 @@ def run_node(
     files = [str(folder / "motion.json"), str(folder / "plan.h5"), robot]
     monkeypatch.setattr(sys, "argv", ["execute_plan.py", *files, *more])
     monkeypatch.setattr("time.sleep", lambda seconds: None)
-    runpy.run_path(str(FOLDER / "execute_plan.py"), run_name="__main__")
+    before = {each: signal.getsignal(each) for each in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        runpy.run_path(str(FOLDER / "execute_plan.py"), run_name="__main__")
+    except SystemExit as leave:
+        leave.goals = goals  # type: ignore[attr-defined]
+        raise
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
     return goals
+
+
+ARM = "/arm_controller/follow_joint_trajectory"
 
 
 def test_the_node_moves_closes_grips_and_lifts(
     monkeypatch: pytest.MonkeyPatch, plan: Plan, robot: RobotDescription, tmp_path: Path
 ) -> None:
     goals = run_node(monkeypatch, plan, tmp_path)
-    arm, hand = (f"/{part}_controller/follow_joint_trajectory" for part in ("arm", "hand"))
-    assert [name for name, _ in goals] == [arm, hand, hand, hand, arm]
+    hand = "/hand_controller/follow_joint_trajectory"
+    assert [name for name, _ in goals] == [ARM, hand, hand, hand, ARM]
     lift = goals[-1][1].trajectory
     assert tuple(lift.joint_names) == robot.joint_names[:7]
     np.testing.assert_allclose(lift.points[-1].positions, plan.lift[-1, :7])
 
 
+GRIPPER = ("--gripper", "/gripper_cmd", "--gripper-open", "0.04", "--gripper-closed", "0")
+
+
 def test_a_gripper_opens_before_the_motion_and_closes_before_the_lift(
     monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path
 ) -> None:
-    grip = ["--gripper", "/gripper_cmd", "--gripper-open", "0.04", "--gripper-closed", "0"]
-    goals = run_node(monkeypatch, plan, tmp_path, *grip, "--gripper-effort", "15")
-    arm = "/arm_controller/follow_joint_trajectory"
-    assert [name for name, _ in goals] == ["/gripper_cmd", arm, "/gripper_cmd", arm]
+    more = (*GRIPPER, "--gripper-effort", "15")
+    goals = run_node(monkeypatch, plan, tmp_path, *more, gripper=((True, False), (False, True)))
+    assert [name for name, _ in goals] == ["/gripper_cmd", ARM, "/gripper_cmd", ARM]
     commands = [goal.command for name, goal in goals if name == "/gripper_cmd"]
     assert [(each.position, each.max_effort) for each in commands] == [(0.04, 15.0), (0.0, 15.0)]
     with pytest.raises(SystemExit):
         run_node(monkeypatch, plan, tmp_path, "--gripper", "/gripper_cmd")
 
 
+@pytest.mark.parametrize(
+    ("results", "told", "sent"),
+    [
+        ((None,), "failed", ["/gripper_cmd"]),
+        (((False, True),), "did not open", ["/gripper_cmd"]),
+        (((True, False), None), "failed", ["/gripper_cmd", ARM, "/gripper_cmd"]),
+        (((True, False), (True, False)), "met nothing", ["/gripper_cmd", ARM, "/gripper_cmd"]),
+    ],
+)
+def test_the_arm_does_not_move_after_a_gripper_that_failed(
+    monkeypatch: pytest.MonkeyPatch,
+    plan: Plan,
+    tmp_path: Path,
+    results: tuple[tuple[bool, bool] | None, ...],
+    told: str,
+    sent: list[str],
+) -> None:
+    with pytest.raises(SystemExit, match=told) as left:
+        run_node(monkeypatch, plan, tmp_path, *GRIPPER, gripper=results)
+    assert [name for name, _ in left.value.goals] == sent  # type: ignore[attr-defined]
+
+
 def test_the_node_sends_nothing_from_another_start(
     monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path
 ) -> None:
-    with pytest.raises(SystemExit, match="plan again with --start"):
+    with pytest.raises(SystemExit, match="plan again with --start") as left:
         run_node(monkeypatch, plan, tmp_path, moved=0.1)
+    assert left.value.goals == []  # type: ignore[attr-defined]
+
+
+def test_the_hand_does_not_close_where_the_arm_is_not_at_the_grasp(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path
+) -> None:
+    with pytest.raises(SystemExit, match=r"is 0\.050 from the grasp") as left:
+        run_node(monkeypatch, plan, tmp_path, off=0.05)
+    assert len(left.value.goals) == 2  # type: ignore[attr-defined]
+
+
+def test_a_plan_of_another_run_is_refused(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path
+) -> None:
+    with pytest.raises(SystemExit, match="of another run") as left:
+        run_node(monkeypatch, plan, tmp_path, lifts=replace(plan, lift=plan.lift + 0.3))
+    assert left.value.goals == []  # type: ignore[attr-defined]

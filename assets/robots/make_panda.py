@@ -3,7 +3,7 @@
 Run it after a change of any number here: `python assets/robots/make_panda.py`. Joint frames, limits
 and speeds are those of the maker's data sheet and DH table (Franka Control Interface
 documentation, "Robot and interface specifications"); names are those of its URDF. Shapes are
-primitives along an axis, measured to enclose its links within about a centimetre.
+primitives that enclose the links of the maker's meshes (franka_description) within 5 mm.
 """
 
 from __future__ import annotations
@@ -21,69 +21,94 @@ QUARTER = math.pi / 2
 Part = tuple[Shape, str]
 
 
-def tube(radius: float, start: float, end: float) -> Part:
-    """A cylinder about z."""
-    return Shape("cylinder", (radius, end - start), (0, 0, (start + end) / 2)), WHITE
+def tube(radius: float, start: float, end: float, x: float = 0.0, y: float = 0.0) -> Part:
+    """A cylinder along z."""
+    return Shape("cylinder", (radius, end - start), (x, y, (start + end) / 2)), WHITE
 
 
-def box(size: tuple[float, ...], centre: tuple[float, float, float], colour: str = WHITE) -> Part:
-    return Shape("box", size, centre), colour
+def drum(radius: float, start: float, end: float, x: float = 0.0, z: float = 0.0) -> Part:
+    """A cylinder along y: the housing of a joint."""
+    centre = (x, (start + end) / 2, z)
+    return Shape("cylinder", (radius, end - start), centre, (QUARTER, 0, 0)), WHITE
 
 
-def balls(radius: float, *centres: tuple[float, float, float]) -> list[Part]:
-    return [(Shape("sphere", (radius,), centre), WHITE) for centre in centres]
+def box(
+    size: tuple[float, float, float],
+    centre: tuple[float, float, float],
+    colour: str = WHITE,
+    yaw: float = 0.0,
+) -> Part:
+    return Shape("box", size, centre, (0, 0, yaw)), colour
+
+
+def ball(radius: float, *centre: float) -> Part:
+    x, y, z = centre
+    return Shape("sphere", (radius,), (x, y, z)), WHITE
 
 
 def add_arm(model: Model) -> None:
     """Seven links on a base; the fifth is thick below and a thin forearm above."""
-    nose = box((0.05, 0.05, 0.04), (0.05, 0.05, 0.085), GREY)
     model.links += [
-        Link("panda_link0", 2.9, [tube(0.072, 0, 0.14), box((0.14, 0.16, 0.1), (-0.084, 0, 0.05))]),
-        Link("panda_link1", 2.7, [tube(0.055, -0.19, 0), *balls(0.056, (0, 0, 0), (0, -0.072, 0))]),
+        Link(
+            "panda_link0",
+            2.9,
+            [tube(0.072, 0, 0.14), box((0.187, 0.19, 0.14), (-0.0615, 0, 0.07))],
+        ),
+        Link(
+            "panda_link1",
+            2.7,
+            [tube(0.056, -0.192, 0), drum(0.056, -0.129, 0.056), ball(0.073, 0, -0.05, -0.045)],
+        ),
         Link(
             "panda_link2",
             2.7,
-            [
-                tube(0.055, 0.002, 0.128),
-                *balls(0.056, (0, -0.05, 0.02), (0, -0.10, 0), (0, -0.138, 0)),
-            ],
+            [tube(0.056, 0, 0.129), drum(0.056, -0.194, 0.056), ball(0.073, 0, -0.045, 0.05)],
         ),
         Link(
             "panda_link3",
             2.4,
             [
-                tube(0.055, -0.12, 0),
-                *balls(0.056, (0, 0, 0), (0.04, 0.03, 0), (0.0825, 0.03, 0), (0.0825, 0.055, 0)),
+                tube(0.056, -0.121, 0.056),
+                drum(0.056, -0.02, 0.111, x=0.0825),
+                box((0.09, 0.09, 0.13), (0.04, 0.03, 0)),
             ],
         ),
         Link(
             "panda_link4",
             2.4,
             [
-                tube(0.055, 0.002, 0.11),
-                *balls(0.056, (-0.04, 0.03, 0.03), (-0.0825, 0.04, 0), (-0.0825, 0.068, 0)),
+                tube(0.056, 0, 0.111),
+                drum(0.056, 0, 0.124, x=-0.0825),
+                box((0.09, 0.09, 0.11), (-0.04, 0.04, 0.02)),
             ],
         ),
         Link(
             "panda_link5",
             3.2,
             [
-                tube(0.055, -0.26, -0.17),
+                tube(0.056, -0.26, -0.15),
                 box((0.09, 0.05, 0.09), (0, 0.068, -0.21)),
                 box((0.066, 0.066, 0.12), (0, 0.08, -0.105)),
-                *balls(0.052, (0, 0.068, 0), (0, 0.08, 0)),
+                drum(0.052, 0.0, 0.13),
             ],
         ),
         Link(
             "panda_link6",
             1.5,
             [
-                tube(0.048, -0.015, 0.055),
-                box((0.05, 0.09, 0.06), (0.05, 0.01, 0.02)),
-                *balls(0.045, (0.088, -0.005, 0), (0.088, 0.036, 0)),
+                tube(0.049, -0.02, 0.056),
+                drum(0.046, -0.051, 0.082, x=0.088),
+                box((0.07, 0.12, 0.08), (0.045, 0.015, 0.01)),
             ],
         ),
-        Link("panda_link7", 0.7, [tube(0.044, 0.052, 0.107), nose]),
+        Link(
+            "panda_link7",
+            0.7,
+            [
+                tube(0.045, 0.052, 0.107),
+                box((0.162, 0.08, 0.05), (0.0184, 0.0184, 0.08), GREY, math.pi / 4),
+            ],
+        ),
     ]
     fast, slow, strong, weak = 2.61, 2.175, 87.0, 12.0
     rows = [  # origin, turn about x, limit, effort, velocity
@@ -120,7 +145,8 @@ OBJECT = 1e-3 / 0.6
 """Part that PyBullet adds for the object: its own torsional over its lateral friction [m]
 (`simulation/physics.py`)."""
 EFFORT = 20.0
-"""Force of a jaw [N]; more makes round things creep out of the simulated jaws (docs/notebook.md)."""
+"""Force of a jaw [N]; with more, round things creep out of the simulated jaws
+(docs/notebook.md)."""
 
 
 def torsional_friction() -> float:
@@ -136,8 +162,9 @@ def torsional_friction() -> float:
 def add_gripper(model: Model) -> None:
     """The hand, 0.107 m beyond joint 7 and turned by 45 degrees, and two jaws of 4 cm of travel."""
     body = [
-        (Shape("box", (0.063, 0.204, 0.066), (0, 0, 0.033)), GREY),
+        (Shape("box", (0.063, 0.206, 0.075), (0, 0, 0.0285)), GREY),
         (Shape("cylinder", (0.035, 0.026), (0, 0, -0.013)), GREY),
+        (Shape("box", (0.04, 0.05, 0.026), (0, -0.075, -0.013)), GREY),
     ]
     model.links.append(Link("panda_hand", 0.73, body))
     model.joints.append(

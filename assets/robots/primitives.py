@@ -13,15 +13,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True)
 class Shape:
-    """One primitive: `size` is (x, y, z) of a box, (radius, length) of a cylinder, (radius,)."""
+    """One primitive: `size` is (x, y, z) of a box, (radius, length) of a cylinder along z,
+    (radius,); `rpy` turns it about its centre, as in a URDF."""
 
     kind: str
     size: tuple[float, ...]
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def volume(self) -> float:
@@ -32,15 +35,18 @@ class Shape:
         return 4 / 3 * math.pi * self.size[0] ** 3
 
     def unit_inertia(self) -> np.ndarray:
-        """Inertia [3, 3] about its own centre for a mass of 1 kg."""
+        """Inertia [3, 3] about its own centre for a mass of 1 kg, in the link's axes."""
         if self.kind == "box":
             x, y, z = (s * s for s in self.size)
-            return np.diag([y + z, x + z, x + y]) / 12
-        if self.kind == "cylinder":
+            own = np.diag([y + z, x + z, x + y]) / 12
+        elif self.kind == "cylinder":
             radius, length = self.size
             side = (3 * radius**2 + length**2) / 12
-            return np.diag([side, side, radius**2 / 2])
-        return np.eye(3) * 0.4 * self.size[0] ** 2
+            own = np.diag([side, side, radius**2 / 2])
+        else:
+            own = np.eye(3) * 0.4 * self.size[0] ** 2
+        turn = Rotation.from_euler("xyz", self.rpy).as_matrix()
+        return np.asarray(turn @ own @ turn.T)
 
 
 @dataclass(frozen=True)
@@ -117,7 +123,7 @@ def urdf(model: Model, robot: str, colours: Mapping[str, str]) -> ET.Element:
         for role in ("visual", "collision"):
             for shape, colour in link.shapes:
                 part = ET.SubElement(node, role)
-                ET.SubElement(part, "origin", xyz=text(shape.centre), rpy="0 0 0")
+                ET.SubElement(part, "origin", xyz=text(shape.centre), rpy=text(shape.rpy))
                 geometry = ET.SubElement(part, "geometry")
                 if shape.kind == "box":
                     ET.SubElement(geometry, "box", size=text(shape.size))

@@ -8,17 +8,20 @@
 Both controllers are joint_trajectory_controllers (ros2_control); positions are read from
 /joint_states. A gripper with an action of its own (control_msgs/GripperCommand) takes
 `--gripper /gripper_cmd --gripper-open P --gripper-closed P` in place of --hand-controller, in the
-unit of that action. Ctrl-C or an error cancels the running goals. See docs/robot.md.
+unit of that action. Ctrl-C, SIGTERM, SIGHUP or an error cancels the running goals. See
+docs/robot.md.
 """
 
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import time
 from pathlib import Path
 
 import rclpy
+from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory, GripperCommand
 from rclpy.action import ActionClient
@@ -31,8 +34,9 @@ from trajectories import (
     Hand,
     MessageTypes,
     Trajectory,
+    apart,
     closing,
-    farthest_from_start,
+    farthest_from,
     grip,
     message,
     read_hand,
@@ -45,6 +49,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 TYPES = MessageTypes(JointTrajectory, JointTrajectoryPoint, Header, Time, Duration, list)
 STALLED_FOR = 0.2  # s
 GRIP_TIME = 0.5  # s
+LATE = 5.0  # s that a controller may take longer than its trajectory
+GRIPPER_TIME = 20.0  # s
+SAME_PLAN = 1e-3  # rad or m between the end of the motion and the begin of the lift
 
 
 class Executor(Node):
@@ -56,6 +63,7 @@ class Executor(Node):
         self.positions: dict[str, float] = {}
         self.velocities: dict[str, float] = {}
         self.running: list = []
+        self.asked: Future | None = None
         self.clients_of = {
             name: ActionClient(self, FollowJointTrajectory, f"{name}/follow_joint_trajectory")
             for name in ((arm,) if gripper else (arm, hand))
@@ -78,49 +86,72 @@ class Executor(Node):
                 missing = sorted(set(names) - (self.positions.keys() & self.velocities.keys()))
                 sys.exit(f"/joint_states has no position and velocity of {', '.join(missing)}")
 
-    def wait(self, future: Future) -> None:
+    def wait(self, future: Future, seconds: float) -> None:
         """Wait for a future, in short steps, so that Ctrl-C is noticed."""
+        end = time.monotonic() + seconds
         while not future.done():
             rclpy.spin_once(self, timeout_sec=0.05)
+            if time.monotonic() > end:
+                sys.exit(f"no answer within {seconds:.0f} s")
 
     def send(self, controller: str, trajectory: Trajectory) -> None:
         """Start a trajectory on a controller."""
         goal = FollowJointTrajectory.Goal(trajectory=message(trajectory, TYPES))
-        self.running.append(self._started(controller, goal))
+        self._start(controller, goal)
 
-    def _started(self, name: str, goal: object) -> object:
-        """The handle of a goal that its server has accepted."""
+    def _start(self, name: str, goal: object) -> None:
+        """Send a goal, and wait until its server has accepted it."""
         client = self.clients_of[name]
         if not client.wait_for_server(timeout_sec=5.0):
             sys.exit(f"no action server of {name}")
-        future = client.send_goal_async(goal)
-        self.wait(future)
-        if not future.result().accepted:
+        self.asked = client.send_goal_async(goal)
+        self.wait(self.asked, LATE)
+        if not self.asked.result().accepted:
             sys.exit(f"{name} refused the goal")
-        return future.result()
+        self.running.append(self.asked.result())
+        self.asked = None
 
-    def move_gripper(self, position: float, effort: float) -> None:
-        """Send the gripper to a position, in the unit of its action, and wait. At an object it
-        stalls before it is there, which is no error."""
+    def move_gripper(self, position: float, effort: float) -> tuple[bool, bool]:
+        """Send the gripper to a position, in the unit of its action.
+
+        Returns whether it got there, and whether it stalled before: at an object.
+        """
         goal = GripperCommand.Goal()
         goal.command.position, goal.command.max_effort = position, effort
-        handle = self._started(self.gripper, goal)
-        self.running.append(handle)
-        self.wait(handle.get_result_async())
+        self._start(self.gripper, goal)
+        future = self.running[-1].get_result_async()
+        self.wait(future, GRIPPER_TIME)
         self.running = []
+        if future.result().status != GoalStatus.STATUS_SUCCEEDED:
+            sys.exit(f"the gripper failed on its way to {position:g}")
+        result = future.result().result
+        return result.reached_goal, result.stalled
 
-    def finish(self) -> None:
-        """Wait for the running goals, and exit if a controller fails."""
+    def finish(self, seconds: float) -> None:
+        """Wait for the running goals, and exit if a controller fails or takes longer."""
         for handle in self.running:
             future = handle.get_result_async()
-            self.wait(future)
+            self.wait(future, seconds + LATE)
             result = future.result().result
             if result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
                 sys.exit(f"a controller failed: {result.error_string} ({result.error_code})")
         self.running = []
 
+    def require_at(self, motion: Trajectory, point: int, tolerance: float, what: str) -> None:
+        """Exit if a joint is farther than `tolerance` from a point of the motion."""
+        self.positions.clear()  # wait for the state of now
+        self.wait_for(motion.names)
+        joint, off = farthest_from(motion, point, self.positions)
+        if off > tolerance:
+            sys.exit(f"{joint} is {off:.3f} from {what}")
+
     def cancel(self) -> None:
         """Cancel the running goals; the controllers hold their positions."""
+        if self.asked is not None:  # sent, and not yet accepted
+            rclpy.spin_until_future_complete(self, self.asked, timeout_sec=1.0)
+            if self.asked.done() and self.asked.result().accepted:
+                self.running.append(self.asked.result())
+            self.asked = None
         for handle in self.running:
             rclpy.spin_until_future_complete(self, handle.cancel_goal_async(), timeout_sec=1.0)
         self.running = []
@@ -158,7 +189,7 @@ def main() -> None:
     parser.add_argument("--gripper-effort", type=float, default=20.0, help="largest effort [N]")
     parser.add_argument("--lift-speed", type=float, default=0.1, help="fastest joint [rad/s]")
     parser.add_argument("--squeeze", type=float, default=0.1, help="beyond the contact [rad or m]")
-    parser.add_argument("--tolerance", type=float, default=0.02, help="at the start [rad or m]")
+    parser.add_argument("--tolerance", type=float, default=0.02, help="before each step [rad or m]")
     options = parser.parse_args()
     if options.gripper and None in (options.gripper_open, options.gripper_closed):
         parser.error("--gripper needs --gripper-open and --gripper-closed")
@@ -166,30 +197,38 @@ def main() -> None:
     motion, lift = read_motion(options.motion), read_lift(options.plan, options.lift_speed)
     arm, hand = read_hand(options.robot)
     fingers = tuple(name for name in motion.names if name not in arm)
+    if lift is not None and apart(motion, lift) > SAME_PLAN:
+        sys.exit(f"{options.plan} is of another run than {options.motion}: it lifts elsewhere")
+    for name in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(name, lambda *_: sys.exit("terminated"))
     # rclpy's own handler would shut the context down on Ctrl-C, and no goal could be cancelled.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Executor(options.arm_controller, options.hand_controller, options.gripper)
     checked = motion.of(arm) if options.gripper else motion
     try:
-        node.wait_for(checked.names)
-        joint, off = farthest_from_start(checked, node.positions)
-        if off > options.tolerance:
-            sys.exit(f"{joint} is {off:.3f} from the start of the motion: plan again with --start")
+        start = "the start of the motion: plan again with --start"
+        node.require_at(checked, 0, options.tolerance, start)
         if options.gripper:
-            node.move_gripper(options.gripper_open, options.gripper_effort)
+            opened, _ = node.move_gripper(options.gripper_open, options.gripper_effort)
+            if not opened:
+                sys.exit(f"the gripper did not open to {options.gripper_open:g}")
         node.send(node.arm, motion.of(arm))
         if not options.gripper:
             node.send(node.hand, motion.of(fingers))
-        node.finish()
+        node.finish(motion.times[-1])
+        node.require_at(motion.of(arm), -1, options.tolerance, "the grasp")
         if options.gripper:
-            node.move_gripper(options.gripper_closed, options.gripper_effort)
+            _, holds = node.move_gripper(options.gripper_closed, options.gripper_effort)
+            if not holds:
+                sys.exit("the gripper met nothing")
         else:
             node.close(hand, fingers, options.squeeze)
+        node.require_at(motion.of(arm), -1, options.tolerance, "the grasp after closing")
         if lift is None:
             print("The plan has no lift: lift by hand, or plan again.")
         else:
             node.send(node.arm, lift.of(arm))
-            node.finish()
+            node.finish(lift.times[-1])
     finally:
         node.cancel()
         node.destroy_node()

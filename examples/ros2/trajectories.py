@@ -23,18 +23,20 @@ Array = NDArray[np.float64]
 class Trajectory(NamedTuple):
     """Joint positions over time.
 
-    names: the J joints; times: [T], s from the start; positions: [T, J], rad or m.
+    names: the J joints; times: [T], s from the start; positions: [T, J], rad or m; velocities:
+    [T, J], with which a controller interpolates by cubics, or None.
     """
 
     names: tuple[str, ...]
     times: Array
     positions: Array
+    velocities: Array | None = None
 
     def of(self, names: Sequence[str]) -> Trajectory:
         """The columns of some joints, in their order: those that one controller moves."""
-        return self._replace(
-            names=tuple(names), positions=self.positions[:, [self.names.index(n) for n in names]]
-        )
+        columns = [self.names.index(name) for name in names]
+        velocities = None if self.velocities is None else self.velocities[:, columns]
+        return Trajectory(tuple(names), self.times, self.positions[:, columns], velocities)
 
 
 class Hand(NamedTuple):
@@ -67,18 +69,26 @@ def read_motion(path: Path | str) -> Trajectory:
         tuple(motion["joint_names"]),
         np.array([t["sec"] + 1e-9 * t["nanosec"] for t in times]),
         np.array([p["positions"] for p in motion["points"]], dtype=np.float64),
+        np.array([p["velocities"] for p in motion["points"]], dtype=np.float64),
     )
 
 
 def read_lift(path: Path | str, speed: float) -> Trajectory | None:
-    """Read a plan's lift, no joint faster than `speed` [rad/s]; None if it has none."""
+    """Read a plan's lift, from rest to rest, no joint faster than `speed` [rad/s]; None if it has
+    none."""
     with h5py.File(path) as file:
         names = tuple(name.decode() for name in file["joint_names"][()])
         lift = np.asarray(file["lift"][()], dtype=np.float64)
     if not len(lift):
         return None
-    steps = np.abs(np.diff(lift, axis=0)).max(axis=1) / speed
-    return Trajectory(names, np.concatenate([[0.0], np.cumsum(steps)]), lift)
+    steps = np.abs(np.diff(lift, axis=0)).max(axis=1)
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    # The share s of the way is 3 t² − 2 t³ at the share t of the time: its steepest slope is 1.5.
+    t = np.linspace(0.0, 1.0, 1001)
+    times = np.interp(way / way[-1], t * t * (3 - 2 * t), t) * 1.5 * way[-1] / speed
+    velocities = np.gradient(lift, times, axis=0)
+    velocities[[0, -1]] = 0.0
+    return Trajectory(names, times, lift, velocities)
 
 
 def read_hand(path: Path | str) -> tuple[tuple[str, ...], Hand]:
@@ -92,10 +102,19 @@ def read_hand(path: Path | str) -> tuple[tuple[str, ...], Hand]:
     return tuple(robot["arm_joints"]), Hand(speeds, limits)
 
 
-def farthest_from_start(motion: Trajectory, measured: Mapping[str, float]) -> tuple[str, float]:
-    """The joint that is farthest from where the motion begins, and by how much [rad or m]."""
-    off = {n: abs(measured[n] - q) for n, q in zip(motion.names, motion.positions[0], strict=True)}
+def farthest_from(
+    motion: Trajectory, point: int, measured: Mapping[str, float]
+) -> tuple[str, float]:
+    """The joint that is farthest from a point of the motion, and by how much [rad or m]."""
+    there = zip(motion.names, motion.positions[point], strict=True)
+    off = {name: abs(measured[name] - q) for name, q in there}
     return max(off.items(), key=lambda item: item[1])
+
+
+def apart(motion: Trajectory, lift: Trajectory) -> float:
+    """Largest difference of a joint [rad or m] between the end of the motion and the begin of the
+    lift: 0 for the files of one plan."""
+    return float(np.abs(motion.of(lift.names).positions[-1] - lift.positions[0]).max())
 
 
 def closing(hand: Hand, names: Sequence[str], q: Sequence[float]) -> Trajectory:
@@ -132,14 +151,15 @@ def grip(
 def message(trajectory: Trajectory, types: MessageTypes) -> Any:
     """A JointTrajectory. A point at time 0 is left out: the robot is there already."""
     points = []
-    for time, positions in zip(trajectory.times, trajectory.positions, strict=True):
+    for k, (time, positions) in enumerate(zip(trajectory.times, trajectory.positions, strict=True)):
         if time <= 0:
             continue
+        speeds = [] if trajectory.velocities is None else trajectory.velocities[k]
         sec, nanosec = divmod(round(float(time) * 1e9), 10**9)
         points.append(
             types.point(
                 positions=types.floats([float(p) for p in positions]),
-                velocities=types.floats([]),
+                velocities=types.floats([float(v) for v in speeds]),
                 accelerations=types.floats([]),
                 effort=types.floats([]),
                 time_from_start=types.duration(sec=sec, nanosec=nanosec),

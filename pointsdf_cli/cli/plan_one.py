@@ -79,7 +79,8 @@ def plan_one(
         UnlikelyPlanError: The plan was written but is not likely to hold.
     """
     from pointsdf_cli.errors import NoPlanError, UnlikelyPlanError
-    from pointsdf_cli.io.plans import OK, write_plan, write_trajectory
+    from pointsdf_cli.io.motion_file import write_trajectory
+    from pointsdf_cli.io.plans import OK, write_plan
 
     if server is None:
         result = _plan_here(reporter, request, settings, threads, idle)

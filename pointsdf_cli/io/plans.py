@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.atomic import write_text_atomic
 from pointsdf_cli.io.hdf5 import Dataset, attributes_as_input_error, read_artifact, write_artifact
 
 SCHEMA, VERSION = "plan", 1
@@ -298,39 +297,6 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
             for k, reason in enumerate(rejected.reasons)
         ],
     }
-
-
-def trajectory_as_json(plan: Plan) -> dict[str, Any]:
-    """The motion with the fields of ROS's trajectory_msgs/JointTrajectory.
-
-    Raises:
-        InputError: The plan holds no motion.
-    """
-    if not len(plan.times):
-        raise InputError("the plan holds no motion", allowed="a plan whose status is ok")
-    points = []
-    for time, positions in zip(plan.times, plan.trajectory, strict=True):
-        # Rounded once as a whole: a fraction of 0.9999999999 must not become 1e9 nanoseconds.
-        nanoseconds = round(float(time) * 1e9)
-        points.append(
-            {
-                "positions": positions.tolist(),
-                "time_from_start": {
-                    "sec": nanoseconds // 10**9,
-                    "nanosec": nanoseconds % 10**9,
-                },
-            }
-        )
-    return {
-        "header": {"frame_id": "world"},
-        "joint_names": list(plan.joint_names),
-        "points": points,
-    }
-
-
-def write_trajectory(path: Path | str, plan: Plan) -> None:
-    """Write `trajectory_as_json` to a file."""
-    write_text_atomic(path, json.dumps(trajectory_as_json(plan), indent=1) + "\n")
 
 
 def _number(value: float) -> float | None:
