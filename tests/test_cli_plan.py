@@ -189,6 +189,7 @@ def test_under_a_shelf_is_said(cli: Callable, tmp_path: Path) -> None:
         (["--robot", "none.yaml"], "no such robot file"),
         (["--checkpoint", "nowhere"], "nowhere"),
         (["--out", "."], "result.h5"),
+        (["--camera-pose", "table", "--trajectory", "m.json"], "would miss the object"),
     ],
 )
 def test_bad_options_are_refused(

@@ -124,6 +124,14 @@ def test_damage_and_strangers_are_refused(checkpoint: Path, tmp_path: Path) -> N
         load_model(checkpoint)
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_weights_of_a_run_that_diverged_are_refused(tmp_path: Path, value: float) -> None:
+    weights = {"scale": torch.ones(3), "count": torch.tensor(3), "shift": torch.tensor([0, value])}
+    write_checkpoint(tmp_path / "c", config={"architecture": "any"}, weights=weights)
+    with pytest.raises(InputError, match="shift holds NaN or infinity"):
+        read_checkpoint(tmp_path / "c")
+
+
 def test_a_file_is_never_overwritten_by_a_checkpoint(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("mine")
     with pytest.raises(InputError, match="is a file"):

@@ -71,6 +71,14 @@ def test_the_slack_of_a_hand_does_not_depend_on_the_hands_checked_with_it() -> N
     np.testing.assert_array_equal(together, apart)
 
 
+def test_coupled_jaws_stop_when_both_are_stopped() -> None:
+    # A ball 25 mm off the middle stops the left jaw at 35 mm; the right one pushes on, and with it
+    # the left one moves on to the middle.
+    aside, inside = in_world(0, 0.025, 0.105), in_world(0, 0.012, 0.105)
+    assert slack(inside, 0.003, grasped=0.01, centre=aside) < 0
+    assert slack(inside, 0.003, grasped=0.0225, centre=BETWEEN) == pytest.approx(0.0075, abs=STEP)
+
+
 def test_without_obstacles_there_is_nothing_to_meet() -> None:
     bodies = BodyDistances(GEOMETRY, Environment())
     check = ClosingCheck(GEOMETRY, SphereField(0.02, tuple(BETWEEN)), bodies, 0.0)

@@ -9,7 +9,7 @@ from planning_worlds import SphereField
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
-from pointsdf_cli.planning.resampled_views import ResampledViewCheck
+from pointsdf_cli.planning.resampled_views import ResampledViewCheck, redrawn
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -54,6 +54,14 @@ def test_a_draw_that_comes_nearer_than_the_clearance_contradicts(
         # One witness is enough, whatever the others say.
         resampled = ResampledViewCheck(geometry, (roomy, near))
         assert list(resampled.contradicted(both, CLEARANCE)) == [True, False]
+
+
+@pytest.mark.parametrize("total", [40, 1000, 5000])
+def test_no_two_draws_are_of_the_same_points(total: int) -> None:
+    view = View(np.random.default_rng(0).normal(size=(total, 3)), np.eye(4))
+    first, second = ({*map(tuple, redrawn(view, 1000, (0, k)).points)} for k in (1, 2))
+    assert len(first) == len(second) == min(1000, round(0.8 * total))
+    assert len(first & second) < 0.9 * len(first)
 
 
 def test_as_many_draws_are_completed_as_are_asked_for_and_they_differ() -> None:

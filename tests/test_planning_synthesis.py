@@ -218,6 +218,9 @@ def test_every_reason_is_told_apart(can_plan: Synthesis) -> None:
     picky = judge(exact, good[None], AcceptanceConfig(success=0.0, least=0.0, objective=1e-3))[0]
     assert picky.reason == "objective"
     assert f"{picky.objective:.2f}" in explain("objective", picky, 4)
+    nowhere = NearPalm((float("nan"), 0.0, 0.0), (1.0, 0, 0), REST)
+    unknown = problems(field, nowhere, Environment(), CAN).exact
+    assert judge(unknown, good[None])[0].reason == "low_success_probability"
 
 
 def test_the_refined_field_is_exact_where_it_matters() -> None:

@@ -226,3 +226,20 @@ def test_rubber_pads_resist_torsion(panda: RobotDescription, torque: float, turn
         after = world.object_pose()
     angle = float(np.linalg.norm(rotation_vector((after @ before.T)[None, :3, :3])))
     assert angle > 0.5 if turns else angle < 0.01
+
+
+@pytest.mark.parametrize("link", ["panda_link7", "panda_hand"])
+def test_a_camera_belongs_to_the_arm(panda: RobotDescription, tmp_path: Path, link: str) -> None:
+    """The success network reads the hand's surface: with another hand it says so."""
+    camera = f"""<link name="camera"><collision><geometry><box size="0.02 0.09 0.02"/></geometry>
+      </collision></link><joint name="mount" type="fixed"><parent link="{link}"/>
+      <child link="camera"/><origin xyz="0.06 0 0.03"/></joint></robot>"""
+    text = panda.urdf.read_text().replace("</robot>", camera)
+    (tmp_path / "panda.urdf").write_text(text)
+    shutil.copy(asset_path("robots/panda.yaml"), tmp_path)
+    robot = load_robot(tmp_path / "panda.yaml")
+    if link == "panda_link7":
+        assert load_grasp_model(robot=robot).robot.name == "panda"
+    else:
+        with pytest.raises(InputError, match="other shapes of the hand"):
+            load_grasp_model(robot=robot)

@@ -66,6 +66,21 @@ def test_the_digest_knows_the_robots_apart(tmp_path: Path) -> None:
     assert robot_digest(path) != robot_digest(GRIPPER)
 
 
+@pytest.mark.parametrize("more", ['multiplier="0"', 'offset="0.02"'])
+def test_a_coupling_that_is_not_simulated_is_refused(tmp_path: Path, more: str) -> None:
+    for file in GRIPPER.parent.iterdir():
+        if file.is_file():
+            shutil.copy(file, tmp_path)
+    urdf = tmp_path / "gripper.urdf"
+    place = '<parent link="grip"/><child link="right"/>'
+    text = urdf.read_text()
+    urdf.write_text(text.replace(place, f'{place}<mimic joint="left_jaw"/>'))
+    assert load_robot(tmp_path / "gripper.yaml").name == load_robot(GRIPPER).name
+    urdf.write_text(text.replace(place, f'{place}<mimic joint="left_jaw" {more}/>'))
+    with pytest.raises(InputError, match="'right_jaw' has multiplier"):
+        load_robot(tmp_path / "gripper.yaml")
+
+
 def test_neighbours_and_listed_pairs_are_not_checked() -> None:
     robot = load_robot(GRIPPER)
     pairs = {frozenset(pair) for pair in robot.checked_pairs}

@@ -13,7 +13,7 @@ import trimesh
 from pointsdf_cli.camera.pinhole import CAMERAS
 from pointsdf_cli.camera.scene_views import MOST_HIDDEN, SceneViewConfig, SceneViews
 from pointsdf_cli.camera.seen_object import SegmentationErrors
-from pointsdf_cli.camera.table_scene import SceneConfig
+from pointsdf_cli.camera.table_scene import SceneConfig, _leaning
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.geometry.signed_distance import SignedDistance
@@ -156,7 +156,7 @@ def test_each_view_has_a_sensor_of_its_own_where_they_vary(box: LoadedMesh) -> N
         views = SceneViews(box, CAMERAS["xtion"], replace(config, sensor_spread=spread))
         surface = SignedDistance(box.vertices, box.faces)
         rng, errors = np.random.default_rng(4), []
-        for _ in range(8):
+        for _ in range(24):
             view, _ = views.draw(rng)
             own = apply_transform(invert_transform(view.T_camera_object), view.points)
             errors.append(np.median(np.abs(surface(own))))
@@ -196,3 +196,17 @@ def test_an_object_that_leans_touches_the_table_in_another_pose(box: LoadedMesh)
     assert heights[0] == pytest.approx(0.0, abs=1e-6)
     up = view.T_camera_object[:3, :3].T @ plane[:3]
     assert np.abs(up).max() < 0.99
+
+
+def test_objects_lean_in_every_direction() -> None:
+    mesh = trimesh.creation.cylinder(0.02, 0.2)
+    rest = np.eye(4)
+    rest[2, 3] = 0.1
+    ways = []
+    for k in range(200):
+        pose = _leaning(rest, mesh.vertices, 0.5, 2 * np.pi * k / 200)
+        assert apply_transform(pose, mesh.vertices)[:, 2].min() == pytest.approx(0, abs=1e-9)
+        assert pose[2, 2] == pytest.approx(np.cos(0.5))
+        ways.append(pose[:2, 2] / np.sin(0.5))
+    np.testing.assert_allclose(np.mean(ways, axis=0), 0, atol=1e-9)
+    np.testing.assert_allclose(np.cov(np.transpose(ways)), 0.5 * np.eye(2), atol=0.01)

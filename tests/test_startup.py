@@ -83,6 +83,7 @@ def run(code: str, *words: str) -> list[str]:
         ["mesh", TABLE, "--checkpoint", SUCCESS],
         ["serve", "--grasp-checkpoint", RECONSTRUCTION],
         ["trial", "--yaws", "0"],
+        ["trial", "--clutter", "2", "--shake", "5"],
         ["trial", "--ablation", "guess"],
         ["trial", "--ablation", "checkpoint=none"],
         ["trial", "--objects", "nothing"],

@@ -140,6 +140,7 @@ def test_the_target_is_numbered_as_it_is_listed(world: World, meshes: Path) -> N
     # What stands behind the camera is not seen.
     away = made[0][0], transform(np.eye(3), [3.0, 0.0, 0.075])
     assert target_number(cloud, [away, *made], robot) is None
+    assert target_number(cloud, [away], robot) is None  # nor are objects that nobody placed
 
 
 def test_a_neighbour_in_the_way_is_disturbed_and_one_aside_is_not(

@@ -70,7 +70,7 @@ class Executor(Node):
         }
         if gripper:
             self.clients_of[gripper] = ActionClient(self, GripperCommand, gripper)
-        self.arm, self.hand, self.gripper = arm, hand, gripper
+        self.arm, self.hand, self.gripper = arm, hand, gripper or ""
         self.create_subscription(JointState, "/joint_states", self._joint_states, 10)
 
     def _joint_states(self, state: JointState) -> None:

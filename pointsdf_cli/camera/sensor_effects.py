@@ -136,7 +136,8 @@ def displaced(
         inverse: Inverse depths.
         slopes: Their gradient.
         edges: Displacement (u, v) [2, h, w] of edges alone [px]: the plane of the surface at the
-            displaced pixel is extrapolated to the pixel itself.
+            displaced pixel is extrapolated to the pixel itself, up to the rounding of the
+            displaced pixel: half a pixel of the plane's slope remains as noise.
         whole: Displacement (u, v) [2, h, w] of surfaces and edges [px].
 
     Returns:

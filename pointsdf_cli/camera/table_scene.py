@@ -116,19 +116,19 @@ def draw_scene(
     if not poses or rng.random() >= config.resting:
         rotation = random_rotation(rng)
         pose = transform(rotation, place - rotation @ centre)
-        return _compose(caster, pose, None, [], camera, config, rng)
+        return _compose(caster, pose, place, None, [], camera, config, rng)
     index, _ = draw_pose(poses, 0.6, rng)
     T_table_object = _turned(rng.uniform(0, 2 * np.pi)) @ poses[index].T_table_object
     if rng.random() < config.leaning:
-        T_table_object = _leaning(T_table_object, vertices, rng.uniform(*config.lean))
+        angle, direction = rng.uniform(*config.lean), rng.uniform(0, 2 * np.pi)
+        T_table_object = _leaning(T_table_object, vertices, angle, direction)
     resting = apply_transform(T_table_object, vertices)
     middle = (resting.min(axis=0) + resting.max(axis=0)) / 2
     T_camera_table = _camera_from_table(rng.uniform(*ELEVATION), rng.normal(0, 0.05))
     T_camera_table[:3, 3] = place - T_camera_table[:3, :3] @ middle
     bodies = _neighbours(resting, T_camera_table, config, rng)
-    return _compose(
-        caster, T_camera_table @ T_table_object, T_camera_table, bodies, camera, config, rng
-    )
+    pose = T_camera_table @ T_table_object
+    return _compose(caster, pose, place, T_camera_table, bodies, camera, config, rng)
 
 
 def _turned(yaw: float) -> Array:
@@ -136,11 +136,12 @@ def _turned(yaw: float) -> Array:
     return transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [0, 0, 0])
 
 
-def _leaning(T_table_object: Array, vertices: Array, angle: float) -> Array:
-    """The pose tilted by an angle [rad] about the table's x axis, down to where the object touches
-    the table."""
+def _leaning(T_table_object: Array, vertices: Array, angle: float, direction: float) -> Array:
+    """The pose tilted by an angle [rad] about a level axis with a direction [rad] from the table's
+    x axis, down to where the object touches the table."""
     c, s = np.cos(angle), np.sin(angle)
-    tilted = transform([[1, 0, 0], [0, c, -s], [0, s, c]], [0, 0, 0]) @ T_table_object
+    tilt = transform([[1, 0, 0], [0, c, -s], [0, s, c]], [0, 0, 0])
+    tilted = _turned(direction) @ tilt @ _turned(-direction) @ T_table_object
     tilted[2, 3] -= apply_transform(tilted, vertices)[:, 2].min()
     return tilted
 
@@ -222,13 +223,14 @@ def _hiding_body(
 def _compose(
     caster: MeshCaster,
     T_camera_object: Array,
+    middle: Array,
     T_camera_table: Array | None,
     bodies: list[trimesh.Trimesh],
     camera: Camera,
     config: SceneConfig,
     rng: np.random.Generator,
 ) -> RenderedScene:
-    """The nearest of everything in each pixel."""
+    """The nearest of everything in each pixel; `middle` [3] is the object's, camera frame, m."""
     bounds = caster.window_around(T_camera_object, MARGIN)
     alone = caster.cast_window(T_camera_object, window=bounds)
     depth, cosine = alone.depth.copy(), alone.cosine.copy()
@@ -247,7 +249,7 @@ def _compose(
         down = rays @ normal
         with np.errstate(divide="ignore"):
             table = np.where(down < -1e-6, plane[3] / down, np.inf)
-        foot = T_camera_object[:3, 3] - (normal @ T_camera_object[:3, 3] - plane[3]) * normal
+        foot = middle - (normal @ middle - plane[3]) * normal
         away = _length(rays * np.where(np.isfinite(table), table, 0)[..., None] - foot)
         radius = rng.uniform(*TABLE_RADIUS)
         table = np.where((table > 0) & (away < radius), table, np.inf)
@@ -259,7 +261,7 @@ def _compose(
         )
         _put(depth, cosine, label, others.depth, others.cosine, OTHER)
     if rng.random() < config.wall:
-        behind = float(T_camera_object[2, 3]) + rng.uniform(*WALL_BEHIND)
+        behind = float(middle[2]) + rng.uniform(*WALL_BEHIND)
         _put(depth, cosine, label, np.full(depth.shape, behind), 1.0 / length, OTHER)
     window = DepthWindow(alone.origin, depth, cosine)
     return RenderedScene(window, label, object_alone, T_camera_object, plane)

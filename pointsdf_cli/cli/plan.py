@@ -175,7 +175,7 @@ def plan(
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.each_file import require_each, require_without
     from pointsdf_cli.io.idle_processors import IdleProcessors
-    from pointsdf_cli.io.poses import box
+    from pointsdf_cli.io.poses import box, table_place
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
     from pointsdf_cli.planning.environment import Environment, read_environment
     from pointsdf_cli.planning.option_checks import RECONSTRUCTION, check_segment
@@ -201,6 +201,12 @@ def plan(
         drawn = None if no_picture else picture or out.with_suffix(".png")
         outputs = PlanOutputs(out, drawn, trajectory)
         outputs.require_free(inputs, force)
+    if trajectory is not None and any(table_place(pose) for pose in camera_pose or ()):
+        raise InputError(
+            "a motion with an assumed camera pose would miss the object",
+            where="--trajectory",
+            hint="leave it out, or calibrate the camera and give its pose (docs/your-camera.md)",
+        )
     corners = None if workspace is None else box(workspace, "--workspace")
     search = PlanChoices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
     if server is not None:

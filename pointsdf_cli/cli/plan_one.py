@@ -102,6 +102,8 @@ def plan_one(
     found = answer.status == OK
     if trajectory is not None and found:
         write_trajectory(trajectory, answer)
+        if asked.get("start") is None:
+            reporter.say(f"{trajectory} begins at the robot's home; --start says where it stands")
     stale_picture = out.with_suffix(".png")
     if picture is None and stale_picture.exists():
         reporter.say(f"{stale_picture} was there before and does not show this plan")

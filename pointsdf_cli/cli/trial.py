@@ -116,6 +116,8 @@ def trial(
     from pointsdf_cli.trials import protocol
 
     reporter = common.Reporter(quiet, as_json)
+    if clutter and shake:  # gravity is shaken in place of the hand: everything would move
+        raise InputError("--shake with --clutter", hint="leave one of the two out")
     require_present(meshes)
     machine = load_robot(robot)
     variants = protocol.planner_variants(method, ablation or [])

@@ -180,7 +180,8 @@ def read_checkpoint(path: Path | str) -> Checkpoint:
     """Read weights and configuration.
 
     Raises:
-        InputError: No checkpoint is there, a file is damaged, or it is of another version.
+        InputError: No checkpoint is there, a file is damaged, holds NaN or infinity, or is of
+            another version.
     """
     from safetensors.torch import load
 
@@ -195,6 +196,11 @@ def read_checkpoint(path: Path | str) -> Checkpoint:
         raise InputError(
             f"is not a readable safetensors file ({error})", where=weights_file
         ) from error
+    wrong = [n for n, t in weights.items() if t.is_floating_point() and not t.isfinite().all()]
+    if wrong:
+        raise InputError(
+            f"{wrong[0]} holds NaN or infinity", where=weights_file, hint="train it again"
+        )
     return Checkpoint(weights, config, path)
 
 

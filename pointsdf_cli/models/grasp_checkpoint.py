@@ -27,6 +27,7 @@ from pointsdf_cli.io.checkpoints import (
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.models.bundled_success import ARCHITECTURE, bundled_success
 from pointsdf_cli.models.checkpoint_kinds import check_robot, check_success
+from pointsdf_cli.models.grasp_features import GraspFeatures
 from pointsdf_cli.models.grasp_prior import GraspPrior
 from pointsdf_cli.models.grasp_success import NETWORKS, EmbeddingNet, GeometryNet
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
@@ -145,6 +146,7 @@ def read_grasp_checkpoint(
             f"does not fit its config.json ({str(error).splitlines()[0]})", where=where
         ) from error
     check_hand(sweep, config, where)
+    _check_features(network, sweep, robot, where)
     network.requires_grad_(False)
     return GraspParts(
         network.eval(),
@@ -199,6 +201,27 @@ def check_hand(sweep: HandSweep, config: Mapping[str, Any], where: object) -> No
             allowed="palm frame, links, limits, closing joints and speeds as in training",
             hint="collect-grasps and train-gs again with this --robot",
         )
+
+
+def _check_features(
+    network: EmbeddingNet | GeometryNet, sweep: HandSweep, robot: RobotDescription, where: object
+) -> None:
+    """Refuse a network of geometry that was trained with other shapes of the hand.
+
+    Raises:
+        InputError: The hand has another number of features.
+    """
+    if isinstance(network, GeometryNet):
+        learned = network.config()["features"]
+        now = GraspFeatures(sweep, robot.preshape_ranges).size
+        if now != learned:
+            raise InputError(
+                f"was trained with other shapes of the hand: it reads {learned} features, and "
+                f"this hand has {now}",
+                where=where,
+                hint="fix a camera or tool to the arm's last link instead of the hand; for another "
+                "hand collect-grasps and train-gs with this --robot",
+            )
 
 
 COURSE_OFF = 3e-3

@@ -116,13 +116,14 @@ def judge(
         }
         worst = min(distances, key=lambda key: distances[key])
         reason = ""
-        if limit[b] < 0:
+        # Comparisons that NaN fails, too.
+        if not limit[b] >= 0:
             reason = "solver"
-        elif distances[worst] < 0:
+        elif not distances[worst] >= 0:
             reason = worst
-        elif success <= config.least:
+        elif not success > config.least:
             reason = "low_success_probability"
-        elif cost.value[b] >= config.objective:
+        elif not cost.value[b] < config.objective:
             reason = "objective"
         candidates.append(
             Candidate(

@@ -2,7 +2,9 @@
 
 The solver's constraints hold for the open hand alone. Here the hand closes step by step without
 physics: all closing joints advance at their speeds, and a joint stops when a link that it moves
-meets the object. The simulated hand stalls in the same way (`simulation/executor.py`).
+meets the object; coupled joints (a gripper's jaws) stop when all of them are stopped, since one
+pushes the object to the other. The simulated hand stalls in the same way
+(`simulation/executor.py`).
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
@@ -19,6 +22,7 @@ from pointsdf_cli.planning.contacts import WORLD, link_poses
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.closing import beyond
+from pointsdf_cli.robot.description import RobotDescription
 
 STEPS = 20
 """Steps from the preshape to the end of the slowest joint: a fingertip moves about 5 mm in each."""
@@ -49,6 +53,7 @@ class ClosingCheck:
         # [P, C], the closing joints that a touching patch stops.
         patch_links = self._object.link[self._patches]
         self._stops = np.array([[link in one for one in moved] for link in patch_links])
+        self._coupled = _coupled(robot)
         obstacle = (bodies.other_link == WORLD) & ~bodies.is_table
         self._pairs = np.flatnonzero(obstacle & np.isin(bodies.link, links))
 
@@ -75,7 +80,8 @@ class ClosingCheck:
         ends = np.where(speeds > 0, high, low)
         duration = ((ends - q[:, columns]) / speeds).max(axis=1, keepdims=True)
         step = duration / STEPS * speeds
-        moving = np.ones((len(q), len(columns)), dtype=bool)
+        free = np.ones((len(q), len(columns)), dtype=bool)
+        moving = free.copy()
         for _ in range(STEPS):
             q[:, columns] = np.clip(q[:, columns] + step * moving, low, high)
             poses = link_poses(self._kinematics, q)
@@ -84,7 +90,15 @@ class ClosingCheck:
             least = np.minimum(least, found.reshape(len(q), -1).min(axis=1))
             rows = np.repeat(np.arange(len(q)), len(self._patches))
             near = self._object.of(poses, rows, np.tile(self._patches, len(q))) < CONTACT
-            moving &= ~(near.reshape(len(q), -1) @ self._stops)
+            free &= ~(near.reshape(len(q), -1) @ self._stops)
+            moving = free @ self._coupled
             if not moving.any():
                 break
         return least - self._clearance
+
+
+def _coupled(robot: RobotDescription) -> NDArray[np.bool_]:
+    """[C, C], whether two closing joints move as one: the same joint, or coupled by <mimic>."""
+    leader = {j.name: j.mimic[0] if j.mimic else j.name for j in robot.tree.joints}
+    led_by = np.array([leader[name] for name in robot.closing_joints])
+    return np.asarray(led_by[:, None] == led_by)

@@ -199,6 +199,14 @@ def _mimic(node: ET.Element, path: Path) -> tuple[str, float] | None:
     if leader is None:
         return None
     share = float(_numbers(leader.get("multiplier", "1"), 1, path)[0])
+    offset = float(_numbers(leader.get("offset", "0"), 1, path)[0])
+    if share == 0 or offset != 0:
+        raise InputError(
+            f"<mimic> of joint {node.get('name')!r} has multiplier {share:g} and offset {offset:g}",
+            where=path,
+            allowed="a multiplier other than 0, without offset",
+            hint="move the joint's origin by the offset",
+        )
     return _attribute(leader, "joint", path), share
 
 

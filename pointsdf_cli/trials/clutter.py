@@ -205,7 +205,7 @@ def target_number(
         return None
     points = scene.world[objects]
     away = np.stack([_away(points, one) for one in standing])
-    mine = label[objects][away.argmin(axis=0) == 0]
+    mine = label[objects][(away.argmin(axis=0) == 0) & np.isfinite(away[0])]
     if not len(mine):
         return None
     chosen = int(np.bincount(mine).argmax())
