@@ -118,6 +118,7 @@ def test_every_third_party_import_is_a_declared_dependency() -> None:
         "skimage": "scikit-image",
         "pil": "pillow",
         "pybullet_data": "pybullet",
+        "fastapi_offline": "fastapi-offline",
         "pytorch_kinematics": "pytorch-kinematics",
     }
     missing = set()

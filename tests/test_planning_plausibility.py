@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +12,24 @@ import numpy as np
 import pytest
 from test_planning_table_top import POSE, TABLE, THINGS, cloud, sheet
 
+from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
-from pointsdf_cli.io.clouds import write_cloud
+from pointsdf_cli.io.clouds import read_cloud, write_cloud
+from pointsdf_cli.planning.object_choice import reach_of
 from pointsdf_cli.planning.plausibility import (
     below_table,
     doubts,
     from_inside,
     in_parts,
     in_the_air,
+    outside_workspace,
     require_table_at_zero,
     seen_through,
     table_elsewhere,
 )
-from pointsdf_cli.planning.table_top import look_at_table
+from pointsdf_cli.planning.table_top import label_table, look_at_table
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.shading import look_at
 from tests import scenes
@@ -164,3 +168,22 @@ def test_a_table_at_another_height_is_said_before_the_planning(
         assert run.code == 2
         assert "a table is seen at z = 100 mm" in run.err
         assert without in run.err
+
+
+def test_what_hangs_outside_the_workspace_is_told() -> None:
+    """A shelf of 70 × 100 cm, 2 cm above the workspace, and one beyond the arm's reach."""
+    scene, robot = read_cloud(asset_path("clouds/table.ply")), load_robot()
+    points, _ = scene.in_camera_frame()
+    x, y = np.meshgrid(np.linspace(0, 0.7, 150), np.linspace(-0.5, 0.5, 150))
+    shelf = np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.62)], axis=1)
+
+    def told(more: np.ndarray) -> str:
+        assert scene.T_world_camera is not None
+        added = apply_transform(invert_transform(scene.T_world_camera), more)
+        seen = np.concatenate([points, added])
+        view = label_table(replace(scene, points=seen, frame="camera"), "it", robot, robot.home)
+        return outside_workspace([view], reach_of(robot))
+
+    assert told(np.zeros((0, 3))) == ""
+    assert "0.62 m is within the arm's reach" in told(shelf + [0.2, 0, 0])
+    assert told(shelf + [0.2, 1.6, 0]) == ""

@@ -21,7 +21,12 @@ from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, reach_of
 from pointsdf_cli.planning.option_checks import RECONSTRUCTION
 from pointsdf_cli.planning.plan_request import Corners, PlanRequest, PlanResult
-from pointsdf_cli.planning.plausibility import doubts, require_table_at_zero, table_doubt
+from pointsdf_cli.planning.plausibility import (
+    doubts,
+    outside_workspace,
+    require_table_at_zero,
+    table_doubt,
+)
 from pointsdf_cli.planning.seen_obstacles import named_obstacles, obstacle_tasks
 from pointsdf_cli.planning.table_top import TableTop, label_table, look_at_table, workspace_of
 from pointsdf_cli.planning.take_order import OrderedObject, take_order
@@ -154,6 +159,8 @@ def _plan_for(
         return _without_object(planner, request, error, q)
     report = list(seen.report)
     warnings = planner.doubts() + _warnings(seen, clouds, segment, environment.table)
+    unmodelled = outside_workspace([view for view, _ in seen.labelled], reach_of(planner.robot))
+    warnings += [unmodelled] * bool(unmodelled)
     if warn is not None:
         for sentence in warnings:
             warn(sentence)

@@ -12,10 +12,13 @@ from itertools import permutations
 import numpy as np
 
 from pointsdf_cli.camera.segmentation import clusters, find_table
+from pointsdf_cli.camera.table_objects import OUTSIDE
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.planning.labelled_view import LabelledView
+from pointsdf_cli.planning.object_choice import Reach
 
 ABOVE = 0.08
 """Height [m] above the table from which an object's lowest seen point suggests that it floats."""
@@ -42,6 +45,12 @@ THROUGH, MUCH_THROUGH = 0.03, 0.15
 share of such points above which the views disagree."""
 OTHER_TABLE = 0.6
 """Height [m] around z = 0 within which a table is searched if none is seen at z = 0."""
+HANGING = (0.05, 1.0)
+"""Heights [m] at which something outside the workspace could be in the arm's way."""
+BASE = 0.2
+"""Level distance [m] from the robot's base up to which points are taken for its own."""
+MANY = 100
+"""Number of thinned points outside the workspace from which they are something."""
 
 
 def require_table_at_zero(
@@ -136,6 +145,30 @@ def _is_top_of_a_body(world: Array, height: float) -> bool:
     low, high = level[:, :2].min(axis=0) - 0.02, level[:, :2].max(axis=0) + 0.02
     beneath = (above < -0.03) & ((world[:, :2] > low) & (world[:, :2] < high)).all(axis=1)
     return bool(beneath.sum() > 0.1 * len(level))
+
+
+def outside_workspace(labelled: Sequence[LabelledView], reach: Reach) -> str:
+    """Warning that something was seen within the arm's reach but outside the workspace, where
+    nothing becomes an obstacle; empty if not.
+
+    Args:
+        labelled: Each camera's view.
+        reach: The robot's reach.
+    """
+    # In a pose made from the table it is not known where the robot will stand.
+    views = [view for view in labelled if not view.over_table]
+    worlds = [view.world[view.objects.label == OUTSIDE] for view in views]
+    points = np.concatenate([*worlds, np.zeros((0, 3))])
+    level = np.linalg.norm(points[:, :2] - reach.base, axis=1)
+    near = (level > BASE) & (level < reach.far)
+    near &= (points[:, 2] > HANGING[0]) & (points[:, 2] < HANGING[1])
+    if near.sum() < MANY:
+        return ""
+    x, y, z = np.median(points[near], axis=0)
+    return (
+        f"something around {x:.2f},{y:.2f},{z:.2f} m is within the arm's reach but outside the "
+        "workspace, so it is no obstacle: name it with --environment, or widen --workspace"
+    )
 
 
 def doubts(views: Sequence[View], table: float | None = 0.0) -> list[str]:
