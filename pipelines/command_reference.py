@@ -84,7 +84,8 @@ def _entry(head: str, text: str) -> Entry:
     names = re.match(r"(?:-\w, )?--[\w-]+|[\w.]+", head)
     takes = head[names.end() :].strip() if names else ""
     # What type a value has is clear from its default or from the words.
-    takes = "" if re.fullmatch(r"<(path|int|int range|float|float range|str|list\[\w+\])>", takes) else takes
+    if re.fullmatch(r"<(path|(int|float)( range)?|str|list\[\w+\])>", takes):
+        takes = ""
     text = re.sub(r"\s*\[required\]$", " Required.", text)
     text = re.sub(r"\s*\[default:\s*([^\]]*?)(; x>=0)?\]\.?$", r" (\1)", text)
     text = re.sub(r"\s*\[x>=0\]$", "", text).replace("((", "(").replace("))", ")")

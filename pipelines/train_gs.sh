@@ -11,8 +11,8 @@
 # CACHE     folder of the network's features (GRASPS-cache)
 # TABLE     no: train only, without the table of held-out grasps
 # OPTIONS   more options of train-gs, for all: "--epochs 1"
-# WORK/pointsdf-scratch is what assets/weights/grasp_scratch holds, with ROBOT=panda VARIANTS=geometry
-# WORK/geometry assets/weights/panda_geometry. pipelines/learn_grasps.sh makes the others.
+# WORK/pointsdf-scratch is what assets/weights/grasp_scratch holds; pipelines/learn_grasps.sh makes
+# the others.
 set -euo pipefail
 trap "exit 130" INT TERM # what was stopped is not finished
 grasps=${1:?usage: pipelines/train_gs.sh GRASPS WORK}

@@ -63,6 +63,7 @@ def test_a_table_gets_a_plan_with_its_files(cli: Callable, tmp_path: Path) -> No
     assert {key: told[key] for key in stored} == stored
     assert told["clouds"]
     assert "kept" in run.err
+    assert "begins at the robot's home" in run.err
     written = json.loads(motion.read_text())
     assert written["joint_names"] == list(plan.joint_names)
     assert len(written["points"]) == len(plan.times)
