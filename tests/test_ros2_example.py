@@ -152,11 +152,11 @@ class Goals(list):
 
     Args:
         off: Distance of the arm's first joint from where each trajectory ends [rad].
-        gripper: Results (reached_goal, stalled) of the gripper's goals in turn; None for one that
-            is aborted.
+        gripper: Results (reached_goal, stalled, position) of the gripper's goals in turn; None for
+            one that is aborted.
     """
 
-    def __init__(self, off: float, gripper: list[tuple[bool, bool] | None]) -> None:
+    def __init__(self, off: float, gripper: list[tuple[bool, bool, float] | None]) -> None:
         super().__init__()
         self.off, self.gripper = off, gripper
         self.heard: list[Any] = []
@@ -165,8 +165,8 @@ class Goals(list):
         """Result of a goal; a trajectory moves the robot."""
         if not hasattr(goal, "trajectory"):
             found = self.gripper.pop(0)
-            reached, stalled = found or (False, False)
-            result = SimpleNamespace(reached_goal=reached, stalled=stalled)
+            reached, stalled, position = found or (False, False, 0.0)
+            result = SimpleNamespace(reached_goal=reached, stalled=stalled, position=position)
             return SimpleNamespace(status=4 if found else 6, result=result)
         names, end = goal.trajectory.joint_names, goal.trajectory.points[-1].positions
         state.update(zip(names, end, strict=True))
@@ -251,7 +251,7 @@ def run_node(
     *more: str,
     moved: float = 0.0,
     off: float = 0.0,
-    gripper: tuple[tuple[bool, bool] | None, ...] = (),
+    gripper: tuple[tuple[bool, bool, float] | None, ...] = (),
     lifts: Plan | None = None,
 ) -> Goals:
     """The goals of the node for a plan, the robot's first joint `moved` from its start; plan.h5 is
@@ -294,6 +294,7 @@ def test_the_node_moves_closes_grips_and_lifts(
     np.testing.assert_allclose(lift.points[-1].positions, plan.lift[-1, :7])
 
 
+OPENED = (True, False, 0.04)
 GRIPPER = ("--gripper", "/gripper_cmd", "--gripper-open", "0.04", "--gripper-closed", "0")
 
 
@@ -301,8 +302,11 @@ def test_a_gripper_opens_before_the_motion_and_closes_before_the_lift(
     monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path
 ) -> None:
     more = (*GRIPPER, "--gripper-effort", "15")
-    goals = run_node(monkeypatch, plan, tmp_path, *more, gripper=((True, False), (False, True)))
-    assert [name for name, _ in goals] == ["/gripper_cmd", ARM, "/gripper_cmd", ARM]
+    # The Franka Hand's driver does not tell that it stalled.
+    for told in ((False, True, 0.0), (True, False, 0.03)):
+        results = ((True, False, 0.04), told)
+        goals = run_node(monkeypatch, plan, tmp_path, *more, gripper=results)
+        assert [name for name, _ in goals] == ["/gripper_cmd", ARM, "/gripper_cmd", ARM]
     commands = [goal.command for name, goal in goals if name == "/gripper_cmd"]
     assert [(each.position, each.max_effort) for each in commands] == [(0.04, 15.0), (0.0, 15.0)]
     with pytest.raises(SystemExit):
@@ -313,16 +317,16 @@ def test_a_gripper_opens_before_the_motion_and_closes_before_the_lift(
     ("results", "told", "sent"),
     [
         ((None,), "failed", ["/gripper_cmd"]),
-        (((False, True),), "did not open", ["/gripper_cmd"]),
-        (((True, False), None), "failed", ["/gripper_cmd", ARM, "/gripper_cmd"]),
-        (((True, False), (True, False)), "met nothing", ["/gripper_cmd", ARM, "/gripper_cmd"]),
+        (((False, True, 0.01),), "did not open", ["/gripper_cmd"]),
+        ((OPENED, None), "failed", ["/gripper_cmd", ARM, "/gripper_cmd"]),
+        ((OPENED, (True, False, 0.0)), "met nothing", ["/gripper_cmd", ARM, "/gripper_cmd"]),
     ],
 )
 def test_the_arm_does_not_move_after_a_gripper_that_failed(
     monkeypatch: pytest.MonkeyPatch,
     plan: Plan,
     tmp_path: Path,
-    results: tuple[tuple[bool, bool] | None, ...],
+    results: tuple[tuple[bool, bool, float] | None, ...],
     told: str,
     sent: list[str],
 ) -> None:
