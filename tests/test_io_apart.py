@@ -33,7 +33,11 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert run_cli(*made, "-q").code == 0
     (folder / "g").mkdir()
     write_artifacts(folder / "g", np.random.default_rng(0).normal(0, 0.03, (60, 3)))
+    for name in ("labels", "grasps"):
+        (folder / name).mkdir()
+        shutil.copy(folder / "g" / f"{name}.h5", folder / name)
     shutil.copytree(asset_path("weights/voxelcnn"), folder / "ckpt")
+    shutil.copytree(asset_path("weights/grasp_geometry"), folder / "success")
     shutil.copytree(ROBOTS, folder / "robot")
     shutil.copy(MUG, folder / "mug.ply")
     os.link(folder / "mug.ply", folder / "other.ply")
@@ -58,14 +62,14 @@ def sums(folder: Path) -> dict[Path, str]:
         "label-sdf --views v --meshes m --out v",
         "label-sdf --views v --meshes m --out link",
         "label-sdf --views v --meshes m --out m/../v/.",
-        "train-sdf --views v --labels g --out v",
-        "train-sdf --views v --labels g --out new --pack link",
-        "train-sdf --views v --labels g --out ckpt --start-from ckpt",
-        "train-gs --grasps g --out g",
-        "train-gs --grasps g --out new --cache g",
-        "train-gs --grasps g --out ckpt --sdf ckpt",
-        "eval-gs --checkpoint ckpt --grasps g --out ckpt/config.json",
-        "eval-gs --checkpoint ckpt --grasps g --out g/grasps.h5",
+        "train-sdf --views v --labels labels --out v",
+        "train-sdf --views v --labels labels --out new --pack link",
+        "train-sdf --views v --labels labels --out ckpt --start-from ckpt",
+        "train-gs --grasps grasps --out grasps",
+        "train-gs --grasps grasps --out new --cache grasps",
+        "train-gs --grasps grasps --out ckpt --sdf ckpt",
+        "eval-gs --checkpoint success --grasps grasps --out success/config.json",
+        "eval-gs --checkpoint success --grasps grasps --out grasps/grasps.h5",
         "eval-sdf --checkpoint ckpt --views v --meshes m --out ckpt/config.json",
         "eval-sdf --checkpoint ckpt --views v --meshes m --out m/box.ply",
         "mesh mug.ply --out mug.ply",

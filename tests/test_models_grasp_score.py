@@ -334,7 +334,7 @@ def test_a_network_on_geometry_is_known_to_read_another_reconstruction() -> None
         for robot in bundled_robots()
     }
     assert learned == {
-        "lbr4_allegro": "pointsdf_real", "lbr4_barrett": "pointsdf_real", "panda": "pointsdf_ray",
+        "lbr4_allegro": "pointsdf_real", "lbr4_barrett": "pointsdf_real", "panda": "pointsdf_real",
     }  # fmt: skip
     assert reconstruction_for(None) == default_checkpoint()
     assert reconstruction_for(bundled / "grasp_scratch") == default_checkpoint()

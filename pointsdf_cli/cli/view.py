@@ -59,8 +59,8 @@ def view(
     require_present(meshes)
     options = SceneOptions(load_robot(robot), meshes, most, unit)
     if export:
-        common.check_suffix(export, "--export", (".html", ".htm"))
         require_apart([export], [*artifacts, robot, meshes])
+        common.check_suffix(export, "--export", (".html", ".htm"))
         require_place(export, force)
 
     # Seconds of imports: only for what can be shown.
