@@ -243,3 +243,21 @@ def test_a_camera_belongs_to_the_arm(panda: RobotDescription, tmp_path: Path, li
     else:
         with pytest.raises(InputError, match="other shapes of the hand"):
             load_grasp_model(robot=robot)
+
+
+def test_no_link_stands_out_of_its_shapes(panda: RobotDescription) -> None:
+    """The maker's meshes, as PyBullet ships them: at most 5 mm outside of the primitives."""
+    data = pytest.importorskip("pybullet_data", reason="PyBullet is not installed")
+    folder = Path(data.getDataPath()) / "franka_panda" / "meshes"
+    names = {f"panda_link{k}": f"link{k}" for k in range(8)} | {"panda_hand": "hand"}
+    for link, name in names.items():
+        file = folder / "visual" / f"{name}.obj"
+        if not file.is_file():  # two links have only the other one
+            file = folder / "collision" / f"{name}.obj"
+        mesh = trimesh.load(file, force="mesh")
+        points, _ = trimesh.sample.sample_surface(mesh, 1500, seed=0)
+        outside = np.full(len(points), np.inf)
+        for shape in panda.tree.shapes[link]:
+            inside = trimesh.proximity.signed_distance(shape.as_mesh(), points)
+            outside = np.minimum(outside, -inside)
+        assert outside.max() < 0.005, (link, outside.max())

@@ -3,7 +3,8 @@
 Run it after a change of any number here: `python assets/robots/make_panda.py`. Joint frames, limits
 and speeds are those of the maker's data sheet and DH table (Franka Control Interface
 documentation, "Robot and interface specifications"); names are those of its URDF. Shapes are
-primitives that enclose the links of the maker's meshes (franka_description) within 5 mm.
+primitives; no link of the maker's meshes stands out by more than 5 mm
+(`tests/test_robot_bundled_panda.py`).
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ QUARTER = math.pi / 2
 Part = tuple[Shape, str]
 
 
-def tube(radius: float, start: float, end: float, x: float = 0.0, y: float = 0.0) -> Part:
+def tube(radius: float, start: float, end: float) -> Part:
     """A cylinder along z."""
-    return Shape("cylinder", (radius, end - start), (x, y, (start + end) / 2)), WHITE
+    return Shape("cylinder", (radius, end - start), (0, 0, (start + end) / 2)), WHITE
 
 
-def drum(radius: float, start: float, end: float, x: float = 0.0, z: float = 0.0) -> Part:
+def drum(radius: float, start: float, end: float, x: float = 0.0) -> Part:
     """A cylinder along y: the housing of a joint."""
-    centre = (x, (start + end) / 2, z)
+    centre = (x, (start + end) / 2, 0.0)
     return Shape("cylinder", (radius, end - start), centre, (QUARTER, 0, 0)), WHITE
 
 
@@ -41,8 +42,7 @@ def box(
     return Shape("box", size, centre, (0, 0, yaw)), colour
 
 
-def ball(radius: float, *centre: float) -> Part:
-    x, y, z = centre
+def ball(radius: float, x: float, y: float, z: float) -> Part:
     return Shape("sphere", (radius,), (x, y, z)), WHITE
 
 

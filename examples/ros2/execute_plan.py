@@ -52,7 +52,7 @@ GRIP_TIME = 0.5  # s
 LATE = 5.0  # s that a controller may take longer than its trajectory
 GRIPPER_TIME = 20.0  # s
 CLOSED = 0.02  # of the gripper's way: nearer to its closed position it holds nothing
-SAME_PLAN = 1e-3  # rad or m between the end of the motion and the begin of the lift
+SAME_PLAN = 1e-3  # rad or m between the end of the motion and the start of the lift
 
 
 class Executor(Node):

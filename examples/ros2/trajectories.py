@@ -112,7 +112,7 @@ def farthest_from(
 
 
 def apart(motion: Trajectory, lift: Trajectory) -> float:
-    """Largest difference of a joint [rad or m] between the end of the motion and the begin of the
+    """Largest difference of a joint [rad or m] between the end of the motion and the start of the
     lift: 0 for the files of one plan."""
     return float(np.abs(motion.of(lift.names).positions[-1] - lift.positions[0]).max())
 
