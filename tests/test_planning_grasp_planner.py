@@ -25,6 +25,7 @@ from pointsdf_cli.planning.fields import (
     MeanField,
     NearField,
     ReconstructionField,
+    RedistancedField,
     SeenField,
     UnionField,
 )
@@ -172,18 +173,24 @@ def test_two_views_are_the_mean_of_both_and_what_they_saw(planner: GraspPlanner)
     completed = [ReconstructionField(s.reconstruction) for s in (first, second)]
     both = UnionField(MeanField(completed), SeenField(joint.points))
     points = np.random.default_rng(0).uniform(-0.08, 0.08, (50, 3)) + CAN
-    np.testing.assert_allclose(joint.target.field(points), both(points), atol=1e-6)
+    found, expected = joint.target.field(points), both(points)
+    near = expected < RedistancedField.ENOUGH
+    assert 10 < near.sum() < 40
+    np.testing.assert_allclose(found[near], expected[near], atol=1e-6)
+    assert (found >= expected - RedistancedField.MARGIN - 1e-6).all()
     truth = CylinderField(RADIUS, HEIGHT, CAN)(points)
     # A can is known to within 2 mm from one view, and from both no worse than from the worse one.
-    one, two, mean = (np.abs(s.target.field(points) - truth).mean() for s in (first, second, joint))
+    one, two, mean = (
+        np.abs(s.target.field(points) - truth)[near].mean() for s in (first, second, joint)
+    )
     assert mean < max(one, two) < 0.002
     # What is rehearsed on is what both say, too.
     assert first.fused is None
     surface = believed_surface(joint.reconstruction, 32, joint.fused)
-    off = np.abs(MeanField(completed)(surface[0]))
-    assert np.quantile(off, 0.95) < 0.003  # cells of 5 mm
+    gap = np.abs(MeanField(completed)(surface[0]))
+    assert np.quantile(gap, 0.95) < 0.003  # cells of 5 mm
     alone = believed_surface(joint.reconstruction, 32)
-    assert np.quantile(np.abs(MeanField(completed)(alone[0])), 0.95) > np.quantile(off, 0.95)
+    assert np.quantile(np.abs(MeanField(completed)(alone[0])), 0.95) > np.quantile(gap, 0.95)
 
 
 def test_the_hand_keeps_off_what_was_seen_where_the_network_saw_nothing(
@@ -266,9 +273,10 @@ def test_the_surface_is_where_the_field_is_zero() -> None:
     assert trimesh.Trimesh(*made).is_watertight
 
 
-def test_pictures_come_from_quick_products_and_plans_from_exact_ones(
+def test_a_plan_does_not_depend_on_the_processors_fastest_products(
     planner: GraspPlanner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # Where nothing was seen the field is nearly flat, and their errors there would change plans.
     monkeypatch.setattr(reconstruction_module, "fast_products", lambda device: torch.bfloat16)
     quick = planner.see([VIEW]).target
     monkeypatch.setattr(reconstruction_module, "fast_products", lambda device: None)
@@ -278,9 +286,19 @@ def test_pictures_come_from_quick_products_and_plans_from_exact_ones(
     assert quick.kept is not None
     assert exact.kept is not None
     np.testing.assert_allclose(quick.kept(points), exact.kept(points), atol=1e-6)
-    assert quick.quick is not None
-    off = np.abs(quick.quick(points) - exact.field(points))
-    assert 0 < off.max() < 0.001
+    assert quick.surface is not None
+    assert exact.surface is not None
+    np.testing.assert_allclose(quick.surface[0], exact.surface[0], atol=1e-6)
+
+
+def test_the_planned_surface_is_the_redistanced_fields_own(planner: GraspPlanner) -> None:
+    perceived = planner.see([VIEW])
+    target, made = perceived.target, perceived.surface()
+    assert isinstance(target.field, RedistancedField)
+    assert made is not None
+    assert target.surface is not None
+    np.testing.assert_array_equal(made[1], target.surface[1])
+    assert np.abs(target.field(target.surface[0])).max() < 0.003
 
 
 def test_a_surface_that_lacks_what_was_seen_is_doubted() -> None:

@@ -143,6 +143,55 @@ class NearField:
         return way, gap, gap < self._exact_to
 
 
+class RedistancedField:
+    """A field that, away from its zero level, is at least the distance to it less a margin.
+
+    Where little was seen a network's values may stay near zero far from its surface. On 118 views
+    of unknown objects the distance to the surface was the better estimate everywhere beyond
+    2 mm (docs/notebook.md, "Redistancing").
+
+    Args:
+        field: Field to correct.
+        surface: Vertices [V, 3] of its zero level, m; at least as dense as the margin.
+        outside: Field whose sign tells the outside beyond the margin.
+    """
+
+    MARGIN = 0.01
+    """Nearer to the surface than this [m] the field keeps its values: small ones there often mean
+    a surface that was missed."""
+    ENOUGH = 0.02
+    """Where the corrected value exceeds this [m], the field is not evaluated."""
+
+    def __init__(self, field: Field, surface: Array, outside: Field) -> None:
+        self._field, self._outside = field, outside
+        self._surface = SeenField(surface)
+
+    def least(self, points: Array) -> Array:
+        """Lower bounds [N] of the values at points [N, 3], m; −∞ within `MARGIN` and inside."""
+        bound = self._surface(points) - self.MARGIN
+        bound[bound <= 0] = -np.inf
+        known = np.flatnonzero(bound > 0)
+        bound[known[self._outside(points[known]) <= 0]] = -np.inf
+        return bound
+
+    def __call__(self, points: Array) -> Array:
+        values = self.least(points)
+        asked = values <= self.ENOUGH
+        if asked.any():
+            values[asked] = np.maximum(values[asked], self._field(points[asked]))
+        return values
+
+    def with_gradient(self, points: Array) -> tuple[Array, Array]:
+        values = self.least(points)
+        _, gradients = self._surface.with_gradient(points)
+        asked = np.flatnonzero(values <= self.ENOUGH)
+        if len(asked):
+            own, slopes = self._field.with_gradient(points[asked])
+            higher = own > values[asked]
+            values[asked[higher]], gradients[asked[higher]] = own[higher], slopes[higher]
+        return values, gradients
+
+
 class MeshField:
     """The exact distance to a closed mesh: for partial-view grasping, and for the truth in trials.
 

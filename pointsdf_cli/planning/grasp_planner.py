@@ -59,6 +59,7 @@ from pointsdf_cli.planning.target import (
     grid_for,
     missed_points,
     reconstructed_object,
+    redistanced,
     seen_object,
     with_seen_points,
 )
@@ -199,6 +200,9 @@ class GraspPlanner:
             known = np.concatenate([world, hidden])
             whole = enclosing(own, made, hidden, grid) if len(hidden) else own
             constraint = with_seen_points(whole, known)
+            # The kept grid is too coarse for the wall of a vessel.
+            if not any(each.vessel for each in made):
+                constraint = redistanced(constraint, known)
         else:
             constraint = own
         reconstruction = made[0] if made else None

@@ -13,6 +13,7 @@ an error bound.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 
@@ -114,6 +115,23 @@ class GridField:
         joint._values = seen.at_most(places, self._flat).reshape(self._values.shape)
         joint._index()
         return joint
+
+    def raised(self, least: Callable[[Array], Array], beyond: float) -> GridField:
+        """A grid of the maximum of this field and lower bounds of it, at the nodes between the
+        surface and the value `beyond` [m]; the error bounds still hold.
+
+        Args:
+            least: Function from points [N, 3] to bounds [N], m.
+            beyond: Larger values stay as they are.
+        """
+        rows = np.flatnonzero((self._flat > 0) & (self._flat < beyond))
+        places = np.stack(np.unravel_index(rows, self._values.shape), axis=1)
+        values = self._flat.copy()
+        values[rows] = np.maximum(values[rows], least(self._low + self.config.step * places))
+        higher = copy(self)
+        higher._values = values.reshape(self._values.shape)
+        higher._index()
+        return higher
 
     def inside(self) -> Array:
         """The nodes [N, 3] of the finest level whose values are negative, m."""

@@ -20,6 +20,7 @@ from pointsdf_cli.planning.fields import (
     MeshField,
     NearField,
     ReconstructionField,
+    RedistancedField,
     SeenField,
     UnionField,
 )
@@ -72,24 +73,24 @@ class ObjectField:
 
     Attributes:
         field: Its signed distance field, world frame.
-        quick: The same field in the processor's fastest precision, for pictures. Where nothing was
-            seen the field is nearly flat, and its errors there change plans.
         low, high: [3], a box [m] around its surface.
         kept: The field on a grid, for frequent evaluations that need not be exact.
+        surface: Its zero level, not smoothed: vertices [V, 3] m in the world and faces [F, 3];
+            None where nobody has made it yet.
     """
 
     field: Field
-    quick: Field
     low: Array
     high: Array
     kept: GridField
+    surface: Surface | None = None
 
     @classmethod
     def of(
         cls, field: Field, low: Array, high: Array, grid: GridConfig | None = None
     ) -> ObjectField:
         """Sample `field` on a grid within the box of `low` and `high` [3]."""
-        return cls(field, field, low, high, GridField(field, low, high, grid or KEPT_GRID))
+        return cls(field, low, high, GridField(field, low, high, grid or KEPT_GRID))
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class Target:
         score: Score of its grasps.
         prior: Source of seeds.
         kept: The field on a grid; the planner makes one where it is None.
-        quick: The field for pictures; `field` where it is None.
+        surface: As in `ObjectField`.
     """
 
     field: Field
@@ -111,12 +112,12 @@ class Target:
     score: GraspScore
     prior: GraspSampler
     kept: GridField | None = None
-    quick: Field | None = None
+    surface: Surface | None = None
 
     @classmethod
     def of(cls, shape: ObjectField, score: GraspScore, prior: GraspSampler) -> Target:
         """A target that occupies `shape`."""
-        return cls(shape.field, shape.low, shape.high, score, prior, shape.kept, shape.quick)
+        return cls(shape.field, shape.low, shape.high, score, prior, shape.kept, shape.surface)
 
 
 def grid_for(thickness: float) -> GridConfig:
@@ -146,7 +147,7 @@ def reconstructed_object(
     if seen is not None:
         low, high = np.minimum(low, seen.min(axis=0)), np.maximum(high, seen.max(axis=0))
     low, high = low - BOX_MARGIN, high + BOX_MARGIN
-    return _near(ObjectField.of(_mean_field(reconstructions), low, high, grid), reconstructions)
+    return _near(ObjectField.of(_mean_field(reconstructions), low, high, grid))
 
 
 def enclosing(
@@ -166,14 +167,12 @@ def enclosing(
     high = np.maximum(shape.high, seen.max(axis=0) + BOX_MARGIN)
     if (low == shape.low).all() and (high == shape.high).all():
         return shape
-    return _near(ObjectField.of(_mean_field(reconstructions), low, high, grid), reconstructions)
+    return _near(ObjectField.of(_mean_field(reconstructions), low, high, grid))
 
 
-def _near(shape: ObjectField, reconstructions: Sequence[Reconstruction]) -> ObjectField:
-    """The object with its field and the field's quick version, both asked near its box only."""
-    quick = _mean_field([each.in_fast_precision for each in reconstructions])
-    field, quick = (NearField(each, shape.low, shape.high) for each in (shape.field, quick))
-    return replace(shape, field=field, quick=quick)
+def _near(shape: ObjectField) -> ObjectField:
+    """The object with its field asked near its box only."""
+    return replace(shape, field=NearField(shape.field, shape.low, shape.high))
 
 
 def completed_field(reconstructions: Sequence[Reconstruction]) -> Field:
@@ -217,9 +216,24 @@ def with_seen_points(shape: ObjectField, seen: Array) -> ObjectField:
     return replace(
         shape,
         field=UnionField(shape.field, points),
-        quick=UnionField(shape.quick, points),
         kept=shape.kept.minimum_with(points),
     )
+
+
+def redistanced(shape: ObjectField, seen: Array) -> ObjectField:
+    """Correct a network's field where it is far from its own surface (`RedistancedField`).
+
+    Args:
+        shape: An object with its seen points.
+        seen: These points [N, 3], world, m.
+    """
+    surface = grid_surface(shape.kept, shape.field)
+    if surface is None:
+        return shape
+    field = RedistancedField(shape.field, np.concatenate([surface[0], seen]), shape.kept)
+    beyond = RedistancedField.ENOUGH + RedistancedField.MARGIN
+    kept = shape.kept.raised(field.least, beyond)
+    return replace(shape, field=field, kept=kept, surface=surface)
 
 
 def mesh_object(
@@ -267,9 +281,10 @@ def surface_of(target: Target, reconstruction: Reconstruction | None = None) -> 
     if reconstruction is not None and reconstruction.vessel is not None:
         wall = mesh_reconstruction(reconstruction, COARSE_RESOLUTION)
         return wall.vertices, wall.faces
-    field = target.quick or target.field
-    grid = target.kept or GridField(field, target.low, target.high, KEPT_GRID)
-    surface = grid_surface(grid, field)
+    surface = target.surface
+    if surface is None:
+        grid = target.kept or GridField(target.field, target.low, target.high, KEPT_GRID)
+        surface = grid_surface(grid, target.field)
     return surface and (taubin_smooth(*surface, SMOOTHING), surface[1])
 
 
