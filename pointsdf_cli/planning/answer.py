@@ -80,8 +80,7 @@ class PerceivedObject:
 
     def surface(self) -> Surface | None:
         """The object's surface, world frame; None without one."""
-        # A mean field of several views has no single wall.
-        return surface_of(self.target, self.reconstruction if self.fused is None else None)
+        return surface_of(self.target)
 
 
 @dataclass(frozen=True)

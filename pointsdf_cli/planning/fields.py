@@ -160,7 +160,7 @@ class RedistancedField:
     """Nearer to the surface than this [m] the field keeps its values: small ones there often mean
     a surface that was missed."""
     ENOUGH = 0.02
-    """Where the corrected value exceeds this [m], the field is not evaluated."""
+    """Corrected value [m] above which the field is not evaluated."""
 
     def __init__(self, field: Field, surface: Array, outside: Field) -> None:
         self._field, self._outside = field, outside

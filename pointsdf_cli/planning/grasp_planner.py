@@ -59,9 +59,9 @@ from pointsdf_cli.planning.target import (
     grid_for,
     missed_points,
     reconstructed_object,
-    redistanced,
     seen_object,
     with_seen_points,
+    with_surface,
 )
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 
@@ -199,10 +199,7 @@ class GraspPlanner:
             hidden = unseen_support(own, views) if table else np.zeros((0, 3))
             known = np.concatenate([world, hidden])
             whole = enclosing(own, made, hidden, grid) if len(hidden) else own
-            constraint = with_seen_points(whole, known)
-            # The kept grid is too coarse for the wall of a vessel.
-            if not any(each.vessel for each in made):
-                constraint = redistanced(constraint, known)
+            constraint = with_surface(with_seen_points(whole, known), made, known)
         else:
             constraint = own
         reconstruction = made[0] if made else None

@@ -116,6 +116,12 @@ class GraspProblem:
         other._margin = np.where(self.is_object, clearance, self._margin)
         return other
 
+    def with_score(self, score: GraspScore) -> GraspProblem:
+        """A copy with another score of the grasps."""
+        other = copy(self)
+        other.objective = Objective(self.kinematics, self.variables, score)
+        return other
+
     def violations(self, x: Array) -> Array:
         """Negative part of the slack [4, B] of each kind of constraint at x [B, n], in the order of
         `Residuals`; cheaper than `residuals`, as only what is too near is measured exactly."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.grasp_problem import GraspProblem
+from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.option_checks import KINDS
 from pointsdf_cli.planning.reasons import SeedStatistics
 from pointsdf_cli.planning.screen import depth_in, lifted
@@ -31,6 +32,19 @@ class GraspSampler(Protocol):
     def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Sample preshape joints [N, K] and T_world_palm [N, 4, 4] from one component; N is 0 for a
         kind without a component."""
+
+
+@dataclass(frozen=True)
+class UnsolvedGrasps:
+    """Grasps that are judged as they are sampled: a solver would spoil what is good about them.
+
+    Attributes:
+        sampler: Their source.
+        score: Score by which they are ranked and accepted.
+    """
+
+    sampler: GraspSampler
+    score: GraspScore
 
 
 SHARE = 0.75

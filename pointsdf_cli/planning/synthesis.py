@@ -24,7 +24,13 @@ from pointsdf_cli.planning.closing_check import ClosingCheck
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.nonlinear import Solutions, Solver
 from pointsdf_cli.planning.reasons import SeedStatistics, is_hemmed_in, why_none
-from pointsdf_cli.planning.seeds import GraspSampler, SeedConfig, draw_seeds
+from pointsdf_cli.planning.seeds import (
+    GraspSampler,
+    SeedConfig,
+    Seeds,
+    UnsolvedGrasps,
+    draw_seeds,
+)
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
 SOLVER_MARGIN = 0.0005
@@ -134,6 +140,7 @@ def synthesise(
     config: SynthesisConfig | None = None,
     stop: StopCondition | None = None,
     closing: ClosingCheck | None = None,
+    unsolved: UnsolvedGrasps | None = None,
 ) -> Synthesis:
     """Search for the best acceptable configuration; equal generators give equal results.
 
@@ -145,6 +152,7 @@ def synthesise(
         stop: Stop condition, evaluated after every round that has added accepted candidates; by
             default the configuration's.
         closing: Check of the closing motion; none if None.
+        unsolved: Grasps judged beside the solutions of each round.
     """
     config = config or SynthesisConfig()
     timings = dict.fromkeys(("seeds", "solve", "polish", "check"), 0.0)
@@ -158,20 +166,16 @@ def synthesise(
         start = time.perf_counter()
         problems = whole.in_round(turn, least)
         seeds = draw_seeds(problems.quick, prior, kinematics, kind, rng, config.seeds)
-        start = _lap(timings, "seeds", start)
+        _lap(timings, "seeds", start)
         tried, statistics = tried + len(seeds.x), statistics + seeds.statistics
-        if not len(seeds.x):
+        stop_if_cancelled()
+        candidates = _solved(problems, seeds, accepted, solver, config, timings)
+        if unsolved is not None:
+            start = time.perf_counter()
+            candidates += _judged(problems, unsolved, kinematics, kind, rng, config)
+            _lap(timings, "check", start)
+        if not candidates:
             continue
-        stop_if_cancelled()
-        found = solver.solve(problems.quick, seeds.x)
-        stop_if_cancelled()
-        start = _lap(timings, "solve", start)
-        order = _ranked(found)
-        kinds = [seeds.kinds[k] for k in order]
-        candidates = judge(problems.exact, found.x[order], config.acceptance, kinds)
-        _lap(timings, "check", start)
-        best = min((c.objective for c in [*accepted, *candidates] if not c.reason), default=np.inf)
-        _polish(problems, candidates, kinds, best, solver, config, timings)
         if closing is not None:
             start = time.perf_counter()
             candidates = closing.judged(candidates)
@@ -189,6 +193,52 @@ def synthesise(
         if not accepted and turn + 1 >= ENOUGH and after > STALLED * before:
             break
     return _outcome(accepted, rejected, tried, statistics, config, timings)
+
+
+def _solved(
+    problems: Problems,
+    seeds: Seeds,
+    accepted: list[Candidate],
+    solver: Solver,
+    config: SynthesisConfig,
+    timings: dict[str, float],
+) -> list[Candidate]:
+    """The solutions of a round, feasible ones by objective first.
+
+    Args:
+        problems: Problems of the round.
+        seeds: Its seeds.
+        accepted: Accepted candidates of the rounds before.
+        solver, config, timings: As in `synthesise`.
+    """
+    if not len(seeds.x):
+        return []
+    start = time.perf_counter()
+    found = solver.solve(problems.quick, seeds.x)
+    stop_if_cancelled()
+    start = _lap(timings, "solve", start)
+    order = _ranked(found)
+    kinds = [seeds.kinds[k] for k in order]
+    candidates = judge(problems.exact, found.x[order], config.acceptance, kinds)
+    _lap(timings, "check", start)
+    best = min((c.objective for c in [*accepted, *candidates] if not c.reason), default=np.inf)
+    _polish(problems, candidates, kinds, best, solver, config, timings)
+    return candidates
+
+
+def _judged(
+    problems: Problems,
+    unsolved: UnsolvedGrasps,
+    kinematics: InverseKinematics,
+    kind: str,
+    rng: np.random.Generator,
+    config: SynthesisConfig,
+) -> list[Candidate]:
+    """The most promising of a round's unsolved grasps that touch nothing."""
+    quick, exact = (p.with_score(unsolved.score) for p in (problems.quick, problems.exact))
+    drawn = draw_seeds(quick, unsolved.sampler, kinematics, kind, rng, config.seeds)
+    candidates = judge(exact, drawn.x, config.acceptance, drawn.kinds)
+    return [c for c in candidates if c.worst_slack >= 0]
 
 
 def _polish(

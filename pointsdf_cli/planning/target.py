@@ -49,6 +49,9 @@ MISSED, MOST_MISSED = 0.008, 0.2
 """Distance [m] to the nearest vertex of the surface above which a seen point counts as missed, and
 the share of missed points above which a plan carries a warning."""
 
+COARSE_RESOLUTION = 64
+"""Cells along the box of a vessel's handle."""
+
 GIVEN_REACH = 0.25
 """Distance [m] from the seen points within which a given field's surface is searched."""
 
@@ -75,8 +78,8 @@ class ObjectField:
         field: Its signed distance field, world frame.
         low, high: [3], a box [m] around its surface.
         kept: The field on a grid, for frequent evaluations that need not be exact.
-        surface: Its zero level, not smoothed: vertices [V, 3] m in the world and faces [F, 3];
-            None where nobody has made it yet.
+        surface: Its surface: vertices [V, 3] m in the world and faces [F, 3]; None where it is not
+            made yet.
     """
 
     field: Field
@@ -220,8 +223,27 @@ def with_seen_points(shape: ObjectField, seen: Array) -> ObjectField:
     )
 
 
+def with_surface(
+    shape: ObjectField, reconstructions: Sequence[Reconstruction], seen: Array
+) -> ObjectField:
+    """Add the surface to a reconstructed object, and correct its field far from it.
+
+    Args:
+        shape: An object with its seen points.
+        reconstructions: Its reconstructions, one for each view.
+        seen: The seen points [N, 3], world, m.
+    """
+    if not any(each.vessel for each in reconstructions):
+        return redistanced(shape, seen)
+    # The grid is too coarse for the wall of a vessel; fields of several views have no single wall.
+    if len(reconstructions) > 1:
+        return shape
+    wall = mesh_reconstruction(reconstructions[0], COARSE_RESOLUTION)
+    return replace(shape, surface=(wall.vertices, wall.faces))
+
+
 def redistanced(shape: ObjectField, seen: Array) -> ObjectField:
-    """Correct a network's field where it is far from its own surface (`RedistancedField`).
+    """Correct a field where it is far from its own surface (`RedistancedField`).
 
     Args:
         shape: An object with its seen points.
@@ -231,9 +253,9 @@ def redistanced(shape: ObjectField, seen: Array) -> ObjectField:
     if surface is None:
         return shape
     field = RedistancedField(shape.field, np.concatenate([surface[0], seen]), shape.kept)
-    beyond = RedistancedField.ENOUGH + RedistancedField.MARGIN
-    kept = shape.kept.raised(field.least, beyond)
-    return replace(shape, field=field, kept=kept, surface=surface)
+    kept = shape.kept.raised(field.least, RedistancedField.ENOUGH + RedistancedField.MARGIN)
+    smooth = taubin_smooth(*surface, SMOOTHING), surface[1]
+    return replace(shape, field=field, kept=kept, surface=smooth)
 
 
 def mesh_object(
@@ -266,25 +288,13 @@ def absent_object(points: Array) -> ObjectField:
     return ObjectField.of(NoField(), points.min(axis=0), points.max(axis=0) + BOX_MARGIN)
 
 
-COARSE_RESOLUTION = 64
-"""Cells along the box of a vessel's handle."""
-
-
-def surface_of(target: Target, reconstruction: Reconstruction | None = None) -> Surface | None:
+def surface_of(target: Target) -> Surface | None:
     """Surface of the target's field: vertices [V, 3] m in the world and faces [F, 3], or None
-    without one.
-
-    Args:
-        target: The target.
-        reconstruction: Its only reconstruction, whose wall the cells may be too coarse for.
-    """
-    if reconstruction is not None and reconstruction.vessel is not None:
-        wall = mesh_reconstruction(reconstruction, COARSE_RESOLUTION)
-        return wall.vertices, wall.faces
-    surface = target.surface
-    if surface is None:
-        grid = target.kept or GridField(target.field, target.low, target.high, KEPT_GRID)
-        surface = grid_surface(grid, target.field)
+    without one."""
+    if target.surface is not None:
+        return target.surface
+    grid = target.kept or GridField(target.field, target.low, target.high, KEPT_GRID)
+    surface = grid_surface(grid, target.field)
     return surface and (taubin_smooth(*surface, SMOOTHING), surface[1])
 
 

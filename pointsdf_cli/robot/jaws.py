@@ -35,11 +35,13 @@ class Jaws:
         pads: [2], where their pads begin and end in front of the palm, along x [m].
         home_z: [3], direction of the palm's z at home, world: of two equivalent grasps with
             opposite z, the one nearer to it is used.
+        preshape: [K], preshape joints of the open jaws.
     """
 
     opening: float
     pads: tuple[float, float]
     home_z: Array
+    preshape: Array
 
     @property
     def room(self) -> float:
@@ -63,7 +65,8 @@ def jaws_of(robot: RobotDescription) -> Jaws | None:
     if not ((np.abs(along) >= ALONG).all() and along.min() < 0 < along.max()):
         return None
     low, high, pads = -np.inf, np.inf, []
-    for points, way in zip(_tips_when_open(robot), along, strict=True):
+    preshape = _open_preshape(robot)
+    for points, way in zip(_tips_at(robot, preshape), along, strict=True):
         ahead = points[:, 2] * np.sign(way)
         pads.append(points[ahead > ahead.max() - PAD_DEPTH, 0])
         if way > 0:
@@ -71,18 +74,21 @@ def jaws_of(robot: RobotDescription) -> Jaws | None:
         else:
             high = min(high, -float(ahead.max()))
     begin, end = max(float(x.min()) for x in pads), min(float(x.max()) for x in pads)
-    return Jaws(high - low, (begin, end), ArmChain(robot).palm(robot.home)[:3, 2].copy())
+    home_z = ArmChain(robot).palm(robot.home)[:3, 2].copy()
+    return Jaws(high - low, (begin, end), home_z, preshape)
 
 
-def _tips_when_open(robot: RobotDescription) -> list[Array]:
-    """Surface points [P, 3] of each fingertip in the palm frame, the jaws as far apart as preshapes
-    have them."""
-    q = robot.home.copy()
-    opened = dict(zip(robot.preshape_joints, robot.preshape_ranges, strict=True))
+def _open_preshape(robot: RobotDescription) -> Array:
+    """Preshape joints [K] with the jaws as far apart as preshapes have them."""
     speeds = dict(zip(robot.closing_joints, robot.closing_speeds, strict=True))
-    for column, name in zip(robot.preshape_columns, robot.preshape_joints, strict=True):
-        low, high = opened[name]
-        q[column] = low if speeds.get(name, 0.0) > 0 else high
+    upwards = np.array([speeds.get(name, 0.0) > 0 for name in robot.preshape_joints])
+    return np.where(upwards, robot.preshape_ranges[:, 0], robot.preshape_ranges[:, 1])
+
+
+def _tips_at(robot: RobotDescription, preshape: Array) -> list[Array]:
+    """Surface points [P, 3] of each fingertip in the palm frame."""
+    q = robot.home.copy()
+    q[robot.preshape_columns] = preshape
     surface, kinematics = robot_surface(robot), Kinematics(robot)
     tips = [(tip, torch.from_numpy(surface[tip].copy())) for tip in fingertips(robot)]
     with torch.no_grad():

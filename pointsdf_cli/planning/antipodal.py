@@ -1,0 +1,175 @@
+"""Antipodal grasps of a reconstructed surface, for hands with jaws.
+
+Two contacts hold an object if the line between them lies in both friction cones (Nguyen,
+"Constructing force-closure grasps", 1988). What the success network likes best is seldom aligned
+with the surface as well as that, and the prior knows only grasps across a bounding box. So these
+grasps are judged beside the solver's solutions, by the predicted success alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import trimesh
+from torch import Tensor
+
+from pointsdf_cli.geometry.arrays import Array, Surface
+from pointsdf_cli.geometry.open3d_core import o3d
+from pointsdf_cli.planning.objective import ALPHA, BETA, GraspScore
+from pointsdf_cli.planning.option_checks import KINDS
+from pointsdf_cli.planning.seeds import UnsolvedGrasps
+from pointsdf_cli.planning.target import Target, surface_of
+from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.jaws import Jaws, jaws_of
+
+SAMPLES = 2000
+"""Points of the surface from which opposite points are looked for."""
+FACING = float(np.cos(np.radians(15.0)))
+"""Least cosine between the line of the contacts and the farther normal: half of the friction cone
+of a coefficient of 0.6, because reconstructed normals err by about as much."""
+THINNEST = 0.002
+"""Least distance of two contacts [m]: a surface that folds back onto itself is no object."""
+TRIES = 4
+"""Poses that are drawn for each that is asked for: some are of another kind."""
+UPWARDS = 0.2
+"""Largest upward component of an approach."""
+STREAM = 1
+"""Number of the random stream of the pairs, apart from that of the seeds."""
+DOWNWARDS = 0.7
+"""Least downward component of a grasp from the top."""
+
+
+@dataclass(frozen=True)
+class AntipodalPairs:
+    """N pairs of opposite points.
+
+    Attributes:
+        middle: [N, 3], world, m.
+        axis: [N, 3], unit, from one contact to the other.
+        width: [N], m.
+    """
+
+    middle: Array
+    axis: Array
+    width: Array
+
+
+def antipodal_pairs(surface: Surface, widest: float, rng: np.random.Generator) -> AntipodalPairs:
+    """Opposite points of a closed surface whose normals face each other.
+
+    Args:
+        surface: Vertices [V, 3] (world, m) and faces [F, 3], counter-clockwise from outside.
+        widest: Largest distance of two contacts [m].
+        rng: Random generator.
+    """
+    vertices, faces = surface
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    points, triangle = trimesh.sample.sample_surface(mesh, SAMPLES, seed=rng)
+    inward = -mesh.face_normals[triangle]
+    scene = o3d.t.geometry.RaycastingScene(1)
+    scene.add_triangles(
+        o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, dtype=np.float32)),
+        o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, dtype=np.uint32)),
+    )
+    step = THINNEST / 2  # off the triangle that the ray starts on
+    rays = np.hstack([points + step * inward, inward]).astype(np.float32)
+    hits = scene.cast_rays(o3d.core.Tensor.from_numpy(rays), 1)
+    width = hits["t_hit"].numpy().astype(np.float64) + step
+    hit = np.isfinite(width)
+    far = np.where(hit, hits["primitive_ids"].numpy(), 0).astype(np.int64)
+    facing = (mesh.face_normals[far] * inward).sum(axis=1)
+    good = hit & (width >= THINNEST) & (width <= widest) & (facing >= FACING)
+    middle = points[good] + inward[good] * width[good, None] / 2
+    return AntipodalPairs(middle, inward[good], width[good])
+
+
+class AntipodalSampler:
+    """Sampler of grasps with open jaws on antipodal pairs, from any side; a `GraspSampler`.
+
+    Args:
+        surface: As in `antipodal_pairs`.
+        jaws: The hand's jaws.
+        reach: Along z from the palm's origin to the middle between the jaws [m].
+        rng: Random generator of the pairs.
+    """
+
+    def __init__(
+        self, surface: Surface, jaws: Jaws, reach: float, rng: np.random.Generator
+    ) -> None:
+        self.pairs = antipodal_pairs(surface, jaws.room, rng)
+        self._jaws, self._reach = jaws, reach
+
+    def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Preshape joints [N, K] and T_world_palm [N, 4, 4] of at most `count` grasps."""
+        palms = self._palms(TRIES * count, rng)
+        from_top = palms[:, 2, 0] < -DOWNWARDS
+        palms = palms[from_top == (kind == KINDS[1])][:count]
+        return np.tile(self._jaws.preshape, (len(palms), 1)), palms
+
+    def _palms(self, count: int, rng: np.random.Generator) -> Array:
+        pairs, jaws = self.pairs, self._jaws
+        if not len(pairs.width):
+            return np.zeros((0, 4, 4))
+        chosen = rng.integers(len(pairs.width), size=count)
+        z = pairs.axis[chosen]
+        z = z * np.where(z @ jaws.home_z < 0, -1.0, 1.0)[:, None]
+        one = np.cross(z, np.eye(3)[np.abs(z).argmin(axis=1)])
+        one /= np.linalg.norm(one, axis=1, keepdims=True)
+        turn = rng.uniform(0, 2 * np.pi, count)[:, None]
+        x = np.cos(turn) * one + np.sin(turn) * np.cross(z, one)
+        x = np.where(x[:, 2:] > UPWARDS, -x, x)
+        depth = rng.uniform(*jaws.pads, count)[:, None]
+        palms = np.tile(np.eye(4), (count, 1, 1))
+        palms[:, :3, :3] = np.stack([x, np.cross(z, x), z], axis=2)
+        palms[:, :3, 3] = pairs.middle[chosen] - depth * x - self._reach * z
+        return palms
+
+
+class SuccessAlone:
+    """A score whose prior is constant: the cost is zero where h exceeds `good`.
+
+    Args:
+        score: Score of the same object.
+        good: Success probability that is good enough.
+    """
+
+    def __init__(self, score: GraspScore, good: float) -> None:
+        self._score = score
+        self._log_prior = (-np.log(good) - BETA) / ALPHA
+
+    def log_success(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        """log h [B]."""
+        return self._score.log_success(preshape, T_world_palm)
+
+    def log_prior(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
+        """The constant [B]."""
+        # Differentiable, as the protocol asks.
+        return 0.0 * T_world_palm.sum(dim=(1, 2)) + torch.tensor(self._log_prior)
+
+
+class AntipodalGrasps:
+    """Source of antipodal grasps for one robot; without jaws it has none.
+
+    Args:
+        robot: The robot.
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        self._jaws, self._reach = jaws_of(robot), robot.palm_reach or 0.0
+
+    def on(self, target: Target, good: float, seed: int) -> UnsolvedGrasps | None:
+        """Antipodal grasps of an object; None without jaws, or without a surface.
+
+        Args:
+            target: The object.
+            good: Success probability that is good enough.
+            seed: Random seed of the pairs.
+        """
+        surface = None if self._jaws is None else surface_of(target)
+        if self._jaws is None or surface is None:
+            return None
+        rng = np.random.default_rng((seed, STREAM))
+        sampler = AntipodalSampler(surface, self._jaws, self._reach, rng)
+        return UnsolvedGrasps(sampler, SuccessAlone(target.score, good))
