@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from planning_worlds import AroundObject, BoxField, NearPalm
 
 from pointsdf_cli.geometry.arrays import Surface
-from pointsdf_cli.planning import antipodal
+from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.planning import screen
 from pointsdf_cli.planning.antipodal import AntipodalSampler, SuccessAlone, antipodal_pairs
 from pointsdf_cli.planning.objective import ALPHA, BETA
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
@@ -81,7 +82,9 @@ def test_surfaces_that_do_not_face_each_other_are_no_pair() -> None:
 
 
 def test_jaws_close_on_the_pair_and_do_not_come_from_below(jaws: Jaws) -> None:
-    sampler = AntipodalSampler(box(), jaws, 0.01, rng())
+    hand = np.array([[0.05, 0.0, 0.04], [0.05, 0.0, -0.04], [-0.1, 0.03, 0.1], [-0.1, 0.0, -0.1]])
+    pairs = antipodal_pairs(box(), WIDEST, rng())
+    sampler = AntipodalSampler(pairs, jaws, 0.01, hand, 0.002)
     for kind in ("side", "top"):
         preshape, palms = sampler.sample(kind, 200, rng())
         assert len(palms) == 200
@@ -99,6 +102,7 @@ def test_jaws_close_on_the_pair_and_do_not_come_from_below(jaws: Jaws) -> None:
         middle = _middles(sampler, palms)
         local = np.einsum("nji,nj->ni", turn, middle - palms[:, :3, 3])
         np.testing.assert_allclose(local[:, 1:], np.tile([0, 0.01], (200, 1)), atol=1e-9)
+        assert (apply_transform(palms, hand)[..., 2] >= 0.002).all()
         assert jaws.pads[0] <= local[:, 0].min() < local[:, 0].max() <= jaws.pads[1]
 
 
@@ -111,7 +115,10 @@ def _middles(sampler: AntipodalSampler, palms: NDArray[np.float64]) -> NDArray[n
 
 def test_what_is_too_wide_has_no_grasps(jaws: Jaws) -> None:
     wide = surface(trimesh.creation.box((0.1, 0.1, 0.1)))
-    preshape, palms = AntipodalSampler(wide, jaws, 0.0, rng()).sample("top", 10, rng())
+    sampler = AntipodalSampler(
+        antipodal_pairs(wide, WIDEST, rng()), jaws, 0.0, np.zeros((1, 3)), 0.0
+    )
+    preshape, palms = sampler.sample("top", 10, rng())
     assert preshape.shape == (0, 2)
     assert palms.shape == (0, 4, 4)
 
@@ -155,5 +162,5 @@ def test_jaws_meet_the_sides_squarely_where_neither_prior_nor_score_asks_for_it(
         return abs(planner.inverse.chain.palm(best.q)[0, 2])
 
     assert across_the_narrow_side() > np.cos(np.radians(3))
-    monkeypatch.setattr(antipodal, "jaws_of", lambda robot: None)
+    monkeypatch.setattr(screen, "jaws_of", lambda robot: None)
     assert across_the_narrow_side() < np.cos(np.radians(3))

@@ -17,12 +17,13 @@ from torch import Tensor
 
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.open3d_core import o3d
+from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.objective import ALPHA, BETA, GraspScore
 from pointsdf_cli.planning.option_checks import KINDS
+from pointsdf_cli.planning.screen import lowest
 from pointsdf_cli.planning.seeds import UnsolvedGrasps
 from pointsdf_cli.planning.target import Target, surface_of
-from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.jaws import Jaws, jaws_of
+from pointsdf_cli.robot.jaws import Jaws
 
 SAMPLES = 2000
 """Points of the surface from which opposite points are looked for."""
@@ -31,8 +32,8 @@ FACING = float(np.cos(np.radians(15.0)))
 of a coefficient of 0.6, because reconstructed normals err by about as much."""
 THINNEST = 0.002
 """Least distance of two contacts [m]: a surface that folds back onto itself is no object."""
-TRIES = 4
-"""Poses that are drawn for each that is asked for: some are of another kind."""
+TRIES = 8
+"""Poses that are drawn for each that is asked for: some are of another kind or in the table."""
 UPWARDS = 0.2
 """Largest upward component of an approach."""
 STREAM = 1
@@ -89,23 +90,25 @@ class AntipodalSampler:
     """Sampler of grasps with open jaws on antipodal pairs, from any side; a `GraspSampler`.
 
     Args:
-        surface: As in `antipodal_pairs`.
+        pairs: The pairs.
         jaws: The hand's jaws.
         reach: Along z from the palm's origin to the middle between the jaws [m].
-        rng: Random generator of the pairs.
+        outline: [P, 3], the open hand's points, palm frame, m.
+        floor: Least height of these points [m].
     """
 
     def __init__(
-        self, surface: Surface, jaws: Jaws, reach: float, rng: np.random.Generator
+        self, pairs: AntipodalPairs, jaws: Jaws, reach: float, outline: Array, floor: float
     ) -> None:
-        self.pairs = antipodal_pairs(surface, jaws.room, rng)
-        self._jaws, self._reach = jaws, reach
+        self.pairs, self._jaws, self._reach = pairs, jaws, reach
+        self._outline, self._floor = outline, floor
 
     def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Preshape joints [N, K] and T_world_palm [N, 4, 4] of at most `count` grasps."""
         palms = self._palms(TRIES * count, rng)
         from_top = palms[:, 2, 0] < -DOWNWARDS
-        palms = palms[from_top == (kind == KINDS[1])][:count]
+        palms = palms[from_top == (kind == KINDS[1])]
+        palms = palms[lowest(self._outline[None], palms) >= self._floor][:count]
         return np.tile(self._jaws.preshape, (len(palms), 1)), palms
 
     def _palms(self, count: int, rng: np.random.Generator) -> Array:
@@ -149,27 +152,24 @@ class SuccessAlone:
         return 0.0 * T_world_palm.sum(dim=(1, 2)) + torch.tensor(self._log_prior)
 
 
-class AntipodalGrasps:
-    """Source of antipodal grasps for one robot; without jaws it has none.
+def antipodal_grasps(
+    target: Target, problem: GraspProblem, good: float, seed: int
+) -> UnsolvedGrasps | None:
+    """Antipodal grasps of an object; None for a hand without jaws, or without a surface.
 
     Args:
-        robot: The robot.
+        target: The object.
+        problem: Problem whose clearances they must meet.
+        good: Success probability that is good enough.
+        seed: Random seed of the pairs.
     """
-
-    def __init__(self, robot: RobotDescription) -> None:
-        self._jaws, self._reach = jaws_of(robot), robot.palm_reach or 0.0
-
-    def on(self, target: Target, good: float, seed: int) -> UnsolvedGrasps | None:
-        """Antipodal grasps of an object; None without jaws, or without a surface.
-
-        Args:
-            target: The object.
-            good: Success probability that is good enough.
-            seed: Random seed of the pairs.
-        """
-        surface = None if self._jaws is None else surface_of(target)
-        if self._jaws is None or surface is None:
-            return None
-        rng = np.random.default_rng((seed, STREAM))
-        sampler = AntipodalSampler(surface, self._jaws, self._reach, rng)
-        return UnsolvedGrasps(sampler, SuccessAlone(target.score, good))
+    hand, robot = problem.geometry.hand, problem.kinematics.robot
+    surface = None if hand.jaws is None else surface_of(target)
+    if hand.jaws is None or surface is None:
+        return None
+    widest = hand.jaws.opening - 2 * problem.clearances.object
+    pairs = antipodal_pairs(surface, widest, np.random.default_rng((seed, STREAM)))
+    outline = hand(hand.jaws.preshape[None])[0]
+    floor = problem.clearances.environment if problem.environment.table else -np.inf
+    sampler = AntipodalSampler(pairs, hand.jaws, robot.palm_reach or 0.0, outline, floor)
+    return UnsolvedGrasps(sampler, SuccessAlone(target.score, good))

@@ -14,7 +14,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.models.processor import one_thread
 from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.planning.antipodal import AntipodalGrasps
+from pointsdf_cli.planning.antipodal import antipodal_grasps
 from pointsdf_cli.planning.closing_check import ClosingCheck
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import RefinedField
@@ -112,7 +112,6 @@ class Planner:
         self.kinematics = Kinematics(robot)
         self.geometry = RobotGeometry(self.kinematics)
         self.inverse = InverseKinematics(robot)
-        self._antipodal = AntipodalGrasps(robot)
         sqp = Sqp(SqpConfig(successive_halving=self.config.successive_halving))
         self.solver: Solver = sqp if self.config.solver == "sqp" else Slsqp()
 
@@ -198,7 +197,7 @@ class Planner:
             asked,
             stop,
             closing,
-            self._antipodal.on(target, asked.acceptance.success, seed),
+            antipodal_grasps(target, problems.exact, asked.acceptance.success, seed),
         )
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began

@@ -31,6 +31,7 @@ class HandOutline:
     Attributes:
         span: Largest side of the opened hand's bounding box, or the opening of its jaws [m]:
             objects wider than this in every direction cannot be grasped.
+        jaws: Its jaws; None where it has none.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -41,7 +42,7 @@ class HandOutline:
         self._links = [(link, torch.tensor(surface[link])) for link in links]
         ranges = robot.preshape_ranges
         opened = self(np.stack([ranges[:, 0], ranges.mean(axis=1), ranges[:, 1]]))
-        jaws = jaws_of(robot)
+        jaws = self.jaws = jaws_of(robot)
         self.span = float(np.ptp(opened, axis=1).max()) if jaws is None else jaws.opening
 
     def __call__(self, preshape: Array) -> Array:
@@ -65,10 +66,15 @@ def lifted(outline: Array, palm: Array, gap: float) -> Array:
         palm: T_world_palm of each.
         gap: Distance between hand and table [m].
     """
-    lowest = (outline @ palm[:, 2, :3, None])[..., 0].min(axis=1) + palm[:, 2, 3]
     raised = palm.copy()
-    raised[:, 2, 3] += np.maximum(0.0, gap - lowest)
+    raised[:, 2, 3] += np.maximum(0.0, gap - lowest(outline, palm))
     return raised
+
+
+def lowest(outline: Array, palm: Array) -> Array:
+    """Height [N] of the lowest of each hand's points [N, P, 3] at its palm [N, 4, 4], m."""
+    heights = (outline @ palm[:, 2, :3, None])[..., 0] + palm[:, 2, 3, None]
+    return np.asarray(heights.min(axis=1))
 
 
 def depth_in(field: Field, outline: Array, palm: Array) -> Array:
