@@ -162,5 +162,11 @@ def test_jaws_meet_the_sides_squarely_where_neither_prior_nor_score_asks_for_it(
         return abs(planner.inverse.chain.palm(best.q)[0, 2])
 
     assert across_the_narrow_side() > np.cos(np.radians(3))
+    # Attempts that success networks learn from are proposed among the same grasps.
+    planner = Planner(panda, PlannerConfig(synthesis=few))
+    proposed = planner.solutions(target, np.random.default_rng(1), few).accepted
+    palms = planner.inverse.chain.palm(np.stack([one.q for one in proposed]))
+    aligned = np.abs(palms[:, 0, 2]) > np.cos(np.radians(3))
+    assert 0 < aligned.sum() < len(proposed)
     monkeypatch.setattr(screen, "jaws_of", lambda robot: None)
     assert across_the_narrow_side() < np.cos(np.radians(3))

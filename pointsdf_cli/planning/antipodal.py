@@ -36,8 +36,6 @@ TRIES = 8
 """Poses that are drawn for each that is asked for: some are of another kind or in the table."""
 UPWARDS = 0.2
 """Largest upward component of an approach."""
-STREAM = 1
-"""Number of the random stream of the pairs, apart from that of the seeds."""
 DOWNWARDS = 0.7
 """Least downward component of a grasp from the top."""
 
@@ -153,7 +151,7 @@ class SuccessAlone:
 
 
 def antipodal_grasps(
-    target: Target, problem: GraspProblem, good: float, seed: int
+    target: Target, problem: GraspProblem, good: float, rng: np.random.Generator
 ) -> UnsolvedGrasps | None:
     """Antipodal grasps of an object; None for a hand without jaws, or without a surface.
 
@@ -161,14 +159,14 @@ def antipodal_grasps(
         target: The object.
         problem: Problem whose clearances they must meet.
         good: Success probability that is good enough.
-        seed: Random seed of the pairs.
+        rng: Random generator of the pairs.
     """
     hand, robot = problem.geometry.hand, problem.kinematics.robot
     surface = None if hand.jaws is None else surface_of(target)
     if hand.jaws is None or surface is None:
         return None
     widest = hand.jaws.opening - 2 * problem.clearances.object
-    pairs = antipodal_pairs(surface, widest, np.random.default_rng((seed, STREAM)))
+    pairs = antipodal_pairs(surface, widest, rng)
     outline = hand(hand.jaws.preshape[None])[0]
     floor = problem.clearances.environment if problem.environment.table else -np.inf
     sampler = AntipodalSampler(pairs, hand.jaws, robot.palm_reach or 0.0, outline, floor)

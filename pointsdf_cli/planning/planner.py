@@ -67,6 +67,9 @@ BRIEFLY = 3
 """Number of candidates that get a brief motion search before any gets a thorough one."""
 
 
+PAIRS = 1
+"""Number of the random stream of antipodal pairs, apart from that of the seeds."""
+
 BEYOND = 0.0025
 """The exact field is evaluated wherever the sampled field minus its bound exceeds the clearance by
 less than this [m]."""
@@ -145,7 +148,10 @@ class Planner:
             search: Effort and kind of the search.
         """
         problems = self.problems(target, Environment())
-        return synthesise(problems, target.prior, self.inverse, self.solver, rng, search)
+        unsolved = antipodal_grasps(target, problems.exact, search.acceptance.success, rng)
+        return synthesise(
+            problems, target.prior, self.inverse, self.solver, rng, search, unsolved=unsolved
+        )
 
     def search(
         self,
@@ -182,7 +188,7 @@ class Planner:
         began = time.perf_counter()
         problems = self.problems(target, environment)
         field_time = time.perf_counter() - began
-        rng = np.random.default_rng(seed)
+        rng, pairs = np.random.default_rng(seed), np.random.default_rng((seed, PAIRS))
         asked = search or self.config.synthesis
         closing = None
         if environment.obstacles:
@@ -197,7 +203,7 @@ class Planner:
             asked,
             stop,
             closing,
-            antipodal_grasps(target, problems.exact, asked.acceptance.success, seed),
+            antipodal_grasps(target, problems.exact, asked.acceptance.success, pairs),
         )
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began
