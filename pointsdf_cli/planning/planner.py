@@ -147,11 +147,25 @@ class Planner:
             rng: Random generator of the seeds.
             search: Effort and kind of the search.
         """
-        problems = self.problems(target, Environment())
-        unsolved = antipodal_grasps(target, problems.exact, search.acceptance.success, rng)
-        return synthesise(
-            problems, target.prior, self.inverse, self.solver, rng, search, unsolved=unsolved
-        )
+        return self._synthesised(self.problems(target, Environment()), target, rng, rng, search)
+
+    def _synthesised(
+        self,
+        problems: Problems,
+        target: Target,
+        rng: np.random.Generator,
+        pairs: np.random.Generator,
+        search: SynthesisConfig,
+        stop: StopCondition | None = None,
+    ) -> Synthesis:
+        """All rounds of a search; `rng` draws the seeds, `pairs` antipodal grasps."""
+        closing, quick = None, problems.quick
+        if quick.environment.obstacles:
+            least = self.config.clearances.environment
+            closing = ClosingCheck(self.geometry, quick.object.field, quick.bodies, least)
+        unsolved = antipodal_grasps(target, problems.exact, search.acceptance.success, pairs)
+        source = target.prior, self.inverse, self.solver, rng
+        return synthesise(problems, *source, search, stop, closing, unsolved)
 
     def search(
         self,
@@ -190,21 +204,7 @@ class Planner:
         field_time = time.perf_counter() - began
         rng, pairs = np.random.default_rng(seed), np.random.default_rng((seed, PAIRS))
         asked = search or self.config.synthesis
-        closing = None
-        if environment.obstacles:
-            quick, least = problems.quick, self.config.clearances.environment
-            closing = ClosingCheck(self.geometry, quick.object.field, quick.bodies, least)
-        found = synthesise(
-            problems,
-            target.prior,
-            self.inverse,
-            self.solver,
-            rng,
-            asked,
-            stop,
-            closing,
-            antipodal_grasps(target, problems.exact, asked.acceptance.success, pairs),
-        )
+        found = self._synthesised(problems, target, rng, pairs, asked, stop)
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began
         if rank is not None and (found.accepted or found.fallbacks):
