@@ -71,7 +71,8 @@ def test_a_can_is_held_across_its_axis() -> None:
     assert np.abs(pairs.axis[:, 2]).max() < 1e-3
     # Facets of 3 degrees: a line along a facet's normal passes the axis within its half width.
     assert np.linalg.norm((pairs.middle - AT)[:, :2], axis=1).max() < 0.03 * np.pi / 128 + 1e-4
-    np.testing.assert_allclose(pairs.width, 0.06, atol=1e-4)
+    # The second point is up to 3 mm aside, and thus (3 mm)² / (2 · 3 cm) nearer, and a facet.
+    np.testing.assert_allclose(pairs.width, 0.06, atol=3e-4)
 
 
 def test_surfaces_that_do_not_face_each_other_are_no_pair() -> None:

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from pointsdf_cli.geometry.arrays import Array, Surface
-from pointsdf_cli.geometry.open3d_core import o3d
+from pointsdf_cli.geometry.signed_distance import sample_surface
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.objective import ALPHA, BETA, GraspScore
 from pointsdf_cli.planning.option_checks import KINDS
@@ -26,7 +25,10 @@ from pointsdf_cli.planning.target import Target, surface_of
 from pointsdf_cli.robot.jaws import Jaws
 
 SAMPLES = 2000
-"""Points of the surface from which opposite points are looked for."""
+"""Points of the surface among which pairs are looked for."""
+ASIDE = 0.003
+"""Largest distance [m] of the second point from the first one's normal: about the spacing of the
+points on a bottle."""
 FACING = float(np.cos(np.radians(15.0)))
 """Least cosine between the line of the contacts and the farther normal: half of the friction cone
 of a coefficient of 0.6, because reconstructed normals err by about as much."""
@@ -56,32 +58,23 @@ class AntipodalPairs:
 
 
 def antipodal_pairs(surface: Surface, widest: float, rng: np.random.Generator) -> AntipodalPairs:
-    """Opposite points of a closed surface whose normals face each other.
+    """Opposite points of a surface whose normals face each other.
 
     Args:
         surface: Vertices [V, 3] (world, m) and faces [F, 3], counter-clockwise from outside.
         widest: Largest distance of two contacts [m].
         rng: Random generator.
     """
-    vertices, faces = surface
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    points, triangle = trimesh.sample.sample_surface(mesh, SAMPLES, seed=rng)
-    inward = -mesh.face_normals[triangle]
-    scene = o3d.t.geometry.RaycastingScene(1)
-    scene.add_triangles(
-        o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, dtype=np.float32)),
-        o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, dtype=np.uint32)),
-    )
-    step = THINNEST / 2  # off the triangle that the ray starts on
-    rays = np.hstack([points + step * inward, inward]).astype(np.float32)
-    hits = scene.cast_rays(o3d.core.Tensor.from_numpy(rays), 1)
-    width = hits["t_hit"].numpy().astype(np.float64) + step
-    hit = np.isfinite(width)
-    far = np.where(hit, hits["primitive_ids"].numpy(), 0).astype(np.int64)
-    facing = (mesh.face_normals[far] * inward).sum(axis=1)
-    good = hit & (width >= THINNEST) & (width <= widest) & (facing >= FACING)
-    middle = points[good] + inward[good] * width[good, None] / 2
-    return AntipodalPairs(middle, inward[good], width[good])
+    points, normals = sample_surface(*surface, SAMPLES, rng)
+    inward = -normals
+    along = inward @ points.T  # [from, to]
+    width = along - np.diagonal(along)[:, None]
+    squared = (points**2).sum(axis=1)
+    aside = squared[:, None] + squared - 2 * points @ points.T - width**2
+    opposite = (width >= THINNEST) & (width <= widest) & (aside <= ASIDE**2)
+    first, second = np.nonzero(opposite & (inward @ normals.T >= FACING))
+    width = width[first, second]
+    return AntipodalPairs(points[first] + inward[first] * width[:, None] / 2, inward[first], width)
 
 
 class AntipodalSampler:
