@@ -191,6 +191,7 @@ class GraspPlanner:
         first = views[0]
         grasps = self._grasps.on(first.points, first.T_world_camera, field=own.kept, seed=seed)
         timings["score"] = time.perf_counter() - began
+        began = time.perf_counter()
         if field is not None:
             constraint = given_constraint(field, world, grid)
         elif made:
@@ -202,6 +203,7 @@ class GraspPlanner:
             constraint = with_surface(with_seen_points(whole, known), made, known)
         else:
             constraint = own
+        timings["surface"] = time.perf_counter() - began
         reconstruction = made[0] if made else None
         target = Target.of(constraint, grasps, grasps)
         fused = own.field if len(made) > 1 else None
@@ -279,7 +281,8 @@ class GraspPlanner:
         timings |= dict(notes.timings)
         drawn, warnings = None, list(notes.warnings)
         if notes.surface:
-            drawn, timings["surface"] = timed(perceived.surface)
+            drawn, seconds = timed(perceived.surface)
+            timings["surface"] += seconds
             warnings += missed_points(drawn, points)
         outcome = replace(outcome, found=found, timings=timings)
         rehearsed = None if choice is None else choice.of(outcome.best)
