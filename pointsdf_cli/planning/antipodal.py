@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from pointsdf_cli.geometry.arrays import Array, Surface
@@ -131,7 +130,7 @@ class SuccessAlone:
 
     def __init__(self, score: GraspScore, good: float) -> None:
         self._score = score
-        self._log_prior = (-np.log(good) - BETA) / ALPHA
+        self._log_prior = float(-np.log(good) - BETA) / ALPHA
 
     def log_success(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
         """log h [B]."""
@@ -139,8 +138,7 @@ class SuccessAlone:
 
     def log_prior(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
         """The constant [B]."""
-        # Differentiable, as the protocol asks.
-        return 0.0 * T_world_palm.sum(dim=(1, 2)) + torch.tensor(self._log_prior)
+        return T_world_palm.new_full((len(T_world_palm),), self._log_prior)
 
 
 def antipodal_grasps(

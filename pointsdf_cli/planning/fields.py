@@ -168,11 +168,7 @@ class RedistancedField:
 
     def least(self, points: Array) -> Array:
         """Lower bounds [N] of the values at points [N, 3], m; −∞ within `MARGIN` and inside."""
-        bound = self._surface(points) - self.MARGIN
-        bound[bound <= 0] = -np.inf
-        known = np.flatnonzero(bound > 0)
-        bound[known[self._outside(points[known]) <= 0]] = -np.inf
-        return bound
+        return self._bound(points, self._surface(points))
 
     def __call__(self, points: Array) -> Array:
         values = self.least(points)
@@ -182,14 +178,21 @@ class RedistancedField:
         return values
 
     def with_gradient(self, points: Array) -> tuple[Array, Array]:
-        values = self.least(points)
-        _, gradients = self._surface.with_gradient(points)
+        distance, gradients = self._surface.with_gradient(points)
+        values = self._bound(points, distance)
         asked = np.flatnonzero(values <= self.ENOUGH)
         if len(asked):
             own, slopes = self._field.with_gradient(points[asked])
             higher = own > values[asked]
             values[asked[higher]], gradients[asked[higher]] = own[higher], slopes[higher]
         return values, gradients
+
+    def _bound(self, points: Array, distance: Array) -> Array:
+        bound = distance - self.MARGIN
+        far = np.flatnonzero(bound > 0)
+        known = np.zeros(len(points), dtype=bool)
+        known[far] = self._outside(points[far]) > 0
+        return np.where(known, bound, -np.inf)
 
 
 class MeshField:
