@@ -33,6 +33,8 @@ FACING = float(np.cos(np.radians(15.0)))
 of a coefficient of 0.6, because reconstructed normals err by about as much."""
 THINNEST = 0.002
 """Least distance of two contacts [m]: a surface that folds back onto itself is no object."""
+BLOCKS = 10
+"""Parts in which pairs are looked for: their matrices stay in the processor's cache."""
 TRIES = 8
 """Poses that are drawn for each that is asked for: some are of another kind or in the table."""
 UPWARDS = 0.2
@@ -66,14 +68,23 @@ def antipodal_pairs(surface: Surface, widest: float, rng: np.random.Generator) -
     """
     points, normals = sample_surface(*surface, SAMPLES, rng)
     inward = -normals
-    along = inward @ points.T  # [from, to]
-    width = along - np.diagonal(along)[:, None]
-    squared = (points**2).sum(axis=1)
-    aside = squared[:, None] + squared - 2 * points @ points.T - width**2
-    opposite = (width >= THINNEST) & (width <= widest) & (aside <= ASIDE**2)
-    first, second = np.nonzero(opposite & (inward @ normals.T >= FACING))
-    width = width[first, second]
+    parts = [
+        _opposite(points, normals, rows, widest) for rows in np.array_split(range(SAMPLES), BLOCKS)
+    ]
+    first, width = (np.concatenate(part) for part in zip(*parts, strict=True))
     return AntipodalPairs(points[first] + inward[first] * width[:, None] / 2, inward[first], width)
+
+
+def _opposite(points: Array, normals: Array, rows: Array, widest: float) -> tuple[Array, Array]:
+    """Index and width of all pairs whose first point is among `rows`."""
+    inward = -normals[rows]
+    along = inward @ points.T - (inward * points[rows]).sum(axis=1)[:, None]
+    between = (along >= THINNEST) & (along <= widest)
+    row, second = np.nonzero(between & (inward @ normals.T >= FACING))
+    first, width = rows[row], along[row, second]
+    aside = ((points[second] - points[first]) ** 2).sum(axis=1) - width**2
+    kept = aside <= ASIDE**2
+    return first[kept], width[kept]
 
 
 class AntipodalSampler:
