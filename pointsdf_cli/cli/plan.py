@@ -115,7 +115,9 @@ def plan(
     rehearse: Annotated[
         int,
         typer.Option(
-            metavar="N", help="Try up to N grasps a round in simulation on the reconstruction."
+            metavar="N",
+            help="Try up to N grasps in simulation on the reconstruction in the first round, twice "
+            "as many in later ones.",
         ),
     ] = 0,
     min_success: Annotated[

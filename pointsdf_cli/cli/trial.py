@@ -54,7 +54,9 @@ def trial(
     rehearse: Annotated[
         int,
         typer.Option(
-            min=0, help="Number of grasps per round to rehearse on the reconstruction; 0 for none."
+            min=0,
+            help="Number of grasps to rehearse on the reconstruction in the first round, twice as "
+            "many in later ones; 0 for none.",
         ),
     ] = 12,
     clearance: Annotated[

@@ -51,6 +51,9 @@ class Choice(Protocol):
     def stop(self, new: list[Candidate]) -> bool:
         """Whether the candidates of a round end the search."""
 
+    def best(self) -> list[Candidate]:
+        """The grasps beside which the next round samples too."""
+
     def ranked(self, accepted: list[Candidate]) -> list[Candidate]:
         """The candidates to search motions for, in this order."""
 

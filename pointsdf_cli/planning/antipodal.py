@@ -154,8 +154,8 @@ class SuccessAlone:
 
 def antipodal_grasps(
     target: Target, problem: GraspProblem, good: float, rng: np.random.Generator
-) -> UnsolvedGrasps | None:
-    """Antipodal grasps of an object; None for a hand without jaws, or without a surface.
+) -> list[UnsolvedGrasps]:
+    """Antipodal grasps of an object; none for a hand without jaws, or without a surface.
 
     Args:
         target: The object.
@@ -166,10 +166,10 @@ def antipodal_grasps(
     hand, robot = problem.geometry.hand, problem.kinematics.robot
     surface = None if hand.jaws is None else surface_of(target)
     if hand.jaws is None or surface is None:
-        return None
+        return []
     widest = hand.jaws.opening - 2 * problem.clearances.object
     pairs = antipodal_pairs(surface, widest, rng)
     outline = hand(hand.jaws.preshape[None])[0]
     floor = problem.clearances.environment if problem.environment.table else -np.inf
     sampler = AntipodalSampler(pairs, hand.jaws, robot.palm_reach or 0.0, outline, floor)
-    return UnsolvedGrasps(sampler, SuccessAlone(target.score, good))
+    return [UnsolvedGrasps(sampler, SuccessAlone(target.score, good))]

@@ -268,6 +268,7 @@ class GraspPlanner:
             self.search_settings(points),
             rank=None if choice is None else choice.ranked,
             stop=None if choice is None else choice.stop,
+            near=None if choice is None else choice.best,
         )
         found = outcome.found
         if found.reason not in ("", "inverse_kinematics", "motion") and self.is_too_large(points):

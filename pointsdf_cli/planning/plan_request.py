@@ -32,7 +32,8 @@ class PlanChoices:
         clearance: Least distance to everything [m]; the default ones if None.
         margin: Preferred distance to the object [m].
         speed: Share of the joints' speed limits that the motion uses.
-        rehearse: Number of grasps of a round to try in simulation; 0 for none.
+        rehearse: Number of grasps of the first round to try in simulation, twice as many of later
+            ones; 0 for none.
         min_success: Least predicted probability; the default thresholds if None.
 
     Raises:

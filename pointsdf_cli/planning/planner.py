@@ -21,6 +21,7 @@ from pointsdf_cli.planning.fields import RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.grid import GridField
 from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion
+from pointsdf_cli.planning.nearby_grasps import BestGrasps, nearby_grasps
 from pointsdf_cli.planning.nonlinear import Solver
 from pointsdf_cli.planning.option_checks import check_distance
 from pointsdf_cli.planning.path_check import PathChecker
@@ -157,6 +158,7 @@ class Planner:
         pairs: np.random.Generator,
         search: SynthesisConfig,
         stop: StopCondition | None = None,
+        near: BestGrasps | None = None,
     ) -> Synthesis:
         """All rounds of a search; `rng` draws the seeds, `pairs` antipodal grasps."""
         closing, quick = None, problems.quick
@@ -164,6 +166,7 @@ class Planner:
             least = self.config.clearances.environment
             closing = ClosingCheck(self.geometry, quick.object.field, quick.bodies, least)
         unsolved = antipodal_grasps(target, problems.exact, search.acceptance.success, pairs)
+        unsolved += nearby_grasps(near, target.score, self.inverse.chain)
         source = target.prior, self.inverse, self.solver, rng
         return synthesise(problems, *source, search, stop, closing, unsolved)
 
@@ -176,6 +179,7 @@ class Planner:
         search: SynthesisConfig | None = None,
         rank: Rank | None = None,
         stop: StopCondition | None = None,
+        near: BestGrasps | None = None,
     ) -> Outcome:
         """Configuration and motion, or the reason why there is none.
 
@@ -187,6 +191,7 @@ class Planner:
             search: Effort and kind of the search; as configured if None.
             rank: Applied to the accepted candidates before motions are looked for.
             stop: As in `synthesise`.
+            near: Grasps beside which rounds after the first sample too.
 
         Raises:
             InputError: The start is no configuration within the joint limits.
@@ -204,7 +209,7 @@ class Planner:
         field_time = time.perf_counter() - began
         rng, pairs = np.random.default_rng(seed), np.random.default_rng((seed, PAIRS))
         asked = search or self.config.synthesis
-        found = self._synthesised(problems, target, rng, pairs, asked, stop)
+        found = self._synthesised(problems, target, rng, pairs, asked, stop, near)
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began
         if rank is not None and (found.accepted or found.fallbacks):
@@ -281,18 +286,8 @@ class Planner:
         if not unreached:
             return None, None, found
         sentence = explain("motion", unreached[0], found.seeds_tried) + f" ({failure})"
-        return (
-            None,
-            None,
-            replace(
-                found,
-                best=None,
-                accepted=[],
-                rejected=found.rejected + unreached,
-                reason="motion",
-                sentence=sentence,
-            ),
-        )
+        found = replace(found, best=None, accepted=[], rejected=found.rejected + unreached)
+        return None, None, replace(found, reason="motion", sentence=sentence)
 
     def _lift(self, checker: PathChecker, candidate: Candidate) -> Array | None:
         """Joint path [K, J] by which the arm raises the hand from a grasp, touching nothing but the

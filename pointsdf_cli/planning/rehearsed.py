@@ -53,6 +53,8 @@ MOST_MOTIONS = 6
 will."""
 RESOLUTION = 64
 """Cells along the network's box for the surface to rehearse on."""
+NEARBY = 3
+"""Number of grasps beside which the next round samples too."""
 CONTRADICTED = 0.5
 """Factor on the rehearsed score of a grasp that the resampled-view check rejects."""
 REHEARSED_SEARCH = SynthesisConfig(rounds=5, seeds=MANY_SEEDS)
@@ -70,7 +72,8 @@ def rehearsed_planner(
     Args:
         options: Options with the method "reconstruction": partial views have no closed surface.
         grasps: The success network to use instead of a checkpoint's.
-        count: Number of grasps of a round to rehearse, the best by the objective.
+        count: Number of grasps of the first round to rehearse, the best by the objective; twice as
+            many of later ones.
         execution: Execution of grasps; rehearsals use it without hold and pushes.
 
     Raises:
@@ -100,7 +103,7 @@ class GraspRehearsal:
 
     Args:
         robot: The robot.
-        count: Number of grasps of a round to rehearse.
+        count: Number of grasps of the first round to rehearse; twice as many of later ones.
         execution: Execution of grasps.
     """
 
@@ -160,7 +163,7 @@ class RehearsedChoice:
     Args:
         rehearse: Function from configurations [C, J] to their rehearsals.
         surface: Surface of the rehearsals.
-        count: Number of grasps of a round to rehearse.
+        count: Number of grasps of the first round to rehearse; twice as many of later ones.
         least_slack: As in `promising_first` [m].
         contradicted: Function that tells which candidates the resampled-view check rejects.
         meshing: Seconds that the surface took.
@@ -187,7 +190,9 @@ class RehearsedChoice:
         """Rehearse the candidates of a round; True if one holds often enough."""
         began = time.perf_counter()
         contradicted = self._are_contradicted(new)
-        order = promising_first(new, self._least_slack, contradicted)[: self._count]
+        # Later rounds have as many again, beside the best so far.
+        most = 2 * self._count if self._tried else self._count
+        order = promising_first(new, self._least_slack, contradicted)[:most]
         chosen = [new[k] for k in order]
         try:
             tried = self._rehearse(np.stack([c.q for c in chosen]))
@@ -202,14 +207,21 @@ class RehearsedChoice:
             for k, one in zip(order, tried, strict=True)
         )
 
+    def best(self) -> list[Candidate]:
+        """The grasps beside which the next round samples too: those that held best."""
+        return self._best_first()[:NEARBY]
+
     def ranked(self, accepted: list[Candidate]) -> list[Candidate]:
         """The best few candidates of all rounds, best first; unrehearsed ones come last."""
         if not self._candidates and accepted:  # nothing was rehearsed
             self.stop(accepted)
-        chances = [CONTRADICTED if one else 1.0 for one in self._contradicted]
-        order = [self._candidates[k] for k in best_first(self._tried, chances)]
+        order = self._best_first()
         order += [c for c in accepted if not any(c is one for one in order)]
         return order[:MOST_MOTIONS]
+
+    def _best_first(self) -> list[Candidate]:
+        chances = [CONTRADICTED if one else 1.0 for one in self._contradicted]
+        return [self._candidates[k] for k in best_first(self._tried, chances)]
 
     def of(self, chosen: Candidate | None) -> Rehearsed | None:
         """Rehearsal of the chosen candidate; None without one."""

@@ -8,7 +8,7 @@ which is cheap because only points near the object evaluate it.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -140,7 +140,7 @@ def synthesise(
     config: SynthesisConfig | None = None,
     stop: StopCondition | None = None,
     closing: ClosingCheck | None = None,
-    unsolved: UnsolvedGrasps | None = None,
+    unsolved: Sequence[UnsolvedGrasps] = (),
 ) -> Synthesis:
     """Search for the best acceptable configuration; equal generators give equal results.
 
@@ -152,7 +152,7 @@ def synthesise(
         stop: Stop condition, evaluated after every round that has added accepted candidates; by
             default the configuration's.
         closing: Check of the closing motion; none if None.
-        unsolved: Grasps judged beside the solutions of each round.
+        unsolved: Sources of grasps judged beside the solutions of each round.
     """
     config = config or SynthesisConfig()
     timings = dict.fromkeys(("seeds", "solve", "polish", "check"), 0.0)
@@ -170,10 +170,10 @@ def synthesise(
         tried, statistics = tried + len(seeds.x), statistics + seeds.statistics
         stop_if_cancelled()
         candidates = _solved(problems, seeds, accepted, solver, config, timings)
-        if unsolved is not None:
-            start = time.perf_counter()
-            candidates += _judged(problems, unsolved, kinematics, kind, rng, config)
-            _lap(timings, "check", start)
+        start = time.perf_counter()
+        for source in unsolved:
+            candidates += _judged(problems, source, kinematics, kind, rng, config)
+        _lap(timings, "check", start)
         if not candidates:
             continue
         if closing is not None:

@@ -47,7 +47,7 @@ class VariantOptions:
 
     Attributes:
         plan: Planning options; networks are those of the method "reconstruction".
-        rehearse: Number of grasps of a round to rehearse; 0 for none.
+        rehearse: Number of grasps of the first round to rehearse; 0 for none.
     """
 
     plan: PlanOptions = field(default_factory=PlanOptions)
@@ -104,7 +104,7 @@ def check_variant(variant: PlannerVariant, options: VariantOptions) -> None:
 
 
 def rehearsals_of(variant: PlannerVariant, options: VariantOptions) -> int:
-    """Number of grasps of a round that a variant rehearses."""
+    """Number of grasps of the first round that a variant rehearses."""
     reconstructs = variant.method == protocol.RECONSTRUCTION
     return options.rehearse if reconstructs and variant.ablation != protocol.NO_REHEARSAL else 0
 
