@@ -7,6 +7,12 @@ import torch
 from torch import Tensor
 
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.planning.target import Target
+
+REST = np.array([0.0] * 6 + [1.3, 0.5])
+"""Preshape of the Allegro hand for side grasps."""
+CAN = (0.6, 0.0, 0.12)
+"""Middle of a can that stands in reach."""
 
 
 class _Differences:
@@ -129,3 +135,15 @@ class AroundObject:
         palm[:, :3, 3] += rng.normal(0, 0.01, (count, 3))
         preshape = self.rest + rng.normal(0, 0.05, (count, len(self.rest)))
         return preshape, palm
+
+
+def can_target(at: tuple[float, float, float] = CAN) -> Target:
+    """A can of 7 x 24 cm whose best palm is 9 cm in front of its axis."""
+    place = (at[0] - 0.09, at[1], at[2])
+    return Target(
+        CylinderField(0.035, 0.24, at),
+        np.array(at) - 0.15,
+        np.array(at) + 0.15,
+        NearPalm(place, (1.0, 0.0, 0.0), REST, width=0.08),
+        AroundObject(at, 0.09, REST),
+    )

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from planning_worlds import AroundObject, CylinderField, NearPalm
+from planning_worlds import REST, can_target
 
 from pointsdf_cli.geometry.frames import rotation_vector
 from pointsdf_cli.planning.acceptance import Candidate
@@ -14,11 +14,8 @@ from pointsdf_cli.planning.nearby_grasps import SHIFT, SPREAD, TURN, NearbySampl
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
-from pointsdf_cli.planning.target import Target
 from pointsdf_cli.robot.description import load_robot
 
-REST = np.array([0.0] * 6 + [1.3, 0.5])
-CAN = (0.6, 0.0, 0.12)
 TWO_ROUNDS = SynthesisConfig(rounds=2, seeds=SeedConfig(drawn=64, palms=16, seeds=4))
 
 
@@ -28,20 +25,8 @@ def planner() -> Planner:
 
 
 @pytest.fixture(scope="module")
-def target() -> Target:
-    place = (CAN[0] - 0.09, CAN[1], CAN[2])
-    return Target(
-        CylinderField(0.035, 0.24, CAN),
-        np.array(CAN) - 0.15,
-        np.array(CAN) + 0.15,
-        NearPalm(place, (1.0, 0.0, 0.0), REST, width=0.08),
-        AroundObject(CAN, 0.09, REST),
-    )
-
-
-@pytest.fixture(scope="module")
-def held(planner: Planner, target: Target) -> Candidate:
-    best = planner.search(target).best
+def held(planner: Planner) -> Candidate:
+    best = planner.search(can_target()).best
     assert best is not None
     return best
 
@@ -75,9 +60,7 @@ def test_samples_are_of_the_kind_that_is_asked_for(planner: Planner, held: Candi
         assert palms.shape == (0, 4, 4)
 
 
-def test_the_second_round_has_grasps_beside_the_best(
-    planner: Planner, target: Target, held: Candidate
-) -> None:
+def test_the_second_round_has_grasps_beside_the_best(planner: Planner, held: Candidate) -> None:
     chain = planner.inverse.chain
 
     def rounds(near: Callable[[], list[Candidate]] | None) -> list[list[Candidate]]:
@@ -87,7 +70,7 @@ def test_the_second_round_has_grasps_beside_the_best(
             found.append(new)
             return False
 
-        planner.search(target, stop=go_on, near=near)
+        planner.search(can_target(), stop=go_on, near=near)
         return found
 
     alone, beside = rounds(None), rounds(lambda: [held])

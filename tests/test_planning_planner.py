@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from planning_worlds import AroundObject, CylinderField, NearPalm
+from planning_worlds import CAN, REST, CylinderField, NearPalm
+from planning_worlds import can_target as target
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
@@ -22,23 +23,9 @@ from pointsdf_cli.planning.plan_artifact import plan_of
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import Synthesis, SynthesisConfig, synthesise
-from pointsdf_cli.planning.target import Target
 from pointsdf_cli.robot.description import load_robot
 
-REST = np.array([0.0] * 6 + [1.3, 0.5])
-CAN = (0.6, 0.0, 0.12)
 SMALL = SynthesisConfig(rounds=1, seeds=SeedConfig(palms=12, seeds=4))
-
-
-def target(at: tuple[float, float, float] = CAN) -> Target:
-    place = (at[0] - 0.09, at[1], at[2])
-    return Target(
-        CylinderField(0.035, 0.24, at),
-        np.array(at) - 0.15,
-        np.array(at) + 0.15,
-        NearPalm(place, (1.0, 0.0, 0.0), REST, width=0.08),
-        AroundObject(at, 0.09, REST),
-    )
 
 
 @pytest.fixture(scope="module")
