@@ -134,7 +134,8 @@ def test_values_do_not_depend_on_the_number_of_threads(mug: Reconstruction, coun
     for values, values_too, gradients in answers:
         assert np.array_equal(values, answers[0][0])
         assert np.array_equal(values_too, answers[0][1])
-        assert np.abs(values_too - values).max() < 1e-7  # products by another library
+        # Products by another library: sums of 256 in float32, of values below 1 m.
+        assert np.abs(values_too - values).max() < 1e-6
         assert np.array_equal(gradients, answers[0][2])
 
 
