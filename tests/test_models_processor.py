@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 import torch
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 from torch import Tensor
 
 from pointsdf_cli.models.processor import (
@@ -17,6 +17,7 @@ from pointsdf_cli.models.processor import (
     at_once,
     even_parts,
     in_steps,
+    one_blas_thread,
     side_by_side,
     timed,
     use_threads,
@@ -191,13 +192,23 @@ def test_a_timed_task_gives_its_result_and_seconds() -> None:
     assert 0 <= seconds < 1
 
 
+def blas_threads() -> set[int]:
+    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+
 def test_numpy_gets_one_thread_whatever_pytorch_gets() -> None:
     before = torch.get_num_threads()
     try:
         use_threads(2)
         assert torch.get_num_threads() == 2
-        blas = [one for one in threadpool_info() if one["user_api"] == "blas"]
-        assert blas
-        assert all(one["num_threads"] == 1 for one in blas)
+        assert blas_threads() == {1}
     finally:
         torch.set_num_threads(before)
+
+
+def test_numpy_gets_its_threads_back() -> None:
+    with threadpool_limits(2, user_api="blas"):
+        before = blas_threads()
+        with one_blas_thread():
+            assert blas_threads() == {1}
+        assert blas_threads() == before

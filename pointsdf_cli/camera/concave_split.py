@@ -86,20 +86,22 @@ def _valley(points: Array, camera: Array, tree: scipy.spatial.cKDTree) -> NDArra
     """Points [N] whose neighbours lie above the tangent plane."""
     distance, neighbour = tree.query(points, k=48, distance_upper_bound=RADIUS)
     found = np.isfinite(distance)
-    neighbour[~found] = 0
-    weight = found.astype(float)
-    total = weight.sum(axis=1, keepdims=True)
-    near = points[neighbour]
-    centre = (near * weight[..., None]).sum(axis=1) / total
-    away = (near - centre[:, None]) * weight[..., None]
-    _, axes = np.linalg.eigh(away.transpose(0, 2, 1) @ away)
-    normal = axes[:, :, 0]
+    count = found.sum(axis=1)
+    starts = np.concatenate([[0], np.cumsum(count)])
+    mean_of = scipy.sparse.csr_array(
+        (np.repeat(1.0 / count, count), neighbour[found], starts), (len(points), len(points))
+    )
+    local = points - points.mean(axis=0)  # squares of large coordinates would cancel
+    squares = (local[:, :, None] * local[:, None]).reshape(-1, 9)
+    centre, moments = np.split(mean_of @ np.hstack([local, squares]), [3], axis=1)
+    spread = moments.reshape(-1, 3, 3) - centre[:, :, None] * centre[:, None]
+    normal = np.linalg.eigh(spread)[1][:, :, 0]
     normal = normal * np.where(((camera - points) * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     # The centre of the neighbours is above a valley's bottom and below a ridge's top.
-    rise = ((centre - points) * normal).sum(axis=1)
+    rise = ((centre - local) * normal).sum(axis=1)
     # Smoothed over the neighbours, so that noise does not separate surfaces.
-    mean = (rise[neighbour] * weight).sum(axis=1) / total[:, 0]
-    return (mean > DEPTH) & (total[:, 0] >= 8)
+    mean = mean_of @ rise
+    return (mean > DEPTH) & (count >= 8)
 
 
 def _stands(points: Array, height: Array) -> bool:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController, threadpool_limits
 from torch import Tensor
 
 T = TypeVar("T")
@@ -71,6 +71,22 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Context in which NumPy's and SciPy's products use one thread.
+
+    They are small here: a second thread would spin between them, on a processor that PyTorch needs.
+    """
+    with _libraries().limit(limits=1, user_api="blas"):
+        yield
+
+
+@functools.cache
+def _libraries() -> ThreadpoolController:
+    """Numerical libraries that are loaded; to look for them takes 2 ms."""
+    return ThreadpoolController()
 
 
 def bfloat16_is_faster() -> bool:

@@ -18,6 +18,7 @@ from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.ndimage
 import torch
 from numpy.typing import NDArray
 
@@ -88,20 +89,29 @@ class GridField:
         self._strides = np.array([self._nodes[1] * self._nodes[2], self._nodes[2], 1])
         self._corner_offsets = _CORNERS @ self._strides
         self._flat = self._values.ravel()
-        self._flat_error = self._error.ravel()
 
     def __call__(self, points: Array) -> Array:
-        return self._look_up(points)[0]
+        place, beyond = self._place(points)
+        return _with_gap(_interpolate(self._values, place), beyond)
 
     def with_gradient(self, points: Array) -> tuple[Array, Array]:
-        value, gradient, _ = self._look_up(points, gradient=True)
-        return value, gradient
+        place, beyond = self._place(points)
+        inside, slope = self._corner_gradient(place)
+        value = _with_gap(inside, beyond)
+        out = beyond.any(axis=1)
+        # Along clamped axes the nearest point of the box does not move.
+        along = np.where(beyond[out] == 0, slope[out], 0.0)
+        slope[out] = (beyond[out] + inside[out, None] * along) / value[out, None]
+        return value, slope
 
     def with_bound(self, points: Array) -> tuple[Array, Array]:
         """Values [N] and error bounds [N], m: |grid − field| at most inside the box; outside, the
         value minus the bound never exceeds the distance."""
-        value, _, bound = self._look_up(points, bound=True)
-        return value, bound
+        place, beyond = self._place(points)
+        t = place - np.floor(place)
+        spread = np.sqrt((t * (1 - t)).sum(axis=1))
+        error = _interpolate(self._error, place) + spread * (self.config.step * SLOPE)
+        return _with_gap(_interpolate(self._values, place), beyond), error
 
     def minimum_with(self, seen: SeenField) -> GridField:
         """A grid of the minimum of this field and the distance to seen points, at every node.
@@ -182,54 +192,43 @@ class GridField:
         self.queries += len(nodes)
         return field(self._low + nodes * step)
 
-    def _look_up(
-        self, points: Array, gradient: bool = False, bound: bool = False
-    ) -> tuple[Array, Array, Array]:
+    def _place(self, points: Array) -> tuple[Array, Array]:
+        """The nearest places in the box [N, 3], in steps from its lowest corner, and the offsets
+        [N, 3] m of the points from there."""
         points = np.asarray(points, dtype=np.float64)
         inside = np.clip(points, self._low, self._high)
-        place = (inside - self._low) / self.config.step
+        return (inside - self._low) / self.config.step, points - inside
+
+    def _corner_gradient(self, place: Array) -> tuple[Array, Array]:
+        """Values [N] m and gradients [N, 3] of the interpolation at places [N, 3]."""
         cell = np.minimum(place.astype(np.int64), self._nodes - 2)
-        t = place - cell
-        first = cell @ self._strides
-        corners = self._flat[first[:, None] + self._corner_offsets]
-        x, y, z = t[:, 0], t[:, 1], t[:, 2]
+        x, y, z = (place - cell).T
+        corners = self._flat[(cell @ self._strides)[:, None] + self._corner_offsets]
         # Corners are ordered by (x, y, z) bits; each axis is folded in turn.
         along_z = corners[:, 0::2] + (corners[:, 1::2] - corners[:, 0::2]) * z[:, None]
         along_y = along_z[:, 0::2] + (along_z[:, 1::2] - along_z[:, 0::2]) * y[:, None]
         value = along_y[:, 0] + (along_y[:, 1] - along_y[:, 0]) * x
-        slope, error = np.zeros((0, 3)), np.zeros(0)
-        if gradient:
-            slope_z = corners[:, 1::2] - corners[:, 0::2]
-            slope_z = slope_z[:, 0::2] + (slope_z[:, 1::2] - slope_z[:, 0::2]) * y[:, None]
-            slope_y = along_z[:, 1::2] - along_z[:, 0::2]
-            slope = np.stack(
-                [
-                    along_y[:, 1] - along_y[:, 0],
-                    slope_y[:, 0] + (slope_y[:, 1] - slope_y[:, 0]) * x,
-                    slope_z[:, 0] + (slope_z[:, 1] - slope_z[:, 0]) * x,
-                ],
-                axis=1,
-            )
-            slope /= self.config.step
-        if bound:
-            errors = self._flat_error[first[:, None] + self._corner_offsets]
-            errors = errors[:, 0::2] + (errors[:, 1::2] - errors[:, 0::2]) * z[:, None]
-            errors = errors[:, 0::2] + (errors[:, 1::2] - errors[:, 0::2]) * y[:, None]
-            error = errors[:, 0] + (errors[:, 1] - errors[:, 0]) * x
-            t = np.minimum(t, 1.0)  # rounding may carry the last cell's end beyond it
-            spread = np.sqrt((t * (1 - t)).sum(axis=1))
-            error = error + spread * (self.config.step * SLOPE)
-        beyond = points - inside
-        gap = np.sqrt((beyond**2).sum(axis=1))
-        out = gap > 0
-        if out.any():
-            whole = np.hypot(gap[out], value[out])
-            if gradient:
-                # Along clamped axes the nearest point of the box does not move.
-                along = np.where(beyond[out] == 0, slope[out], 0.0)
-                slope[out] = (beyond[out] + value[out, None] * along) / whole[:, None]
-            value[out] = whole
-        return value, slope, error
+        slope_z = corners[:, 1::2] - corners[:, 0::2]
+        slope_z = slope_z[:, 0::2] + (slope_z[:, 1::2] - slope_z[:, 0::2]) * y[:, None]
+        slope_y = along_z[:, 1::2] - along_z[:, 0::2]
+        slope = [
+            along_y[:, 1] - along_y[:, 0],
+            slope_y[:, 0] + (slope_y[:, 1] - slope_y[:, 0]) * x,
+            slope_z[:, 0] + (slope_z[:, 1] - slope_z[:, 0]) * x,
+        ]
+        return value, np.stack(slope, axis=1) / self.config.step
+
+
+def _interpolate(nodes: Array, place: Array) -> Array:
+    """Trilinear interpolation [N] of values at nodes [X, Y, Z] at places [N, 3], in steps."""
+    found = scipy.ndimage.map_coordinates(nodes, place.T, order=1, mode="nearest", prefilter=False)
+    return np.asarray(found)
+
+
+def _with_gap(value: Array, beyond: Array) -> Array:
+    """Values [N] m at the nearest places in the box, enlarged by the offset [N, 3] m from there."""
+    square = np.einsum("ij,ij->i", beyond, beyond)
+    return np.where(square > 0, np.sqrt(square + value * value), value)
 
 
 def surface_box(

@@ -13,7 +13,7 @@ import numpy as np
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import OK
-from pointsdf_cli.models.processor import at_once
+from pointsdf_cli.models.processor import at_once, one_blas_thread
 from pointsdf_cli.planning.answer import Answer, PerceivedObject, PlanNotes
 from pointsdf_cli.planning.cloud_checks import in_world
 from pointsdf_cli.planning.environment import Environment, Obstacle
@@ -135,10 +135,11 @@ def _plan(
     if request.segment == "auto" and request.environment.table:
         require_table_at_zero([in_world(cloud) for cloud in request.clouds], request.names)
     attempt = partial(_plan_for, planner, request, q)
-    if request.target is None or not request.target.any:
-        return attempt(request.target, warn)
-    enough = planner.options.planner.synthesis.acceptance.success
-    return _first_good(_in_order(planner, request, q), attempt, enough, warn)
+    with one_blas_thread():
+        if request.target is None or not request.target.any:
+            return attempt(request.target, warn)
+        enough = planner.options.planner.synthesis.acceptance.success
+        return _first_good(_in_order(planner, request, q), attempt, enough, warn)
 
 
 def _plan_for(
