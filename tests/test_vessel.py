@@ -1,6 +1,7 @@
 """Vessels of revolution: cups of known measures, and bodies that are none."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import open3d as o3d
@@ -20,6 +21,7 @@ from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.vessel_field import VesselField, vessel_in
 from pointsdf_cli.models.vessel_surface import vessel_surface
 
+BRICK = Path(__file__).parent / "data" / "noisy_brick.txt"
 RADIUS, HEIGHT, WALL, FLOOR = 0.040, 0.090, 0.003, 0.004
 CUP = [
     (0, 0),
@@ -197,6 +199,12 @@ def test_degenerate_clouds_are_refused(count, spread):
     points = np.random.default_rng(0).normal(size=(count, 3)) * spread + [0, 0, 0.6]
     with pytest.raises(NoVesselError):
         fit_vessel(points, np.array([0, 0, -1.0, -0.7]))
+
+
+def test_a_brick_of_few_noisy_points_is_refused():
+    points = 1e-4 * np.loadtxt(BRICK)
+    with pytest.raises(NoVesselError, match="noisy"):
+        fit_vessel(points, np.array([0.0, -0.94768, -0.31922, -0.4]))
 
 
 def test_a_recessed_can_is_left_to_the_network():

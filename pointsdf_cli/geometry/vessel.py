@@ -67,6 +67,9 @@ NEAR_WALL = 0.05
 """Largest distance of points on the wall, over the vessel's radius."""
 MOST_OTHERS = 0.3
 """Largest share of points beyond the wall."""
+NOISIEST = 0.06
+"""Largest deviation of the points from planes, over the vessel's radius: normals of 200 noisy points
+of a brick point to any axis."""
 FLOOR_SEEN = 0.6
 """Least share of a floor's visible places at which points were measured; else it has a hole."""
 CLEAR = 0.001
@@ -146,6 +149,8 @@ def fit_vessel(points: Array, support_plane: Array | None = None) -> Vessel:
     outline = wall_outline(section, base)
     wall = BodyOfRevolution.of(fit.direction, fit.point, outline.wall)
     filled = BodyOfRevolution.of(fit.direction, fit.point, outline.filled)
+    if seen.noise > NOISIEST * wall.radius:
+        raise NoVesselError("the points are too noisy for its size")
     _check_floor(few, wall, outline, base is not None)
     beyond = filled.exact_sdf(few) > max(0.006, 3 * tolerance)
     near = max(0.002, 2 * tolerance, NEAR_WALL * wall.radius)
