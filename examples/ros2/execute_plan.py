@@ -20,7 +20,10 @@ import sys
 import time
 from pathlib import Path
 
-import rclpy
+try:
+    import rclpy
+except ImportError:
+    sys.exit("no ROS 2 here: source /opt/ros/DISTRO/setup.bash first")
 from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory, GripperCommand
@@ -133,9 +136,11 @@ class Executor(Node):
         for handle in self.running:
             future = handle.get_result_async()
             self.wait(future, seconds + LATE)
-            result = future.result().result
+            status, result = future.result().status, future.result().result
             if result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
                 sys.exit(f"a controller failed: {result.error_string} ({result.error_code})")
+            if status != GoalStatus.STATUS_SUCCEEDED:  # cancelled by another: no error
+                sys.exit(f"a controller ended with status {status}")
         self.running = []
 
     def require_at(self, motion: Trajectory, point: int, tolerance: float, what: str) -> None:

@@ -7,6 +7,7 @@ messages for rclpy and, in the tests, for the message definitions of the rosbags
 from __future__ import annotations
 
 import json
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -95,10 +96,12 @@ def read_hand(path: Path | str) -> tuple[tuple[str, ...], Hand]:
     """Read the arm's joints, and how the hand closes, from a robot's YAML and its URDF."""
     robot = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     urdf = ET.parse(Path(path).parent / robot["urdf"])
-    ends = {joint.get("name"): joint.find("limit") for joint in urdf.iter("joint")}
     speeds = {name: float(speed) for name, speed in robot["closing_joints"].items()}
-    side = {name: "upper" if speed > 0 else "lower" for name, speed in speeds.items()}
-    limits = {name: float(ends[name].get(side[name], 0.0)) for name in speeds}  # type: ignore[union-attr]
+    limits = {name: math.copysign(math.pi, speed) for name, speed in speeds.items()}
+    for joint in urdf.iter("joint"):
+        name, limit = joint.get("name"), joint.find("limit")
+        if name in speeds and limit is not None and joint.get("type") != "continuous":
+            limits[name] = float(limit.get("upper" if speeds[name] > 0 else "lower", 0.0))
     return tuple(robot["arm_joints"]), Hand(speeds, limits)
 
 

@@ -121,6 +121,8 @@ def read_view(path: Path, options: SceneFileOptions, T_world_camera: Array | Non
     Raises:
         InputError: The file cannot be read, or an option does not fit it.
     """
+    if path.is_dir():
+        raise InputError("is a folder", where=path, allowed="a depth image or a cloud")
     if is_depth_image(path, options.intrinsics):
         return _read_depth_view(path, options, T_world_camera)
     if options.depth_scale is not None:

@@ -27,6 +27,10 @@ TABLE_PLACE = (0.6, 0.0)
 reach."""
 
 
+FARTHEST = 50.0
+"""Largest distance [m] of a camera from the world's origin."""
+
+
 def camera_pose(text: str, option: str = "--camera-pose") -> NDArray[np.float64]:
     """T_world_camera [4, 4] from `option`: numbers, or a file that holds them.
 
@@ -34,15 +38,20 @@ def camera_pose(text: str, option: str = "--camera-pose") -> NDArray[np.float64]
         InputError: Neither, or no rotation and translation.
     """
     numbers = numbers_in(text, option, ALLOWED)
-    if len(numbers) == 7 and np.linalg.norm(numbers[3:]) > 1e-6:
-        return transform(rotation_from_wxyz(numbers[3:]), numbers[:3])
     matrix = numbers.reshape(4, 4) if len(numbers) == 16 else np.zeros((4, 4))
+    if len(numbers) == 7 and np.linalg.norm(numbers[3:]) > 1e-6:
+        matrix = transform(rotation_from_wxyz(numbers[3:]), numbers[:3])
     if not is_rigid(matrix):
         held = f"{text[:60]} holds " if os.path.exists(text) else ""
         raise InputError(
             f"{held}{len(numbers)} numbers, which are not a pose{_not_a_pose(numbers)}",
             where=option,
             allowed=ALLOWED,
+        )
+    away = float(np.linalg.norm(matrix[:3, 3]))
+    if away > FARTHEST:
+        raise InputError(
+            f"the camera would be {away:.0f} m away: millimetres?", where=option, allowed="metres"
         )
     return matrix
 

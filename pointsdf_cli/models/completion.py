@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import is_rigid
 from pointsdf_cli.geometry.visibility import ViewEvidence
+from pointsdf_cli.io.clouds import Cloud, check_object_cloud
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
@@ -69,6 +70,12 @@ def complete(
         raise InputError(
             "is not a rigid transform", where="T_frame_camera", allowed="[4, 4], a rotation, m"
         )
+    try:
+        points = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError("not an array of numbers", where="points", allowed="[N, 3]") from error
+    if points.ndim == 2 and points.shape[1] == 3:
+        check_object_cloud(Cloud(points), "points")
     model = _model(None if checkpoint is None else str(checkpoint))
     shape = Reconstruction.from_cloud(model, points, pose[:3, 3], pose[:3, :3], seed, evidence)
     mesh = mesh_reconstruction(shape, resolution)

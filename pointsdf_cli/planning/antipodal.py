@@ -170,6 +170,6 @@ def antipodal_grasps(
     widest = hand.jaws.opening - 2 * problem.clearances.object
     pairs = antipodal_pairs(surface, widest, rng)
     outline = hand(hand.jaws.preshape[None])[0]
-    floor = problem.clearances.environment if problem.environment.table else -np.inf
+    floor = problem.lowest if problem.environment.table else -np.inf
     sampler = AntipodalSampler(pairs, hand.jaws, robot.palm_reach or 0.0, outline, floor)
     return [UnsolvedGrasps(sampler, SuccessAlone(target.score, good))]

@@ -49,7 +49,7 @@ class BodyDistances:
         self._bodies = list(geometry.bodies)
         moving = len(self._bodies)
         if environment.table:
-            below = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+            below = coal.Halfspace(np.array([0.0, 0.0, 1.0]), environment.table_height)
             self._bodies.append(Body(WORLD, "table", below, np.eye(4), np.zeros(3), 0.0))
         self._bodies += [_obstacle_body(obstacle) for obstacle in environment.obstacles]
         first = len(self._bodies) - len(environment.obstacles)
@@ -84,7 +84,10 @@ class BodyDistances:
         self._centres = np.array([body.centre for body in self._bodies])
         self._local = np.array([body.pose for body in self._bodies])
         self._radii = np.array([body.radius for body in self._bodies])
-        self._table = np.zeros(len(self._bodies), dtype=bool)
+        self._table, self._table_height = (
+            np.zeros(len(self._bodies), bool),
+            environment.table_height,
+        )
         if environment.table:
             self._table[moving] = True
         self.is_table: NDArray[np.bool_] = self._table[self._pairs[:, 1]]
@@ -115,7 +118,7 @@ class BodyDistances:
         normal = between / length[..., None]
         gap = length - self._radii[first] - self._radii[second]
         low = self._table[second]
-        gap[:, low] = centre[:, first[low], 2] - self._radii[first[low]]
+        gap[:, low] = centre[:, first[low], 2] - self._table_height - self._radii[first[low]]
         normal[:, low] = (0.0, 0.0, 1.0)
         contacts = Contacts(
             gap, self.link, centre[:, first], normal, self.other_link, centre[:, second]
@@ -136,7 +139,8 @@ class BodyDistances:
         first, second = self._pairs[columns].T
         centre, other = (self._placed(poses, rows, body, self._centres) for body in (first, second))
         gap = np.sqrt(((centre - other) ** 2).sum(-1)) - self._radii[first] - self._radii[second]
-        gap = np.where(self._table[second], centre[:, 2] - self._radii[first], gap)
+        above = centre[:, 2] - self._table_height - self._radii[first]
+        gap = np.where(self._table[second], above, gap)
         near = np.flatnonzero(gap < self.exact_to)
         if not len(near):
             return np.asarray(gap)

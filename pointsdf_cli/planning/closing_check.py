@@ -99,6 +99,8 @@ class ClosingCheck:
 
 def _coupled(robot: RobotDescription) -> NDArray[np.bool_]:
     """[C, C], whether two closing joints move as one: the same joint, or coupled by <mimic>."""
-    leader = {j.name: j.mimic[0] if j.mimic else j.name for j in robot.tree.joints}
-    led_by = np.array([leader[name] for name in robot.closing_joints])
+    leader = {j.name: j.mimic[0] for j in robot.tree.joints if j.mimic}
+    led_by = np.array(robot.closing_joints, dtype=object)
+    for _ in leader:  # a chain of couplings ends at its first joint
+        led_by = np.array([leader.get(name, name) for name in led_by], dtype=object)
     return np.asarray(led_by[:, None] == led_by)

@@ -67,11 +67,13 @@ class Environment:
 
     Attributes:
         obstacles: Bodies that the robot may not touch.
-        table: Whether the half space below z = 0 is one of them.
+        table: Whether the half space below the table is one of them.
+        table_height: Height of the table [m].
     """
 
     obstacles: tuple[Obstacle, ...] = ()
     table: bool = True
+    table_height: float = 0.0
 
     def __post_init__(self) -> None:
         names = [obstacle.name for obstacle in self.obstacles]

@@ -101,6 +101,11 @@ class GraspProblem:
         self._critical = min(CRITICAL, int(self._relevant.sum()))
         self._groups = self._make_groups()
 
+    @property
+    def lowest(self) -> float:
+        """Least height of the hand above z = 0 [m]."""
+        return self.environment.table_height + self.clearances.environment
+
     def with_field(self, field: Field, clearances: Clearances, exact_to: float) -> GraspProblem:
         """The same with another field, exact up to `exact_to` [m], and other margins."""
         other = copy(self)

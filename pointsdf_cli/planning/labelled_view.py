@@ -299,12 +299,12 @@ def describe(view: LabelledView, item: ListedObject, seen: Sighting, place: bool
         dropped.append(f"{others} on other objects")
     if unclean:
         dropped.append(f"{unclean} by cleaning")
-    total = len(view.listed)
+    total = sum(each.stands for each in view.listed) if item.stands else len(view.listed)
     which = "the masked object" if view.mask is not None else f"object {item.number} of {total}"
     said = (
         f"{which}, {item.describe() if place else item.sides}: kept {kept} of {len(label)} points"
     )
     said += f"; dropped {', '.join(dropped)}" if dropped else ""
     if item.unsplit:
-        said += "; it may be several that touch and could not be told apart (--mask can)"
+        said += "; it may be several objects in contact: --mask selects one"
     return said

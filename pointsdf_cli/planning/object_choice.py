@@ -216,7 +216,7 @@ def choose(
                 f"no object at the pixel {target.pixel[0]:g},{target.pixel[1]:g}: the nearest one "
                 f"is {away.min():.0f} pixels away",
                 where=where,
-                hint=f"rgrasp segment {where} shows what there is",
+                hint="rgrasp segment, with the same options, shows what there is",
             )
     else:
         away = np.linalg.norm(points[mine] - np.asarray(target.place), axis=1)
@@ -224,14 +224,16 @@ def choose(
             raise NoObjectError(
                 f"the object nearest to --target is {away.min():.2f} m away from it",
                 where=where,
-                allowed=f"a place within {TARGET_REACH:g} m of an object, world, m",
+                hint=f"give a place within {TARGET_REACH:g} m of an object in the world; rgrasp "
+                "segment, with the same options, lists them",
             )
     return by_label[int(label[mine][away.argmin()])]
 
 
 def _of_number(objects: list[ListedObject], number: int, where: str) -> ListedObject:
     if not 1 <= number <= len(objects):
-        there = "; ".join(f"{item.number} {item.describe()}" for item in objects)
+        standing = [item for item in objects if item.stands] or objects
+        there = "; ".join(f"{item.number} {item.describe()}" for item in standing)
         raise InputError(f"no object {number}", where="--target", allowed=f"of {where}: {there}")
     return objects[number - 1]
 

@@ -112,9 +112,9 @@ class PathChecker:
         """The pairs [K] that count and are moved against each other by some of these joints."""
         counts = np.ones(len(self._reach), dtype=bool)
         counts[: self._object_columns] = self._with_object
-        if moving is not None:
-            counts &= (self._reach[:, moving] > 0).any(axis=1)
-        return np.flatnonzero(counts)
+        # No joint moves the base: what stands beside it may touch it.
+        reach = self._reach if moving is None else self._reach[:, moving]
+        return np.flatnonzero(counts & (reach > 0).any(axis=1))
 
     def _slacks(self, q: Array, columns: Indices) -> Array:
         """Distances less clearances [B, K] of the columns [K] at q [B, J].

@@ -22,6 +22,7 @@ from pointsdf_cli.planning.object_choice import NoObjectError, TargetChoice, rea
 from pointsdf_cli.planning.option_checks import RECONSTRUCTION
 from pointsdf_cli.planning.plan_request import Corners, PlanRequest, PlanResult
 from pointsdf_cli.planning.plausibility import (
+    UNEVEN,
     doubts,
     outside_workspace,
     require_table_at_zero,
@@ -165,6 +166,9 @@ def _plan_for(
     if warn is not None:
         for sentence in warnings:
             warn(sentence)
+    height = seen.table_height or 0.0
+    if environment.table and height > UNEVEN:
+        environment = replace(environment, table_height=height)
     tasks: list[Callable[[], Any]] = [partial(_perceived, planner, seen, request)]
     beside = request.others and len(seen.others) > 0
     network = planner.shape if request.obstacles == RECONSTRUCTION else None
@@ -221,7 +225,7 @@ def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: 
 
 def _said_of(beside: Sequence[Obstacle], reconstructed: bool, seconds: float) -> list[str]:
     how = "reconstructions" if reconstructed else "hulls"
-    said = f"other objects as obstacles: {len(beside)} ({how}, {seconds:.2f} s)"
+    said = f"seen obstacles: {len(beside)} ({how}, {seconds:.2f} s)"
     return [said] if beside else []
 
 

@@ -282,10 +282,10 @@ class Planner:
             k, motion = next(iter(stuck.items()))
             found = _taken(found, best, k, stuck)
             return best[k], motion, replace(found, sentence=f"{found.sentence} {STUCK}".strip())
-        unreached = _passed(best, stuck)
-        if not unreached:
+        if not best:
             return None, None, found
-        sentence = explain("motion", unreached[0], found.seeds_tried) + f" ({failure})"
+        unreached = _passed(best, stuck)
+        sentence = explain("motion", best[0], found.seeds_tried) + f" ({failure})"
         found = replace(found, best=None, accepted=[], rejected=found.rejected + unreached)
         return None, None, replace(found, reason="motion", sentence=sentence)
 

@@ -38,7 +38,7 @@ OFF = 0.04
 """Largest distance [m] of the table from z = 0: calibrations by hand err by less."""
 UNEVEN = 0.005
 """Distance [m] of the table from z = 0 above which a warning is given."""
-MUCH, MOST_BELOW = 0.1, 0.9
+MUCH, MOST_BELOW = 0.1, 0.5
 """Share of the points below the table above which the pose is doubted, and is wrong."""
 THROUGH, MUCH_THROUGH = 0.03, 0.15
 """Distance [m] behind a point to which a camera must see for its ray to have missed the object, and
@@ -76,8 +76,8 @@ def require_table_at_zero(
                 f"{wrong}: the camera's pose, its intrinsics or the depth scale is wrong",
                 where=name,
                 allowed="a level table at z = 0",
-                hint="correct --camera-pose; --camera-pose table puts z = 0 on the table that is "
-                f"seen. If there is no table: {without_table}",
+                hint="check --depth-scale, --intrinsics, then --camera-pose; if only the pose is "
+                f"unknown: --camera-pose table. If there is no table: {without_table}",
             )
 
 
@@ -108,7 +108,7 @@ def table_doubt(height: float | None, worlds: Sequence[Array]) -> str:
     if height is not None and abs(height) > UNEVEN:
         return (
             f"the table is seen at z = {height * 1000:.0f} mm, not 0: it is uneven, or the "
-            "camera's pose is wrong"
+            "camera's pose is wrong" + ("; the robot keeps above it" if height > 0 else "")
         )
     below = float((np.concatenate(worlds)[:, 2] < -BELOW).mean())
     if height is None and below > MUCH:
@@ -254,7 +254,8 @@ def seen_through(views: Sequence[View]) -> str:
         if inside.any():
             column, row = cell[inside].T
             free = image.free[row, column] > points[inside, 2] + THROUGH
-            worst = max(worst, float((free & ~image.seen[row, column]).mean()))
+            past = free & ~image.seen[row, column]
+            worst = max(worst, float(past.sum()) / len(other.in_world))
     if worst < MUCH_THROUGH:
         return ""
     return (

@@ -148,8 +148,8 @@ def warning(chosen: Candidate, seeds_tried: int) -> str:
     """Warning for a plan whose grasp would not have been accepted."""
     if chosen.reason == "closing":
         return (
-            f"Of {seeds_tried} grasps none closes without touching an obstacle; this one comes "
-            f"{-chosen.closing_slack * 1000:.0f} mm too near to it. Clear the space around the "
+            f"Of {seeds_tried} grasps none closes clear of obstacles; this one comes "
+            f"{-chosen.closing_slack * 1000:.0f} mm too near. Clear the space around the "
             "object, or turn it."
         )
     return (
@@ -197,19 +197,19 @@ def explain(
     depth = f"{max(0.0, -best.worst_slack) * 1000:.1f} mm"
     if reason == "object_collision":
         return (
-            f"All {seeds_tried} grasps that were tried meet the object (the best by {depth}): it "
-            "may be larger than the open hand; try another side or --clearance 0."
+            f"The nearest of {seeds_tried} grasps enters the object by {depth}: it may be larger "
+            "than the open hand; try another side or --clearance 0."
         )
     if reason == "table_collision":
         what = "the table" if best.table_slack <= best.obstacle_slack else "an obstacle"
         return (
-            f"All {seeds_tried} grasps that were tried meet {what} (the best by {depth}): clear "
-            "the space around the object, or ask for top grasps (--kind top) if it is low."
+            f"The nearest of {seeds_tried} grasps enters {what} by {depth}: clear the space around "
+            "the object, or ask for top grasps (--kind top) if it is low."
         )
     if reason == "self_collision":
         return (
-            f"All {seeds_tried} grasps that were tried fold the robot into itself (the best by "
-            f"{depth}): move the object away from the robot's base."
+            f"The nearest of {seeds_tried} grasps folds the robot into itself by {depth}: move the "
+            "object away from the robot's base."
         )
     if reason == "low_success_probability":
         return (
@@ -224,9 +224,8 @@ def explain(
         )
     if reason == "closing":
         return (
-            f"The fingers of all {seeds_tried} grasps that were tried meet an obstacle when they "
-            f"close (the best by {max(0.0, -best.closing_slack) * 1000:.1f} mm): clear the space "
-            "around the object."
+            f"The nearest of {seeds_tried} grasps meets an obstacle when its fingers close, by "
+            f"{max(0.0, -best.closing_slack) * 1000:.1f} mm: clear the space around the object."
         )
     if reason == "motion":
         return (

@@ -88,13 +88,12 @@ def read_scene(
     Raises:
         InputError: A file cannot be read, an option does not fit, no table is seen,
             or a pose is right only in another convention (`pose_mistakes.py`).
-        NoObjectError: The target is not found, with the pose `table`.
     """
     if poses and len(poses) != len(paths):
         raise InputError(
-            f"{len(poses)} poses for {len(paths)} clouds",
+            f"{len(poses)} for {len(paths)} views",
             where="--camera-pose",
-            allowed="one for each cloud, in their order",
+            allowed="one for each, in order",
         )
     places = [table_place(text) for text in poses]
     if len(paths) > 1 and any(place is not None for place in places):
@@ -144,8 +143,7 @@ def table_note(cloud: Cloud, place: tuple[float, float]) -> str:
     height = cloud.T_world_camera[2, 3]
     return (
         f"{FROM_TABLE}: z = 0 is the table ({height:.2f} m below the camera), the "
-        f"object at {place[0]:g},{place[1]:g}. For trying out: it says nothing of where a robot "
-        "stands"
+        f"object at {place[0]:g},{place[1]:g}. Only for trying out: do not send it to a robot"
     )
 
 
@@ -171,7 +169,6 @@ def stand_on_table(
 
     Raises:
         InputError: No table is seen, or the target is a place in a world that is not known yet.
-        NoObjectError: The target is not found.
     """
     if target is not None and target.place is not None:
         raise InputError(
@@ -190,17 +187,17 @@ def stand_on_table(
     try:
         # Put the first listed object at the place, so that the numbers match those of `segment`.
         cloud = _moved(cloud, _centre(cloud, name, None, ANYWHERE, cleaned), place)
-        if target is not None and not target.any:
-            chosen = _centre(cloud, name, target, workspace, cleaned)
-            cloud = _moved(cloud, chosen, place)
-            target = TargetChoice(place=np.array([*place, chosen[2]]))
     except NoObjectError:
-        if target is not None:
-            raise
         # A bare table: its own middle is put there.
         world = apply_transform(np.asarray(cloud.T_world_camera), points)
-        cloud = _moved(cloud, np.median(world, axis=0), place)
-    return cloud, target
+        return _moved(cloud, np.median(world, axis=0), place), target
+    if target is None or target.any:
+        return cloud, target
+    try:
+        chosen = _centre(cloud, name, target, workspace, cleaned)
+    except NoObjectError:
+        return cloud, target  # whoever looks for it there tells so
+    return _moved(cloud, chosen, place), TargetChoice(place=np.array([*place, chosen[2]]))
 
 
 def _centre(

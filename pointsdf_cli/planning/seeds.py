@@ -113,7 +113,8 @@ def draw_seeds(
     draws = [prior.sample(one, each, rng) for one in wanted]
     preshape, palm = (np.concatenate(part) for part in zip(*draws, strict=True))
     kinds = np.repeat(wanted, [len(one) for one, _ in draws])
-    above = (palm[:, 2, 3] >= LOWEST_PALM) | (not problem.environment.table)
+    around = problem.environment
+    above = (palm[:, 2, 3] >= LOWEST_PALM + around.table_height) | (not around.table)
     preshape, palm, kinds = preshape[above], palm[above], kinds[above]
     n = problem.variables.count
     if not len(palm):
@@ -151,7 +152,7 @@ def _promising(
     """All palms, raised above the table, and indices of those to pass to inverse kinematics."""
     outline = problem.geometry.hand(preshape)
     if problem.environment.table:
-        palm = lifted(outline, palm, problem.clearances.environment)
+        palm = lifted(outline, palm, problem.lowest)
     if len(palm) <= config.palms:
         return palm, np.arange(len(palm))
     depth = depth_in(problem.object.field, outline, palm)

@@ -174,8 +174,6 @@ def synthesise(
         for source in unsolved:
             candidates += _judged(problems, source, kinematics, kind, rng, config)
         _lap(timings, "check", start)
-        if not candidates:
-            continue
         if closing is not None:
             start = time.perf_counter()
             candidates = closing.judged(candidates)

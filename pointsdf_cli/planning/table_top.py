@@ -178,7 +178,7 @@ def _look(
             others.append(view.world[view.objects.label >= 0])
             labelled.append((view, -1))
             continue
-        report.append(f"{name}: {describe(view, item, found)}")
+        report.append(f"{name}: {describe(view, item, found, place=not view.over_table)}")
         seen.append(found)
         others.append(found.others_in_world)
         labelled.append((view, item.label))

@@ -75,7 +75,7 @@ def check_robot(robot: RobotDescription, seed: int = 0) -> RobotCheck:
     table_distance, table = _table(robot, kinematics)
     carried = _carried(robot)  # inverse kinematics refuses any other arm
     reached = _reached(robot, kinematics, rng) if carried else 0.0
-    findings = [*_closes(robot, closing), *own, *table, *_joints(robot)]
+    findings = [*_closes(robot, closing), *own, *table, *_joints(robot), *_left_home(robot)]
     if farthest > SPACING:
         findings.append(
             Finding(
@@ -128,6 +128,19 @@ def _closes(robot: RobotDescription, closing: Closing) -> list[Finding]:
             )
         )
     return found
+
+
+def _left_home(robot: RobotDescription) -> list[Finding]:
+    """Hand joints that grasps keep at rest, although home has them elsewhere."""
+    used = robot.configuration(robot.home[robot.arm], robot.home[robot.preshape_columns])
+    return [
+        Finding(
+            WARNING,
+            f"{robot.joint_names[j]}: {robot.home[j]:.3g} at home, but {used[j]:.3g} in grasps",
+            "name it in preshape_joints, or give the same value in home",
+        )
+        for j in np.flatnonzero(np.abs(used - robot.home) > 1e-3)
+    ]
 
 
 def _carried(robot: RobotDescription) -> bool:

@@ -41,10 +41,9 @@ class Closing:
 
 
 def open_hand(robot: RobotDescription) -> Array:
-    """The configuration [J] at home with preshape joints in the middle of their ranges."""
-    q = robot.home.copy()
-    q[robot.preshape_columns] = robot.preshape_ranges.mean(axis=1)
-    return q
+    """The configuration [J] at home with preshape joints in the middle of their ranges, and other
+    joints of the hand at rest, as in plans."""
+    return robot.configuration(robot.home[robot.arm], robot.preshape_ranges.mean(axis=1))
 
 
 def closing_of(robot: RobotDescription, steps: int = 25) -> Closing:

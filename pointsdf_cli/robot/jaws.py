@@ -87,8 +87,7 @@ def _open_preshape(robot: RobotDescription) -> Array:
 
 def _tips_at(robot: RobotDescription, preshape: Array) -> list[Array]:
     """Surface points [P, 3] of each fingertip in the palm frame."""
-    q = robot.home.copy()
-    q[robot.preshape_columns] = preshape
+    q = robot.configuration(robot.home[robot.arm], preshape)
     surface, kinematics = robot_surface(robot), Kinematics(robot)
     tips = [(tip, torch.from_numpy(surface[tip].copy())) for tip in fingertips(robot)]
     with torch.no_grad():

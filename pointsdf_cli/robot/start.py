@@ -14,7 +14,7 @@ def start_configuration(given: str | Array | None, robot: RobotDescription) -> A
     """A configuration [J] from `--start`: all joints, or the arm's with the hand as at home.
 
     Args:
-        given: Numbers [rad], as typed text, a file of them, or an array; the robot's home if None.
+        given: Numbers [rad or m], as typed text, a file of them, or an array; home if None.
         robot: The robot.
 
     Raises:
@@ -23,7 +23,9 @@ def start_configuration(given: str | Array | None, robot: RobotDescription) -> A
     if given is None:
         return robot.home.copy()
     arm, joints = len(robot.arm_joints), len(robot.joint_names)
-    allowed = f"{arm} arm joints or all {joints} [rad]: " + ", ".join(robot.joint_names)
+    allowed = f"{arm} arm joints or all {joints} [rad; m where they slide]: " + ", ".join(
+        robot.joint_names
+    )
     numbers = numbers_in(given, "--start", allowed) if isinstance(given, str) else given
     if len(numbers) not in (arm, joints):
         raise InputError(f"{len(numbers)} joint positions", where="--start", allowed=allowed)
@@ -32,9 +34,12 @@ def start_configuration(given: str | Array | None, robot: RobotDescription) -> A
     outside = np.flatnonzero((q < robot.hard_lower - 1e-6) | (q > robot.hard_upper + 1e-6))
     if len(outside):
         j = int(outside[0])
+        name = robot.joint_names[j]
+        slides = any(each.name == name and each.kind == "prismatic" for each in robot.tree.joints)
+        unit = "m" if slides else "rad"
         raise InputError(
-            f"{robot.joint_names[j]} at {q[j]:.4g} rad is beyond its limit",
+            f"{name} at {q[j]:.4g} {unit} is beyond its limit",
             where="--start",
-            allowed=f"{robot.hard_lower[j]:.4g} to {robot.hard_upper[j]:.4g} rad",
+            allowed=f"{robot.hard_lower[j]:.4g} to {robot.hard_upper[j]:.4g} {unit}",
         )
     return q

@@ -105,7 +105,6 @@ class Rehearsal:
         execution = (execution or ExecutorConfig()).without_hold_and_push()
         self._execution = replace(execution, longest_settling=0.6)
         self._world = World(robot, PHYSICS)
-        self._tries = 0
 
     def close(self) -> None:
         """Close the physics client."""
@@ -146,9 +145,7 @@ class Rehearsal:
         for disturbance in disturbances:
             if len(rises) - held >= FAILURES or (rises and not held):
                 break  # it fails even when all is as believed, or too often
-            self._tries += 1
-            # A name of its own, because the physics client caches surfaces by name.
-            item = _disturbed(believed, disturbance, f"rehearsal {self._tries}")
+            item = _disturbed(believed, disturbance)
             world = self._world
             world.physics = replace(PHYSICS, object_friction=disturbance.friction)
             world.reset(item, np.eye(4), q, robot="hand")
@@ -254,7 +251,7 @@ def _disturbances(repeats: int, rng: np.random.Generator) -> list[_Disturbance]:
     return drawn
 
 
-def _disturbed(item: SimObject, disturbance: _Disturbance, name: str) -> SimObject:
+def _disturbed(item: SimObject, disturbance: _Disturbance) -> SimObject:
     """The object scaled, rotated about its foot and shifted; its frame is the world's."""
     axes, centre = item.T_mesh_body[:3, :3], item.T_mesh_body[:3, 3]
     c, s = np.cos(disturbance.yaw), np.sin(disturbance.yaw)
@@ -272,7 +269,6 @@ def _disturbed(item: SimObject, disturbance: _Disturbance, name: str) -> SimObje
     ]
     return replace(
         item,
-        mesh=replace(item.mesh, sha256=name),
         pieces=pieces,
         T_mesh_body=transform(turned, middle),
         mass=item.mass * disturbance.mass,

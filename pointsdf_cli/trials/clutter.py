@@ -174,7 +174,7 @@ def look(
         cloud = cloud_of_depth(depth, observer.placement.camera, T_world_camera)
         wanted = None
         if len(standing) > 1:
-            number = target_number(cloud, standing, robot)
+            number = target_number(cloud, standing, robot, cleaned)
             if number is None:
                 return nothing, None
             wanted = TargetChoice(number=number)
@@ -187,7 +187,7 @@ def look(
 
 
 def target_number(
-    cloud: Cloud, standing: Sequence[Standing], robot: RobotDescription
+    cloud: Cloud, standing: Sequence[Standing], robot: RobotDescription, cleaned: bool = True
 ) -> int | None:
     """The target's number in the list of `rgrasp segment`; None if it is not seen.
 
@@ -197,8 +197,9 @@ def target_number(
         cloud: The camera's cloud.
         standing: The true objects, the target first.
         robot: The robot, at home.
+        cleaned: Drop flying pixels, outliers and specks, as in the view that the number is for.
     """
-    scene = label_table(cloud, "the view", robot, robot.home)
+    scene = label_table(cloud, "the view", robot, robot.home, cleaned=cleaned)
     label = scene.objects.label
     objects = label >= 0
     if not objects.any():

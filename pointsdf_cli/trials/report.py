@@ -112,7 +112,7 @@ def success_figure(summaries: Sequence[Summary]) -> Figure:
         axes.set_ylim(0, 1)
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
         axes.spines[["top", "right"]].set_visible(False)
-    left.set_ylabel("held")
+    left.set_ylabel("success")
     left.legend(fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
     return figure
 
@@ -188,7 +188,7 @@ def _tests(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
                 )
             )
     header = (
-        *("pairs of trials", "both held", "only first", "only second", "neither"),
+        *("pairs of trials", "both succeeded", "only first", "only second", "neither"),
         *("p (McNemar, by trial)", "p (sign flips, by object)"),
     )
     return "Paired test", header, body

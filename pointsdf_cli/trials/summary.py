@@ -101,9 +101,14 @@ def compare(rows: Sequence[TrialRow], first: str, second: str) -> Comparison:
     return Comparison(mcnemar(one, other), sign_flips(list(lead.values())), (len(lead), differing))
 
 
+def _median(values: list[float]) -> float:
+    return float(np.median(values)) if values else float("nan")
+
+
 def _summary(name: str, rows: list[TrialRow]) -> Summary:
     planned = [row for row in rows if row.status == "ok"]
     pushed = [row for row in rows if row.unshaken != UNTRIED]
+    searched = [row for row in rows if row.reason != "no_object"]
     depths = np.array([row.penetration for row in planned] or [0.0])
 
     def succeeded(chosen: list[TrialRow]) -> Share:
@@ -130,8 +135,8 @@ def _summary(name: str, rows: list[TrialRow]) -> Summary:
         contact=wilson(sum(row.contact for row in planned), len(planned)),
         reasons=dict(Counter(row.reason for row in rows if row.reason).most_common()),
         causes=dict(Counter(row.cause for row in planned).most_common()),
-        seconds=float(np.median([row.planning_time for row in rows])),
-        cpu_seconds=float(np.median([row.planning_cpu for row in rows])),
+        seconds=_median([row.planning_time for row in searched]),
+        cpu_seconds=_median([row.planning_cpu for row in searched]),
         penetration=(float(depths.max()), float(depths.mean())),
         penetrated=wilson(int((depths > 0).sum()), len(planned)),
     )
