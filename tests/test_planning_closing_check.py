@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.bodies import BodyDistances
-from pointsdf_cli.planning.closing_check import STEPS, ClosingCheck
+from pointsdf_cli.planning.closing_check import STEPS, ClosingCheck, _coupled
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
@@ -77,6 +78,16 @@ def test_coupled_jaws_stop_when_both_are_stopped() -> None:
     aside, inside = in_world(0, 0.025, 0.105), in_world(0, 0.012, 0.105)
     assert slack(inside, 0.003, grasped=0.01, centre=aside) < 0
     assert slack(inside, 0.003, grasped=0.0225, centre=BETWEEN) == pytest.approx(0.0075, abs=STEP)
+
+
+def test_a_chain_of_couplings_is_one_group() -> None:
+    joints = [
+        SimpleNamespace(name=name, mimic=leader)
+        for name, leader in (("a", None), ("b", ("a", 1.0)), ("c", ("b", 1.0)), ("d", None))
+    ]
+    robot = SimpleNamespace(tree=SimpleNamespace(joints=joints), closing_joints=("c", "a", "d"))
+    found = _coupled(robot)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(found, [[1, 1, 0], [1, 1, 0], [0, 0, 1]])
 
 
 def test_without_obstacles_there_is_nothing_to_meet() -> None:

@@ -76,6 +76,20 @@ def test_table_distances_are_the_heights_of_lowest_points(robot, kinematics, geo
         np.testing.assert_allclose(found[link], heights[:, k].numpy(), atol=1e-6)
 
 
+def test_a_raised_table_is_nearer_by_its_height(robot, kinematics, geometry) -> None:
+    poses = link_poses(kinematics, draw(robot, 20))
+    flat, raised = (
+        BodyDistances(geometry, Environment(table_height=height), exact_to=10.0)
+        for height in (0.0, 0.03)
+    )
+    table = flat.is_table
+    lower, nearer = (one(poses).distance[:, table] for one in (flat, raised))
+    np.testing.assert_allclose(nearer, lower - 0.03, atol=1e-6)
+    rows, columns = (k.ravel() for k in np.indices(lower.shape))
+    single = raised.of(poses, rows, np.flatnonzero(table)[columns])
+    np.testing.assert_allclose(single.reshape(nearer.shape), nearer, atol=1e-9)
+
+
 def test_self_distances_agree_with_surface_samples(robot, kinematics, geometry) -> None:
     q = draw(robot, 12, seed=1)
     bodies = BodyDistances(geometry, Environment(table=False), exact_to=0.02)

@@ -227,6 +227,17 @@ def test_why_there_is_no_motion() -> None:
         plan_motion(checker, IK, ROBOT.home + 10, q)
 
 
+def test_a_pedestal_under_the_base_is_in_no_ones_way() -> None:
+    pose = np.eye(4)
+    pose[2, 3] = -0.25
+    pedestal = Obstacle("pedestal", "box", (0.4, 0.4, 0.5), pose)
+    checker = PathChecker(GEOMETRY, FIELD, Environment((pedestal,), table=False))
+    assert checker.slack(ROBOT.home[None])[0] > 0
+    goal = ROBOT.home.copy()
+    goal[0] += 0.3
+    assert checker.is_free(np.stack([ROBOT.home, goal]))
+
+
 def test_times_keep_speed_limits_and_the_path() -> None:
     rng = np.random.default_rng(0)
     path = np.cumsum(rng.normal(0, 0.4, (8, 5)), axis=0)

@@ -192,6 +192,21 @@ def test_where_the_best_grasp_has_no_motion_the_next_one_is_taken(planner: Plann
     assert rest.rejected[-1].reason == "motion"
 
 
+def test_a_fallback_without_a_motion_is_told_by_its_motion(planner: Planner) -> None:
+    found, good = found_for_the_can(planner)
+    inside = good.q.copy()
+    inside[1] += 0.3
+    unlikely = replace(good, q=inside, success=0.08, reason="low_success_probability")
+    only = replace(found, best=None, accepted=[], fallbacks=[unlikely], rejected=[unlikely])
+    checker = PathChecker(planner.geometry, target().field)
+    best, motion, rest = planner._with_motion(checker, only, planner.robot.home, 0)
+    assert best is None
+    assert motion is None
+    assert rest.reason == "motion"
+    assert "no free path" in rest.sentence
+    assert rest.rejected == [unlikely]
+
+
 def test_ranked_grasps_get_their_second_search_before_the_next_one_gets_any(
     planner: Planner,
 ) -> None:

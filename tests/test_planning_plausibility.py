@@ -16,6 +16,7 @@ from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.io.clouds import read_cloud, write_cloud
 from pointsdf_cli.planning.object_choice import reach_of
 from pointsdf_cli.planning.plausibility import (
@@ -125,6 +126,21 @@ def test_cameras_that_do_not_see_the_same_are_doubted(shift: float, doubted: boo
         views += seen.views
     assert bool(seen_through(views)) == doubted
     assert bool([one for one in doubts(views) if "saw past" in one]) == doubted
+
+
+def test_points_beside_the_other_cameras_window_were_not_seen_past() -> None:
+    rng = np.random.default_rng(0)
+    patch = np.column_stack([rng.uniform(-0.02, 0.02, (500, 2)), np.full(500, 1.0)])
+    side = np.linspace(-0.2, 0.2, 400)
+    wall = np.stack(np.meshgrid(side, side, [2.0]), axis=-1).reshape(-1, 3)
+    wall = wall[(np.abs(wall[:, :2]) > 0.05).any(axis=1)]
+    image = visibility_image(patch, wall, None, 1 / 500)
+    one = View(patch, np.eye(4), ViewEvidence(image))
+    left, top, wide, high = image.window
+    within = np.tile([left + 0.02 * wide, top + 0.5 * high, 1.0], (30, 1))
+    beside = np.tile([left - 0.5, 0.0, 1.0], (970, 1))
+    assert seen_through([one, View(np.concatenate([within, beside]), np.eye(4))]) == ""
+    assert "100%" in seen_through([one, View(within, np.eye(4))])
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -197,6 +199,27 @@ def test_a_prior_that_knows_one_kind_is_asked_for_that() -> None:
     none = draw_seeds(problem, prior, IK, "top", np.random.default_rng(1), few)
     assert len(none.x) == 0
     assert "other --kind" in why_none(none.statistics, [], 0)[1]
+
+
+def test_a_round_without_candidates_ends_the_search_too(
+    can_plan: Synthesis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    poor = replace(can_plan.accepted[0], success=0.3)
+    drawn = []
+
+    def draw(*_: object) -> Seeds:
+        drawn.append(1)
+        return Seeds(np.zeros((1, 1)), ("side",), SeedStatistics(1, 1, 1))
+
+    solved = lambda *_: [poor] if len(drawn) == 1 else []  # noqa: E731
+    monkeypatch.setattr("pointsdf_cli.planning.synthesis.draw_seeds", draw)
+    monkeypatch.setattr("pointsdf_cli.planning.synthesis._solved", solved)
+    score = NearPalm((CAN[0] - 0.09, 0.0, CAN[2]), (1.0, 0.0, 0.0), REST)
+    whole = problems(CylinderField(RADIUS, 0.24, CAN), score, Environment(), CAN)
+    rng = np.random.default_rng(0)
+    found = synthesise(whole, AroundObject(CAN, 0.09, REST), IK, Sqp(), rng)
+    assert found.accepted == [poor]
+    assert len(drawn) == 2
 
 
 def test_every_reason_is_told_apart(can_plan: Synthesis) -> None:

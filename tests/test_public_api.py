@@ -12,6 +12,7 @@ import pytest
 
 import pointsdf_cli
 from pointsdf_cli.assets import asset_path
+from pointsdf_cli.errors import InputError
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -41,6 +42,14 @@ def test_a_completed_cloud_is_closed_and_signed() -> None:
     assert shape.sdf(far) > 0.02
     assert abs(shape.sdf(shape.vertices[::50])).mean() < 0.003
     assert shape.gradient(far[None]).shape == (1, 3)
+
+
+def test_points_in_millimetres_and_whole_clouds_are_refused() -> None:
+    cloud = pointsdf_cli.read_cloud(asset_path("clouds/mug.ply"))
+    with pytest.raises(InputError, match="millimetres"):
+        pointsdf_cli.complete(1000 * cloud.points)
+    with pytest.raises(InputError, match="not an array"):
+        pointsdf_cli.complete(cloud)
 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))

@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from pointsdf_cli.robot.check import ERROR, check_robot
-from pointsdf_cli.robot.closing import closing_of, fingertips, to_palm_axis
+from pointsdf_cli.robot.check import ERROR, _left_home, check_robot
+from pointsdf_cli.robot.closing import closing_of, fingertips, open_hand, to_palm_axis
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.robot_check_picture import AXES, PATH_COLOUR, check_picture, robot_scene
 
@@ -117,6 +118,16 @@ def test_a_joint_that_is_left_out_is_told(gripper: Callable[[str, str], Path]) -
     path = gripper("arm_joints: [slide, turn, lean, roll]", "arm_joints: [slide, turn, lean]")
     findings = check_robot(load_robot(path)).findings
     assert any("roll" in f.what and f.level == "warning" for f in findings)
+
+
+def test_a_hand_that_waits_otherwise_than_it_grasps_is_told() -> None:
+    panda = load_robot("panda")
+    assert not any("in grasps" in f.what for f in check_robot(panda).findings)
+    joints, ranges = panda.preshape_joints[1:], panda.preshape_ranges[1:]
+    half = replace(panda, preshape_joints=joints, preshape_ranges=ranges)
+    (found,) = _left_home(half)
+    assert found.what == "panda_finger_joint1: 0.04 at home, but 0 in grasps"
+    assert open_hand(half)[7] == 0.0
 
 
 def test_the_command_reports_draws_and_exits_as_it_should(

@@ -294,6 +294,36 @@ def test_the_node_moves_closes_grips_and_lifts(
     np.testing.assert_allclose(lift.points[-1].positions, plan.lift[-1, :7])
 
 
+def test_a_lift_that_somebody_cancels_is_no_success(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path
+) -> None:
+    arm = []
+
+    def result_of(self: Goals, goal: Any, state: dict[str, float]) -> Any:
+        if goal.trajectory.joint_names[0] == next(iter(state)):
+            arm.append(goal)
+        if len(arm) == 2:  # the controller's result of a cancelled goal: no error
+            return SimpleNamespace(status=5, result=SimpleNamespace(error_code=0))
+        return moved(self, goal, state)
+
+    moved = Goals.result_of
+    monkeypatch.setattr(Goals, "result_of", result_of)
+    with pytest.raises(SystemExit, match="status 5"):
+        run_node(monkeypatch, plan, tmp_path)
+    assert len(arm) == 2
+
+
+def test_a_joint_without_limits_closes_as_it_does_in_plans(example: Any, tmp_path: Path) -> None:
+    hand = "closing_joints: {f: -0.5, g: 0.5, h: 0.5}\narm_joints: [a]\nurdf: r.urdf\n"
+    (tmp_path / "r.yaml").write_text(hand)
+    (tmp_path / "r.urdf").write_text(
+        '<robot><joint name="f" type="continuous"/><joint name="g" type="revolute"/>'
+        '<joint name="h" type="revolute"><limit lower="-1" upper="1.2"/></joint></robot>'
+    )
+    _, closing = example.read_hand(tmp_path / "r.yaml")
+    assert closing.limits == {"f": -np.pi, "g": np.pi, "h": 1.2}
+
+
 OPENED = (True, False, 0.04)
 GRIPPER = ("--gripper", "/gripper_cmd", "--gripper-open", "0.04", "--gripper-closed", "0")
 

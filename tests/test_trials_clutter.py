@@ -17,6 +17,7 @@ from pointsdf_cli.camera.depth_cloud import cloud_of_depth
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.trials import read_trial, read_trials
+from pointsdf_cli.planning.table_top import label_table
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.observe import Observer
 from pointsdf_cli.simulation.sim_object import SimObject
@@ -29,6 +30,7 @@ from pointsdf_cli.trials.clutter import (
     disturbance,
     level_corners,
     level_gap,
+    look,
     place_neighbours,
     target_number,
 )
@@ -141,6 +143,26 @@ def test_the_target_is_numbered_as_it_is_listed(world: World, meshes: Path) -> N
     away = made[0][0], transform(np.eye(3), [3.0, 0.0, 0.075])
     assert target_number(cloud, [away, *made], robot) is None
     assert target_number(cloud, [away], robot) is None  # nor are objects that nobody placed
+
+
+@pytest.mark.parametrize("cleaned", [True, False])
+def test_the_target_is_numbered_in_the_view_that_it_is_looked_for_in(
+    cleaned: bool, world: World, meshes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def label(*args: object, **options: object) -> object:
+        asked.append(options["cleaned"])
+        return label_table(*args, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("pointsdf_cli.trials.clutter.label_table", label)
+    trial = trials(meshes, 2)[0]
+    made, robot = standing(world, trial), load_robot()
+    pose = place_camera(*made[0], trial)
+    view, _ = look(Observer(robot), robot, made, pose, np.random.default_rng(0), cleaned)
+    assert asked == [cleaned]
+    middle = np.median(view.in_world, axis=0)
+    assert np.linalg.norm((middle - made[0][1][:3, 3])[:2]) < 0.05
 
 
 def test_a_neighbour_in_the_way_is_disturbed_and_one_aside_is_not(

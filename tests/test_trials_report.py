@@ -95,6 +95,13 @@ def test_summary_counts_what_was_written(rows: list[TrialRow]) -> None:
     assert test.by_object == pytest.approx(2 / 4)
 
 
+def test_a_median_of_planning_times_is_of_what_was_planned(rows: list[TrialRow]) -> None:
+    unseen = replace(ROW, status="no_plan", reason="no_object", planning_time=0.0, planning_cpu=0.0)
+    (found,) = summarise([ROW, *4 * [unseen]])
+    assert (found.seconds, found.cpu_seconds) == (ROW.planning_time, ROW.planning_cpu)
+    assert np.isnan(summarise([unseen])[0].seconds)
+
+
 def test_verdicts_are_told_apart_and_lost_objects_by_the_step() -> None:
     in_hold = replace(ROW, held=False, unshaken=0, lost_in="hold", cause="slipped")
     in_push = replace(ROW, unshaken=0, lost_in="push -y")
