@@ -213,7 +213,9 @@ def _start(seen: _Observations, alone: Array, rng: np.random.Generator) -> HandE
     subsets = [np.arange(count)] + [rng.choice(count, 3, replace=False) for _ in range(SUBSETS)]
     tried: list[tuple[float, int, HandEyePoses]] = []
     for subset in subsets:
-        if rotation_spread(seen.T_fixed_moving[subset])[1] >= SMALLEST_SPREAD:
+        # All images were checked already; by their inverse poses, which spread a little otherwise.
+        enough = rotation_spread(seen.T_fixed_moving[subset])[1] >= SMALLEST_SPREAD
+        if enough or len(subset) == count:
             poses = solve_hand_eye(seen.T_fixed_moving[subset], alone[subset])
             tried.append((float(np.median(seen.rms(poses))), len(tried), poses))
     return min(tried)[2]

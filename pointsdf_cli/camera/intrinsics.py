@@ -96,6 +96,8 @@ def _read(
         fx, fy, cx, cy = _numbers(data, path)
     else:
         fx, fy, cx, cy = _of_matrix(data, False, path)
+    if not np.isfinite([fx, fy, cx, cy]).all():
+        raise InputError("fx, fy and the principal point are not finite", where=path, allowed=FORMS)
     width, height = width or max(1, round(2 * cx)), height or max(1, round(2 * cy))
     try:
         camera = Camera(width, height, fx, fy, cx, cy)
@@ -180,11 +182,16 @@ def _of_matrix(value: Any, by_columns: bool, path: Path) -> tuple[float, float, 
     return tuple(float(v) for v in matrix[[0, 1, 0, 1], [0, 1, 2, 2]])  # type: ignore[return-value]
 
 
+def _is_numeric(value: Any) -> bool:
+    """Whether a value is a number."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def _check_distortion(data: Mapping[str, Any], path: Path) -> None:
     for key in _DISTORTION:
         value = data.get(key)
         if isinstance(value, Mapping):
-            value = value.get("data")
+            value = value.get("data", [each for each in value.values() if _is_numeric(each)])
         if value is None:
             continue
         try:

@@ -45,7 +45,7 @@ def read_xyz(path: Path) -> RawCloud:
         with TextIOWrapper(open_input(path, "cloud"), encoding="utf-8-sig") as handle:
             table = np.loadtxt(
                 _lines(handle, path),
-                delimiter=next((s for s in ",;" if s in head[first]), None),
+                delimiter=next((s for s in ",;" if s in _before_comment(head[first])), None),
                 skiprows=first,
                 ndmin=2,
                 comments=("#", "//"),
@@ -114,6 +114,10 @@ def read_npy(path: Path) -> RawCloud:
             allowed="numbers [N, 3], [N, 6] or [height, width, 3]",
         )
     return _from_table(array.reshape(-1, array.shape[-1]).astype(np.float64), {}, path)
+
+
+def _before_comment(line: str) -> str:
+    return line.partition("#")[0].partition("//")[0]
 
 
 def _lines(handle: TextIO, path: Path) -> Iterator[str]:

@@ -36,6 +36,9 @@ from pointsdf_cli.io.raw_cloud import (
 )
 
 FEWEST_POINTS = 50
+FARTHEST = 20.0
+"""Largest distance [m] of a cloud from its origin: a camera sees some metres far, and coordinates
+in the hundreds are another unit."""
 SMALLEST, LARGEST = 0.005, 2.0
 """Bounds [m] of the longest side of a partial view of something that a hand may grasp."""
 
@@ -240,11 +243,19 @@ def check_object_cloud(cloud: Cloud, where: Any) -> Cloud:
     size = float(np.ptp(points, axis=0).max())
     if size == 0:
         raise InputError("all points are the same point", where=where)
+    if not SMALLEST <= size <= LARGEST:
+        raise _size_error(points, size, where)
+    away = float(np.abs(np.median(points, axis=0)).max())
+    if away > FARTHEST:
+        raise InputError(
+            f"the points lie {away:.4g} m away",
+            where=where,
+            allowed=f"up to {FARTHEST:g} m",
+            hint="check the unit and the origin of the cloud",
+        )
     spread = np.linalg.svd(np.cov(points.T), compute_uv=False)
     if spread[1] < 1e-6 * spread[0]:
         raise InputError("all points lie on one line", where=where)
-    if not SMALLEST <= size <= LARGEST:
-        raise _size_error(points, size, where)
     return cloud
 
 
@@ -263,7 +274,7 @@ def check_scene_cloud(cloud: Cloud, where: Any) -> Cloud:
         )
     size = float(np.ptp(points, axis=0).max())
     # A camera's view of a room reaches metres far, its errors some more; another unit, thousands.
-    if size < SMALLEST or np.abs(np.median(points, axis=0)).max() > 20:
+    if size < SMALLEST or np.abs(np.median(points, axis=0)).max() > FARTHEST:
         raise _size_error(points, size, where)
     return cloud
 
@@ -278,7 +289,7 @@ def _size_error(points: NDArray[np.float64], size: float, where: Any) -> InputEr
             hint="check the unit (--unit m, cm, mm, inch)",
         )
     # A camera sees some metres far: coordinates in the hundreds are another unit.
-    if np.abs(np.median(points, axis=0)).max() > 20 or size > 20:
+    if np.abs(np.median(points, axis=0)).max() > FARTHEST or size > FARTHEST:
         return InputError(
             f"the cloud is {size:.4g} m across: these look like millimetres",
             where=where,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from pointsdf_cli.choices import Unit, require_choice
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.repair import ClosedMesh, close_mesh
 from pointsdf_cli.io.atomic import atomic_path
-from pointsdf_cli.io.input_files import check_input, read_input
+from pointsdf_cli.io.input_files import check_input, largest_input, read_input
 from pointsdf_cli.io.provenance import file_sha256
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".dae", ".3mf")
@@ -263,6 +264,7 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     import trimesh
 
     try:
+        _check_unpacked(data, kind)
         # From bytes, and without materials: a mesh file must not make us open other files.
         loaded = trimesh.load_scene(
             io.BytesIO(data), file_type=kind[1:], process=False, skip_materials=True
@@ -289,9 +291,26 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     return vertices, faces
 
 
+def _check_unpacked(data: bytes, kind: str) -> None:
+    """Refuse archives that unpack to more than a mesh file may hold."""
+    if kind != ".3mf":
+        return
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        size, most = sum(part.file_size for part in archive.infolist()), largest_input("mesh")
+    if size > most:
+        raise ValueError(f"unpacks to {size >> 20} MiB, more than {most >> 20}")
+
+
 def _check_size(path: Path, vertices: NDArray[np.float64], unit: str) -> None:
-    size = float(np.ptp(vertices, axis=0).max())
+    size, farthest = float(np.ptp(vertices, axis=0).max()), float(np.abs(vertices).max())
     if SMALLEST <= size <= LARGEST:
+        if farthest > FARTHEST:
+            raise InputError(
+                f"lies {farthest:.4g} m from its origin",
+                where=path,
+                allowed=f"up to {FARTHEST:g} m",
+                hint="move it to the origin",
+            )
         return
     fitting = [u for u, m in UNITS.items() if SMALLEST <= size / UNITS[unit] * m <= LARGEST]
     likeliest = next((unit for unit in ("mm", "cm", *fitting) if unit in fitting), "")

@@ -19,6 +19,8 @@ from pointsdf_cli.io.ply import RawCloud, cut_short, stacked
 
 _HEADER_LIMIT = 1 << 14
 _NO_VIEWPOINT = ["0", "0", "0", "1", "0", "0", "0"]
+SINGLE = ("x", "y", "z", "rgb", "rgba", "normal_x", "normal_y", "normal_z")
+"""Fields of one number a point."""
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 
 
@@ -148,7 +150,7 @@ def _record(fields: dict[str, list[str]]) -> np.dtype[Any]:
         unique = name if name not in names[:k] and name != "_" else f"{name}#{k}"
         scalar = f"<{_KINDS[kind]}{int(size)}"
         times = int(repeat)
-        if times < 1 or (times > 1 and name in ("x", "y", "z")):
+        if times < 1 or (times > 1 and name in SINGLE):
             raise ValueError(f"COUNT {times} of {name}")
         columns.append((unique, scalar) if times == 1 else (unique, scalar, (times,)))
     return np.dtype(columns)

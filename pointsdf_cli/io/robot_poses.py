@@ -109,7 +109,10 @@ def _of_csv(path: Path) -> tuple[list[str] | None, list[Any]]:
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if not lines:
         return None, []
-    rows = [[word.strip() for word in row if word.strip()] for row in csv.reader(lines)]
+    try:
+        rows = [_without_end([word.strip() for word in row]) for row in csv.reader(lines)]
+    except csv.Error as error:
+        raise InputError(f"is no CSV: {error}", where=path, allowed=FORMS) from error
     rows = [row for row in rows if row]  # a spreadsheet may end in rows of commas
     if not rows:
         return None, []
@@ -123,9 +126,17 @@ def _of_csv(path: Path) -> tuple[list[str] | None, list[Any]]:
     return None, list(rows)
 
 
+def _without_end(row: list[str]) -> list[str]:
+    """A row without the empty cells at its end."""
+    while row and not row[-1]:
+        row = row[:-1]
+    return row
+
+
 def _with_header(
     head: Sequence[str], rows: Sequence[Sequence[str]], path: Path
 ) -> tuple[list[str] | None, list[Any]]:
+    rows = [[*row, *[""] * (len(head) - len(row))] for row in rows]
     for number, row in enumerate(rows):
         if len(row) != len(head):
             raise InputError(

@@ -128,7 +128,10 @@ class Bag:
         """
         start = None if time is None else self._reader.start_time + round(1e9 * time)
         if index < 0:
-            index += sum(1 for _ in self.messages([topic]))
+            there = sum(1 for _ in self.messages([topic]))
+            if index < -there:
+                raise self._too_few(topic, there, index, time, count)
+            index += there
         depths: list[NDArray[np.float32]] = []
         stamps: list[int] = []
         times: list[int] = []
@@ -294,4 +297,8 @@ def _edge(item: Any) -> tuple[str, str]:
 
 def _matrix(pose: Any) -> Array:
     q, t = pose.rotation, pose.translation
-    return transform(rotation_from_wxyz([q.w, q.x, q.y, q.z]), [t.x, t.y, t.z])
+    wxyz = np.array([q.w, q.x, q.y, q.z])
+    size = np.linalg.norm(wxyz)
+    if not (1e-6 < size < np.inf and np.isfinite([t.x, t.y, t.z]).all()):
+        raise ValueError("a transform that is no rotation and translation")
+    return transform(rotation_from_wxyz(wxyz), [t.x, t.y, t.z])

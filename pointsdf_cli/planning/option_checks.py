@@ -12,6 +12,8 @@ RECONSTRUCTION, PARTIAL_VIEW = "reconstruction", "partial-view"
 METHODS = get_args(choices.Method)
 KINDS = ("side", "top")
 
+SLOWEST = 0.001
+"""Least share of the joints' speed limits: a motion then takes an hour."""
 LARGEST_CLEARANCE = 0.015
 """Largest clearance [m]. Distances are exact only up to 2 cm, and a hand that keeps 1.5 cm away
 holds nothing."""
@@ -21,10 +23,10 @@ def check_speed(speed: float) -> None:
     """Require a share of the joints' speed limits.
 
     Raises:
-        InputError: Not within (0, 1].
+        InputError: Less than `SLOWEST` or more than 1.
     """
-    if not 0 < speed <= 1:
-        raise InputError(f"{speed:g}", where="--speed", allowed="above 0, at most 1")
+    if not SLOWEST <= speed <= 1:
+        raise InputError(f"{speed:g}", where="--speed", allowed=f"{SLOWEST:g} to 1")
 
 
 def check_distance(name: str, value: float) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 
 from pointsdf_cli.camera.cleaning import clean
+from pointsdf_cli.camera.scene_file import masked
 from pointsdf_cli.camera.segmentation import FEWEST, SegmentationConfig
 from pointsdf_cli.camera.table_objects import VOXEL
 from pointsdf_cli.camera.view import View
@@ -250,7 +251,7 @@ def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) 
     for cloud, name in zip(clouds, names, strict=True):
         require_pose(cloud, name)
         assert cloud.T_world_camera is not None
-        points, said = bare_object(check_object_cloud(cloud, name), cleaned)
+        points, said = bare_object(check_object_cloud(masked(cloud), name), cleaned)
         width = level_width(apply_transform(cloud.T_world_camera, points))
         if width > WIDEST:
             raise InputError(

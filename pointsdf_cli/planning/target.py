@@ -45,6 +45,9 @@ CELLS_ACROSS = 5
 that is fine enough for a box."""
 
 
+MOST_CELLS = 400_000
+"""Largest number of the grid's finest cells: larger objects get larger cells."""
+
 MISSED, MOST_MISSED = 0.008, 0.2
 """Distance [m] to the nearest vertex of the surface above which a seen point counts as missed, and
 the share of missed points above which a plan carries a warning."""
@@ -93,7 +96,10 @@ class ObjectField:
         cls, field: Field, low: Array, high: Array, grid: GridConfig | None = None
     ) -> ObjectField:
         """Sample `field` on a grid within the box of `low` and `high` [3]."""
-        return cls(field, low, high, GridField(field, low, high, grid or KEPT_GRID))
+        grid = grid or KEPT_GRID
+        cells = float(np.prod((np.asarray(high) - low) / grid.step))
+        grid = replace(grid, step=grid.step * max(1.0, (cells / MOST_CELLS) ** (1 / 3)))
+        return cls(field, low, high, GridField(field, low, high, grid))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import asyncio
 import hmac
 import json
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, TypeVar
 
 from fastapi import FastAPI, Request, Response
 from fastapi_offline import FastAPIOffline
@@ -31,6 +31,8 @@ from pointsdf_cli.service.bodies import (
 from pointsdf_cli.service.request_queue import BusyError, ClosingError, RequestQueue
 from pointsdf_cli.service.resident import Resident
 from pointsdf_cli.viz.viewer_access import may_connect
+
+T = TypeVar("T")
 
 LARGEST_BODY = 64 << 20
 """Largest body in bytes: a depth image of two million pixels with its further fields."""
@@ -171,10 +173,10 @@ async def _answered(
     try:
         try:
             async with asyncio.timeout(SLOWEST_BODY):
-                data = await _body(request, largest)
+                data = await _unless(_closed(queue), _body(request, largest))
         except TimeoutError:
             return _error_response(RgraspError("the body did not arrive in time"), 408)
-        ready = await asyncio.to_thread(work, data)
+        ready = await _unless(request.is_disconnected, asyncio.to_thread(work, data))
         del data
         waiting = asyncio.wrap_future(queue.submit(job, ready))
         while not waiting.done():
@@ -200,6 +202,37 @@ async def _answered(
         return _error_response(RgraspError("not enough memory for this request"), 500)
     finally:
         queue.leave(job)
+
+
+async def _unless(left: Callable[[], Awaitable[bool]], work: Awaitable[T]) -> T:
+    """The result of `work`, waited for as long as `left` is false.
+
+    Raises:
+        ClientDisconnect: Nobody waits for it any more.
+    """
+    task = asyncio.ensure_future(work)
+    try:
+        while not task.done():
+            await asyncio.wait({task}, timeout=0.05)
+            if not task.done() and await left():
+                raise ClientDisconnect
+        return task.result()
+    finally:
+        task.cancel()
+
+
+def _closed(queue: RequestQueue) -> Callable[[], Awaitable[bool]]:
+    """Function that tells whether the server is stopping.
+
+    Raises:
+        ClosingError: It is.
+    """
+
+    async def check() -> bool:
+        queue.require_open()
+        return False
+
+    return check
 
 
 async def _body(request: Request, largest: int) -> bytes:

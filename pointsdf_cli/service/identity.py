@@ -38,7 +38,7 @@ class PlannerFiles:
         """
         return {
             "version": __version__,
-            "robot": _robot(self.robot),
+            "robot": robot_digest(self.robot),
             "checkpoint": weights_digest(self.checkpoint),
             "grasp_checkpoint": weights_digest(self.grasp_checkpoint),
         }
@@ -49,11 +49,6 @@ def bundled_digest() -> str:
     """Digest of all bundled weights, for files that outlive an update of them."""
     weights = sorted(asset_path("weights").glob("*/model.safetensors"))
     return hashlib.sha256("".join(map(file_sha256, weights)).encode()).hexdigest()
-
-
-@lru_cache(maxsize=8)
-def _robot(path: Path | None) -> str:
-    return robot_digest(path)
 
 
 def weights_digest(path: Path | None) -> str:

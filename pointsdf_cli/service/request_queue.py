@@ -66,6 +66,15 @@ class RequestQueue:
         """Jobs that have a place, the one that runs among them."""
         return len(self._jobs)
 
+    def require_open(self) -> None:
+        """Refuse what has not begun when the server stops.
+
+        Raises:
+            ClosingError: It stops.
+        """
+        if self._closing:
+            raise ClosingError("the server is stopping", hint="ask again when it is back")
+
     def take_place(self) -> Job:
         """A place in the queue, to be filled by `submit` or given back by `leave`.
 
@@ -74,8 +83,7 @@ class RequestQueue:
             ClosingError: The server stops.
         """
         with self._changed:
-            if self._closing:
-                raise ClosingError("the server is stopping", hint="ask again when it is back")
+            self.require_open()
             if len(self._jobs) > self.places:
                 raise BusyError(
                     f"{len(self._jobs)} requests are being answered or wait",

@@ -63,11 +63,7 @@ class Resident:
             InputError: The robot or a checkpoint cannot be used.
         """
         if choices not in self._planners:
-            if self._identity not in (None, self.files.identity()):
-                raise InputError(
-                    "the robot or the weights have changed since the server was started",
-                    hint="start `rgrasp serve` again",
-                )
+            self._require_unchanged()
             self._planners[choices] = self._made(choices)
             while len(self._planners) > KEPT:
                 self._planners.popitem(last=False)
@@ -102,11 +98,11 @@ class Resident:
         planner = self.planner(request.choices)
         robot = planner.robot
         joints = robot.joint_names
-        if q.shape[1] != len(joints):
+        if q.shape[1] != len(joints) or not len(q):
             raise InputError(
-                f"grasps of {q.shape[1]} joints",
+                f"{len(q)} grasps of {q.shape[1]} joints",
                 where="q",
-                allowed=f"{len(joints)}: " + ", ".join(joints),
+                allowed=f"one grasp or more, of {len(joints)}: " + ", ".join(joints),
             )
         seen = look_at_table(
             request.clouds,
@@ -139,8 +135,17 @@ class Resident:
             EmptySurfaceError: The network sees nothing solid.
         """
         if self._shape is None:
+            self._require_unchanged()
             self._shape = load_model(self.files.checkpoint, self.device)
         return complete_mesh(self._shape, view, choices, name)
+
+    def _require_unchanged(self) -> None:
+        """Refuse to load files that have changed since `identity` was first asked."""
+        if self._identity not in (None, self.files.identity()):
+            raise InputError(
+                "the robot or the weights have changed since the server was started",
+                hint="start `rgrasp serve` again",
+            )
 
     def _made(self, choices: PlanChoices) -> GraspPlanner:
         clearance = choices.clearance

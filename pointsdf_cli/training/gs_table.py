@@ -55,11 +55,15 @@ def compare(
         name = title_of(config)
         if name in [method.name for method in methods]:
             name = f"{name} ({label})"
-        threshold = config["validation"]["threshold"]
+        try:
+            threshold = float(config["validation"]["threshold"])
+            line = {key: float(config["calibration"][key]) for key in ("scale", "shift")}
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                "its config.json has no usable 'calibration' or 'validation'", where=path
+            ) from error
         logits = learner.logits(rows)
-        methods.append(
-            evaluation.scored_network(name, logits, **config["calibration"], threshold=threshold)
-        )
+        methods.append(evaluation.scored_network(name, logits, **line, threshold=threshold))
     scores = {
         "always success": gs_baselines.always(data, known),
         "prior only": gs_baselines.prior_score(data, prior, load_robot(sources.robot)),

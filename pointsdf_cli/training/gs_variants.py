@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -189,7 +189,8 @@ def prepare_trained(
     """
     robot = load_robot(sources.robot)
     # Of several checkpoints, --sdf applies to those that were trained with it.
-    wanted = read_config(path).get("encoder", {}).get("sha256")
+    encoder = read_config(path).get("encoder")
+    wanted = encoder.get("sha256") if isinstance(encoder, Mapping) else None
     sdf = sources.sdf if sources.sdf and weights_hash(sources.sdf) == wanted else None
     parts = read_grasp_checkpoint(path, sdf, robot)
     mode = parts.config["mode"]
