@@ -250,6 +250,8 @@ POSE_FORMS: dict[str, tuple[str, bool]] = {
     "blanks.txt": (LINE.replace(",", " "), False),
     "named.csv": (f"one.png,{LINE}", True),
     "header.csv": (f"{HEADER}\n{SHUFFLED}\n", True),
+    "empty_cells.csv": (f"note,{HEADER},more\n,{SHUFFLED},\n,,,\n", True),
+    "empty_name.csv": (f",{HEADER},note\n7,{SHUFFLED}\n", True),
 }
 
 
@@ -260,6 +262,12 @@ def test_every_form_of_robot_poses_is_the_same_pose(tmp_path: Path, name: str) -
     found = read_robot_poses(tmp_path / name)
     assert np.allclose(found.T_base_gripper, POSE[None], atol=1e-12)
     assert found.names == (("one.png",) if named else None)
+
+
+def test_a_cell_without_end_is_no_csv(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f'{HEADER}\n"{"0" * 200_000}"\n')
+    with pytest.raises(InputError, match="is no CSV"):
+        read_robot_poses(tmp_path / "a.csv")
 
 
 def change(option: str, *value: object) -> Callable[[Path], list[object]]:

@@ -116,6 +116,8 @@ WRONG: dict[str, tuple[Any, str]] = {
     "kalibr.json": ({"K": K, "distortion_coeffs": [0.3, 0, 0, 0]}, "camera distortion"),
     "outer.json": ({"distortion": [0.3], "intrinsics": {"K": K}}, "camera distortion"),
     "around.json": ({"width": 640, "height": 480, "depth": {"K": K}}, "640 × 480"),
+    "mapping.json": ({"K": K, "distortion": {"model": "x", "k1": 0.3}}, "camera distortion"),
+    "infinite.json": ({"fx": FX, "fy": FY, "cx": float("inf"), "cy": CY}, "not finite"),
     "endless.json": ({"fx": 10**400, "fy": 1, "cx": 1, "cy": 1}, "not numbers"),
 }
 

@@ -162,7 +162,15 @@ def test_every_bad_input_gets_one_message(cli, grasps: Path, tmp_path: Path) -> 
         assert told in refused.err, (options, refused.err)
         assert not out.exists()
     table = tmp_path / "table.json"
+    damaged = {}
+    for key, value in (("calibration", {}), ("encoder", "x")):
+        damaged[key] = tmp_path / f"damaged_{key}"
+        shutil.copytree(BUNDLED, damaged[key])
+        config = json.loads((damaged[key] / "config.json").read_text())
+        (damaged[key] / "config.json").write_text(json.dumps(config | {key: value}))
     for options, told in (
+        (("--checkpoint", damaged["calibration"], "--grasps", grasps), "no usable 'calibration'"),
+        (("--checkpoint", damaged["encoder"], "--grasps", grasps), "no usable 'encoder'"),
         (("--checkpoint", tmp_path / "none", "--grasps", grasps), "not a checkpoint"),
         (("--checkpoint", default_checkpoint(), "--grasps", grasps), "not a success network"),
         (("--checkpoint", BUNDLED, "--grasps", tmp_path / "held"), "held and lost"),

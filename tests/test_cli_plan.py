@@ -183,7 +183,7 @@ def test_under_a_shelf_is_said(cli: Callable, tmp_path: Path) -> None:
         (["--workspace", "1,0,0,0,1,1"], "the lower corner first"),
         (["--workspace", "0,0,0,1,1,1", "--segment", "none"], "--segment auto"),
         (["--speed", "0"], "--speed"),
-        (["--speed", "1.5"], "at most 1"),
+        (["--speed", "1.5"], "0.001 to 1"),
         (["--environment", "none.yaml"], "no such environment file"),
         (["--camera-pose", "1,2"], "--camera-pose"),
         (["--frame", "moon"], "camera, world"),

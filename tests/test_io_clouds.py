@@ -169,6 +169,7 @@ def test_lzf_copy_may_overlap_itself() -> None:
         ("blanks.xyz", "# frame world\n0.1 0.2 0.3\n0.4 0.5 0.6\n"),
         ("commas.csv", "x,y,z\n0.1,0.2,0.3\n0.4,0.5,0.6\n"),
         ("crlf.txt", "0.1;0.2;0.3\r\n0.4;0.5;0.6\r\n"),
+        ("remark.xyz", "0.1 0.2 0.3 # a, b\n0.4 0.5 0.6\n"),
         ("bom.xyz", "\ufeff0.1 0.2 0.3 7\n0.4 0.5 0.6 8\n"),
     ],
 )
@@ -332,6 +333,9 @@ LINE = np.outer(np.linspace(0, 0.1, 100), [1, 2, 3]) + [0, 0, 1]
         (LINE, "on one line"),
         (POINTS * 1000, "millimetres.*\n.*\n.*--unit mm"),
         (POINTS * 0.01, "too small"),
+        (POINTS * 1e200, "millimetres"),
+        (POINTS + [0, 0, 100], "100.* m away"),
+        (np.concatenate([POINTS, [[1e7, 0, 1]]]), "millimetres"),
         (RNG.uniform(-2, 2, (500, 3)) + [0, 0, 3], "a whole scene"),
     ],
 )
@@ -473,6 +477,16 @@ def test_a_pcd_of_several_x_a_point_is_damaged(tmp_path: Path, count: str) -> No
     )
     (tmp_path / "a.pcd").write_bytes(header.encode() + bytes(60 * 24))
     with pytest.raises(InputError, match="COUNT"):
+        read_cloud(tmp_path / "a.pcd")
+
+
+def test_a_pcd_of_several_colours_a_point_is_damaged(tmp_path: Path) -> None:
+    header = (
+        "VERSION .7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 3\n"
+        "WIDTH 60\nHEIGHT 1\nPOINTS 60\nDATA binary\n"
+    )
+    (tmp_path / "a.pcd").write_bytes(header.encode() + bytes(60 * 24))
+    with pytest.raises(InputError, match="COUNT 3 of rgb"):
         read_cloud(tmp_path / "a.pcd")
 
 

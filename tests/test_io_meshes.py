@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import trimesh
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.repair import close_mesh
 from pointsdf_cli.geometry.sdf_sampling import enclosed_volume
+from pointsdf_cli.io.input_files import largest_input
 from pointsdf_cli.io.meshes import artifact_path, find_meshes, load_mesh, save_mesh
 
 
@@ -148,6 +150,27 @@ def test_a_vertex_that_no_face_uses_is_no_part_of_the_size(tmp_path: Path) -> No
     vertices = np.vstack([box.vertices, [[0.0, 0.0, 0.0]]])
     closed = close_mesh(vertices, np.asarray(box.faces))
     np.testing.assert_allclose(np.ptp(closed.vertices, axis=0), 0.01, atol=1e-6)
+
+
+def test_a_mesh_far_from_its_origin_keeps_its_shape_or_is_refused(
+    tmp_path: Path, box_mesh: trimesh.Trimesh
+) -> None:
+    for away, name in ((1000.0, "far.obj"), (1e6, "farther.obj")):
+        moved = box_mesh.copy()
+        moved.apply_translation([away, 0, 0])
+        moved.export(tmp_path / name, digits=12)
+    found = load_mesh(tmp_path / "far.obj")
+    corners = np.sort(found.vertices - [1000.0, 0, 0], axis=0)
+    np.testing.assert_allclose(corners, np.sort(box_mesh.vertices, axis=0), atol=1e-9)
+    with pytest.raises(InputError, match="m from its origin"):
+        load_mesh(tmp_path / "farther.obj")
+
+
+def test_an_archive_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.3mf", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("3D/3dmodel.model", bytes(largest_input("mesh") + 1))
+    with pytest.raises(InputError, match="unpacks to"):
+        load_mesh(tmp_path / "a.3mf")
 
 
 def test_a_sheet_encloses_nothing_and_is_refused(tmp_path: Path) -> None:

@@ -388,6 +388,15 @@ def _elsewhere(folder: Path) -> dict[str, object]:
     }
 
 
+def test_labels_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
+    sdf = np.array([0.0, np.nan], np.float32)
+    write_labels(
+        tmp_path / "a.h5", Labels(np.zeros((2, 3), np.float32), sdf, "m", "0" * 64), seed=0
+    )
+    with pytest.raises(InputError, match="NaN or infinite"):
+        read_labels(tmp_path / "a.h5")
+
+
 @pytest.mark.parametrize(
     "way", ["external storage", "external link", "soft link", "virtual", "in a group"]
 )

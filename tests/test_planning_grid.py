@@ -10,6 +10,7 @@ from planning_worlds import BoxField, SphereField
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.fields import SeenField, UnionField
 from pointsdf_cli.planning.grid import GridConfig, GridField, surface_box
+from pointsdf_cli.planning.target import MOST_CELLS, ObjectField
 
 LOW, HIGH = np.full(3, -0.1), np.full(3, 0.1)
 
@@ -118,3 +119,10 @@ def test_the_surface_box_holds_the_object_and_little_more() -> None:
     assert (high - low <= np.array([0.04, 0.1, 0.2]) + 4 * 0.03).all()
     with pytest.raises(InputError, match="positive everywhere"):
         surface_box(SphereField(0.05, (2, 0, 0)), LOW, HIGH, step=0.05)
+
+
+def test_a_room_gets_larger_cells_and_not_more_of_them() -> None:
+    room = ObjectField.of(SphereField(0.5), np.full(3, -1.0), np.full(3, 1.0))
+    assert room.kept._values.size < 1.3 * MOST_CELLS
+    value, bound = room.kept.with_bound(np.array([[0.6, 0.1, 0.0]]))
+    assert abs(value - (np.hypot(0.6, 0.1) - 0.5)) <= bound

@@ -93,6 +93,15 @@ def test_a_mask_of_another_object_in_the_second_camera_is_told() -> None:
     assert len(look_at_table([right, right], ["a", "b"], ROBOT, HOME).views) == 2
 
 
+def test_a_mask_counts_without_segmentation_too() -> None:
+    view = cloud(np.concatenate([TABLE, THINGS]))
+    mask = first_mask(view, SMALL)
+    seen = look_at_table([replace(view, mask=mask)], ["a"], ROBOT, HOME, segment="none")
+    points = seen.views[0].in_world
+    assert len(points) <= mask.sum()
+    np.testing.assert_allclose(points.mean(axis=0)[:2], SMALL[:2], atol=0.01)
+
+
 def first_mask(view: Cloud, centre: tuple[float, float, float]) -> np.ndarray:
     """Mask of a view's points above the table within 6 cm of a place."""
     world = apply_transform(POSE, view.points)

@@ -219,6 +219,14 @@ def lying_image() -> Any:
     return one
 
 
+def broken_transform() -> Any:
+    """Static transforms, one of them with a quaternion of zeros."""
+    message = tf(BEGIN, STATIC)
+    turn = message.transforms[0].transform.rotation
+    turn.x = turn.y = turn.z = turn.w = 0.0
+    return message
+
+
 RGB = image(BEGIN, np.zeros((6, 8, 3), np.uint8), "rgb8")
 OTHER_INFO = (INFO, BEGIN, camera_info(BEGIN, Camera(640, 480, 600, 600, 320, 240)))
 BENT = (INFO, BEGIN, camera_info(BEGIN, CAMERA, (0.1, 0, 0, 0, 0)))
@@ -246,6 +254,13 @@ MISTAKES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     "a distorted image": (of(UNRECTIFIED), "distorted"),
     "no transforms": (
         of(messages(raw(), **{"/tf_static": None}), "--world-frame", "base_link"), "/tf_static",
+    ),
+    "a transform that is none": (
+        of(messages(raw(), **{"/tf_static": ("/tf_static", BEGIN, broken_transform())}),
+           "--world-frame", "base_link"), "no rotation and translation",
+    ),
+    "an image before the first": (
+        of(messages(raw(3)), "--index", -7), f"has 3 images on {TOPIC}, and image -7",
     ),
     "another frame": (
         of(messages(raw()), "--world-frame", "map"), "frames in the bag: base_link, camera_depth",

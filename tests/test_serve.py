@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import os
@@ -24,6 +25,7 @@ import numpy as np
 import pytest
 import trimesh
 from doc_blocks import blocks
+from starlette.requests import ClientDisconnect
 from test_cli_mesh import constant_network
 
 from pointsdf_cli.assets import asset_path
@@ -34,7 +36,9 @@ from pointsdf_cli.io.plans import read_plan
 from pointsdf_cli.io.trees import tree_of_npz, tree_to_npz
 from pointsdf_cli.planning.cancellation import CancelledError, stop_if_cancelled
 from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_choice import TargetChoice
+from pointsdf_cli.planning.object_view import bare_cloud
 from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
 from pointsdf_cli.service.client import request_tree
 from pointsdf_cli.service.request_queue import BusyError, ClosingError, RequestQueue
@@ -43,6 +47,7 @@ pytest.importorskip("fastapi", reason="the extra `serve` is not installed")
 pytest.importorskip("uvicorn", reason="the extra `serve` is not installed")
 
 from pointsdf_cli.models.registry import use_threads
+from pointsdf_cli.service.app import _unless
 from pointsdf_cli.service.bodies import PlanBody, read_body
 from pointsdf_cli.service.identity import PlannerFiles
 from pointsdf_cli.service.resident import Resident
@@ -262,6 +267,38 @@ def test_weights_that_change_under_a_server_are_refused(tmp_path: Path) -> None:
     assert served.planner(PlanChoices()) is first
     with pytest.raises(InputError, match="have changed"):
         served.planner(PlanChoices(kind="top"))
+
+
+def test_a_robot_that_changes_under_a_server_is_refused(tmp_path: Path) -> None:
+    for name in ("panda.yaml", "panda.urdf"):
+        shutil.copy(asset_path(f"robots/{name}"), tmp_path)
+    served = Resident(PlannerFiles(robot=tmp_path / "panda.yaml"))
+    served.identity()
+    text = (tmp_path / "panda.yaml").read_text()
+    (tmp_path / "panda.yaml").write_text(text + "# moved\n")
+    with pytest.raises(InputError, match="have changed"):
+        served.planner(PlanChoices())
+
+
+def test_weights_that_change_before_the_first_mesh_are_refused(tmp_path: Path) -> None:
+    served = Resident(PlannerFiles(checkpoint=constant_network(tmp_path / "net", 0.1)))
+    served.identity()
+    constant_network(tmp_path / "net", -0.1)
+    with pytest.raises(InputError, match="have changed"):
+        served.mesh(bare_cloud(read_cloud(MUG), "mug"), MeshChoices(), "mug")
+
+
+def test_nobody_waits_for_a_client_that_left() -> None:
+    async def left() -> bool:
+        return True
+
+    async def ask() -> None:
+        await _unless(left, asyncio.sleep(60))
+
+    began = time.monotonic()
+    with pytest.raises(ClientDisconnect):
+        asyncio.run(ask())
+    assert time.monotonic() - began < 20
 
 
 def test_what_is_no_npz_or_json_or_too_large_is_refused(server: Server) -> None:

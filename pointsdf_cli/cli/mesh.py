@@ -151,7 +151,7 @@ def mesh(
             form=form or "ply", jobs=jobs, threads=threads, force=force, skip_bad=skip_bad,
         )  # fmt: skip
         return
-    require_each({"--skip-bad": skip_bad, "--jobs": jobs > 0})
+    require_each({"--skip-bad": skip_bad})
     if len(clouds) > 1:
         raise InputError(f"{len(clouds)} inputs", allowed="one", hint="add --each")
     out = mesh_path(out, form)

@@ -199,7 +199,7 @@ def plan(
         one = {"--trajectory": trajectory, "--picture": picture, "--server": server}
         require_without({k: v is not None for k, v in one.items()}, "leave one of the two out")
     else:
-        require_each({"--skip-bad": skip_bad, "--jobs": jobs > 0})
+        require_each({"--skip-bad": skip_bad})
         drawn = None if no_picture else picture or out.with_suffix(".png")
         outputs = PlanOutputs(out, drawn, trajectory)
         outputs.require_free(inputs, force)
