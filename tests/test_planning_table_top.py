@@ -193,6 +193,12 @@ def test_a_pose_at_the_wrong_height_is_doubted(off: float, said: str) -> None:
     assert bool(doubt) == bool(said)
 
 
+def test_a_scene_without_anything_at_the_table_is_doubted() -> None:
+    aloft = np.concatenate([TABLE, THINGS]) + [0.0, 0.0, 0.8]
+    assert "nothing is seen at z = 0" in table_doubt(None, [aloft])
+    assert table_doubt(None, [THINGS]) == ""
+
+
 def test_a_place_and_no_segmentation_contradict_each_other() -> None:
     scene = cloud(THINGS)
     with pytest.raises(InputError, match="--segment auto"):

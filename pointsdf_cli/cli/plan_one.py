@@ -103,7 +103,9 @@ def plan_one(
     if trajectory is not None and found:
         write_trajectory(trajectory, answer)
         if asked.get("start") is None:
-            reporter.say(f"{trajectory} begins at the robot's home; --start says where it stands")
+            reporter.say(
+                f"{trajectory} begins at the robot's home; if it stands elsewhere: --start"
+            )
     stale_picture = out.with_suffix(".png")
     if picture is None and stale_picture.exists():
         reporter.say(f"{stale_picture} was there before and does not show this plan")
@@ -203,16 +205,16 @@ def _report(
     if not plan.reason:
         lines.append(f"{out}: {headline(plan)}")
         # Do not repeat warnings that were printed before the planning.
-        doubt = plan.sentence.removesuffix(as_sentences(warnings)).strip()
+        doubt = plan.sentence.replace(as_sentences(warnings), "").strip()
         if doubt:
             reporter.say(f"warning: {doubt}")
         if plan.success_probability < 0.5:
             reporter.say("warning: this grasp is more likely to fail than to hold")
         near = float(plan.link_clearance_object.min()) * 1000
         lines.append(
-            f"configuration in {plan.timings['configuration']:.2f} s from {plan.seeds_tried} seeds "
-            f"({len(plan.accepted.kinds)} accepted), motion in {plan.timings['motion']:.2f} s: "
-            f"{len(plan.times)} points, {plan.times[-1]:.1f} s; nearest to the object {near:.1f} mm"
+            f"planned in {plan.timings['configuration'] + plan.timings['motion']:.2f} s, "
+            f"{len(plan.accepted.kinds)} grasps accepted; motion of {len(plan.times)} points, "
+            f"{plan.times[-1]:.1f} s long; the open hand {near:.1f} mm from the object"
         )
     lines += [
         f"{path}: {what}"

@@ -110,13 +110,17 @@ def table_doubt(height: float | None, worlds: Sequence[Array]) -> str:
             f"the table is seen at z = {height * 1000:.0f} mm, not 0: it is uneven, or the "
             "camera's pose is wrong" + ("; the robot keeps above it" if height > 0 else "")
         )
-    below = float((np.concatenate(worlds)[:, 2] < -BELOW).mean())
-    if height is None and below > MUCH:
+    if height is not None:
+        return ""
+    heights = np.concatenate(worlds)[:, 2]
+    below = float((heights < -BELOW).mean())
+    if below > MUCH:
         return (
             f"no table is seen at z = 0, and {below:.0%} of the points lie below it: check the "
             "camera's pose"
         )
-    return ""
+    nothing = not (np.abs(heights) < BELOW).any()
+    return "nothing is seen at z = 0, the table: check the camera's pose" if nothing else ""
 
 
 def table_elsewhere(world: Array) -> float | None:
