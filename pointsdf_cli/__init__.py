@@ -13,6 +13,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pointsdf_cli.camera.scene_file import read_depth_image as read_depth_image
     from pointsdf_cli.camera.view import View as View
     from pointsdf_cli.errors import InputError as InputError
     from pointsdf_cli.errors import RgraspError as RgraspError
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "read_depth_image": "camera.scene_file",
     "View": "camera.view",
     "InputError": "errors",
     "RgraspError": "errors",

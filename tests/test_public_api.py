@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import pointsdf_cli
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.frames import transform
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -50,6 +52,20 @@ def test_points_in_millimetres_and_whole_clouds_are_refused() -> None:
         pointsdf_cli.complete(1000 * cloud.points)
     with pytest.raises(InputError, match="not an array"):
         pointsdf_cli.complete(cloud)
+
+
+def test_a_depth_image_is_a_cloud_with_its_pose(tmp_path: Path) -> None:
+    depth = np.zeros((4, 6), np.uint16)
+    depth[1, 4] = 5000
+    Image.fromarray(depth).save(tmp_path / "depth.png")
+    (tmp_path / "K.json").write_text("[[100, 0, 3], [0, 100, 2], [0, 0, 1]]")
+    files = tmp_path / "depth.png", tmp_path / "K.json"
+    pose = transform(np.diag([1.0, -1.0, -1.0]), [0.0, 0.0, 0.6])
+    cloud = pointsdf_cli.read_depth_image(*files, pose, depth_scale=1e-4)
+    np.testing.assert_allclose(cloud.points, [[0.005, -0.005, 0.5]], atol=1e-7)
+    np.testing.assert_array_equal(cloud.T_world_camera, pose)
+    with pytest.raises(InputError, match="rigid"):
+        pointsdf_cli.read_depth_image(*files, 2 * pose)
 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
