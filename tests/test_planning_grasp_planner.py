@@ -134,7 +134,7 @@ def test_the_motion_uses_the_share_of_the_speed_limits_that_is_asked_for() -> No
     usual, slow = plans
     np.testing.assert_array_equal(slow.q, usual.q)
     assert slow.times[-1] > 2 * usual.times[-1]
-    with pytest.raises(InputError, match="at most 1"):
+    with pytest.raises(InputError, match=r"0\.001 to 1"):
         MotionConfig(speed=0.0)
 
 

@@ -132,7 +132,7 @@ def test_one_thing_on_another_is_left_together_and_said_so() -> None:
     assert len(scene.listed) == 1
     (thing,) = scene.listed
     assert thing.unsplit
-    assert "could not be told apart" in describe(scene, thing, sighting(scene, thing))
+    assert "several objects in contact" in describe(scene, thing, sighting(scene, thing))
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.3])

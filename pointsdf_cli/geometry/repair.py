@@ -73,7 +73,7 @@ def close_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Close
             allowed="a closed surface, or one with small holes",
             hint="close it in a mesh editor, or leave it out",
         )
-    mesh_out = whole.to_mesh64()
+    mesh_out = whole.to_mesh()
     return ClosedMesh(
         np.asarray(mesh_out.vert_properties[:, :3], dtype=np.float64),
         np.asarray(mesh_out.tri_verts, dtype=np.int32),

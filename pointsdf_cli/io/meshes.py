@@ -21,6 +21,8 @@ from pointsdf_cli.io.provenance import file_sha256
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".dae", ".3mf")
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+AWAY = 100.0
+"""Largest distance [m] of a thing to grasp from its origin: float32 is exact there to 4 µm."""
 SMALLEST, LARGEST = 0.005, 2.0
 """Bounds [m] of the longest side of a thing to grasp: beyond them the unit is wrong."""
 
@@ -304,11 +306,11 @@ def _check_unpacked(data: bytes, kind: str) -> None:
 def _check_size(path: Path, vertices: NDArray[np.float64], unit: str) -> None:
     size, farthest = float(np.ptp(vertices, axis=0).max()), float(np.abs(vertices).max())
     if SMALLEST <= size <= LARGEST:
-        if farthest > FARTHEST:
+        if farthest > AWAY:
             raise InputError(
                 f"lies {farthest:.4g} m from its origin",
                 where=path,
-                allowed=f"up to {FARTHEST:g} m",
+                allowed=f"up to {AWAY:g} m",
                 hint="move it to the origin",
             )
         return
