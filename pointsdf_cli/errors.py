@@ -61,6 +61,27 @@ class InputError(RgraspError):
         return cls(error.what, where=place, allowed=error.allowed, hint=error.hint)
 
 
+def require_near(
+    distance: float, most: float, what: str, where: object, hint: str | None = None
+) -> None:
+    """Refuse what lies farther away than anything of its kind: its unit or its origin is wrong.
+
+    Args:
+        distance: Its distance [m] from its origin; NaN is refused, too.
+        most: Largest distance [m].
+        what: Subject and verb, such as "the points lie".
+        where: Source of the value.
+        hint: Suggestion.
+
+    Raises:
+        InputError: It lies farther away.
+    """
+    if not distance <= most:
+        raise InputError(
+            f"{what} {distance:.4g} m away", where=where, allowed=f"up to {most:g} m", hint=hint
+        )
+
+
 class EmptyResultError(RgraspError):
     """The input is valid, but what was computed from it is empty (exit code 1)."""
 

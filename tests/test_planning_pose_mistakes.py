@@ -65,3 +65,11 @@ def test_a_pose_that_no_convention_explains_passes() -> None:
     require_no_mistaken_pose(seen(tipped), "depth.png")
     bare = replace(seen(invert_transform(POSE)), points=seen(POSE).points[len(TABLE) :])
     require_no_mistaken_pose(bare, "object.ply")
+
+
+def test_a_camera_in_millimetres_is_refused() -> None:
+    with pytest.raises(
+        InputError, match=r"(?s)the camera is 583\.1 m away.*up to 50 m.*millimetres"
+    ):
+        camera_pose("500,0,300,1,0,0,0")
+    assert camera_pose("0.5,0,0.3,1,0,0,0")[2, 3] == 0.3

@@ -193,7 +193,7 @@ def _mesh_one(
     if len(points) < FEW:
         reporter.say(f"{cloud}: {len(points)} points are few: expect a poor shape below {FEW}")
     if seen.alone and np.ptp(points, axis=0).max() > SCENE:
-        reporter.say(f"warning: {cloud}: wide for one object; of a table? add --segment auto")
+        reporter.say(f"warning: {cloud} is wide for one object: of a table? Add --segment auto")
 
     # Seconds of imports: only for a cloud that can be used.
     from pointsdf_cli.models.registry import load_model, use_threads

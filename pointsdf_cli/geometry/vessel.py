@@ -68,8 +68,8 @@ NEAR_WALL = 0.05
 MOST_OTHERS = 0.3
 """Largest share of points beyond the wall."""
 NOISIEST = 0.06
-"""Largest deviation of the points from planes, over the vessel's radius: normals of 200 noisy
-points of a brick point to any axis."""
+"""Largest deviation of the points from planes, over the vessel's radius. Beyond it normals point
+anywhere: 200 noisy points of a brick became a ring."""
 FLOOR_SEEN = 0.6
 """Least share of a floor's visible places at which points were measured; else it has a hole."""
 CLEAR = 0.001

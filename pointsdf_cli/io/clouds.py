@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.choices import Frame, Unit, require_choice
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, require_near
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.cloud_text import read_npy, read_xyz
@@ -246,13 +246,7 @@ def check_object_cloud(cloud: Cloud, where: Any) -> Cloud:
     if not SMALLEST <= size <= LARGEST:
         raise _size_error(points, size, where)
     away = float(np.abs(np.median(points, axis=0)).max())
-    if away > FARTHEST:
-        raise InputError(
-            f"the points lie {away:.4g} m away",
-            where=where,
-            allowed=f"up to {FARTHEST:g} m",
-            hint="check the unit and the origin of the cloud",
-        )
+    require_near(away, FARTHEST, "the points lie", where, "check the cloud's unit and origin")
     spread = np.linalg.svd(np.cov(points.T), compute_uv=False)
     if spread[1] < 1e-6 * spread[0]:
         raise InputError("all points lie on one line", where=where)

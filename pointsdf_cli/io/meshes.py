@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.choices import Unit, require_choice
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, require_near
 from pointsdf_cli.geometry.repair import ClosedMesh, close_mesh
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.input_files import check_input, largest_input, read_input
@@ -306,13 +306,7 @@ def _check_unpacked(data: bytes, kind: str) -> None:
 def _check_size(path: Path, vertices: NDArray[np.float64], unit: str) -> None:
     size, farthest = float(np.ptp(vertices, axis=0).max()), float(np.abs(vertices).max())
     if SMALLEST <= size <= LARGEST:
-        if farthest > AWAY:
-            raise InputError(
-                f"lies {farthest:.4g} m from its origin",
-                where=path,
-                allowed=f"up to {AWAY:g} m",
-                hint="move it to the origin",
-            )
+        require_near(farthest, AWAY, "lies", path, "move it to the origin")
         return
     fitting = [u for u, m in UNITS.items() if SMALLEST <= size / UNITS[unit] * m <= LARGEST]
     likeliest = next((unit for unit in ("mm", "cm", *fitting) if unit in fitting), "")

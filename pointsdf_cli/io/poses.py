@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, require_near
 from pointsdf_cli.geometry.frames import is_rigid, rotation_from_wxyz, transform
 from pointsdf_cli.io.atomic import write_text_atomic
 from pointsdf_cli.io.input_files import read_input
@@ -49,10 +49,7 @@ def camera_pose(text: str, option: str = "--camera-pose") -> NDArray[np.float64]
             allowed=ALLOWED,
         )
     away = float(np.linalg.norm(matrix[:3, 3]))
-    if away > FARTHEST:
-        raise InputError(
-            f"the camera would be {away:.0f} m away: millimetres?", where=option, allowed="metres"
-        )
+    require_near(away, FARTHEST, "the camera is", option, "are these millimetres?")
     return matrix
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pointsdf_cli.choices import Unit, require_choice
-from pointsdf_cli.errors import InputError
+from pointsdf_cli.errors import InputError, require_near
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import is_rigid, rotation_from_wxyz, transform
 from pointsdf_cli.io.input_files import read_input
@@ -68,13 +68,8 @@ def read_robot_poses(path: Path, unit: str = "m") -> RobotPoses:
         poses.append(pose)
     found = np.stack(poses)
     farthest = float(np.abs(found[:, :3, 3]).max())
-    if farthest > FARTHEST:
-        raise InputError(
-            f"the gripper is {farthest:.4g} m away from the robot's base",
-            where=path,
-            allowed=f"up to {FARTHEST:g} m",
-            hint="if these are millimetres, add --pose-unit mm",
-        )
+    hint = "if these are millimetres, add --pose-unit mm"
+    require_near(farthest, FARTHEST, "the gripper is", path, hint)
     return RobotPoses(found, None if names is None else tuple(names))
 
 

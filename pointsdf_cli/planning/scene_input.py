@@ -196,7 +196,7 @@ def stand_on_table(
     try:
         chosen = _centre(cloud, name, target, workspace, cleaned)
     except NoObjectError:
-        return cloud, target  # whoever looks for it there tells so
+        return cloud, target  # told where the object is looked for
     return _moved(cloud, chosen, place), TargetChoice(place=np.array([*place, chosen[2]]))
 
 

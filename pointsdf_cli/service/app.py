@@ -6,6 +6,7 @@ import asyncio
 import hmac
 import json
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any, TypeVar
 
 from fastapi import FastAPI, Request, Response
@@ -173,7 +174,7 @@ async def _answered(
     try:
         try:
             async with asyncio.timeout(SLOWEST_BODY):
-                data = await _unless(_closed(queue), _body(request, largest))
+                data = await _unless(partial(_stopped, queue), _body(request, largest))
         except TimeoutError:
             return _error_response(RgraspError("the body did not arrive in time"), 408)
         ready = await _unless(request.is_disconnected, asyncio.to_thread(work, data))
@@ -221,18 +222,14 @@ async def _unless(left: Callable[[], Awaitable[bool]], work: Awaitable[T]) -> T:
         task.cancel()
 
 
-def _closed(queue: RequestQueue) -> Callable[[], Awaitable[bool]]:
-    """Function that tells whether the server is stopping.
+async def _stopped(queue: RequestQueue) -> bool:
+    """False while the server runs.
 
     Raises:
-        ClosingError: It is.
+        ClosingError: It stops.
     """
-
-    async def check() -> bool:
-        queue.require_open()
-        return False
-
-    return check
+    queue.require_open()
+    return False
 
 
 async def _body(request: Request, largest: int) -> bytes:
