@@ -168,8 +168,8 @@ def _in_the_way(statistics: SeedStatistics) -> str:
         "itself": ("the robot itself", "move the object away from the robot's base"),
     }[met]
     return (
-        f"Of {statistics.reached} grasps that the arm reaches, {statistics.free} touch nothing; "
-        f"{getattr(statistics, met)} enter {what}: {advice}."
+        f"Of {statistics.reached} reachable grasps {getattr(statistics, met)} enter {what} "
+        f"({statistics.free} free): {advice}."
     )
 
 
