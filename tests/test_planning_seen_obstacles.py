@@ -34,13 +34,14 @@ def test_a_hull_encloses_its_points_and_reaches_down_to_the_table() -> None:
     found = hulls(things)
     assert len(found) == 2
     inside = np.zeros(len(things), dtype=bool)
-    for vertices, faces in found:
-        assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9)
-        distance = trimesh.proximity.signed_distance(trimesh.Trimesh(vertices, faces), things[::7])
+    for hull in found:
+        assert hull.vertices[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+        solid = trimesh.Trimesh(hull.vertices, hull.faces)
+        distance = trimesh.proximity.signed_distance(solid, things[::7])
         inside[::7] |= distance > -1e-6
     assert inside[::7].all()
     (floating,) = hulls(block((0.6, 0.2, 0.16), 0.03), to_table=False)
-    assert floating[0][:, 2].min() == pytest.approx(0.13)
+    assert floating.vertices[:, 2].min() == pytest.approx(0.13)
 
 
 def test_seen_things_take_no_name_that_an_obstacle_has() -> None:

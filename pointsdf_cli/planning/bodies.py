@@ -14,15 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array, Indices
-from pointsdf_cli.geometry.inside import Inside
+from pointsdf_cli.planning.closed_mesh import ClosedMesh
 from pointsdf_cli.planning.contacts import WORLD, Contacts, Poses
 from pointsdf_cli.planning.environment import Environment, Obstacle
-from pointsdf_cli.planning.robot_geometry import (
-    Body,
-    RobotGeometry,
-    coal_mesh,
-    link_body,
-)
+from pointsdf_cli.planning.robot_geometry import Body, RobotGeometry, link_body
 from pointsdf_cli.robot.shapes import Shape
 
 
@@ -51,19 +46,13 @@ class BodyDistances:
         if environment.table:
             below = coal.Halfspace(np.array([0.0, 0.0, 1.0]), environment.table_height)
             self._bodies.append(Body(WORLD, "table", below, np.eye(4), np.zeros(3), 0.0))
-        self._bodies += [_obstacle_body(obstacle) for obstacle in environment.obstacles]
-        first = len(self._bodies) - len(environment.obstacles)
         # By index: an obstacle may have a link's name.
-        self._inside = {
-            first + k: Inside(o.vertices, o.faces)
-            for k, o in enumerate(environment.obstacles)
-            if o.vertices is not None and o.faces is not None
-        }
-        # The hull shows fifty times as fast that a mesh is farther than `exact_to`.
-        self._hulls: dict[int, coal.CollisionGeometry] = {}
-        for k in self._inside:
-            self._bodies[k].geometry.buildConvexHull(True, "Qt")
-            self._hulls[k] = self._bodies[k].geometry.convex
+        self._meshes: dict[int, ClosedMesh] = {}
+        for obstacle in environment.obstacles:
+            mesh = _closed_mesh(obstacle)
+            if mesh is not None:
+                self._meshes[len(self._bodies)] = mesh
+            self._bodies.append(_obstacle_body(obstacle, mesh))
         checked = {frozenset(pair) for pair in robot.checked_pairs}
         pairs = []
         for i, a in enumerate(self._bodies[:moving]):
@@ -180,20 +169,19 @@ class BodyDistances:
     ) -> float:
         """Exact distance [m] of two bodies at their places."""
         shape, other = (self._bodies[body].geometry for body in pair)
-        hull = self._hulls.get(pair[1])
-        if hull is not None:
+        mesh = self._meshes.get(pair[1])
+        if mesh is not None:
             result.clear()
-            least = float(coal.distance(shape, one, hull, two, self._request, result))
+            least = float(coal.distance(shape, one, mesh.hull, two, self._request, result))
             if least > self.exact_to:
                 return least
         result.clear()
         distance = float(coal.distance(shape, one, other, two, self._request, result))
-        inside = self._inside.get(pair[1])
-        if inside is None or distance <= 0:
+        if mesh is None or distance <= 0:
             return distance
         # A shape that is wholly inside of a closed mesh does not touch its triangles.
         point = (result.getNearestPoint1() - two.getTranslation()) @ two.getRotation()
-        return -distance - self._radii[pair[0]] if inside(point) else distance
+        return -distance - self._radii[pair[0]] if mesh.inside(point) else distance
 
     def _measure(self, out: Contacts, b: int, columns: Indices, turn: Array, at: Array) -> None:
         """Fill in exact distances of one configuration."""
@@ -206,10 +194,11 @@ class BodyDistances:
                     places[body] = coal.Transform3s(turn[body], at[body])
             one, two = self._bodies[i].geometry, self._bodies[j].geometry
             distance = -np.inf
-            if j in self._hulls:
+            mesh = self._meshes.get(j)
+            if mesh is not None:
                 result.clear()
                 distance = coal.distance(
-                    one, places[i], self._hulls[j], places[j], self._request, result
+                    one, places[i], mesh.hull, places[j], self._request, result
                 )
             if distance <= self.exact_to:
                 result.clear()
@@ -218,13 +207,15 @@ class BodyDistances:
             out.point[b, m] = result.getNearestPoint1()
             out.other_point[b, m] = result.getNearestPoint2()
             out.normal[b, m] = -result.normal  # coal's points from the first to the second
-            if distance > 0 and j in self._inside:
-                self._swallowed(out, b, int(m), j, turn[j], at[j])
+            if distance > 0 and mesh is not None:
+                self._swallowed(out, b, int(m), mesh, turn[j], at[j])
 
-    def _swallowed(self, out: Contacts, b: int, m: int, mesh: int, turn: Array, at: Array) -> None:
+    def _swallowed(
+        self, out: Contacts, b: int, m: int, mesh: ClosedMesh, turn: Array, at: Array
+    ) -> None:
         """Correct the distance of a shape that lies wholly inside a closed mesh."""
         point = (out.point[b, m] - at) @ turn
-        if self._inside[mesh](point):
+        if mesh.inside(point):
             # The shortest way out is through the nearest triangle: reverse distance and normal.
             out.distance[b, m] = -out.distance[b, m] - self._radii[self._pairs[m, 0]]
             out.normal[b, m] = -out.normal[b, m]
@@ -248,12 +239,17 @@ def _settle_boxes() -> None:
     )
 
 
-def _obstacle_body(obstacle: Obstacle) -> Body:
+def _closed_mesh(obstacle: Obstacle) -> ClosedMesh | None:
     if obstacle.vertices is None or obstacle.faces is None:
+        return None
+    return obstacle.prepared or ClosedMesh.of(obstacle.vertices, obstacle.faces)
+
+
+def _obstacle_body(obstacle: Obstacle, mesh: ClosedMesh | None) -> Body:
+    if mesh is None:
         shape = Shape(obstacle.kind, obstacle.size, obstacle.pose)
         return link_body(WORLD, obstacle.name, shape)
-    mesh = coal_mesh(obstacle.vertices, obstacle.faces)
-    middle = (obstacle.vertices.min(axis=0) + obstacle.vertices.max(axis=0)) / 2
-    radius = float(np.linalg.norm(obstacle.vertices - middle, axis=1).max())
+    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    radius = float(np.linalg.norm(mesh.vertices - middle, axis=1).max())
     centre = obstacle.pose[:3, :3] @ middle + obstacle.pose[:3, 3]
-    return Body(WORLD, obstacle.name, mesh, obstacle.pose, centre, radius)
+    return Body(WORLD, obstacle.name, mesh.surface, obstacle.pose, centre, radius)

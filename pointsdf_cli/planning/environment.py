@@ -11,9 +11,9 @@ obstacles:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import rotation_from_wxyz, transform
 from pointsdf_cli.io.meshes import load_body
 from pointsdf_cli.io.untrusted import read_yaml
+
+if TYPE_CHECKING:
+    from pointsdf_cli.planning.closed_mesh import ClosedMesh
 
 SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
 KEYS = ("name", *SIZES, "mesh", "scale", "xyz", "wxyz")
@@ -39,6 +42,7 @@ class Obstacle:
         pose: [4, 4], in the world.
         vertices: [V, 3], m, of a mesh in its own frame.
         faces: [F, 3], its triangles.
+        prepared: The mesh prepared for distances; made where it is needed if None.
     """
 
     name: str
@@ -47,6 +51,7 @@ class Obstacle:
     pose: Array
     vertices: Array | None = None
     faces: NDArray[np.integer] | None = None
+    prepared: ClosedMesh | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.kind not in (*SIZES, "mesh"):

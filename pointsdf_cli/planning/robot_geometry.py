@@ -142,16 +142,6 @@ def link_body(link: int, name: str, shape: Shape) -> Body:
     return Body(link, name, geometry, np.asarray(shape.pose), centre, radius)
 
 
-def coal_mesh(vertices: Array, faces: NDArray[np.integer]) -> coal.CollisionGeometry:
-    """Triangles [F, 3] between vertices [V, 3] in coal's type: a surface, without an inside."""
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(faces), len(vertices))
-    mesh.addVertices(np.asarray(vertices, dtype=np.float64))
-    mesh.addTriangles(np.asarray(faces, dtype=np.int64))
-    mesh.endModel()
-    return mesh
-
-
 def coal_points(vertices: Array) -> coal.StdVec_Vec3s:
     """Corners in coal's type."""
     points = coal.StdVec_Vec3s()

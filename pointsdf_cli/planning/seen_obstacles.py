@@ -13,14 +13,12 @@ from itertools import count
 import coal
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from pointsdf_cli.camera.segmentation import GAP, clusters
 from pointsdf_cli.camera.table_objects import LOOSE, VOXEL
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.box import level_width
-from pointsdf_cli.geometry.inside import Inside
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.offset import offset_surface
 from pointsdf_cli.geometry.voxels import thin
@@ -29,11 +27,11 @@ from pointsdf_cli.models.processor import at_once, timed
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
+from pointsdf_cli.planning.closed_mesh import ClosedMesh
 from pointsdf_cli.planning.completed_views import completed
 from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.planning.labelled_view import LabelledView, sighting
 from pointsdf_cli.planning.object_choice import ListedObject
-from pointsdf_cli.planning.robot_geometry import coal_mesh
 from pointsdf_cli.planning.table_top import WIDEST, TableTop, view_of
 
 RESOLUTION = 32
@@ -61,8 +59,8 @@ SMALLEST = 12
 at 1.2 m. Smaller groups are mostly noise on the table (docs/notebook.md)."""
 
 
-Found = tuple[list[Surface], float]
-"""Surfaces of objects, and how long they took [s]."""
+Found = tuple[list[ClosedMesh], float]
+"""Meshes of objects, and how long they took [s]."""
 
 
 def seen_obstacles(
@@ -109,22 +107,22 @@ def named_obstacles(
     names that other obstacles have."""
     names = (name for k in count(1) if (name := f"seen_{k}") not in taken)
     made = tuple(
-        Obstacle(next(names), "mesh", (), np.eye(4), vertices, faces)
-        for surfaces, _ in found
-        for vertices, faces in surfaces
+        Obstacle(next(names), "mesh", (), np.eye(4), mesh.vertices, mesh.faces, mesh)
+        for meshes, _ in found
+        for mesh in meshes
     )
     return made, sum(seconds for _, seconds in found)
 
 
 def _completed(
     network: ShapeModel, labelled: LabelledView, item: ListedObject, seed: int, cleaned: bool
-) -> list[Surface]:
+) -> list[ClosedMesh]:
     stop_if_cancelled()
     view = view_of(sighting(labelled, item, cleaned, is_target=False))
     return obstacle_surfaces(network, view, seed)
 
 
-def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Surface]:
+def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[ClosedMesh]:
     """An object's reconstruction, and the hulls of seen parts that it misses.
 
     An object that is too large, or without a reconstruction, becomes the hull of its seen points
@@ -136,13 +134,13 @@ def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Su
         return hulls(points)
     shape = completed(network, view, seed).in_fast_precision
     try:
-        vertices, faces = _enlarged(shape)
+        whole = ClosedMesh.of(*_enlarged(shape))
     except EmptySurfaceError:
         return hulls(points)
-    if vertices[:, 2].min() > ON_TABLE:
-        return hulls(np.concatenate([points, vertices]))
-    missed = _missed(points, vertices, faces)
-    return [(vertices, faces), *hulls(missed, FEWEST_MISSED, to_table=False)]
+    if whole.vertices[:, 2].min() > ON_TABLE:
+        return hulls(np.concatenate([points, whole.vertices]))
+    missed = _missed(points, whole)
+    return [whole, *hulls(missed, FEWEST_MISSED, to_table=False)]
 
 
 def _enlarged(shape: Reconstruction) -> Surface:
@@ -154,25 +152,26 @@ def _enlarged(shape: Reconstruction) -> Surface:
     return offset_surface((mesh.vertices, mesh.faces), KEPT_OFF - LEVEL)
 
 
-def _missed(points: Array, vertices: Array, faces: NDArray[np.integer]) -> Array:
+def _missed(points: Array, mesh: ClosedMesh) -> Array:
     """Those of the points [N, 3] that are farther than `MISSED` outside a closed mesh."""
-    # A point near a vertex is not missed; most points are near one.
-    far = points[scipy.spatial.KDTree(vertices).query(points)[0] > MISSED]
+    # What is near a point of the surface is not missed: most are near a corner or a face's middle.
+    middles = mesh.vertices[mesh.faces].mean(axis=1)
+    surface = scipy.spatial.KDTree(np.concatenate([mesh.vertices, middles]))
+    far = points[surface.query(points)[0] > MISSED]
     if len(far) < FEWEST_MISSED:
         return far[:0]
-    mesh, inside = coal_mesh(vertices, faces), Inside(vertices, faces)
     point, here, there = coal.Sphere(1e-9), coal.Transform3s.Identity(), coal.Transform3s.Identity()
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     missed = np.zeros(len(far), dtype=bool)
     for k, place in enumerate(far):
         there.setTranslation(place)
         result.clear()
-        apart = coal.distance(mesh, here, point, there, request, result)
-        missed[k] = apart > MISSED and not inside(place)
+        apart = coal.distance(mesh.surface, here, point, there, request, result)
+        missed[k] = apart > MISSED and not mesh.inside(place)
     return np.asarray(far[missed])
 
 
-def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[Surface]:
+def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[ClosedMesh]:
     """The convex hull of each cluster of points.
 
     Args:
@@ -180,7 +179,7 @@ def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[
         fewest: Clusters of fewer points are noise.
         to_table: Whether each hull reaches down to the table.
     """
-    found: list[Surface] = []
+    found: list[ClosedMesh] = []
     if not len(points):
         return found
     import trimesh  # a quarter of a second, which a scene of whole objects does without
@@ -193,5 +192,7 @@ def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[
             hull = trimesh.convex.convex_hull(np.concatenate([cluster, foot]))
         except scipy.spatial.QhullError:  # a sheet on edge, seen as a line
             continue
-        found.append((np.asarray(hull.vertices, dtype=float), np.asarray(hull.faces, np.int32)))
+        found.append(
+            ClosedMesh.of(np.asarray(hull.vertices, float), np.asarray(hull.faces, np.int32))
+        )
     return found

@@ -15,7 +15,12 @@ from pointsdf_cli.planning.plan_request import PlanResult
 
 def result_tree(result: PlanResult) -> dict[str, Any]:
     """The whole answer."""
-    return asdict(replace(result, plan=replace(result.plan, timings=dict(result.plan.timings))))
+    plan = replace(result.plan, timings=dict(result.plan.timings))
+    obstacles = tuple(replace(each, prepared=None) for each in result.obstacles)
+    tree = asdict(replace(result, plan=plan, obstacles=obstacles))
+    for each in tree["obstacles"]:
+        del each["prepared"]
+    return tree
 
 
 def result_of(tree: Any) -> PlanResult:
