@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import pytest
 import torch
@@ -23,6 +25,8 @@ from pointsdf_cli.models.processor import (
     use_threads,
 )
 from pointsdf_cli.planning.cancellation import CancelledError, cancellable, stop_if_cancelled
+
+T = TypeVar("T")
 
 PARTS = torch.arange(40.0).reshape(-1, 1).split(6)
 
@@ -212,3 +216,41 @@ def test_numpy_gets_its_threads_back() -> None:
         with one_blas_thread():
             assert blas_threads() == {1}
         assert blas_threads() == before
+
+
+def in_new_thread(task: Callable[[], T]) -> T:
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(task).result()
+
+
+def test_a_limit_of_numpy_leaves_pytorchs_threads_as_they_are() -> None:
+    # OpenMP's number is not PyTorch's yet in a thread that is new; it was kept as it was.
+    torch.set_num_threads(1)
+
+    def planned() -> int:
+        with one_blas_thread():
+            assert torch.get_num_threads() == 1
+        return torch.get_num_threads()
+
+    assert in_new_thread(planned) == 1
+
+
+def openmp_threads() -> int:
+    """OpenMP's number of threads in this thread, in PyTorch's library of it."""
+    (found,) = {
+        one["num_threads"]
+        for one in threadpool_info()
+        if one["user_api"] == "openmp" and "torch" in one["filepath"]
+    }
+    return int(found)
+
+
+def test_openmp_has_one_thread_in_each_of_several() -> None:
+    both = threading.Barrier(2)
+
+    def counted(part: object = None) -> Tensor:
+        both.wait(10)  # two threads, a part each
+        return torch.tensor([openmp_threads()])
+
+    assert [int(one) for one in at_once([counted, counted])] == [1, 1]
+    assert [int(one) for one in side_by_side(counted, PARTS[:2])] == [1, 1]

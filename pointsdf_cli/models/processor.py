@@ -57,6 +57,15 @@ def return_freed_memory() -> None:
         trim(0)
 
 
+def settle_thread() -> None:
+    """Make PyTorch's number of threads hold in a new Python thread.
+
+    OpenMP counts threads in each thread anew. PyTorch tells it the number when that is first asked
+    for there; oneDNN, MKL and everything else would use all processors until then.
+    """
+    torch.get_num_threads()
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Context in which PyTorch's operations use one thread.
@@ -79,14 +88,18 @@ def one_blas_thread() -> Iterator[None]:
 
     They are small here: a second thread would spin between them, on a processor that PyTorch needs.
     """
-    with _libraries().limit(limits=1, user_api="blas"):
+    with _blas_libraries().limit(limits=1):
         yield
 
 
 @functools.cache
-def _libraries() -> ThreadpoolController:
-    """Numerical libraries that are loaded; to look for them takes 2 ms."""
-    return ThreadpoolController()
+def _blas_libraries() -> ThreadpoolController:
+    """Libraries of NumPy's and SciPy's products that are loaded; to look for them takes 2 ms.
+
+    These alone: at the end of a limit, all libraries of a controller get the number of threads that
+    they had before, and OpenMP's may not have been settled in this thread (`settle_thread`).
+    """
+    return ThreadpoolController().select(user_api="blas")
 
 
 def bfloat16_is_faster() -> bool:
@@ -140,7 +153,7 @@ def at_once(tasks: Sequence[Callable[[], T]]) -> list[T]:
     if threads <= 1:
         return [task() for task in tasks]
 
-    with one_thread(), ThreadPoolExecutor(threads) as pool:
+    with one_thread(), ThreadPoolExecutor(threads, initializer=settle_thread) as pool:
         begun = [pool.submit(copy_context().run, task) for task in tasks]
     return [each.result() for each in begun]
 
@@ -211,7 +224,7 @@ def side_by_side(function: Callable[[Tensor], Tensor], parts: Sequence[Tensor]) 
 
     # This thread works too: its memory is warm, and an idle one would only wait.
     helpers = min(torch.get_num_threads(), len(parts)) - 1
-    with one_thread(), ThreadPoolExecutor(max(1, helpers)) as pool:
+    with one_thread(), ThreadPoolExecutor(max(1, helpers), initializer=settle_thread) as pool:
         others = [pool.submit(help_out) for _ in range(helpers)]
         work()
         for other in others:
