@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from pointsdf_cli.io.depth_images import read_mask
+from tests import scenes
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 TABLE = REPOSITORY / "assets" / "clouds" / "table.ply"
 
@@ -32,3 +35,40 @@ def test_a_number_that_is_not_there_is_refused_with_those_that_are(
     assert wrong.code == 2
     assert "no object 9" in wrong.err
     assert "3 at 0.6" in wrong.err
+
+
+def test_a_label_image_holds_the_numbers_and_is_read_as_masks(cli: Any, tmp_path: Path) -> None:
+    boxes = [scenes.box((0.06, 0.06, 0.1), (0.6, y)) for y in (-0.12, 0.12)]
+    depth = scenes.seen(scenes.table(), *boxes)
+    given = scenes.write_scene(tmp_path, depth)
+    labels = tmp_path / "labels.png"
+    result = cli(
+        "segment", *given, "--camera-pose", tmp_path / "T.json", "--labels", labels, "--json"
+    )
+    assert result.code == 0, result.err
+    found = json.loads(result.out)
+    assert found["labels"] == str(labels)
+    assert set(np.unique(np.asarray(Image.open(labels)))) == {0, 1, 2}
+    world = np.zeros((*depth.shape, 3))
+    v, u = np.nonzero(depth)
+    world[v, u] = scenes.cloud(depth).points @ scenes.POSE[:3, :3].T + scenes.POSE[:3, 3]
+    for thing in found["objects"]:
+        mine = world[read_mask(f"{labels}:{thing['number']}")]
+        assert len(mine) == thing["points"]
+        assert np.abs(np.median(mine, axis=0)[1] - thing["centre"][1]) < 0.02
+    again = cli(
+        "mesh", *given, "--camera-pose", tmp_path / "T.json", "--mask", f"{labels}:2",
+        "--out", tmp_path / "m.ply", "--resolution", "32",
+    )  # fmt: skip
+    assert again.code == 0, again.err
+
+
+def test_labels_need_an_image_and_a_name_of_their_own(cli: Any, tmp_path: Path) -> None:
+    labels = tmp_path / "labels.png"
+    wrong = cli("segment", TABLE, "--picture", tmp_path / "p.png", "--labels", labels)
+    assert wrong.code == 2
+    assert "a cloud without an image" in wrong.err
+    assert not labels.exists()
+    same = cli("segment", TABLE, "--picture", labels, "--labels", labels)
+    assert same.code == 2
+    assert "the name of the picture" in same.err

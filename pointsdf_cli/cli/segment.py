@@ -35,6 +35,13 @@ def segment(
     picture: Annotated[Path, typer.Option(help="Output picture of the numbered objects.")] = Path(
         "segment.png"
     ),
+    labels: Annotated[
+        Path | None,
+        typer.Option(
+            help="Output image of labels (PNG) of a depth image: the object number of each pixel. "
+            "Correct it in an image editor; --mask LABELS.png:2 takes object 2."
+        ),
+    ] = None,
     force: common.Force = False,
     quiet: common.Quiet = False,
     as_json: common.Json = False,
@@ -51,8 +58,12 @@ def segment(
     from pointsdf_cli.io.poses import box
 
     reporter = common.Reporter(quiet, as_json)
-    require_apart([picture], [scene, camera_pose, intrinsics, color, mask, robot, start])
-    common.check_picture(picture, force)
+    outputs = [path for path in (picture, labels) if path is not None]
+    require_apart(outputs, [scene, camera_pose, intrinsics, color, mask, robot, start])
+    for path in outputs:
+        common.check_picture(path, force)
+    if labels is not None and labels.resolve() == picture.resolve():
+        raise InputError("is the name of the picture, too", where=f"--labels {labels}")
     corners = None if workspace is None else box(workspace, "--workspace")
     files = SceneFileOptions(
         intrinsics, depth_scale, colour=color, mask=mask,
@@ -68,8 +79,10 @@ def segment(
         raise InputError.of(error) from error
     for note in listing.notes:
         reporter.say(note)
-    from pointsdf_cli.service.objects_picture import draw_numbers
+    from pointsdf_cli.service.objects_picture import draw_labels, draw_numbers
 
+    if labels is not None:
+        draw_labels(labels, listing)
     draw_numbers(picture, listing, color)
     lines = [f"{'number':>6}  {'centre [m]':^20}  {'size [cm]':^18}  points"]
     for item in listing.objects:
@@ -78,9 +91,12 @@ def segment(
         doubt = "  several in touch?" if item.unsplit else ""
         lines.append(f"{item.number:>6}  {centre}  {size}  {listing.points[item.number]}{doubt}")
     lines.append(f"{picture}: the picture")
+    if labels is not None:
+        lines.append(f"{labels}: the labels")
     reporter.result(
         {
             "picture": picture,
+            "labels": labels,
             "objects": [
                 {
                     "number": item.number,

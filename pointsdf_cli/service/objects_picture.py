@@ -1,24 +1,21 @@
-"""Picture of the objects on a table with their numbers."""
+"""Pictures of the objects on a table with their numbers."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.depth_images import read_colour
 from pointsdf_cli.planning.list_objects import Listing
-from pointsdf_cli.viz.segment_picture import segment_picture
+from pointsdf_cli.viz.segment_picture import label_image, segment_picture
 
 
 def draw_numbers(picture: Path, listing: Listing, colour: Path | None = None) -> None:
     """Draw the objects with their numbers, on a colour image if there is one."""
-    view = listing.view
-    number = np.zeros(view.objects.count, dtype=np.int64)
-    for item in listing.objects:
-        number[item.label] = item.number
-    label = view.label
-    mine = np.where(label >= 0, number[np.maximum(label, 0)], 0) if len(number) else label * 0
+    view, mine = listing.view, _numbers(listing)
     points = view.all_points
     if view.all_pixels is not None and view.image is not None:
         pixels, size = view.all_pixels, view.image.depth.shape[::-1]
@@ -30,3 +27,30 @@ def draw_numbers(picture: Path, listing: Listing, colour: Path | None = None) ->
     ]
     background = None if colour is None or size is None else read_colour(colour)
     segment_picture(picture, pixels, points[:, 2], mine, at, size, background)
+
+
+def draw_labels(path: Path, listing: Listing) -> None:
+    """Write the numbers of the objects as an image of labels, from which `--mask` takes one.
+
+    Raises:
+        InputError: The view has no image.
+    """
+    view = listing.view
+    if view.all_pixels is None or view.image is None:
+        raise InputError(
+            "is a cloud without an image: it has no pixels to label",
+            where=view.name,
+            allowed="a depth image, or an organised cloud",
+            hint="leave --labels out",
+        )
+    height, width = view.image.depth.shape
+    label_image(path, view.all_pixels, _numbers(listing), (width, height))
+
+
+def _numbers(listing: Listing) -> NDArray[np.int64]:
+    """The number [N] of each point's object; 0 for none."""
+    view = listing.view
+    number = np.zeros(view.objects.count + 1, dtype=np.int64)  # the last for negative labels
+    for item in listing.objects:
+        number[item.label] = item.number
+    return np.asarray(number[np.maximum(view.label, -1)])

@@ -1,4 +1,4 @@
-"""Picture of the objects on a table, numbered in the image of the view."""
+"""Pictures of the objects on a table, numbered in the image of the view."""
 
 from __future__ import annotations
 
@@ -70,6 +70,29 @@ def segment_picture(
     _write_numbers(ImageDraw.Draw(drawing), labels)
     with atomic_path(path) as temporary:
         drawing.save(temporary, format="PNG")
+
+
+def label_image(
+    path: Path, pixels: NDArray[np.float64], number: NDArray[np.int64], size: tuple[int, int]
+) -> None:
+    """Write an image of labels: each pixel's value is the number of its object, shown in a colour
+    of its own.
+
+    Args:
+        path: PNG with a palette.
+        pixels: [N, 2], (u, v) of all points.
+        number: [N], number of each point's object, up to 255; 0 for none.
+        size: (width, height).
+    """
+    width, height = size
+    on = np.zeros((height, width), dtype=np.uint8)
+    u, v = np.clip(np.rint(pixels), 0, [width - 1, height - 1]).astype(int).T
+    on[v, u] = number
+    image = Image.fromarray(on, "P")
+    shown = [COLOURS[k % len(COLOURS)] for k in range(255)]
+    image.putpalette([0, 0, 0, *(value for colour in shown for value in colour)])
+    with atomic_path(path) as temporary:
+        image.save(temporary, format="PNG")
 
 
 def _write_numbers(
