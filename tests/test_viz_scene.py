@@ -213,6 +213,18 @@ def test_a_plan_of_another_robot_is_refused(tmp_path: Path) -> None:
     assert scene_of(path, SceneOptions(gripper)).frames == 11
 
 
+def test_a_plan_of_a_bundled_robot_names_the_option_that_shows_it(tmp_path: Path) -> None:
+    panda = load_robot("panda")
+    path = turning_plan_file(tmp_path, panda)
+    with pytest.raises(InputError) as refused:
+        scene_of(path, OPTIONS)
+    assert refused.value.hint == "add --robot panda"
+    path = turning_plan_file(tmp_path, ROBOT)
+    with pytest.raises(InputError) as refused:
+        scene_of(path, SceneOptions(panda))
+    assert refused.value.hint == "leave --robot out"
+
+
 def test_bounds_leave_out_table_and_what_is_not_there() -> None:
     corner = np.float32([[0, 0, 0], [1, 1, 1]])
     poses = np.stack([np.eye(4), np.full((4, 4), np.nan)])[None]

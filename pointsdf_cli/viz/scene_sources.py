@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.assets import bundled_robots
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES
 from pointsdf_cli.io.describe import is_cloud
 from pointsdf_cli.io.hdf5 import mesh_unit, open_hdf5
 from pointsdf_cli.io.meshes import MESH_SUFFIXES, load_mesh
 from pointsdf_cli.io.provenance import file_sha256
-from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.viz.scene import Part
 
 MESH_COLOUR = (0.55, 0.66, 0.78)
@@ -84,8 +85,18 @@ def require_joints(path: Path, names: Sequence[str], robot: RobotDescription) ->
             f"is of a robot with the joints {', '.join(names[:3])}, … ({len(names)}), and "
             f"{robot.name} has {', '.join(robot.joint_names[:3])}, … ({len(robot.joint_names)})",
             where=path,
-            hint="give the robot that it was made for by --robot",
+            hint=_option_of(names),
         )
+
+
+def _option_of(names: Sequence[str]) -> str:
+    """Advice that names the option for the robot with these joints."""
+    if tuple(names) == load_robot().joint_names:
+        return "leave --robot out"
+    for robot in bundled_robots():
+        if tuple(names) == load_robot(robot).joint_names:
+            return f"add --robot {robot}"
+    return "give the robot that it was made for by --robot"
 
 
 def spread(count: int, most: int) -> NDArray[np.int64]:
