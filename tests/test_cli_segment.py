@@ -43,8 +43,9 @@ def test_a_label_image_holds_the_numbers_and_is_read_as_masks(cli: Any, tmp_path
     given = scenes.write_scene(tmp_path, depth)
     labels = tmp_path / "labels.png"
     result = cli(
-        "segment", *given, "--camera-pose", tmp_path / "T.json", "--labels", labels, "--json"
-    )
+        "segment", *given, "--camera-pose", tmp_path / "T.json", "--labels", labels,
+        "--picture", tmp_path / "scene.png", "--json",
+    )  # fmt: skip
     assert result.code == 0, result.err
     found = json.loads(result.out)
     assert found["labels"] == str(labels)
