@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array, Indices
-from pointsdf_cli.planning.closed_mesh import ClosedMesh
+from pointsdf_cli.planning.collision_mesh import CollisionMesh
 from pointsdf_cli.planning.contacts import WORLD, Contacts, Poses
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.robot_geometry import Body, RobotGeometry, link_body
@@ -47,9 +47,9 @@ class BodyDistances:
             below = coal.Halfspace(np.array([0.0, 0.0, 1.0]), environment.table_height)
             self._bodies.append(Body(WORLD, "table", below, np.eye(4), np.zeros(3), 0.0))
         # By index: an obstacle may have a link's name.
-        self._meshes: dict[int, ClosedMesh] = {}
+        self._meshes: dict[int, CollisionMesh] = {}
         for obstacle in environment.obstacles:
-            mesh = _closed_mesh(obstacle)
+            mesh = _collision_mesh(obstacle)
             if mesh is not None:
                 self._meshes[len(self._bodies)] = mesh
             self._bodies.append(_obstacle_body(obstacle, mesh))
@@ -211,7 +211,7 @@ class BodyDistances:
                 self._swallowed(out, b, int(m), mesh, turn[j], at[j])
 
     def _swallowed(
-        self, out: Contacts, b: int, m: int, mesh: ClosedMesh, turn: Array, at: Array
+        self, out: Contacts, b: int, m: int, mesh: CollisionMesh, turn: Array, at: Array
     ) -> None:
         """Correct the distance of a shape that lies wholly inside a closed mesh."""
         point = (out.point[b, m] - at) @ turn
@@ -239,13 +239,13 @@ def _settle_boxes() -> None:
     )
 
 
-def _closed_mesh(obstacle: Obstacle) -> ClosedMesh | None:
+def _collision_mesh(obstacle: Obstacle) -> CollisionMesh | None:
     if obstacle.vertices is None or obstacle.faces is None:
         return None
-    return obstacle.prepared or ClosedMesh.of(obstacle.vertices, obstacle.faces)
+    return obstacle.prepared or CollisionMesh.of(obstacle.vertices, obstacle.faces)
 
 
-def _obstacle_body(obstacle: Obstacle, mesh: ClosedMesh | None) -> Body:
+def _obstacle_body(obstacle: Obstacle, mesh: CollisionMesh | None) -> Body:
     if mesh is None:
         shape = Shape(obstacle.kind, obstacle.size, obstacle.pose)
         return link_body(WORLD, obstacle.name, shape)

@@ -25,7 +25,7 @@ from pointsdf_cli.io.meshes import load_body
 from pointsdf_cli.io.untrusted import read_yaml
 
 if TYPE_CHECKING:
-    from pointsdf_cli.planning.closed_mesh import ClosedMesh
+    from pointsdf_cli.planning.collision_mesh import CollisionMesh
 
 SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
 KEYS = ("name", *SIZES, "mesh", "scale", "xyz", "wxyz")
@@ -51,7 +51,7 @@ class Obstacle:
     pose: Array
     vertices: Array | None = None
     faces: NDArray[np.integer] | None = None
-    prepared: ClosedMesh | None = field(default=None, repr=False, compare=False)
+    prepared: CollisionMesh | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.kind not in (*SIZES, "mesh"):

@@ -27,7 +27,7 @@ from pointsdf_cli.models.processor import at_once, timed
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
-from pointsdf_cli.planning.closed_mesh import ClosedMesh
+from pointsdf_cli.planning.collision_mesh import CollisionMesh
 from pointsdf_cli.planning.completed_views import completed
 from pointsdf_cli.planning.environment import Obstacle
 from pointsdf_cli.planning.labelled_view import LabelledView, sighting
@@ -59,7 +59,7 @@ SMALLEST = 12
 at 1.2 m. Smaller groups are mostly noise on the table (docs/notebook.md)."""
 
 
-Found = tuple[list[ClosedMesh], float]
+Found = tuple[list[CollisionMesh], float]
 """Meshes of objects, and how long they took [s]."""
 
 
@@ -116,13 +116,13 @@ def named_obstacles(
 
 def _completed(
     network: ShapeModel, labelled: LabelledView, item: ListedObject, seed: int, cleaned: bool
-) -> list[ClosedMesh]:
+) -> list[CollisionMesh]:
     stop_if_cancelled()
     view = view_of(sighting(labelled, item, cleaned, is_target=False))
     return obstacle_surfaces(network, view, seed)
 
 
-def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[ClosedMesh]:
+def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[CollisionMesh]:
     """An object's reconstruction, and the hulls of seen parts that it misses.
 
     An object that is too large, or without a reconstruction, becomes the hull of its seen points
@@ -134,7 +134,7 @@ def obstacle_surfaces(network: ShapeModel, view: View, seed: int = 0) -> list[Cl
         return hulls(points)
     shape = completed(network, view, seed).in_fast_precision
     try:
-        whole = ClosedMesh.of(*_enlarged(shape))
+        whole = CollisionMesh.of(*_enlarged(shape))
     except EmptySurfaceError:
         return hulls(points)
     if whole.vertices[:, 2].min() > ON_TABLE:
@@ -152,7 +152,7 @@ def _enlarged(shape: Reconstruction) -> Surface:
     return offset_surface((mesh.vertices, mesh.faces), KEPT_OFF - LEVEL)
 
 
-def _missed(points: Array, mesh: ClosedMesh) -> Array:
+def _missed(points: Array, mesh: CollisionMesh) -> Array:
     """Those of the points [N, 3] that are farther than `MISSED` outside a closed mesh."""
     # What is near a point of the surface is not missed: most are near a corner or a face's middle.
     middles = mesh.vertices[mesh.faces].mean(axis=1)
@@ -171,7 +171,7 @@ def _missed(points: Array, mesh: ClosedMesh) -> Array:
     return np.asarray(far[missed])
 
 
-def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[ClosedMesh]:
+def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[CollisionMesh]:
     """The convex hull of each cluster of points.
 
     Args:
@@ -179,7 +179,7 @@ def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[
         fewest: Clusters of fewer points are noise.
         to_table: Whether each hull reaches down to the table.
     """
-    found: list[ClosedMesh] = []
+    found: list[CollisionMesh] = []
     if not len(points):
         return found
     import trimesh  # a quarter of a second, which a scene of whole objects does without
@@ -193,6 +193,6 @@ def hulls(points: Array, fewest: int = SMALLEST, to_table: bool = True) -> list[
         except scipy.spatial.QhullError:  # a sheet on edge, seen as a line
             continue
         found.append(
-            ClosedMesh.of(np.asarray(hull.vertices, float), np.asarray(hull.faces, np.int32))
+            CollisionMesh.of(np.asarray(hull.vertices, float), np.asarray(hull.faces, np.int32))
         )
     return found

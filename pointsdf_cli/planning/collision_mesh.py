@@ -13,7 +13,7 @@ from pointsdf_cli.geometry.inside import Inside
 
 
 @dataclass(frozen=True)
-class ClosedMesh:
+class CollisionMesh:
     """A closed mesh in coal's types.
 
     Attributes:
@@ -31,7 +31,7 @@ class ClosedMesh:
     inside: Inside
 
     @classmethod
-    def of(cls, vertices: Array, faces: NDArray[np.integer]) -> ClosedMesh:
+    def of(cls, vertices: Array, faces: NDArray[np.integer]) -> CollisionMesh:
         """Prepare a mesh of vertices [V, 3] m and faces [F, 3]."""
         surface = coal.BVHModelOBBRSS()
         surface.beginModel(len(faces), len(vertices))
