@@ -128,6 +128,17 @@ def test_what_names_one_file_does_not_go_with_many(words: list[object], tmp_path
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("command", ["plan", "mesh"])
+@pytest.mark.parametrize("words", [["--jobs", "0"], ["-j", "2"], ["--skip-bad"]])
+def test_what_is_for_many_does_not_go_with_one(
+    command: str, words: list[str], tmp_path: Path
+) -> None:
+    run = run_cli(command, MUG, *words, "--out", tmp_path / "one.ply")
+    assert run.code == 2
+    assert "without --each" in run.err
+    assert not [*tmp_path.iterdir()]
+
+
 def test_a_start_that_cannot_be_used_is_said_once_and_its_file_is_kept(tmp_path: Path) -> None:
     for name in ("a", "b"):
         shutil.copy(asset_path("clouds/table.ply"), tmp_path / f"{name}.ply")

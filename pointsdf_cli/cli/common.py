@@ -57,12 +57,12 @@ Jobs = Annotated[
     typer.Option("--jobs", "-j", help="Number of processes; 0 uses all cores.", callback=job_count),
 ]
 EachJobs = Annotated[
-    int,
+    int | None,
     typer.Option(
         "--jobs",
         "-j",
-        help="With --each: number of processes; 0 uses all cores.",
-        callback=job_count,
+        help="With --each: number of processes; 0 uses all cores.  [default: 0]",
+        callback=lambda jobs: None if jobs is None else job_count(jobs),
     ),
 ]
 EachSkipBad = Annotated[

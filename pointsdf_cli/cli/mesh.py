@@ -101,7 +101,7 @@ def mesh(
             "there already is kept.",
         ),
     ] = False,
-    jobs: common.EachJobs = 0,
+    jobs: common.EachJobs = None,
     skip_bad: common.EachSkipBad = False,
     precision: common.Precision = "auto",
     threads: common.Threads = 0,
@@ -151,7 +151,7 @@ def mesh(
             form=form or "ply", jobs=jobs, threads=threads, force=force, skip_bad=skip_bad,
         )  # fmt: skip
         return
-    require_each({"--skip-bad": skip_bad})
+    require_each({"--skip-bad": skip_bad, "--jobs": jobs is not None})
     if len(clouds) > 1:
         raise InputError(f"{len(clouds)} inputs", allowed="one", hint="add --each")
     out = mesh_path(out, form)

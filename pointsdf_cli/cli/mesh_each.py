@@ -24,7 +24,7 @@ def mesh_each(
     *,
     out: Path,
     form: str,
-    jobs: int,
+    jobs: int | None,
     threads: int,
     force: bool,
     skip_bad: bool,
@@ -40,7 +40,7 @@ def mesh_each(
         inputs: Everything that is read, which no output may replace.
         out: Folder of the meshes.
         form: Their format.
-        jobs: Processes.
+        jobs: Processes; None for all cores.
         threads: Threads of each process; 0 takes one.
         force, skip_bad: The command's options of these names.
 
@@ -61,6 +61,7 @@ def mesh_each(
         task = MeshTask(cloud, files, pose, path, settings, threads or 1, force)
         tasks.append((cloud.stem, task))
     require_apart((p for _, task in tasks for p in (task.out, task.record)), inputs)
+    jobs = jobs or common.job_count(0)
     with reporter.progress("mesh", len(tasks)) as progress:
         report = run_stage(tasks, mesh_cloud, jobs=jobs, folders=[out], on_done=progress.advance)
     common.finish_stage(

@@ -155,7 +155,7 @@ def plan(
             "what is there already is kept.",
         ),
     ] = False,
-    jobs: common.EachJobs = 0,
+    jobs: common.EachJobs = None,
     skip_bad: common.EachSkipBad = False,
     server: common.Server = None,
     threads: common.Threads = 0,
@@ -199,7 +199,7 @@ def plan(
         one = {"--trajectory": trajectory, "--picture": picture, "--server": server}
         require_without({k: v is not None for k, v in one.items()}, "leave one of the two out")
     else:
-        require_each({"--skip-bad": skip_bad})
+        require_each({"--skip-bad": skip_bad, "--jobs": jobs is not None})
         drawn = None if no_picture else picture or out.with_suffix(".png")
         outputs = PlanOutputs(out, drawn, trajectory)
         outputs.require_free(inputs, force)

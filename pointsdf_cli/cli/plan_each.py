@@ -25,7 +25,7 @@ def plan_each(
     *,
     out: Path,
     pictures: bool,
-    jobs: int,
+    jobs: int | None,
     threads: int,
     force: bool,
     skip_bad: bool,
@@ -42,7 +42,7 @@ def plan_each(
         inputs: Everything that is read, which no output may replace.
         out: Folder of the plans.
         pictures: Draw a picture beside each.
-        jobs: Processes.
+        jobs: Processes; None for all cores.
         threads: Threads of each process; 0 takes one.
         force, skip_bad, accept_unlikely: The command's options of these names.
 
@@ -67,6 +67,7 @@ def plan_each(
         task = PlanTask(cloud, file, pose, path, picture, settings, threads or 1, force)
         tasks.append((cloud.stem, task))
     require_apart((p for _, task in tasks for p in (task.out, task.picture)), inputs)
+    jobs = jobs or common.job_count(0)
     with reporter.progress("plan", len(tasks)) as progress:
         report = run_stage(tasks, plan_scene, jobs=jobs, folders=[out], on_done=progress.advance)
     done = [(name, task) for name, task in tasks if name in report.made or name in report.kept]
