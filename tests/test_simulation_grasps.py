@@ -167,6 +167,33 @@ def test_hand_that_closes_beside_the_object_never_counts(
     assert {moment.phase for moment in recorder.moments} == {"close", "grip"}
 
 
+def test_a_stalled_finger_closes_on_when_its_way_is_free(
+    attempter: Attempter, grip: Grip, cache: Path
+) -> None:
+    """A fixed can stops the fingers for half a second; then it is gone."""
+    mesh, depth = SHAPES["can 8 cm"]
+    item = item_of("can 8 cm", mesh, cache)
+    place, away = beside_the_palm(item, 0.03 + depth), beside_the_palm(item, 0.3)
+    columns = attempter.robot.closing_columns
+
+    def closed(blocked: float) -> tuple[np.ndarray, np.ndarray]:
+        """Closing joints when the can goes, and at the end."""
+        courses = []
+
+        def watch(world: World, phase: str) -> None:
+            if phase == "close":
+                world._there.place(place if world.time < blocked else away)
+                courses.append((world.time, world.configuration()[columns]))
+
+        attempter.execute(item, away, grip.q, grip.lift, watch)
+        return min(courses, key=lambda one: abs(one[0] - 0.5))[1], courses[-1][1]
+
+    then, end = closed(blocked=0.5)
+    stalled = closed(blocked=0.0)[0] - then > 0.2
+    assert stalled.sum() >= 3
+    assert ((end - then)[stalled] > 0.2).all()
+
+
 def test_a_hand_under_the_object_is_lifted_into_it(
     attempter: Attempter, grip: Grip, cache: Path
 ) -> None:

@@ -189,10 +189,14 @@ class Executor:
         )
 
     def _close(self) -> None:
-        """Move all closing joints; each freezes when it stalls or reaches its limit."""
-        world, config, robot = self._world, self._config, self._world.robot
+        """Move all closing joints until each has stalled or reached its limit.
+
+        A stalled joint goes on pressing: it moves again when what stopped it gives way, such as
+        an object that slides, or a fingertip that slides on the table.
+        """
+        world, robot = self._world, self._world.robot
         speeds = robot.closing_speeds * SPEED_UP
-        efforts = robot.effort[self._closing] * config.closing_effort
+        efforts = robot.effort[self._closing] * self._config.closing_effort
         ends = np.where(
             speeds > 0, robot.hard_upper[self._closing], robot.hard_lower[self._closing]
         )
@@ -200,23 +204,17 @@ class Executor:
         travel = (robot.hard_upper - robot.hard_lower)[self._closing]
         at_end = np.minimum(0.02, 0.02 * travel)
         longest = max(LONGEST_CLOSING, 1.25 * float((travel / np.abs(speeds)).max()))
-        moving = np.ones(len(speeds), dtype=bool)
         slow = np.zeros(len(speeds))
         check = max(1, round(0.0125 / world.physics.step))
         world.drive_at(speeds, self._closing, efforts)
         began = world.time
         self._wait(0.05, "close")  # let the joints get going before judging that they stall
-        while moving.any() and world.time - began < longest:
+        while (slow < STALL_TIME).any() and world.time - began < longest:
             self._advance(check, "close")
             position, velocity = (values[self._closing] for values in world.joint_state())
             stalled = velocity * np.sign(speeds) < STALL_SPEED * np.abs(speeds)
+            stalled |= np.abs(position - ends) < at_end
             slow = np.where(stalled, slow + check * world.physics.step, 0.0)
-            stop = moving & ((slow >= STALL_TIME) | (np.abs(position - ends) < at_end))
-            if stop.any():
-                moving &= ~stop
-                q = np.zeros(len(robot.joint_names))
-                q[self._closing] = position
-                world.drive_to(q, self._closing[stop], efforts[stop])
 
     def _grip(self) -> None:
         """Press with the full effort of every closing joint, then hold the grip.
