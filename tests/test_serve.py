@@ -32,10 +32,11 @@ from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import Cloud, DepthImage, read_cloud, write_cloud
 from pointsdf_cli.io.hdf5 import read_artifact
+from pointsdf_cli.io.meshes import closed_body
 from pointsdf_cli.io.plans import read_plan
 from pointsdf_cli.io.trees import tree_of_npz, tree_to_npz
 from pointsdf_cli.planning.cancellation import CancelledError, stop_if_cancelled
-from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.object_view import bare_cloud
@@ -142,11 +143,17 @@ def test_a_request_arrives_as_it_was_sent() -> None:
     plain = Cloud(cloud.points)
     for name in vars(cloud).keys() - unread - {"points", "frame"}:
         assert getattr(cloud, name) is not getattr(plain, name), f"{name} is not tried"
+    block = trimesh.creation.box([0.1, 0.2, 0.3])
+    closed = closed_body(np.asarray(block.vertices), block.faces, "block")  # as files are read
+    obstacles = (
+        Obstacle("post", "cylinder", (0.05, 0.4), np.eye(4)),
+        Obstacle("block", "mesh", (), np.eye(4), *closed),
+    )
     sent = PlanRequest(
         [cloud],
         ["a"],
         PlanChoices(kind="side", margin=0.002, speed=0.1, rehearse=3, min_success=0.2),
-        Environment(table=False),
+        Environment(obstacles, table=False),
         np.arange(23.0),
         7,
         "auto",

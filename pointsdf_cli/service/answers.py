@@ -11,7 +11,6 @@ from pointsdf_cli.io.trees import tree_to_npz
 from pointsdf_cli.planning.object_view import bare_cloud, segmented_cloud
 from pointsdf_cli.planning.plan_request import PlanResult
 from pointsdf_cli.planning.table_top import workspace_of
-from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.start import start_configuration
 from pointsdf_cli.service.bodies import HDF5, JSON, NPZ, MeshBody, PlanBody, SceneBody, ScoreBody
 from pointsdf_cli.service.resident import Resident
@@ -39,7 +38,7 @@ def mesh_answer(resident: Resident, body: MeshBody, form: str) -> tuple[bytes, s
     if body.segment == "none":
         view = bare_cloud(given.cloud(), given.name, body.clean)
     else:
-        robot = load_robot(resident.files.robot)
+        robot = resident.robot()
         view = segmented_cloud(
             given.cloud(),
             given.name,

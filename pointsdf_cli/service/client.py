@@ -15,7 +15,7 @@ from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult
 from pointsdf_cli.service.address import TOKEN, server_address
 from pointsdf_cli.service.identity import PlannerFiles
-from pointsdf_cli.service.results import result_of
+from pointsdf_cli.service.results import obstacle_tree, result_of
 
 NPZ = "application/x-npz"
 LONGEST = 600.0
@@ -76,7 +76,10 @@ def request_tree(request: PlanRequest) -> dict[str, Any]:
             for cloud, name in zip(request.clouds, request.names, strict=True)
         ],
         **asdict(request.choices),
-        "environment": {"table": around.table, "obstacles": [asdict(o) for o in around.obstacles]},
+        "environment": {
+            "table": around.table,
+            "obstacles": [obstacle_tree(each) for each in around.obstacles],
+        },
         "start": request.start,
         "seed": request.seed,
         "segment": request.segment,

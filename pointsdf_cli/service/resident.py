@@ -24,6 +24,7 @@ from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.table_top import look_at_table, workspace_of
 from pointsdf_cli.planning.variables import Variables
+from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.robot.start import start_configuration
 from pointsdf_cli.service.identity import PlannerFiles
 
@@ -43,6 +44,7 @@ class Resident:
         self.files, self.device = files or PlannerFiles(), device
         self._identity: dict[str, str] | None = None
         self._shape: ShapeModel | None = None
+        self._robot: RobotDescription | None = None
         self._planners: OrderedDict[PlanChoices, GraspPlanner] = OrderedDict()
 
     def identity(self) -> dict[str, str]:
@@ -138,6 +140,17 @@ class Resident:
             self._require_unchanged()
             self._shape = load_model(self.files.checkpoint, self.device)
         return complete_mesh(self._shape, view, choices, name)
+
+    def robot(self) -> RobotDescription:
+        """The robot, read at its first use.
+
+        Raises:
+            InputError: It cannot be used.
+        """
+        if self._robot is None:
+            self._require_unchanged()
+            self._robot = load_robot(self.files.robot)
+        return self._robot
 
     def _require_unchanged(self) -> None:
         """Refuse to load files that have changed since `identity` was first asked."""

@@ -16,10 +16,14 @@ from pointsdf_cli.planning.plan_request import PlanResult
 def result_tree(result: PlanResult) -> dict[str, Any]:
     """The whole answer."""
     plan = replace(result.plan, timings=dict(result.plan.timings))
-    obstacles = tuple(replace(each, prepared=None) for each in result.obstacles)
-    tree = asdict(replace(result, plan=plan, obstacles=obstacles))
-    for each in tree["obstacles"]:
-        del each["prepared"]
+    obstacles = [obstacle_tree(each) for each in result.obstacles]
+    return asdict(replace(result, plan=plan, obstacles=())) | {"obstacles": obstacles}
+
+
+def obstacle_tree(obstacle: Obstacle) -> dict[str, Any]:
+    """An obstacle, without what was prepared from its mesh."""
+    tree = asdict(replace(obstacle, prepared=None))
+    del tree["prepared"]
     return tree
 
 
