@@ -19,11 +19,13 @@ source pipelines/scales.sh "$scale"
 mkdir -p "$work/done"
 # Steps that are done are not looked at again, so they must be of this paper.
 asked="SCALE=$scale TEST_MESHES=$TEST_MESHES"
-if [ "$(cat "$work/done/.asked" 2>/dev/null || echo "$asked")" != "$asked" ]; then
+if [ ! -s "$work/done/.asked" ]; then
+    echo "$asked" >"$work/done/.asked.new"
+    mv "$work/done/.asked.new" "$work/done/.asked"
+elif [ "$(cat "$work/done/.asked")" != "$asked" ]; then
     echo "$work: was begun with $(cat "$work/done/.asked"), and now it is $asked; choose another WORK" >&2
     exit 2
 fi
-echo "$asked" >"$work/done/.asked"
 
 # A step that ended well leaves a mark; what has a mark is not begun again. Within a step, the
 # commands know by themselves which of their files are finished.

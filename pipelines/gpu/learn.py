@@ -14,6 +14,7 @@ import json
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -228,21 +229,22 @@ class Run:
     def finish(self) -> None:
         """Train until the time is over, and read new files meanwhile."""
         over = threading.Event()
-        reader = threading.Thread(target=_keep_reading, args=(self._files, self._views, over))
-        reader.start()
-        try:
-            self._train()
-        finally:
-            over.set()
-            reader.join()
+        with ThreadPoolExecutor(1) as pool:
+            reader = pool.submit(_keep_reading, self._files, self._views, over)
+            try:
+                self._train(reader)
+            finally:
+                over.set()
 
-    def _train(self) -> None:
+    def _train(self, reader: Future[None]) -> None:
         training, validated, minutes = self._training, 0.0, 0.0
         while minutes < self._options.minutes:
             training.take_step(minutes / self._options.minutes)
             if training.steps % REPORT_EVERY == 0:
                 loss = float(training.loss_sum) / REPORT_EVERY
                 training.loss_sum.zero_()
+                if reader.done():
+                    reader.result()  # raises what ended it
                 print(f"step {training.steps}: loss {loss:.4f}, {self._views.count} views")
             minutes = (time.monotonic() - self._began) / 60
             if minutes - validated >= self._options.validate:

@@ -12,6 +12,13 @@ here=$(dirname "$0")
 mkdir -p "$work"
 python "$here/make_views.py" "$work/views" ${2:+--meshes "$2"} >"$work/views.log" 2>&1 &
 maker=$!
-trap 'kill $maker 2>/dev/null || true' EXIT
 python "$here/learn.py" "$work/views" "$work/pointsdf-ray" --minutes "$minutes" --seed "${SEED:-0}" \
-    --device "${DEVICE:-cuda}"
+    --device "${DEVICE:-cuda}" &
+learner=$!
+trap 'kill $maker $learner 2>/dev/null || true' EXIT
+wait -n $maker $learner || true
+if kill -0 $learner 2>/dev/null; then
+    echo "make_views.py ended: see $work/views.log" >&2
+    exit 1
+fi
+wait $learner

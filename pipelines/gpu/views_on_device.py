@@ -140,6 +140,8 @@ class Views:
             return
         ends = np.cumsum(arrays["label_faces"])
         for row, number in enumerate(arrays["label_object"]):
+            if number >= len(self._is_labelled):
+                raise IndexError(f"object {number}: learn.py needs more --objects")
             if not self._is_labelled[number]:
                 first = ends[row] - arrays["label_faces"][row]
                 triangles = torch.from_numpy(arrays["label_triangles"][first : ends[row]])
