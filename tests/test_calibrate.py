@@ -117,6 +117,28 @@ def test_a_camera_on_the_wrist_is_found(rendered: Path, tmp_path: Path, cli: Cal
     assert apart(camera_pose(str(tmp_path / "T.json")), POSE @ found)[0] < 1e-6
 
 
+def test_the_unit_of_poses_holds_for_at(rendered: Path, tmp_path: Path, cli: Callable) -> None:
+    scale = np.diag([1e3, 1e3, 1e3, 1.0])
+    given = json.loads((rendered / "wrist.json").read_text())
+    millimetres = [scale @ pose @ np.linalg.inv(scale) for pose in given]
+    (tmp_path / "wrist.json").write_text(json.dumps([pose.tolist() for pose in millimetres]))
+    np.save(tmp_path / "at.npy", scale @ POSE @ np.linalg.inv(scale))
+    np.save(tmp_path / "metres.npy", POSE)
+    found = []
+    for poses, at, unit in (
+        (rendered / "wrist.json", "metres.npy", "m"),
+        (tmp_path / "wrist.json", "at.npy", "mm"),
+    ):
+        done = cli(
+            "calibrate", rendered / "images", "--intrinsics", rendered / "K.json",
+            "--robot-poses", poses, "--eye-in-hand", "--at", tmp_path / at,
+            "--pose-unit", unit, "--out", tmp_path / f"{unit}.json",
+        )  # fmt: skip
+        assert done.code == 0, done.err
+        found.append(camera_pose(str(tmp_path / f"{unit}.json")))
+    np.testing.assert_allclose(*found, atol=1e-6)
+
+
 def test_the_robots_mount_leads_from_its_root_to_the_world(
     rendered: Path, tmp_path: Path, cli: Callable
 ) -> None:

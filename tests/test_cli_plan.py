@@ -142,6 +142,36 @@ def test_out_of_reach_is_said(cli: Callable, tmp_path: Path) -> None:
     assert cli(*again).code == 2
 
 
+def test_a_plan_that_failed_frees_no_other_files(cli: Callable, tmp_path: Path) -> None:
+    path = box_cloud(tmp_path / "far.ply", (0.07, 0.07, 0.2), 1.5)
+    words = ("plan", path, "--out", tmp_path / "plan.h5")
+    assert cli(*words, "--no-picture").code == 3
+    for option, name in (("--trajectory", "motion.json"), ("--picture", "other.png")):
+        (tmp_path / name).write_text("of another plan")
+        run = cli(*words, option, tmp_path / name)
+        assert run.code == 2
+        assert f"{name}: exists already" in run.err
+        assert (tmp_path / name).read_text() == "of another plan"
+    assert cli(*words).code == 3  # its own picture is new
+    assert cli(*words).code == 3  # and replaced
+
+
+def test_a_cloud_placed_on_its_table_has_no_motion(cli: Callable, tmp_path: Path) -> None:
+    scene = read_cloud(TABLE)
+    write_cloud(tmp_path / "scene.ply", replace(scene, over_table=True))
+    out, motion = tmp_path / "plan.h5", tmp_path / "motion.json"
+    run = cli("plan", tmp_path / "scene.ply", "--out", out, "--trajectory", motion)
+    assert run.code == 2
+    assert "would miss the object" in run.err
+    assert not out.exists()
+
+
+def test_a_folder_is_no_plan_with_a_picture(cli: Callable) -> None:
+    run = cli("plan", TABLE, "--out", ".")
+    assert run.code == 2
+    assert "result.h5" in run.err
+
+
 def test_larger_than_the_hand_is_said(cli: Callable, tmp_path: Path) -> None:
     path = box_cloud(tmp_path / "chest.ply", (0.35, 0.5, 0.4), 0.75)
     run = cli("plan", path, "--out", tmp_path / "plan.h5", "--no-picture")

@@ -73,3 +73,12 @@ def test_labels_need_an_image_and_a_name_of_their_own(cli: Any, tmp_path: Path) 
     same = cli("segment", TABLE, "--picture", labels, "--labels", labels)
     assert same.code == 2
     assert "the name of the picture" in same.err
+
+
+def test_a_colour_image_needs_a_depth_image(cli: Any, tmp_path: Path) -> None:
+    Image.new("RGB", (8, 8)).save(tmp_path / "color.png")
+    words = "--color", tmp_path / "color.png", "--picture", tmp_path / "scene.png"
+    run = cli("segment", TABLE, *words)
+    assert run.code == 2
+    assert "--color with a cloud" in run.err
+    assert not (tmp_path / "scene.png").exists()

@@ -469,6 +469,20 @@ def test_a_remark_behind_the_first_point_hides_none(tmp_path: Path) -> None:
     assert len(read_cloud(tmp_path / "a.xyz").points) == 60
 
 
+def test_a_remark_with_slashes_hides_no_point(tmp_path: Path) -> None:
+    (tmp_path / "a.xyz").write_text("1 2 3 // first\n0.1 0.2 0.3\n0.2 0.2 0.3\n")
+    assert len(read_cloud(tmp_path / "a.xyz").points) == 3
+
+
+@pytest.mark.parametrize("over_table", [False, True])
+def test_a_pose_made_from_the_table_is_marked(over_table: bool, tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    points = np.random.default_rng(0).random((60, 3))
+    write_cloud(path, Cloud(points, T_world_camera=np.eye(4), over_table=over_table))
+    assert read_cloud(path).over_table == over_table
+    assert not read_cloud(path, T_world_camera=np.eye(4)).over_table
+
+
 @pytest.mark.parametrize("count", ["0", "2"])
 def test_a_pcd_of_several_x_a_point_is_damaged(tmp_path: Path, count: str) -> None:
     header = (

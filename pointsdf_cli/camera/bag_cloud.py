@@ -79,6 +79,10 @@ def cloud_of_bag(
         InputError: The bag or topic does not exist, or camera_info or the transforms to the world
             frame are missing.
     """
+    if intrinsics is not None and options.info_topic is not None:
+        raise InputError(
+            "--info-topic with --intrinsics", where=path, hint="leave one of the two out"
+        )
     said = []
     with open_bag(path) as bag:
         topic = bag.depth_topic(options.topic)

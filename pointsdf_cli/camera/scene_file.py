@@ -126,8 +126,10 @@ def read_view(path: Path, options: SceneFileOptions, T_world_camera: Array | Non
         raise InputError("is a folder", where=path, allowed="a depth image or a cloud")
     if is_depth_image(path, options.intrinsics):
         return _read_depth_view(path, options, T_world_camera)
-    if options.depth_scale is not None:
-        raise InputError("--depth-scale with a cloud", where=path, allowed="a depth image")
+    of_images = {"--depth-scale": options.depth_scale, "--color": options.colour}
+    for option, value in of_images.items():
+        if value is not None:
+            raise InputError(f"{option} with a cloud", where=path, allowed="a depth image")
     cloud = read_cloud(path, options.unit, options.drop_invalid, options.frame, T_world_camera)
     if options.intrinsics is None:
         if options.mask is not None:

@@ -65,7 +65,7 @@ def calibrate(
         bool, typer.Option("--legacy-board", help="Board layout of OpenCV before 4.6.")
     ] = False,
     pose_unit: Annotated[
-        choices.Unit, typer.Option(help="Unit of the robot's translations.")
+        choices.Unit, typer.Option(help="Unit of the robot's translations, also in --at.")
     ] = "m",
     robot: common.Robot = None,
     out: Annotated[
@@ -94,6 +94,7 @@ def calibrate(
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new, require_place
     from pointsdf_cli.io.board_images import list_images
+    from pointsdf_cli.io.meshes import UNITS
     from pointsdf_cli.io.poses import camera_pose, write_pose
     from pointsdf_cli.robot.description import load_robot
 
@@ -111,7 +112,9 @@ def calibrate(
         )
     if at is not None and not eye_in_hand:
         raise InputError("--at without --eye-in-hand", hint="leave it out: the camera stands still")
-    placed = None if at is None else camera_pose(at, "--at")
+    placed = None
+    if at is not None:
+        placed = camera_pose(at, "--at", "the gripper", UNITS[pose_unit])
     name = "T_gripper_camera" if eye_in_hand and placed is None else "T_world_camera"
     out = out or Path(f"{name}.json")
     require_apart([out], [robot_poses, intrinsics, at, robot])

@@ -12,6 +12,7 @@ from pointsdf_cli import choices
 from pointsdf_cli.cli import common
 from pointsdf_cli.cli.plan_each import plan_each
 from pointsdf_cli.cli.plan_one import PlanOutputs, plan_one
+from pointsdf_cli.errors import InputError
 
 
 def plan(
@@ -174,7 +175,6 @@ def plan(
 
     Example: rgrasp plan scenes/*.ply --each --out plans/
     """
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.each_file import require_each, require_without
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.poses import box, table_place
@@ -200,15 +200,12 @@ def plan(
         require_without({k: v is not None for k, v in one.items()}, "leave one of the two out")
     else:
         require_each({"--skip-bad": skip_bad, "--jobs": jobs is not None})
+        common.check_suffix(out, "--out", (".h5", ".hdf5"))
         drawn = None if no_picture else picture or out.with_suffix(".png")
         outputs = PlanOutputs(out, drawn, trajectory)
         outputs.require_free(inputs, force)
     if trajectory is not None and any(table_place(pose) for pose in camera_pose or ()):
-        raise InputError(
-            "a motion with an assumed camera pose would miss the object",
-            where="--trajectory",
-            hint="leave it out, or calibrate the camera and give its pose (docs/your-camera.md)",
-        )
+        raise _assumed_pose("--trajectory")
     corners = None if workspace is None else box(workspace, "--workspace")
     search = PlanChoices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
     if server is not None:
@@ -247,12 +244,25 @@ def plan(
         )  # fmt: skip
         return
     request, notes = settings.read(clouds, camera_pose or [], files)
+    if trajectory is not None:
+        for cloud, name in zip(request.clouds, request.names, strict=True):
+            if cloud.over_table:
+                raise _assumed_pose(name)
     for note in notes:
         reporter.say(note)
     plan_one(
         reporter, request, settings, outputs, _as_typed(context.params), idle,
         server=server, threads=threads, accept_unlikely=accept_unlikely,
     )  # fmt: skip
+
+
+def _assumed_pose(where: str) -> InputError:
+    return InputError(
+        "a motion with an assumed camera pose would miss the object",
+        where=where,
+        hint="leave --trajectory out, or calibrate the camera and give its pose "
+        "(docs/your-camera.md)",
+    )
 
 
 _RECORDED = (
@@ -279,7 +289,6 @@ def _check_server(server: str, threads: int, device: str) -> None:
     Raises:
         InputError: The address is invalid, or such an option is given.
     """
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.service.address import server_address
 
     server_address(server)

@@ -13,6 +13,7 @@ from pointsdf_cli.cli import common
 if TYPE_CHECKING:
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult
+    from pointsdf_cli.service.identity import PlannerFiles
     from pointsdf_cli.service.plan_settings import PlanSettings
 
 
@@ -38,13 +39,17 @@ class PlanOutputs:
                 that cannot be written.
         """
         from pointsdf_cli.io.apart import require_apart
+        from pointsdf_cli.io.atomic import require_place
 
-        common.check_suffix(self.out, "--out", (".h5", ".hdf5"))
         require_apart([self.out, self.picture, self.trajectory], inputs)
-        force = force or _is_failed_plan(self.out)
-        common.check_picture(self.picture, force)
         files = {"--out": self.out, "--picture": self.picture, "--trajectory": self.trajectory}
-        _require_places({k: path for k, path in files.items() if path is not None}, force)
+        asked = {option: path for option, path in files.items() if path is not None}
+        _require_different(asked)
+        common.check_picture(self.picture, force=True)  # its suffix
+        # Other files may belong to another plan.
+        its_own = {self.out, self.out.with_suffix(".png")} if _is_failed_plan(self.out) else set()
+        for path in asked.values():
+            require_place(path, force or path in its_own)
         if self.trajectory is not None:
             common.check_suffix(self.trajectory, "--trajectory", (".json",))
 
@@ -87,6 +92,7 @@ def plan_one(
     else:
         from pointsdf_cli.service.client import plan_at
 
+        _say_if_from_another(reporter, request, settings.files)
         result = plan_at(server, request, settings.files)
         for sentence in result.warnings:
             reporter.say(f"warning: {sentence}")
@@ -139,14 +145,13 @@ def _is_failed_plan(path: Path) -> bool:
         return False
 
 
-def _require_places(files: dict[str, Path], force: bool) -> None:
-    """Check before planning that each file has a path of its own that can be written.
+def _require_different(files: Mapping[str, Path]) -> None:
+    """Check that each file has a path of its own.
 
     Raises:
-        InputError: Two have one path, one exists already, or a folder cannot be written.
+        InputError: Two have one path.
     """
     from pointsdf_cli.errors import InputError
-    from pointsdf_cli.io.atomic import require_place
 
     places = [path.resolve() for path in files.values()]
     if len(set(places)) < len(places):
@@ -155,8 +160,6 @@ def _require_places(files: dict[str, Path], force: bool) -> None:
             where=", ".join(f"{option} {path}" for option, path in files.items()),
             allowed="one each",
         )
-    for path in files.values():
-        require_place(path, force)
 
 
 def _plan_here(
@@ -169,16 +172,24 @@ def _plan_here(
     """Load networks and robot in this process, and plan."""
     # Seconds of imports: only for clouds and options that can be used.
     from pointsdf_cli.models.registry import use_threads
-    from pointsdf_cli.planning.option_checks import RECONSTRUCTION
     from pointsdf_cli.service.resident import Resident
 
     files = settings.files
     resident = Resident(files, common.torch_device(settings.device))
     use_threads(threads or idle.count())
     resident.planner(request.choices)  # what cannot be loaded is told first
+    _say_if_from_another(reporter, request, files)
+    return resident.plan(request, lambda sentence: reporter.say(f"warning: {sentence}"))
+
+
+def _say_if_from_another(
+    reporter: common.Reporter, request: PlanRequest, files: PlannerFiles
+) -> None:
+    """Warn if the success network learned from another reconstruction; partial views read none."""
+    from pointsdf_cli.planning.option_checks import RECONSTRUCTION
+
     if request.choices.method == RECONSTRUCTION:
         common.say_if_from_another(reporter, files.checkpoint, files.grasp_checkpoint, files.robot)
-    return resident.plan(request, lambda sentence: reporter.say(f"warning: {sentence}"))
 
 
 def _config(options: dict[str, Any], clouds: Sequence[str], seed: int) -> dict[str, Any]:

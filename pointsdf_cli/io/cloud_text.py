@@ -180,7 +180,7 @@ def _as_colours(values: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray
 
 
 def _is_numbers(row: str) -> bool:
-    words = row.partition("#")[0].replace(",", " ").replace(";", " ").split()
+    words = _before_comment(row).replace(",", " ").replace(";", " ").split()
     try:
         return len([float(word) for word in words]) >= 3
     except ValueError:

@@ -1,13 +1,14 @@
 """Point clouds from depth cameras: PLY, PCD, XYZ and NPY in, PLY out.
 
-Lengths are metres. Two header comments say where a cloud lies (in XYZ files after a `#`):
+Lengths are metres. Header comments say where a cloud lies (in XYZ files after a `#`):
 
     comment frame camera
     comment T_world_camera 1 0 0 0.1  0 1 0 0  0 0 1 0.5  0 0 0 1
+    comment pose_from table
 
 `frame` names the frame of the coordinates: `camera` (OpenCV: x right, y down, z forward) or
 `world`; a file without it is taken to be in the camera's. `T_world_camera`, 16 numbers by rows, is
-the camera in the world.
+the camera in the world. `pose_from table` marks a pose that was made from the observed table.
 """
 
 from __future__ import annotations
@@ -41,6 +42,9 @@ FARTHEST = 20.0
 in the hundreds are another unit."""
 SMALLEST, LARGEST = 0.005, 2.0
 """Bounds [m] of the longest side of a partial view of something that a hand may grasp."""
+
+POSE_FROM, TABLE = "pose_from", "table"
+"""Header comment of a pose that was made from the observed table, and its value."""
 
 _READERS = {
     ".ply": read_ply,
@@ -187,6 +191,7 @@ def read_cloud(
         colours=raw.colours,
         frame=frame or frame_of_header(raw.comments, path),
         T_world_camera=pose,
+        over_table=pose is not T_world_camera and raw.comments.get(POSE_FROM) == TABLE,
     )
     if path.suffix.lower() == ".pcd" and frame is None and T_world_camera is None:
         return _without_false_viewpoint(cloud)
@@ -223,6 +228,8 @@ def write_cloud(path: Path | str, cloud: Cloud) -> None:
     comments = {"frame": cloud.frame}
     if cloud.T_world_camera is not None:
         comments["T_world_camera"] = " ".join(repr(float(v)) for v in cloud.T_world_camera.ravel())
+        if cloud.over_table:
+            comments[POSE_FROM] = TABLE
     with atomic_path(path) as temporary:
         write_ply(temporary, cloud.points, cloud.normals, cloud.colours, comments)
 

@@ -31,8 +31,16 @@ FARTHEST = 50.0
 """Largest distance [m] of a camera from the world's origin."""
 
 
-def camera_pose(text: str, option: str = "--camera-pose") -> NDArray[np.float64]:
+def camera_pose(
+    text: str, option: str = "--camera-pose", whose: str = "the camera", metres: float = 1.0
+) -> NDArray[np.float64]:
     """T_world_camera [4, 4] from `option`: numbers, or a file that holds them.
+
+    Args:
+        text: As typed.
+        option: For messages.
+        whose: What has this pose, for messages.
+        metres: Length of the unit of its translation [m].
 
     Raises:
         InputError: Neither, or no rotation and translation.
@@ -48,8 +56,9 @@ def camera_pose(text: str, option: str = "--camera-pose") -> NDArray[np.float64]
             where=option,
             allowed=ALLOWED,
         )
+    matrix[:3, 3] *= metres
     away = float(np.linalg.norm(matrix[:3, 3]))
-    require_near(away, FARTHEST, "the camera is", option, "are these millimetres?")
+    require_near(away, FARTHEST, f"{whose} is", option, "are these millimetres?")
     return matrix
 
 

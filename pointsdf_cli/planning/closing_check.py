@@ -3,7 +3,7 @@
 The solver's constraints hold for the open hand alone. Here the hand closes step by step without
 physics: all closing joints advance at their speeds, and a joint stops when a link that it moves
 meets the object; coupled joints (a gripper's jaws) stop when all of them are stopped, since one
-pushes the object to the other. The simulated hand stalls in the same way
+pushes the object to the other. The simulated hand also moves on where the object gives way
 (`simulation/executor.py`).
 """
 

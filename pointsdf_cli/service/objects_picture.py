@@ -40,7 +40,7 @@ def draw_labels(path: Path, listing: Listing) -> None:
         raise InputError(
             "is a cloud without an image: it has no pixels to label",
             where=view.name,
-            allowed="a depth image, or an organised cloud",
+            allowed="a depth image",
             hint="leave --labels out",
         )
     height, width = view.image.depth.shape
