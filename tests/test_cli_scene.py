@@ -20,6 +20,7 @@ from pointsdf_cli.planning.list_objects import list_objects
 from pointsdf_cli.planning.object_view import bare_view, segmented_view
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
+from pointsdf_cli.viz.shading import look_at
 from tests import scenes
 
 CAN, BOX = (0.6, -0.12), (0.62, 0.12)
@@ -200,6 +201,25 @@ def test_numbers_stay_when_the_world_moves_with_the_target(scene: list[Any]) -> 
     for thing in listing.objects:
         found = segmented_view(scene[0], options(scene), "table", str(thing.number), None, None)
         assert f"object {thing.number} of {len(listing.objects)}" in " ".join(found.said)
+
+
+def test_numbers_count_what_lies_where_the_robot_would_stand(tmp_path: Path) -> None:
+    """The pose "table" puts the first box 0.6 m ahead of the robot, and the last one into it."""
+    table = scenes.table(1.6)
+    table.apply_scale((1.8, 1, 1))
+    table.apply_translation((-0.8, 0, 0))
+    boxes = [
+        scenes.box((0.06, 0.06, 0.08), (0.6, 0.0)),
+        scenes.box((0.08, 0.08, 0.1), (0.6, 0.35)),
+        scenes.box((0.1, 0.1, 0.12), (0.0, 0.0)),
+    ]
+    pose = look_at((1.35, 0, 0.9), (0.45, 0, 0.0))
+    given = scenes.write_scene(tmp_path, scenes.seen(table, *boxes, pose=pose))
+    listing = list_objects(given[0], options(given), "table")
+    assert [thing.number for thing in listing.objects] == [1, 2, 3]
+    for number, count in listing.points.items():
+        found = segmented_view(given[0], options(given), "table", str(number), None, None)
+        assert f"kept {count} of" in " ".join(found.said)
 
 
 def test_a_pixel_outside_the_image_is_refused(scene: list[Any]) -> None:

@@ -11,13 +11,14 @@ import pytest
 from planning_worlds import CAN, REST, CylinderField, NearPalm
 from planning_worlds import can_target as target
 
+import pointsdf_cli.planning.planner as planner_module
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.plans import Plan, read_plan, write_plan
 from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.environment import Environment, Obstacle
-from pointsdf_cli.planning.motion import MotionConfig
+from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.plan_artifact import plan_of
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
@@ -290,3 +291,29 @@ def test_a_lift_goes_around_what_is_above(planner: Planner) -> None:
             way.append(np.linalg.norm((planner.inverse.chain.palm(lift[-1])[:3, 3] - palm)[:2]))
     assert way
     assert min(way) > 0.04
+
+
+def test_a_fallback_waits_until_no_accepted_grasp_has_a_motion(
+    planner: Planner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The way to the accepted grasp is narrow: a brief search misses it."""
+    found = planner.search(target()).found
+    good = found.accepted[0]
+    poor = replace(good, q=good.q + 1e-3, success=0.05, reason="low_success_probability")
+    found = replace(found, accepted=[good], fallbacks=[poor])
+    enough = planner.config.motion.checks
+
+    def narrow(
+        checker: PathChecker, inverse: object, start: object, goal: object, seed: int,
+        config: MotionConfig,
+    ) -> Motion:  # fmt: skip
+        if goal is good.q and config.checks < enough:
+            return Motion(None, np.zeros((0, 0)), "narrow", 1)
+        return plan_motion(checker, planner.inverse, planner.robot.home, goal, seed)
+
+    monkeypatch.setattr(planner_module, "plan_motion", narrow)
+    checker = PathChecker(planner.geometry, CylinderField(0.035, 0.24, CAN))
+    for ranked in (False, True):
+        best, motion, _ = planner._with_motion(checker, found, planner.robot.home, 0, ranked)
+        assert best is good
+        assert motion is not None

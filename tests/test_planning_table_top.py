@@ -171,6 +171,8 @@ def test_a_start_is_typed_for_the_arm_or_for_all() -> None:
         start_configuration("1,2,3", ROBOT)
     with pytest.raises(InputError, match="beyond its limit"):
         start_configuration("0,0,0,0,0,0,9", ROBOT)
+    with pytest.raises(InputError, match="beyond its limit"):
+        start_configuration(np.full(7, np.nan), ROBOT)
     with pytest.raises(InputError, match=r"0\.05 m is beyond.*\n.*0 to 0\.04 m"):
         start_configuration("0,-0.4,0,-2.2,0,1.9,0.785,0.05,0.05", load_robot("panda"))
 

@@ -20,6 +20,7 @@ from pointsdf_cli.simulation.rehearsal import (
     believed_object,
     best_first,
 )
+from pointsdf_cli.simulation.world import World
 
 pytest.importorskip("pybullet")
 
@@ -54,6 +55,30 @@ def test_what_hovers_over_the_table_is_put_down() -> None:
         item.T_mesh_body[2, 3]
     )
     assert lowest == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("height", [-0.02, 0.0, 0.03])
+def test_the_believed_can_stands_on_its_table(rehearsal: Rehearsal, height: float) -> None:
+    can = can_in_world()
+    can.apply_translation([0, 0, height])
+    item = believed_object(can.vertices, can.faces, height)
+    world = World(load_robot())
+    world.table_height = height
+    world.reset(item, np.eye(4), robot="none")
+    stood = world.object_centre()
+    world.step(240)
+    np.testing.assert_allclose(world.object_centre(), stood, atol=1e-3)
+    world.close()
+
+
+def test_a_flat_object_keeps_a_body() -> None:
+    sheet = trimesh.creation.box([0.15, 0.07, 0.009])
+    sheet.apply_translation([0.6, 0, 0.0045])
+    item = believed_object(sheet.vertices, sheet.faces)
+    corners = np.concatenate([corners for corners, _ in item.pieces])
+    heights = corners @ item.T_mesh_body[2, :3] + item.T_mesh_body[2, 3]
+    assert heights.min() == pytest.approx(0.0, abs=1e-9)
+    assert heights.max() == pytest.approx(0.009, abs=1e-6)
 
 
 def test_a_good_grasp_holds_and_a_palm_in_the_air_does_not(

@@ -90,7 +90,7 @@ def plan_motion(
     """
     config = config or MotionConfig()
     robot = checker.kinematics.robot
-    if ((start < robot.hard_lower - 1e-6) | (start > robot.hard_upper + 1e-6)).any():
+    if not ((start >= robot.hard_lower - 1e-6) & (start <= robot.hard_upper + 1e-6)).all():
         raise InputError("the start is outside of the joint limits", where="--start")
     if checker.slack(start[None])[0] < 0:
         return _failed("the robot touches something where it starts", 0)

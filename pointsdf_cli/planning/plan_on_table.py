@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from pointsdf_cli import choices
+from pointsdf_cli.choices import require_choice
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import OK
@@ -117,6 +119,7 @@ def plan_on_table(
     Raises:
         InputError: The clouds or the start cannot be used, or show a table far from z = 0.
     """
+    require_choice(obstacles, choices.Obstacles, "obstacles")
     q = start_configuration(start, planner.robot)
     if not (target is None or isinstance(target, TargetChoice)):
         target = TargetChoice(place=target)
@@ -185,9 +188,10 @@ def _plan_for(
         answer = planner.nothing(perceived.what, notes)
     else:
         answer = planner.plan_seen(perceived, environment, q, request.seed, notes=notes)
-        if answer.rehearsed is not None and answer.rehearsed.tries:
+        if answer.rehearsed is not None:
             held, tries = answer.rehearsed.held, answer.rehearsed.tries
-            report.append(f"the grasp held in {held} of {tries} rehearsals")
+            said = f"held in {held} of {tries} rehearsals" if tries else "was not rehearsed"
+            report.append(f"the grasp {said}")
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
     return TablePlan(
@@ -249,7 +253,7 @@ def _first_good(
         ordered: The objects, the easiest to grasp first.
         attempt: `_plan_for` as a function of target and `warn`.
         enough: Success probability of a good grasp.
-        warn: As in `plan_on_table`; also told the chosen object.
+        warn: As in `plan_on_table`.
     """
     if not ordered:
         return attempt(None, warn)

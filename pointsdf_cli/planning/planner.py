@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
@@ -231,9 +232,9 @@ class Planner:
         return Outcome(problems.polish, self.inverse.chain, found, best, motion, timings)
 
     def _searches(
-        self, checker: PathChecker, best: list[Candidate], ranked: bool
+        self, checker: PathChecker, best: list[Candidate], ranked: bool, first: int = 0
     ) -> Iterator[tuple[int, PathChecker, MotionConfig]]:
-        """Motion searches in turn: number of the candidate, checker, effort.
+        """Motion searches in turn: number of the candidate from `first` on, checker, effort.
 
         The best few get a brief search before any gets a thorough one: if the way to one is narrow,
         the next is hardly worse and often reached at once. The first brief search keeps the
@@ -245,11 +246,11 @@ class Planner:
         slack = [candidate.object_slack for candidate in best]
         kept = [min(self.config.margin, least + each) - SOLVER_MARGIN for each in slack]
         few = range(len(best[:BRIEFLY]))
-        first = [(k, checker.with_clearance(max(kept[k], least)), brief) for k in few]
-        second = [(k, checker, brief) for k in few if kept[k] > least]
-        yield from sorted(first + second, key=lambda each: each[0]) if ranked else first + second
+        once = [(first + k, checker.with_clearance(max(kept[k], least)), brief) for k in few]
+        again = [(first + k, checker, brief) for k in few if kept[k] > least]
+        yield from sorted(once + again, key=lambda each: each[0]) if ranked else once + again
         for k in range(len(best)):
-            yield k, checker, thorough
+            yield first + k, checker, thorough
 
     def _with_motion(
         self,
@@ -266,7 +267,11 @@ class Planner:
         best = [*found.accepted, *found.fallbacks]
         failure = ""
         stuck: dict[int, Motion] = {}
-        for k, asked, effort in self._searches(checker, best, ranked):
+        searches = chain(
+            self._searches(checker, found.accepted, ranked),
+            self._searches(checker, found.fallbacks, ranked, first=len(found.accepted)),
+        )
+        for k, asked, effort in searches:
             if k in stuck:
                 continue
             candidate = best[k]

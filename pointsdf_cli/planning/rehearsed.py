@@ -151,7 +151,8 @@ class GraspRehearsal:
         def contradicted(candidates: list[Candidate]) -> list[bool]:
             return list(check.contradicted(np.stack([c.q for c in candidates]), clearance))
 
-        rehearse = partial(self._rehearsal, *surface, seed=seed)
+        height = 0.0 if environment is None else environment.table_height
+        rehearse = partial(self._rehearsal, *surface, seed=seed, table_height=height)
         return RehearsedChoice(
             rehearse, surface, self._count, PREFERRED_SLACK - clearance, contradicted, meshing
         )

@@ -31,7 +31,8 @@ def start_configuration(given: str | Array | None, robot: RobotDescription) -> A
         raise InputError(f"{len(numbers)} joint positions", where="--start", allowed=allowed)
     q = robot.home.copy()
     q[: len(numbers)] = numbers
-    outside = np.flatnonzero((q < robot.hard_lower - 1e-6) | (q > robot.hard_upper + 1e-6))
+    inside = (q >= robot.hard_lower - 1e-6) & (q <= robot.hard_upper + 1e-6)
+    outside = np.flatnonzero(~inside)  # NaN, too
     if len(outside):
         j = int(outside[0])
         name = robot.joint_names[j]

@@ -232,7 +232,8 @@ def _draw_in_cylinder(node: ET.Element, skin: float) -> None:
 
 
 def _inertial(shapes: tuple[Shape, ...]) -> ET.Element:
-    """Mass, centre of mass and inertia of the volume of a link's collision shapes."""
+    """Mass and centre of mass of the volume of a link's collision shapes, and its inertia, which
+    PyBullet replaces by its own of the same shapes."""
     mass, centre, inertia = FRAME_MASS, np.zeros(3), FRAME_INERTIA * np.eye(3)
     if shapes:
         body = trimesh.util.concatenate([shape.as_mesh() for shape in shapes])

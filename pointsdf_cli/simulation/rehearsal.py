@@ -45,7 +45,8 @@ MASS = (0.5, 3.0)
 """Range of the ratio of its mass to the estimate: of 28 YCB objects half have 0.5 to 2.5, solid
 tools up to 7."""
 FOOT = 0.012
-"""Height [m] above the table below which the lowest points are moved onto it."""
+"""Height [m] above the table below which the lowest points are moved onto it; at most half of the
+object's."""
 PHYSICS = PhysicsConfig(step=1 / 240, iterations=100)
 """Contact simulation, coarser than that of trials: only the ranking matters. Of 171 tries
 three end otherwise than with the whole arm and 200 iterations, which take three times as long."""
@@ -111,7 +112,12 @@ class Rehearsal:
         self._world.close()
 
     def __call__(
-        self, vertices: Array, faces: NDArray[np.integer], q: Array, seed: int = 0
+        self,
+        vertices: Array,
+        faces: NDArray[np.integer],
+        q: Array,
+        seed: int = 0,
+        table_height: float = 0.0,
     ) -> list[Rehearsed]:
         """Try grasps of an object in their order, until one never fails.
 
@@ -120,11 +126,13 @@ class Rehearsal:
             faces: [F, 3].
             q: [C, J], configurations in which the hand begins to close.
             seed: Random seed of the disturbances, which are the same for all grasps.
+            table_height: Height of the table [m].
 
         Raises:
             InputError: The surface is flat.
         """
-        believed = believed_object(vertices, faces)
+        self._world.table_height = table_height
+        believed = believed_object(vertices, faces, table_height)
         disturbances = _disturbances(self._repeats, np.random.default_rng(seed))
         tried: list[Rehearsed] = []
         for grasp in np.atleast_2d(q):
@@ -145,8 +153,8 @@ class Rehearsal:
         for disturbance in disturbances:
             if len(rises) - held >= FAILURES or (rises and not held):
                 break  # it fails even when all is as believed, or too often
-            item = _disturbed(believed, disturbance)
             world = self._world
+            item = _disturbed(believed, disturbance, world.table_height)
             world.physics = replace(PHYSICS, object_friction=disturbance.friction)
             world.reset(item, np.eye(4), q, robot="hand")
             outcome = Executor(world, self._execution).run(q, lift)
@@ -182,14 +190,20 @@ def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -
     return sorted(range(len(tried)), key=cost)
 
 
-def believed_object(vertices: Array, faces: NDArray[np.integer]) -> SimObject:
+def believed_object(
+    vertices: Array, faces: NDArray[np.integer], table_height: float = 0.0
+) -> SimObject:
     """Object to simulate from a reconstructed surface; its mesh frame is the world's.
+
+    Args:
+        vertices, faces, table_height: As in `Rehearsal`.
 
     Raises:
         InputError: The surface is flat.
     """
     pieces = quick_pieces(vertices, faces)
-    standing = [_put_down(corners) for corners, _ in pieces]
+    foot = min(FOOT, (float(vertices[:, 2].max()) - table_height) / 2)
+    standing = [_put_down(corners, table_height, foot) for corners, _ in pieces]
     hulls = [hull for hull in standing if hull is not None]
     if not hulls:
         raise InputError("the surface encloses nothing above the table")
@@ -220,12 +234,13 @@ def believed_object(vertices: Array, faces: NDArray[np.integer]) -> SimObject:
     )
 
 
-def _put_down(corners: Array) -> trimesh.Trimesh | None:
+def _put_down(corners: Array, table_height: float, foot: float) -> trimesh.Trimesh | None:
     """Hull clipped at the table, with its lowest points moved onto it; None if nothing is left."""
     corners = np.array(corners)
-    corners[corners[:, 2] < FOOT, 2] = 0.0
-    if not corners[:, 2].any():  # all of it is foot, or was below
+    low = corners[:, 2] < table_height + foot
+    if low.all():  # all of it is foot, or was below
         return None
+    corners[low, 2] = table_height
     try:
         hull = trimesh.convex.convex_hull(corners)
     except (ValueError, QhullError):  # flat
@@ -251,12 +266,12 @@ def _disturbances(repeats: int, rng: np.random.Generator) -> list[_Disturbance]:
     return drawn
 
 
-def _disturbed(item: SimObject, disturbance: _Disturbance) -> SimObject:
+def _disturbed(item: SimObject, disturbance: _Disturbance, table_height: float) -> SimObject:
     """The object scaled, rotated about its foot and shifted; its frame is the world's."""
     axes, centre = item.T_mesh_body[:3, :3], item.T_mesh_body[:3, 3]
     c, s = np.cos(disturbance.yaw), np.sin(disturbance.yaw)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    foot = np.array([centre[0], centre[1], 0.0])
+    foot = np.array([centre[0], centre[1], table_height])
     place = foot + np.array([*disturbance.shift, 0.0])
 
     def moved(points: Array) -> Array:

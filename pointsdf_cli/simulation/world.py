@@ -44,6 +44,7 @@ class World:
 
     Attributes:
         chain: Kinematics of the robot's arm.
+        table_height: Height of the table from the next reset on [m].
         others: Free objects beside the one to be grasped.
 
     Raises:
@@ -55,6 +56,7 @@ class World:
         self.physics = physics or PhysicsConfig()
         self._skin = self.physics.skin  # of files, which are written once
         self.chain = ArmChain(robot)
+        self.table_height = 0.0
         self._bullet = import_bullet()
         self._client = self._bullet.connect(self._bullet.DIRECT)
         self._end = weakref.finalize(self, self._bullet.disconnect, self._client)
@@ -286,7 +288,7 @@ class World:
         shape = b.createCollisionShape(
             b.GEOM_BOX, halfExtents=(size / 2).tolist(), physicsClientId=c
         )
-        centre = [*(np.add(TABLE_HIGH, TABLE_LOW) / 2), -0.05]
+        centre = [*(np.add(TABLE_HIGH, TABLE_LOW) / 2), self.table_height - size[2] / 2]
         self._table = b.createMultiBody(0, shape, basePosition=centre, physicsClientId=c)
         b.changeDynamics(self._table, -1, lateralFriction=TABLE_FRICTION, physicsClientId=c)
 

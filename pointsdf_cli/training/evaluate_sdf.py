@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,8 +29,9 @@ from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.io.views import Views, read_views, read_views_header
 from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.registry import load_model, use_threads
+from pointsdf_cli.models.registry import use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
+from pointsdf_cli.training.cached_model import load_cached
 from pointsdf_cli.training.precision import autocast_dtype
 from pointsdf_cli.training.sdf_table import PUBLISHED, ScoredView, summarise, table_lines
 from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
@@ -276,12 +276,6 @@ def convex_hull(points: NDArray[np.floating]) -> Surface | None:
     inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
     return hull.points, faces
-
-
-@lru_cache(maxsize=4)
-def load_cached(checkpoint: Path) -> ShapeModel:
-    """`load_model`, once a process."""
-    return load_model(checkpoint)
 
 
 def _load(task: EvalTask) -> tuple[Views, LoadedMesh]:

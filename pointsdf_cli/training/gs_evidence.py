@@ -10,7 +10,6 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -31,9 +30,10 @@ from pointsdf_cli.models.grasp_features import BODY_SIZE, GraspFeatures, object_
 from pointsdf_cli.models.hand_sweep import HandSweep, SweepConfig
 from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.registry import load_model, use_threads
+from pointsdf_cli.models.registry import use_threads
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.robot.description import load_robot, robot_digest
+from pointsdf_cli.training.cached_model import load_cached
 from pointsdf_cli.training.gs_data import GraspData
 from pointsdf_cli.training.precision import autocast_dtype
 
@@ -102,6 +102,7 @@ def evidence_of(
             weights,
             None if sweep is None else asdict(sweep),
             robot_digest(robot),
+            str(autocast_dtype("auto", torch.device("cpu"))),
         ]
         key = hashlib.sha256(json.dumps(decides).encode()).hexdigest()
         out = cache / f"{name.replace('/', '__')}-{key[:16]}.h5"
@@ -150,12 +151,6 @@ def make_evidence(task: EvidenceTask) -> int:
     evidence = Evidence(**{name: getattr(evidence, name)[back] for name in vars(evidence)})
     write_evidence(task.out, evidence, task.key)
     return len(chosen)
-
-
-@lru_cache(maxsize=2)
-def load_cached(checkpoint: Path) -> ShapeModel:
-    """`load_model`, once a process."""
-    return load_model(checkpoint)
 
 
 def _scene_evidence(

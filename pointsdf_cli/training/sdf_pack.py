@@ -141,7 +141,10 @@ def open_pack(
     """
     folder = require_folder(folder)
     limits = dict(views_per_object or {})
-    home = folder / f"{PREFIX}{_fingerprint(pairs, limits)[:16]}"
+    shared = os.path.commonpath([view_file.parent for view_file, _ in pairs])
+    below = Path(shared) if root is None or not root.is_dir() else root
+    objects = [view_file.relative_to(below).with_suffix("").as_posix() for view_file, _ in pairs]
+    home = folder / f"{PREFIX}{_fingerprint(pairs, objects, limits)[:16]}"
     finished = _finished(home)
     if finished is not None:
         return finished
@@ -150,11 +153,6 @@ def open_pack(
     building = temporary_beside(folder / "pack")
     try:
         building.mkdir()
-        shared = os.path.commonpath([view_file.parent for view_file, _ in pairs])
-        below = Path(shared) if root is None or not root.is_dir() else root
-        objects = [
-            view_file.relative_to(below).with_suffix("").as_posix() for view_file, _ in pairs
-        ]
         _check_limits(objects, limits)
         label_start = _build(pairs, objects, building, limits, on_progress)
         write_array(building / "label_start.npy", label_start)
@@ -311,8 +309,11 @@ def load_pack(folder: Path, names: tuple[str, ...]) -> Pack:
     return Pack(**arrays, names=names)
 
 
-def _fingerprint(pairs: Sequence[tuple[Path, Path]], limits: Mapping[str, int]) -> str:
+def _fingerprint(
+    pairs: Sequence[tuple[Path, Path]], objects: Sequence[str], limits: Mapping[str, int]
+) -> str:
     digest = hashlib.sha256(f"{FORMAT} {sorted(limits.items())} {CENTRES} {NEIGHBOURS}".encode())
+    digest.update("\n".join(objects).encode())
     for pair in pairs:
         for path in pair:
             stat = path.stat()
