@@ -38,8 +38,8 @@ def camera_pose(
 
     Args:
         text: As typed.
-        option: For messages.
-        whose: What has this pose, for messages.
+        option: Name of the option, for messages.
+        whose: The thing with this pose, for messages.
         metres: Length of the unit of its translation [m].
 
     Raises:
