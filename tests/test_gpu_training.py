@@ -2,6 +2,7 @@
 
 import argparse
 import ctypes
+import os
 import shutil
 import subprocess
 import sys
@@ -204,3 +205,16 @@ def test_a_scan_becomes_several_objects(tmp_path):
     stretched = np.log(sizes[1:] / sizes[0])
     assert stretched.std() == pytest.approx(make_views.STRETCH, rel=0.4)
     assert (np.ptp(stretched, axis=1) > 0.01).all()  # not the same along each axis
+
+
+def test_training_ends_where_its_views_end(tmp_path: Path) -> None:
+    """A folder of meshes that is not there ends the making of views."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    ran = subprocess.run(
+        ["bash", GPU / "train.sh", tmp_path / "work", tmp_path / "nowhere"],
+        env=os.environ | {"PATH": path, "DEVICE": "cpu", "MINUTES": "0.05"},
+        capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert ran.returncode == 1
+    assert "make_views.py ended" in ran.stderr
+    assert "nowhere" in (tmp_path / "work" / "views.log").read_text()
