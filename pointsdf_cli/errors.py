@@ -87,7 +87,8 @@ class EmptyResultError(RgraspError):
 
 
 class NoPlanError(RgraspError):
-    """No configuration meets the constraints (exit code 3)."""
+    """No configuration meets the constraints (exit code 3). Raised by the commands; in Python the
+    plan's `status` and `reason` say so."""
 
     exit_code = 3
 

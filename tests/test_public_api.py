@@ -14,7 +14,7 @@ from PIL import Image
 import pointsdf_cli
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.geometry.frames import apply_transform, transform
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -54,6 +54,93 @@ def test_points_in_millimetres_and_whole_clouds_are_refused() -> None:
         pointsdf_cli.complete(cloud)
 
 
+def test_points_that_no_camera_sees_are_refused() -> None:
+    cloud = pointsdf_cli.read_cloud(asset_path("clouds/spray_bottle.ply"))
+    points, _ = cloud.in_camera_frame()
+    pose = np.array(cloud.T_world_camera)
+    world = apply_transform(pose, points)
+    opengl = points * [1, -1, -1]
+    for wrong in (opengl, world - [0, 0, world[:, 2].mean()]):
+        with pytest.raises(InputError, match="behind it"):
+            pointsdf_cli.complete(wrong)
+        with pytest.raises(InputError, match="behind it"):
+            pointsdf_cli.View(wrong, pose)
+    holed = points.copy()
+    holed[3] = np.nan
+    with pytest.raises(InputError, match="NaN"):
+        pointsdf_cli.complete(holed)
+    with pytest.raises(InputError, match="NaN"):
+        pointsdf_cli.View(holed, pose)
+    with pytest.raises(InputError, match="in metres"):
+        pointsdf_cli.View(1000 * points, pose)
+    with pytest.raises(InputError, match="rigid"):
+        pointsdf_cli.View(points, 2 * np.eye(4))
+    assert pointsdf_cli.View(points.tolist(), pose.tolist()).in_world.shape == points.shape
+
+
+def test_a_shape_keeps_its_pose() -> None:
+    cloud = pointsdf_cli.read_cloud(asset_path("clouds/spray_bottle.ply"))
+    points, _ = cloud.in_camera_frame()
+    pose = np.array(cloud.T_world_camera)
+    shape = pointsdf_cli.complete(apply_transform(pose, points), pose, resolution=32)
+    before = shape.sdf(shape.vertices)
+    pose[:3, :3] = np.eye(3)
+    np.testing.assert_array_equal(shape.sdf(shape.vertices), before)
+    with pytest.raises(InputError, match="NaN"):
+        shape.sdf([np.nan, 0, 0])
+
+
+def test_what_cannot_be_planned_is_told_before_it_is_tried() -> None:
+    cloud = pointsdf_cli.read_cloud(asset_path("clouds/table.ply"))
+    planner = pointsdf_cli.GraspPlanner()
+
+    def plan(clouds: object = (cloud,), names: object = ("table",), **more: object) -> None:
+        pointsdf_cli.plan_on_table(planner, clouds, names, **more)
+
+    mistakes: list[tuple[str, dict[str, object]]] = [
+        ("no place", {"target": [np.nan] * 3}),
+        ("no place", {"target": 2}),
+        ("no place", {"target": "any"}),
+        ("no place", {"target": (300, 200)}),
+        ("lists", {"clouds": cloud}),
+        ("lists", {"names": "table"}),
+        ("a name for each", {"clouds": []}),
+        ("seed", {"seed": -1}),
+        ("seed", {"seed": None}),
+        ("reconstruction, hull", {"obstacles": "boxes"}),
+        ("beyond its limit", {"start": np.full(7, np.nan)}),
+    ]
+    for message, wrong in mistakes:
+        with pytest.raises(InputError, match=message):
+            plan(**wrong)
+    with pytest.raises(InputError, match="one or more"):
+        planner.plan([])
+    with pytest.raises(InputError, match="one choice"):
+        pointsdf_cli.TargetChoice()
+    for size, pose in (((np.nan, 1, 1), np.eye(4)), ((1, 1, 1), np.eye(3)), ((1, 1), np.eye(4))):
+        with pytest.raises(InputError):
+            pointsdf_cli.Obstacle("post", "box", size, pose)
+
+
+def test_a_cloud_is_written_as_it_is_read(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).random((60, 3))
+    with pytest.raises(InputError, match="rigid"):
+        pointsdf_cli.Cloud(points, T_world_camera=2 * np.eye(4))
+    with pytest.raises(InputError, match="camera, world"):
+        pointsdf_cli.Cloud(points, frame="base")
+    listed = pointsdf_cli.Cloud(points, T_world_camera=np.eye(4).tolist())
+    pointsdf_cli.write_cloud(tmp_path / "a.ply", listed)
+    with pytest.raises(InputError, match="PLY"):
+        pointsdf_cli.write_cloud(tmp_path / "a.pcd", listed)
+    with pytest.raises(InputError, match="uint8"):
+        pointsdf_cli.write_cloud(
+            tmp_path / "b.ply", pointsdf_cli.Cloud(points, colours=0.5 * np.ones((60, 3)))
+        )
+    with pytest.raises(InputError, match="NaN"):
+        pointsdf_cli.write_cloud(tmp_path / "b.ply", pointsdf_cli.Cloud(np.full((60, 3), np.nan)))
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
 def test_a_depth_image_is_a_cloud_with_its_pose(tmp_path: Path) -> None:
     depth = np.zeros((4, 6), np.uint16)
     depth[1, 4] = 5000
@@ -66,6 +153,8 @@ def test_a_depth_image_is_a_cloud_with_its_pose(tmp_path: Path) -> None:
     np.testing.assert_array_equal(cloud.T_world_camera, pose)
     with pytest.raises(InputError, match="rigid"):
         pointsdf_cli.read_depth_image(*files, 2 * pose)
+    with pytest.raises(InputError, match=r"between 0\.1 and 0\.4 m"):
+        pointsdf_cli.read_depth_image(*files, pose, depth_scale=1e-4, far=0.4)
 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))

@@ -16,7 +16,7 @@ from pointsdf_cli.camera.depth_cloud import cloud_of_depth
 from pointsdf_cli.camera.intrinsics import read_intrinsics
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import is_rigid
+from pointsdf_cli.geometry.frames import rigid
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, Cloud, read_cloud
 from pointsdf_cli.io.depth_images import (
     DEPTH_SUFFIXES,
@@ -148,28 +148,27 @@ def read_depth_image(
     T_world_camera: ArrayLike | None = None,
     depth_scale: float | None = None,
     mask: Path | str | None = None,
+    near: float = 0.1,
+    far: float = 2.5,
 ) -> Cloud:
     """Read a depth image as the cloud of a scene.
 
     Args:
-        path: PNG, TIFF or NPY.
+        path: PNG, TIFF, PGM or NPY.
         intrinsics: A file of the camera's K, or a camera's name.
         T_world_camera: [4, 4], the camera (x right, y down, z forward) in the world, where z = 0 is
             the table; None if it is not known.
         depth_scale: Metres per unit; None: 0.001 for integers, 1 for floats.
         mask: Image of the same size, nonzero on the object; `FILE:NUMBER` uses the pixels of that
             value.
+        near, far: Range of depths [m]; others are dropped.
 
     Raises:
         InputError: A file cannot be read, or the pose is not rigid.
     """
-    pose = None if T_world_camera is None else np.asarray(T_world_camera, dtype=np.float64)
-    if pose is not None and not is_rigid(pose):
-        raise InputError(
-            "is not a rigid transform", where="T_world_camera", allowed="[4, 4], a rotation, m"
-        )
+    pose = None if T_world_camera is None else rigid(T_world_camera, "T_world_camera")
     options = SceneFileOptions(
-        str(intrinsics), depth_scale, mask=None if mask is None else str(mask)
+        str(intrinsics), depth_scale, near, far, mask=None if mask is None else str(mask)
     )
     return _read_depth_view(Path(path), options, pose)
 

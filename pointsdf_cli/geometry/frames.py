@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 
 
@@ -56,6 +57,23 @@ def is_rigid(matrix: ArrayLike, tolerance: float = 1e-4) -> bool:
         and np.linalg.det(rotation) > 0
         and np.abs(matrix[3] - (0, 0, 0, 1)).max() < tolerance
     )
+
+
+def rigid(pose: ArrayLike, where: str) -> Array:
+    """A copy [4, 4] of a rotation and a translation.
+
+    Raises:
+        InputError: It is none.
+    """
+    try:
+        matrix = np.array(pose, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError("is not an array of numbers", where=where, allowed="[4, 4], m") from error
+    if not is_rigid(matrix):
+        raise InputError(
+            "is not a rigid transform", where=where, allowed="[4, 4], a rotation and a translation"
+        )
+    return matrix
 
 
 def rotation_from_wxyz(wxyz: ArrayLike) -> Array:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.choices import Frame, Unit, require_choice
 from pointsdf_cli.errors import InputError, require_near
-from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform, rigid
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.cloud_text import read_npy, read_xyz
 from pointsdf_cli.io.input_files import check_input
@@ -88,6 +88,9 @@ class Cloud:
         notes: Sentences for the user about the reading of the file.
         over_table: Whether the pose was made from the observed table; it is then unrelated to a
             robot.
+
+    Raises:
+        InputError: An unknown frame, or a pose that is not a rigid transform.
     """
 
     points: NDArray[np.float64]
@@ -101,6 +104,12 @@ class Cloud:
     mask_rays: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
     over_table: bool = False
+
+    def __post_init__(self) -> None:
+        require_choice(self.frame, Frame, "frame")
+        if self.T_world_camera is not None:
+            pose = rigid(self.T_world_camera, "T_world_camera")
+            object.__setattr__(self, "T_world_camera", pose)
 
     def in_camera_frame(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The points [N, 3] in the camera's frame, and T_frame_camera [4, 4] to go back.
@@ -191,7 +200,9 @@ def read_cloud(
         colours=raw.colours,
         frame=frame or frame_of_header(raw.comments, path),
         T_world_camera=pose,
-        over_table=pose is not T_world_camera and raw.comments.get(POSE_FROM) == TABLE,
+        over_table=T_world_camera is None
+        and pose is not None
+        and raw.comments.get(POSE_FROM) == TABLE,
     )
     if path.suffix.lower() == ".pcd" and frame is None and T_world_camera is None:
         return _without_false_viewpoint(cloud)
@@ -224,7 +235,18 @@ def _camera_before(points: NDArray[np.float64]) -> str:
 
 
 def write_cloud(path: Path | str, cloud: Cloud) -> None:
-    """Write a cloud as binary PLY, float32, in metres, as a whole or not at all."""
+    """Write a cloud as binary PLY, float32, in metres, as a whole or not at all.
+
+    Raises:
+        InputError: Another suffix than .ply, coordinates that are not finite, or colours that are
+            no bytes.
+    """
+    if Path(path).suffix.lower() != ".ply":
+        raise InputError("is not the name of a PLY file", where=path, allowed="NAME.ply")
+    if not np.isfinite(cloud.points).all():
+        raise InputError("the cloud holds points that are NaN or infinite", where=path)
+    if cloud.colours is not None and np.asarray(cloud.colours).dtype != np.uint8:
+        raise InputError("the cloud's colours are no bytes", where=path, allowed="uint8, 0 to 255")
     comments = {"frame": cloud.frame}
     if cloud.T_world_camera is not None:
         comments["T_world_camera"] = " ".join(repr(float(v)) for v in cloud.T_world_camera.ravel())

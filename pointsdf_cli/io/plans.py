@@ -69,7 +69,8 @@ class RejectedSeeds:
 
 @dataclass(frozen=True)
 class AcceptedGrasps:
-    """Every grasp that met the constraints, best first, A of them; the plan's is one of them.
+    """Every accepted grasp, best first, A of them. The plan's is the first, but for a plan with a
+    warning: a fallback was not accepted.
 
     Attributes:
         q: f8 [A, J].
@@ -109,7 +110,7 @@ class Plan:
             the link's surface, and beyond 3 cm to a box around the object.
         rejected: Every rejected seed with its residuals.
         kind: "side" or "top"; empty without a grasp.
-        accepted: The grasp and its alternatives.
+        accepted: The grasp and its alternatives; without it if it is a fallback.
         lift: f8 [K, J], path from the grasp that raises the palm by 15 cm with the hand's joints
             unchanged; K = 0 if there is none.
         object_vertices: f4 [V, 3], world, m: the surface that constrains the plan; V = 0 without

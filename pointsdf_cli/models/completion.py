@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pointsdf_cli.camera.view import as_points
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import is_rigid
+from pointsdf_cli.geometry.frames import rigid
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud
 from pointsdf_cli.models.meshing import mesh_reconstruction
@@ -34,12 +35,19 @@ class Completion:
     reconstruction: Reconstruction
 
     def sdf(self, x: ArrayLike) -> NDArray[np.float32]:
-        """Signed distances [...] m at x [..., 3] m; negative inside."""
-        return self.reconstruction.sdf(x)
+        """Signed distances [...] m at finite places x [..., 3] m; negative inside."""
+        return self.reconstruction.sdf(_finite(x))
 
     def gradient(self, x: ArrayLike) -> NDArray[np.float32]:
-        """Gradients [..., 3] of the signed distance at x [..., 3] m."""
-        return self.reconstruction.sdf_and_gradient(x)[1]
+        """Gradients [..., 3] of the signed distance at finite places x [..., 3] m."""
+        return self.reconstruction.sdf_and_gradient(_finite(x))[1]
+
+
+def _finite(x: ArrayLike) -> NDArray[np.float64]:
+    places = np.asarray(x, dtype=np.float64)
+    if not np.isfinite(places).all():
+        raise InputError("holds values that are NaN or infinite", where="x", allowed="[..., 3], m")
+    return places
 
 
 def complete(
@@ -65,17 +73,17 @@ def complete(
         InputError: The points, the pose or the checkpoint cannot be used.
         EmptySurfaceError: The network sees no object in the points.
     """
-    pose = np.eye(4) if T_frame_camera is None else np.asarray(T_frame_camera, dtype=np.float64)
-    if not is_rigid(pose):
+    pose = np.eye(4) if T_frame_camera is None else rigid(T_frame_camera, "T_frame_camera")
+    points = as_points(points, "points")
+    check_object_cloud(Cloud(points), "points")
+    away = points - pose[:3, 3]
+    if not (away @ pose[:3, 2] > 0).all():
         raise InputError(
-            "is not a rigid transform", where="T_frame_camera", allowed="[4, 4], a rotation, m"
+            "the camera has points behind it",
+            where="points",
+            allowed="points in the frame of the camera (x right, y down, z forward), or "
+            "T_frame_camera, the camera in theirs",
         )
-    try:
-        points = np.asarray(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError("not an array of numbers", where="points", allowed="[N, 3]") from error
-    if points.ndim == 2 and points.shape[1] == 3:
-        check_object_cloud(Cloud(points), "points")
     model = _model(None if checkpoint is None else str(checkpoint))
     shape = Reconstruction.from_cloud(model, points, pose[:3, 3], pose[:3, :3], seed, evidence)
     mesh = mesh_reconstruction(shape, resolution)

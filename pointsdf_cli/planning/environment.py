@@ -10,6 +10,7 @@ obstacles:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import rotation_from_wxyz, transform
+from pointsdf_cli.geometry.frames import rigid, rotation_from_wxyz, transform
 from pointsdf_cli.io.meshes import load_body
 from pointsdf_cli.io.untrusted import read_yaml
 
@@ -56,7 +57,9 @@ class Obstacle:
     def __post_init__(self) -> None:
         if self.kind not in (*SIZES, "mesh"):
             raise InputError(f"no obstacle {self.kind!r}", allowed=", ".join((*SIZES, "mesh")))
-        if len(self.size) != SIZES.get(self.kind, 0) or any(v <= 0 for v in self.size):
+        object.__setattr__(self, "pose", rigid(self.pose, f"pose of {self.name}"))
+        sizes = [0 < v < math.inf for v in self.size]  # False for NaN
+        if len(sizes) != SIZES.get(self.kind, 0) or not all(sizes):
             raise InputError(
                 f"a {self.kind} of size {self.size}",
                 where=self.name,

@@ -23,6 +23,7 @@ import numpy as np
 from pointsdf_cli import choices
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.choices import require_choice
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.models.bundled_success import bundled_success
@@ -165,8 +166,11 @@ class GraspPlanner:
                 keeps the hand out of the unseen space below it (`support.py`).
 
         Raises:
+            InputError: No view.
             EmptyFieldError: The network sees nothing solid.
         """
+        if isinstance(views, View) or not len(views):
+            raise InputError("no list of views", where="views", allowed="[View, …], one or more")
         world = np.concatenate([view.in_world for view in views])
         grid = grid_for(narrowest(world))
         began = time.perf_counter()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,12 +43,30 @@ class TargetChoice:
         pixel: (u, v) of the image.
         place: [3], world, m.
         any: The first that can be grasped (`take_order.py`).
+
+    Raises:
+        InputError: None or several are set, or numbers that are no place or pixel.
     """
 
     number: int | None = None
     pixel: tuple[float, float] | None = None
     place: Array | None = None
     any: bool = False
+
+    def __post_init__(self) -> None:
+        given = [self.number, self.pixel, self.place, self.any or None]
+        if sum(each is not None for each in given) != 1:
+            raise InputError(
+                "not one choice", where="TargetChoice", allowed="number, pixel, place or any"
+            )
+        for numbers, count in ((self.pixel, 2), (self.place, 3)):
+            if numbers is not None and not _are_finite(numbers, count):
+                raise InputError(
+                    f"{numbers!r} is no place of an object",
+                    where="target",
+                    allowed="[3], a place in the world, m; or TargetChoice(number=…, pixel=(u, v), "
+                    "any=True)",
+                )
 
 
 @dataclass(frozen=True)
@@ -236,6 +254,14 @@ def _of_number(objects: list[ListedObject], number: int, where: str) -> ListedOb
         there = "; ".join(f"{item.number} {item.describe()}" for item in standing)
         raise InputError(f"no object {number}", where="--target", allowed=f"of {where}: {there}")
     return objects[number - 1]
+
+
+def _are_finite(numbers: Any, count: int) -> bool:
+    try:
+        array = np.asarray(numbers, dtype=np.float64)
+    except (TypeError, ValueError):
+        return False
+    return array.shape == (count,) and bool(np.isfinite(array).all())
 
 
 def _sides(points: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 
 from pointsdf_cli import choices
 from pointsdf_cli.choices import require_choice
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import OK
@@ -120,6 +121,9 @@ def plan_on_table(
         InputError: The clouds or the start cannot be used, or show a table far from z = 0.
     """
     require_choice(obstacles, choices.Obstacles, "obstacles")
+    _require_lists(clouds, names)
+    if not (isinstance(seed, int | np.integer) and seed >= 0):
+        raise InputError(f"{seed!r} is not a seed", where="seed", allowed="0 or more")
     q = start_configuration(start, planner.robot)
     if not (target is None or isinstance(target, TargetChoice)):
         target = TargetChoice(place=target)
@@ -129,6 +133,24 @@ def plan_on_table(
         obstacles=obstacles,
     )  # fmt: skip
     return _plan(planner, request, warn)
+
+
+def _require_lists(clouds: Sequence[Cloud], names: Sequence[str]) -> None:
+    """Refuse what is easily given instead of a list of clouds and one of their names.
+
+    Raises:
+        InputError: It was.
+    """
+    if isinstance(clouds, Cloud) or isinstance(names, str):
+        raise InputError(
+            "one cloud or name", where="clouds, names", allowed="lists: [cloud], ['name']"
+        )
+    if not len(clouds) or len(clouds) != len(names):
+        raise InputError(
+            f"{len(clouds)} clouds and {len(names)} names",
+            where="clouds, names",
+            allowed="a name for each cloud, one or more",
+        )
 
 
 def _plan(
@@ -171,6 +193,7 @@ def _plan_for(
             warn(sentence)
     height = seen.table_height or 0.0
     if environment.table and height > UNEVEN:
+        height = max(height, environment.table_height)
         environment = replace(environment, table_height=height)
     tasks: list[Callable[[], Any]] = [partial(_perceived, planner, seen, request)]
     beside = request.others and len(seen.others) > 0
