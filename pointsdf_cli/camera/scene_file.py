@@ -161,7 +161,8 @@ def read_depth_image(
         depth_scale: Metres per unit; None: 0.001 for integers, 1 for floats.
         mask: Image of the same size, nonzero on the object; `FILE:NUMBER` uses the pixels of that
             value.
-        near, far: Range of depths [m]; others are dropped.
+        near: Smallest depth [m]; nearer points are dropped.
+        far: Largest depth [m]; farther points are dropped.
 
     Raises:
         InputError: A file cannot be read, or the pose is not rigid.
