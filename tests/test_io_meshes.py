@@ -230,3 +230,11 @@ def test_a_gltf_in_several_files_is_told_to_come_as_one(tmp_path: Path, box_mesh
     with pytest.raises(InputError) as refused:
         load_mesh(tmp_path / "model.gltf")
     assert ".glb" in refused.value.message
+
+
+def test_a_collada_file_is_in_its_own_unit(tmp_path: Path) -> None:
+    data = trimesh.creation.box((60.0, 10.0, 20.0)).export(file_type="dae")
+    path = tmp_path / "finger.dae"
+    path.write_bytes(data.replace(b"<asset>", b'<asset><unit name="millimeter" meter="0.001"/>', 1))
+    vertices = load_mesh(path).vertices
+    np.testing.assert_allclose(np.sort(np.ptp(vertices, axis=0)), [0.01, 0.02, 0.06], atol=1e-6)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 
 from pointsdf_cli.errors import InputError
@@ -79,6 +80,59 @@ def test_a_coupling_that_is_not_simulated_is_refused(tmp_path: Path, more: str) 
     urdf.write_text(text.replace(place, f'{place}<mimic joint="left_jaw" {more}/>'))
     with pytest.raises(InputError, match="'right_jaw' has multiplier"):
         load_robot(tmp_path / "gripper.yaml")
+
+
+def spoiled(folder: Path, before: str, after: str) -> Path:
+    """The gripper's YAML beside its URDF with other words."""
+    for file in GRIPPER.parent.iterdir():
+        if file.is_file():
+            shutil.copy(file, folder)
+    urdf = folder / "gripper.urdf"
+    text = urdf.read_text()
+    assert before in text
+    urdf.write_text(text.replace(before, after))
+    return folder / "gripper.yaml"
+
+
+@pytest.mark.parametrize("leader", ["left_yaw", "right_jaw"])
+def test_a_leader_that_is_none_is_refused(tmp_path: Path, leader: str) -> None:
+    place = '<parent link="grip"/><child link="right"/>'
+    path = spoiled(tmp_path, place, f'{place}<mimic joint="{leader}"/>')
+    with pytest.raises(InputError, match=f"'right_jaw' follows '{leader}'"):
+        load_robot(path)
+
+
+def test_a_follower_without_limits_has_those_of_its_leader(tmp_path: Path) -> None:
+    joint = (
+        '<parent link="grip"/><child link="right"/><origin xyz="0 -0.05 0"/><axis xyz="0 1 0"/>\n'
+        '    <limit lower="0" upper="0.045" effort="20" velocity="0.2"/>'
+    )
+    mimic = '<mimic joint="left_jaw" multiplier="-0.5"/>'
+    path = spoiled(tmp_path, joint, joint.partition("\n")[0] + mimic)
+    (tmp_path / "gripper.yaml").write_text(
+        path.read_text().replace("right_jaw: 0.05", "right_jaw: -0.025")
+    )
+    follower = next(j for j in load_robot(path).tree.joints if j.name == "right_jaw")
+    assert (follower.lower, follower.upper) == (-0.0225, 0.0)
+    assert (follower.velocity, follower.effort) == (0.1, 20.0)
+
+
+def test_a_mesh_of_a_package_lies_beside_a_copied_urdf(tmp_path: Path) -> None:
+    mesh = '<mesh filename="package://maker_description/meshes/jaw.stl"/>'
+    path = spoiled(tmp_path, '<box size="0.06 0.01 0.02"/>', mesh)
+    with pytest.raises(InputError, match="package's name"):
+        load_robot(path)
+    (tmp_path / "meshes").mkdir()
+    trimesh.creation.box((0.06, 0.01, 0.02)).export(tmp_path / "meshes" / "jaw.stl")
+    assert load_robot(path).tree.shapes["left"][0].kind == "hull"
+
+
+def test_links_fixed_to_the_root_stand_on_the_table() -> None:
+    tree = load_robot("panda").tree
+    assert tree.fixed_to_root()[0] == tree.links[0]
+    joints = {joint.child: joint for joint in tree.joints}
+    for link in tree.fixed_to_root()[1:]:
+        assert joints[link].kind == "fixed"
 
 
 def test_neighbours_and_listed_pairs_are_not_checked() -> None:

@@ -120,6 +120,12 @@ def test_fingers_close_at_their_own_speeds_and_stop_at_their_ends(example: Any) 
     assert [p.time_from_start.sec for p in sent(example, way).points] == [2, 4]
 
 
+def test_joints_that_follow_others_are_the_hardwares(example: Any) -> None:
+    _, hand = example.read_hand(asset_path("robots/panda.yaml"))
+    assert hand.followers == {"panda_finger_joint2"}
+    assert set(hand.speeds) == set(hand.limits) == {"panda_finger_joint1"}
+
+
 def test_a_grip_presses_and_stays_within_the_limits(example: Any) -> None:
     hand = example.Hand({"a": 0.5, "b": -0.01}, {"a": 1.0, "b": 0.0})
     target = example.grip(hand, ["a", "b", "c"], [0.5, 0.03, 0.3], squeeze=0.1, time=0.5)

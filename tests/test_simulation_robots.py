@@ -9,12 +9,14 @@ from typing import Literal
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.check import check_robot
 from pointsdf_cli.robot.description import RobotDescription, load_robot
+from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.bullet_urdf import LINK_DENSITY, bullet_urdf
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
 from pointsdf_cli.simulation.sim_object import prepare_object
@@ -103,6 +105,35 @@ def test_a_robot_that_pybullet_reads_rightly_is_left_alone(tmp_path: Path) -> No
     assert bullet_urdf(robot, tmp_path / "written", 0.001) == robot.urdf
     assert not any((tmp_path / "written").iterdir())
     assert not any("inertial" in finding.what for finding in check_robot(load_robot()).findings)
+
+
+def test_axes_of_any_length_move_joints_alike(tmp_path: Path) -> None:
+    robot = gripper(tmp_path)
+    text = robot.urdf.read_text(encoding="utf-8")
+    robot.urdf.write_text(text.replace('xyz="0 -1 0"', 'xyz="0 -2 0"'), encoding="utf-8")
+    robot = load_robot(tmp_path / "gripper.yaml")
+    q = robot.home.copy()
+    q[robot.joint_names.index("left_jaw")] = 0.04
+    place = Kinematics(robot)(torch.from_numpy(q[None]))[1][0, robot.tree.links.index("left")]
+    with World(robot) as world:
+        world.reset(q=q)
+        body, number = world._robot.links["left"]
+        state = world._bullet.getLinkState(body, number, physicsClientId=world._client)
+    np.testing.assert_allclose(state[4], place.numpy(), atol=1e-6)
+
+
+def test_a_link_without_mass_is_given_one(tmp_path: Path) -> None:
+    robot = gripper(tmp_path)
+    text = robot.urdf.read_text(encoding="utf-8")
+    nothing = INERTIAL.replace('mass value="1"', 'mass value="0"')
+    robot.urdf.write_text(text.replace(LEFT, LEFT + nothing), encoding="utf-8")
+    robot = load_robot(tmp_path / "gripper.yaml")
+    assert "left" in robot.tree.without_mass
+    with World(robot) as world:
+        world.reset()
+        body, number = world._robot.links["left"]
+        mass = world._bullet.getDynamicsInfo(body, number, physicsClientId=world._client)[0]
+    assert mass == pytest.approx(LINK_DENSITY * 0.06 * 0.01 * 0.02)
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.002])

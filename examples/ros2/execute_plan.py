@@ -202,7 +202,8 @@ def main() -> None:
 
     motion, lift = read_motion(options.motion), read_lift(options.plan, options.lift_speed)
     arm, hand = read_hand(options.robot)
-    fingers = tuple(name for name in motion.names if name not in arm)
+    others = {*arm, *hand.followers}
+    fingers = tuple(name for name in motion.names if name not in others)
     if lift is not None and apart(motion, lift) > SAME_PLAN:
         sys.exit(f"{options.plan} is of another run than {options.motion}: it lifts elsewhere")
     for name in (signal.SIGTERM, signal.SIGHUP):
@@ -210,7 +211,7 @@ def main() -> None:
     # rclpy's own handler would shut the context down on Ctrl-C, and no goal could be cancelled.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Executor(options.arm_controller, options.hand_controller, options.gripper)
-    checked = motion.of(arm) if options.gripper else motion
+    checked = motion.of(arm if options.gripper else (*arm, *fingers))
     try:
         start = "the start of the motion: plan again with --start"
         node.require_at(checked, 0, options.tolerance, start)

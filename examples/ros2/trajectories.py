@@ -44,11 +44,12 @@ class Hand(NamedTuple):
     """How the hand closes.
 
     speeds: of each closing joint [rad/s or m/s], negative towards the lower limit; limits: where
-    each of them ends.
+    each of them ends; followers: joints of the robot that follow others (<mimic>).
     """
 
     speeds: dict[str, float]
     limits: dict[str, float]
+    followers: frozenset[str] = frozenset()
 
 
 class MessageTypes(NamedTuple):
@@ -97,12 +98,16 @@ def read_hand(path: Path | str) -> tuple[tuple[str, ...], Hand]:
     robot = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     urdf = ET.parse(Path(path).parent / robot["urdf"])
     speeds = {name: float(speed) for name, speed in robot["closing_joints"].items()}
+    # The hardware moves joints that follow others.
+    led = [joint for joint in urdf.iter("joint") if joint.find("mimic") is not None]
+    followers = frozenset(joint.get("name", "") for joint in led)
+    speeds = {name: speed for name, speed in speeds.items() if name not in followers}
     limits = {name: math.copysign(math.pi, speed) for name, speed in speeds.items()}
     for joint in urdf.iter("joint"):
         name, limit = joint.get("name"), joint.find("limit")
         if name in speeds and limit is not None and joint.get("type") != "continuous":
             limits[name] = float(limit.get("upper" if speeds[name] > 0 else "lower", 0.0))
-    return tuple(robot["arm_joints"]), Hand(speeds, limits)
+    return tuple(robot["arm_joints"]), Hand(speeds, limits, followers)
 
 
 def farthest_from(

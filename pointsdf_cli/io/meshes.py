@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import re
 import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -272,7 +273,7 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
             io.BytesIO(data), file_type=kind[1:], process=False, skip_materials=True
         )
         mesh = loaded.to_mesh()
-        vertices = np.asarray(mesh.vertices, dtype=np.float64)
+        vertices = np.asarray(mesh.vertices, dtype=np.float64) * _own_unit(data, kind)
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
         if vertices.shape[1:] != (3,):
             raise ValueError(f"vertices of {vertices.shape[1:]} numbers")
@@ -291,6 +292,14 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
         raise InputError("has faces that name vertices it does not hold", where=path)
     return vertices, faces
+
+
+def _own_unit(data: bytes, kind: str) -> float:
+    """The unit [m] that a COLLADA file states; 1 for other formats, which have none."""
+    if kind != ".dae":
+        return 1.0
+    found = re.search(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']+)", data)
+    return 1.0 if found is None else float(found[1])
 
 
 def _check_unpacked(data: bytes, kind: str) -> None:

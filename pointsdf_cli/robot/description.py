@@ -277,8 +277,16 @@ def _home(keys: RobotKeys, lower: Array, upper: Array, arm: int) -> Array:
         given = keys.data["home"]
         count = len(home) if isinstance(given, list) and len(given) > arm else arm
         home[:count] = keys.vector("home", given, count)
-    if ((home < lower - 1e-9) | (home > upper + 1e-9)).any():
-        raise keys.wrong("home", "is outside the joint limits", "within arm limits less margin")
+    outside = np.flatnonzero((home < lower - 1e-9) | (home > upper + 1e-9))
+    if len(outside):
+        j = int(outside[0])
+        name = [*keys.data["arm_joints"], *keys.data["hand_joints"]][j]
+        within = "limits less `arm_limit_margin`" if j < arm else "limits"
+        raise keys.wrong(
+            "home",
+            f"has {name} at {home[j]:.4g}",
+            f"{lower[j]:.4g} to {upper[j]:.4g}, its {within}",
+        )
     return home
 
 

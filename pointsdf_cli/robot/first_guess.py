@@ -51,7 +51,7 @@ def first_guess(urdf: Path, beside: Path, palm: str | None = None) -> dict[str, 
     data: dict[str, Any] = {
         "name": beside.stem,
         "urdf": os.path.relpath(urdf, beside.parent),
-        "links_on_table": [tree.links[0]],
+        "links_on_table": list(tree.fixed_to_root()),
         "arm_joints": arm,
         "arm_limit_margin": MARGIN,
         "hand_joints": hand,

@@ -63,8 +63,8 @@ def closing_speeds(robot: RobotDescription) -> dict[str, float]:
         if abs(gain) > CLOSES and abs(float(axes[joint] @ axes[best])) > PARALLEL:
             k = robot.joint_names.index(joint)
             travel = float(robot.upper[k] - robot.lower[k])
-            speed = min(travel / SECONDS, float(robot.velocity[k]), FASTEST)
-            speeds[joint] = round(float(np.copysign(speed, gain)), 3)
+            speed = min(round(min(travel / SECONDS, FASTEST), 3), float(robot.velocity[k]))
+            speeds[joint] = float(np.copysign(speed, gain))
     return speeds
 
 

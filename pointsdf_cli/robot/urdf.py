@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +58,7 @@ class Tree:
         links: Link names; the first is the root.
         joints: `joints[i]` leads to `links[i + 1]`.
         shapes: Collision shapes by link name, in the link's frame.
-        without_mass: Links that have shapes and no `<inertial>`.
+        without_mass: Links that have shapes and no `<inertial>` with a mass above 0.
     """
 
     links: tuple[str, ...]
@@ -81,6 +81,14 @@ class Tree:
         while links[-1] in above:
             links.append(above[links[-1]])
         return links
+
+    def fixed_to_root(self) -> tuple[str, ...]:
+        """The links that no joint moves, the root first."""
+        still = {self.links[0]}
+        for joint in self.joints:  # parents come first
+            if joint.kind == "fixed" and joint.parent in still:
+                still.add(joint.child)
+        return tuple(link for link in self.links if link in still)
 
     def neighbours(self) -> set[frozenset[str]]:
         """Pairs of links that cannot be kept apart by moving: those that one joint connects,
@@ -124,10 +132,48 @@ def read_urdf(path: Path) -> Tree:
         name: tuple(_shapes(link, path))
         for name, link in zip(names, root.findall("link"), strict=True)
     }
-    weighed = {link.get("name") for link in root.findall("link[inertial]")}
+    weighed = {link.get("name") for link in root.findall("link") if has_mass(link)}
+    joints = [_following(joint, joints, path) for joint in joints]
     links, ordered = _ordered(names, joints, path)
     without_mass = tuple(name for name in links if shapes[name] and name not in weighed)
     return Tree(links, ordered, shapes, without_mass)
+
+
+def has_mass(link: ET.Element) -> bool:
+    """Whether a link of a URDF has an `<inertial>` with a mass above 0."""
+    mass = link.find("inertial/mass")
+    try:
+        return mass is not None and float(mass.get("value", "0")) > 0
+    except ValueError:
+        return False
+
+
+def _following(joint: Joint, joints: list[Joint], path: Path) -> Joint:
+    """A joint that may follow another (`<mimic>`): a missing limit is its leader's, scaled.
+
+    Raises:
+        InputError: The leader does not move, or is the joint itself.
+    """
+    if joint.mimic is None:
+        return joint
+    name, share = joint.mimic
+    leader = next((one for one in joints if one.name == name and one.kind in MOVING), None)
+    if leader is None or leader is joint:
+        raise InputError(
+            f"<mimic> of joint {joint.name!r} follows {name!r}",
+            where=path,
+            allowed="another moving joint of the URDF",
+        )
+    if joint.kind != "continuous" and joint.lower < joint.upper:
+        return joint
+    ends = sorted((share * leader.lower, share * leader.upper))
+    return replace(
+        joint,
+        lower=ends[0],
+        upper=ends[1],
+        velocity=joint.velocity or abs(share) * leader.velocity,
+        effort=joint.effort or leader.effort,
+    )
 
 
 def _ordered(
@@ -239,14 +285,21 @@ def _shapes(link: ET.Element, path: Path) -> list[Shape]:
 
 def mesh_file(name: str, urdf: Path) -> Path:
     """The file that a URDF's mesh name means: relative to the URDF, or below its package."""
-    bare = name.split("://", 1)[-1]
+    scheme, _, bare = name.rpartition("://")
     candidates = [urdf.parent / bare]
     candidates += [parent / bare for parent in urdf.parents[1:4]]
     candidates += [parent.parent / bare for parent in urdf.parents[:3]]
+    if scheme == "package":  # the URDF may lie in a copy of the package under another name
+        inside = bare.partition("/")[2]
+        candidates += [parent / inside for parent in urdf.parents[:3]]
     for candidate in candidates:
         if os.path.isfile(candidate):
             return candidate
-    raise InputError(f"names the mesh {name!r}, which is not there", where=urdf)
+    raise InputError(
+        f"names the mesh {name!r}, which is not there",
+        where=urdf,
+        allowed="a file relative to the URDF, or below a folder of the package's name above it",
+    )
 
 
 def _origin(node: ET.Element, path: Path) -> NDArray[np.float64]:

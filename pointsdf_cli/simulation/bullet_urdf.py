@@ -26,7 +26,7 @@ from pointsdf_cli.io.scratch import temporary_files
 from pointsdf_cli.io.untrusted import read_xml
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.shapes import Shape
-from pointsdf_cli.robot.urdf import MOVING
+from pointsdf_cli.robot.urdf import MOVING, has_mass
 from pointsdf_cli.simulation.skin import shrunk, shrunk_cylinder
 
 LINK_DENSITY = 1000.0
@@ -47,7 +47,8 @@ def bullet_urdf(robot: RobotDescription, folder: Path, skin: float) -> Path:
     links = root.findall("link")
     geometry = "link/collision/geometry/"
     hulls = [*root.iterfind(geometry + "mesh"), *root.iterfind(geometry + "cylinder")]
-    if not hulls and all(link.find("inertial") is not None for link in links):
+    unit = all(abs(np.linalg.norm(axis) - 1) < 1e-6 for axis in map(_axis_of, root.iter("axis")))
+    if not hulls and unit and all(has_mass(link) for link in links):
         return robot.urdf
     return _written(_readable(robot, folder, skin), folder / "robot.urdf")
 
@@ -206,11 +207,20 @@ def _readable(robot: RobotDescription, folder: Path, skin: float) -> ET.Element:
                 _name_mesh(node, file)
             elif shape.kind == "cylinder":
                 _draw_in_cylinder(node, skin)
-        if link.find("inertial") is None:
+        if not has_mass(link):
+            for empty in link.findall("inertial"):
+                link.remove(empty)
             link.append(_inertial(shapes))
         for visual in link.findall("visual"):
             link.remove(visual)
+    for node in root.iter("axis"):  # PyBullet scales a sliding joint by its length
+        axis = _axis_of(node)
+        node.set("xyz", _numbers(axis / max(float(np.linalg.norm(axis)), 1e-9)))
     return root
+
+
+def _axis_of(node: ET.Element) -> Array:
+    return np.array([float(value) for value in node.get("xyz", "1 0 0").split()])
 
 
 def _name_mesh(node: ET.Element, file: Path) -> None:
