@@ -41,6 +41,38 @@ def test_the_gripper_begun_from_its_urdf_passes_its_check(tmp_path: Path) -> Non
     assert "--force" in again.err
 
 
+def test_jaws_of_several_links_close_towards_each_other(tmp_path: Path) -> None:
+    """A pad and a sensor on each jaw are no fingers of their own."""
+    parts = ""
+    for side in ("left", "right"):
+        for k, part in enumerate(("pad", "sensor")):
+            parts += (
+                f'<link name="{part}_{side}"><collision><geometry><box size="0.01 0.004 0.01"/>'
+                f'</geometry></collision></link><joint name="{part}_{side}_mount" type="fixed">'
+                f'<parent link="{side}"/><child link="{part}_{side}"/>'
+                f'<origin xyz="{0.065 + 0.011 * k} 0 0"/></joint>'
+            )
+    text = (ROBOTS / "gripper.urdf").read_text(encoding="utf-8")
+    (tmp_path / "gripper.urdf").write_text(text.replace("</robot>", f"{parts}</robot>"))
+    done = run_cli("robot", "init", tmp_path / "gripper.urdf", "--out", tmp_path / "mine.yaml")
+    assert done.code == 0, done.err
+    guessed = load_robot(tmp_path / "mine.yaml")
+    assert guessed.closing_joints == ("left_jaw", "right_jaw")
+    assert (guessed.closing_speeds > 0).all()
+    np.testing.assert_allclose(np.abs(guessed.T_link_palm[:3, 2]), [0, 1, 0], atol=1e-3)
+
+
+def test_what_is_fixed_to_the_root_stands_on_the_table(tmp_path: Path) -> None:
+    text = (ROBOTS / "gripper.urdf").read_text(encoding="utf-8")
+    world = (
+        '<link name="world"/><joint name="stand" type="fixed"><parent link="world"/>'
+        '<child link="rail"/></joint></robot>'
+    )
+    (tmp_path / "gripper.urdf").write_text(text.replace("</robot>", world))
+    data = first_guess(tmp_path / "gripper.urdf", tmp_path / "mine.yaml")
+    assert data["links_on_table"] == ["world", "rail"]
+
+
 def test_names_of_joints_are_names_whatever_they_look_like(tmp_path: Path) -> None:
     text = (ROBOTS / "gripper.urdf").read_text(encoding="utf-8")
     for old, new in (("left_jaw", "1"), ("right_jaw", "on")):

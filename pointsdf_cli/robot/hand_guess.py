@@ -42,6 +42,7 @@ def closing_speeds(robot: RobotDescription) -> dict[str, float]:
     own = robot_surface(robot).get(robot.palm_link)
     body = np.zeros(3) if own is None else own.mean(axis=0)
     gains: dict[str, float] = {}
+    pair = len({_root(robot, tip) for tip in tips}) == 2
     fingers = {joint: set(tips) & set(beyond(robot, joint)) for joint in robot.hand_joints}
     for column, joint in zip(hand, robot.hand_joints, strict=True):
         moved = [k for k, tip in enumerate(tips) if tip in fingers[joint]]
@@ -51,7 +52,7 @@ def closing_speeds(robot: RobotDescription) -> dict[str, float]:
         q = np.repeat(rest[None], 9, axis=0)
         q[:, column] = np.linspace(robot.lower[column], robot.upper[column], 9)
         paths = _middles(robot, tips, q)
-        goal = paths[:, others].mean(axis=1) if len(tips) == 2 and others else body
+        goal = paths[:, others].mean(axis=1) if pair and others else body
         away = np.linalg.norm(paths[:, moved].mean(axis=1) - goal, axis=-1)
         if abs(away[-1] - away[0]) > 0.7 * np.ptp(away):  # not there and back again
             gains[joint] = float(away[0] - away[-1])
@@ -138,7 +139,8 @@ def palm_frame(robot: RobotDescription) -> tuple[Array, bool]:
     # The ways of fingers that close from both sides cancel: 0 is left of two jaws, 0.33 of two
     # fingers against a third (BarrettHand), 0.67 of three and a thumb beside them (Allegro).
     each = float(np.linalg.norm(ways, axis=1).mean())
-    jaws = len(tips) <= 2 or float(np.linalg.norm(ways.mean(axis=0))) < 0.5 * each
+    few = len({_root(robot, tip) for tip in tips}) <= 2
+    jaws = few or float(np.linalg.norm(ways.mean(axis=0))) < 0.5 * each
     surface = robot_surface(robot)
     if jaws:
         x = _unit(closed.mean(axis=0))
