@@ -238,13 +238,10 @@ def write_cloud(path: Path | str, cloud: Cloud) -> None:
     """Write a cloud as binary PLY, float32, in metres, as a whole or not at all.
 
     Raises:
-        InputError: Another suffix than .ply, coordinates that are not finite, or colours that are
-            no bytes.
+        InputError: Another suffix than .ply, or colours that are no bytes.
     """
     if Path(path).suffix.lower() != ".ply":
         raise InputError("is not the name of a PLY file", where=path, allowed="NAME.ply")
-    if not np.isfinite(cloud.points).all():
-        raise InputError("the cloud holds points that are NaN or infinite", where=path)
     if cloud.colours is not None and np.asarray(cloud.colours).dtype != np.uint8:
         raise InputError("the cloud's colours are no bytes", where=path, allowed="uint8, 0 to 255")
     comments = {"frame": cloud.frame}
