@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, numbers
 from pointsdf_cli.geometry.frames import apply_transform, rigid
 from pointsdf_cli.geometry.visibility import ViewEvidence
 
@@ -63,10 +63,7 @@ def as_points(points: ArrayLike, where: str) -> Array:
     Raises:
         InputError: They are none.
     """
-    try:
-        array = np.asarray(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError("is not an array of numbers", where=where, allowed="[N, 3], m") from error
+    array = numbers(points, where, "[N, 3], m")
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"a cloud of shape {array.shape}", where=where, allowed="[N, 3], m")
     if not np.isfinite(array).all():

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, numbers
 
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
@@ -65,10 +65,7 @@ def rigid(pose: ArrayLike, where: str) -> Array:
     Raises:
         InputError: It is none.
     """
-    try:
-        matrix = np.array(pose, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError("is not an array of numbers", where=where, allowed="[4, 4], m") from error
+    matrix = numbers(pose, where, "[4, 4], m")
     if not is_rigid(matrix):
         raise InputError(
             "is not a rigid transform", where=where, allowed="[4, 4], a rotation and a translation"
