@@ -58,7 +58,8 @@ def test_a_draw_that_comes_nearer_than_the_clearance_contradicts(
 
 @pytest.mark.parametrize("total", [40, 1000, 5000])
 def test_no_two_draws_are_of_the_same_points(total: int) -> None:
-    view = View(np.random.default_rng(0).normal(size=(total, 3)), np.eye(4))
+    points = np.random.default_rng(0).uniform(0.5, 0.6, (total, 3))
+    view = View(points, np.eye(4))
     first, second = ({*map(tuple, redrawn(view, 1000, (0, k)).points)} for k in (1, 2))
     assert len(first) == len(second) == min(1000, round(0.8 * total))
     assert len(first & second) < 0.9 * len(first)
