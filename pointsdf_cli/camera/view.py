@@ -11,9 +11,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array, numbers
 from pointsdf_cli.geometry.frames import apply_transform, rigid
 from pointsdf_cli.geometry.visibility import ViewEvidence
-
-LARGEST = 2.0
-"""Largest extent [m] of an object's view: beyond it the unit is wrong."""
+from pointsdf_cli.io.clouds import LARGEST
 
 
 @dataclass(frozen=True)
@@ -36,12 +34,7 @@ class View:
 
     def __post_init__(self) -> None:
         points = as_points(self.points, "View.points")
-        if not (points[:, 2] > 0).all():
-            raise InputError(
-                "the camera has points behind it",
-                where="View.points",
-                allowed="points in the frame of the camera (x right, y down, z forward)",
-            )
+        require_in_front(points, "View.points")
         if len(points) and float(np.ptp(points, axis=0).max()) > LARGEST:
             raise InputError(
                 f"the points extend over {np.ptp(points, axis=0).max():.4g} m",
@@ -69,3 +62,18 @@ def as_points(points: ArrayLike, where: str) -> Array:
     if not np.isfinite(array).all():
         raise InputError("holds values that are NaN or infinite", where=where)
     return array
+
+
+def require_in_front(points: Array, where: str) -> None:
+    """Require points [N, 3] in a camera's frame to lie in front of it.
+
+    Raises:
+        InputError: One does not.
+    """
+    if not (points[:, 2] > 0).all():
+        raise InputError(
+            "the camera has points behind it",
+            where=where,
+            allowed="points in front of the camera (x right, y down, z forward), in its frame or "
+            "with its pose in theirs",
+        )

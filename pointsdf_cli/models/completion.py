@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pointsdf_cli.camera.view import as_points
+from pointsdf_cli.camera.view import as_points, require_in_front
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import rigid
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform, rigid
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.clouds import Cloud, check_object_cloud
 from pointsdf_cli.models.meshing import mesh_reconstruction
@@ -76,14 +76,7 @@ def complete(
     pose = np.eye(4) if T_frame_camera is None else rigid(T_frame_camera, "T_frame_camera")
     points = as_points(points, "points")
     check_object_cloud(Cloud(points), "points")
-    away = points - pose[:3, 3]
-    if not (away @ pose[:3, 2] > 0).all():
-        raise InputError(
-            "the camera has points behind it",
-            where="points",
-            allowed="points in the frame of the camera (x right, y down, z forward), or "
-            "T_frame_camera, the camera in theirs",
-        )
+    require_in_front(apply_transform(invert_transform(pose), points), "points")
     model = _model(None if checkpoint is None else str(checkpoint))
     shape = Reconstruction.from_cloud(model, points, pose[:3, 3], pose[:3, :3], seed, evidence)
     mesh = mesh_reconstruction(shape, resolution)
