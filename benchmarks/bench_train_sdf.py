@@ -50,6 +50,7 @@ def sphere_pack(views: int = 256) -> Pack:
         sdf=(np.linalg.norm(points, axis=1) - 0.05).astype(np.float32),
         label_start=np.array([0, len(points)]),
         names=("sphere",),
+        meshes=("",),
     )
 
 

@@ -3,7 +3,8 @@
 #   pipelines/train_gs.sh GRASPS WORK
 # GRASPS    folder that `rgrasp collect-grasps` wrote
 # WORK      folder for checkpoints, figure3.json and figure3.png
-# VARIANTS  which networks, in this order; those that WORK has already finished are kept:
+# VARIANTS  which networks, in this order; those that WORK has already finished from the
+#           same grasps and options are kept:
 #           "geometry pointsdf-fixed pointsdf-scratch voxelcnn-fixed voxelcnn-scratch"
 # SDF       reconstruction to build on (the bundled one), VOXELCNN  a trained VoxelCNN, without
 #           which voxelcnn-fixed is left out; THREADS and JOBS (0: those that idle) may be set.
@@ -49,9 +50,16 @@ for variant in $variants; do
         exit 2
         ;;
     esac
-    if [ ! -e "$out/finished" ]; then
+    # Grasps by name and size: a network of other grasps or options is trained anew.
+    asked="$variant ${options[*]} ${OPTIONS:-} $(
+        find "$grasps" -name '*.h5' -printf '%P %s\n' | sort | sha256sum
+    )"
+    before=$(cat "$out.asked" 2>/dev/null || true)
+    if [ ! -e "$out/finished" ] || [ "$asked" != "$before" ]; then
         again=--force
-        [ -f "$out/train_state.pt" ] && again=--resume
+        [ -f "$out/train_state.pt" ] && [ "$asked" = "$before" ] && again=--resume
+        printf '%s\n' "$asked" >"$out.asked"
+        rm -f "$out/finished"
         rgrasp train-gs "${common[@]}" --out "$out" "${options[@]}" ${OPTIONS:-} "$again"
         touch "$out/finished"
     fi

@@ -140,6 +140,24 @@ def test_one_bad_mesh_does_not_stop_the_others(mesh_folder: Path, tmp_path: Path
     assert skipped.code == 0
 
 
+def test_a_missing_mesh_stops_its_own_labels_only(
+    views: Path, mesh_folder: Path, tmp_path: Path
+) -> None:
+    meshes = sorted(mesh_folder.iterdir())
+    meshes[0].unlink()
+    options = (*LABEL, "--views", views, "--meshes", mesh_folder, "--out", tmp_path / "l")
+    result = run_cli(*options)
+    assert result.code == 2
+    assert f"no mesh {meshes[0].stem}.*" in result.err
+    assert len(list((tmp_path / "l").glob("*.h5"))) == len(meshes) - 1
+    assert run_cli(*options, "--skip-bad").code == 0
+    # Two formats of one mesh: --pattern tells which was rendered.
+    other = meshes[1].with_suffix(".off")
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(other)
+    assert "two meshes of one name" in run_cli(*options).err
+    assert run_cli(*options, "--pattern", "*[!f]", "--skip-bad").code == 0
+
+
 def test_labels_of_another_mesh_are_refused(views: Path, mesh_folder: Path, tmp_path: Path) -> None:
     trimesh.creation.box((0.05, 0.05, 0.05)).export(mesh_folder / "ball.ply")
     result = run_cli(*LABEL, "--views", views, "--meshes", mesh_folder, "--out", tmp_path / "l")
@@ -212,6 +230,9 @@ def test_labels_in_another_unit_are_not_kept(tmp_path: Path) -> None:
     assert run_cli(*label, "--force").code == 0
     across = np.ptp(read_labels(labels / "box.h5").points, axis=0).max()
     assert across > 8 * 0.0254
+    inside = run_cli(*label[:-1], views / "labels")
+    assert inside.code == 2
+    assert "lies within" in inside.err
     # The report finds the mesh in its unit without being told.
     page = run_cli("report", tmp_path, "--out", tmp_path / "page.html")
     assert page.code == 0, page.err

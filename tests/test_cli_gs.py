@@ -100,7 +100,7 @@ def test_training_then_scoring(cli, grasps: Path, tmp_path: Path) -> None:  # ty
     )  # fmt: skip
     assert every.code == 0, every.err
     about = json.loads(every.out)
-    assert about["held_out"]["objects"] == 7
+    assert about["held_out"]["objects"] == 1  # the others taught it
     assert "10 nearest neighbours" not in about["table"]
     found = json.loads(table.read_text())
     assert set(found["table"]) == {
@@ -117,7 +117,29 @@ def test_training_then_scoring(cli, grasps: Path, tmp_path: Path) -> None:  # ty
     refused = cli("eval-gs", "--checkpoint", geometry, "--grasps", grasps, "--out", table)
     assert refused.code == 2
     assert "--force" in refused.err
+    # Only the ball that was held out can be scored, whatever another folder holds out.
+    assert found["left_out"] == []
+    (other,) = (copy_with(grasps, tmp_path / "other", split="test"),)
+    asked = ("eval-gs", "--checkpoint", geometry, "--grasps", other, "--threads", 1, "--jobs", 1)
+    refused = cli(*asked, "--out", tmp_path / "other.json")
+    assert refused.code == 2, refused.err
+    assert "objects to train on are not both" in refused.err
+    every = cli(*asked, "--out", tmp_path / "other.json", "--all", "--json", "--quiet")
+    assert every.code == 0, every.err
+    about = json.loads(every.out)
+    assert about["held_out"]["objects"] == 1
+    assert len(about["left_out"]) == 6
+    for path in other.glob("*.h5"):
+        if path.stem == "3":
+            path.unlink()
+    refused = cli(*asked, "--out", tmp_path / "none.json", "--all")
+    assert refused.code == 2
+    assert "learned from all 6 objects" in refused.err
     assert load_grasp_model(geometry).network.inputs == "geometry"
+
+
+def pushed(push: float) -> str:
+    return json.dumps({"execution": {"push": push}})
 
 
 def copy_with(grasps: Path, folder: Path, **attributes: object) -> Path:
@@ -138,8 +160,13 @@ def test_every_bad_input_gets_one_message(cli, grasps: Path, tmp_path: Path) -> 
     other_robot = copy_with(grasps, tmp_path / "robot", robot="another_hand")
     other_schema = copy_with(grasps, tmp_path / "schema", schema="views")
     other_version = copy_with(grasps, tmp_path / "version", schema_version=99)
+    mixed = copy_with(grasps, tmp_path / "mixed" / "a", config_json=pushed(0.0)).parent
+    copy_with(grasps, mixed / "b", config_json=pushed(2.5))
     out = tmp_path / "out"
     for options, told in (
+        (("--grasps", mixed), "--push 2.5"),
+        (("--grasps", grasps, "--cache", grasps / "cache"), "lies within"),
+        (("--grasps", grasps, "--learning-rate", "nan"), "not positive and finite"),
         (("--grasps", tmp_path / "none"), "no such folder"),
         (("--grasps", tmp_path / "empty"), "holds no grasps"),
         (("--grasps", tmp_path / "held"), "nothing to learn"),

@@ -196,6 +196,7 @@ def test_a_kind_that_rarely_holds_is_drawn_rarely_but_drawn(tmp_path: Path) -> N
     grasps = GraspData(
         names=["ball"],
         files=[tmp_path],
+        meshes=["ball"],
         held_out=np.array([False]),
         object_of=np.zeros(80, int),
         planned=np.zeros(80, bool),

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial import cKDTree
 
 import pointsdf_cli
 from pointsdf_cli.assets import asset_path
@@ -44,6 +45,27 @@ def test_a_completed_cloud_is_closed_and_signed() -> None:
     assert shape.sdf(far) > 0.02
     assert abs(shape.sdf(shape.vertices[::50])).mean() < 0.003
     assert shape.gradient(far[None]).shape == (1, 3)
+
+
+def test_distances_far_from_a_completed_cloud() -> None:
+    """Where nothing was seen the network says millimetres, centimetres or metres away."""
+    for name in ("spray_bottle", "mug"):  # a mug's wall is fitted, too
+        points, _ = pointsdf_cli.read_cloud(asset_path(f"clouds/{name}.ply")).in_camera_frame()
+        shape = pointsdf_cli.complete(points, resolution=64)
+        rng = np.random.default_rng(0)
+        ways = rng.standard_normal((200, 3))
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        for radius in (0.2, 0.5, 2.0):
+            places = shape.vertices.mean(axis=0) + radius * ways
+            true, nearest = cKDTree(shape.vertices).query(places)
+            found = shape.sdf(places)
+            assert (found > true - 0.011).all()
+            assert (found < true + 1e-6).all()
+            away = (places - shape.vertices[nearest]) / true[:, None]
+            if radius > 0.2:
+                assert (np.sum(shape.gradient(places) * away, axis=1) > 0.99).all()
+    with pytest.raises(InputError, match=r"shape \(4, 2\)"):
+        shape.sdf(np.zeros((4, 2)))
 
 
 def test_points_in_millimetres_and_whole_clouds_are_refused() -> None:

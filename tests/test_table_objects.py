@@ -52,6 +52,36 @@ def test_two_things_have_their_places_and_sizes() -> None:
     assert [thing.number for thing in scene.listed] == [1, 2]
 
 
+def test_a_foot_that_the_camera_cannot_see_stands() -> None:
+    """From straight above only the top of a box is seen, behind another only its upper part."""
+    above = look_at((0.6, 0.0, 0.9), (0.601, 0.0, 0.0))
+    tall = scenes.box((0.07, 0.06, 0.12), (0.6, 0.0))
+    view = scenes.cloud(scenes.seen(scenes.table(), tall, pose=above), above)
+    (item,) = label_view(view, "a", WORKSPACE).listed
+    assert item.stands
+    assert item.size == pytest.approx([0.07, 0.06, 0.12], abs=0.008)
+
+    wide = scenes.box((0.06, 0.2, 0.14), (0.75, 0.0))
+    scene = labelled(wide, scenes.box((0.06, 0.06, 0.26), (0.55, 0.0)))
+    assert [thing.stands for thing in scene.listed] == [True, True]
+    assert sorted(thing.size[2] for thing in scene.listed) == pytest.approx([0.14, 0.26], abs=0.01)
+    # What hangs where the table below it is seen does not stand.
+    hanging = scenes.box((0.06, 0.06, 0.06), (0.6, 0.2))
+    hanging.apply_translation((0.0, 0.0, 0.2))
+    assert [thing.stands for thing in labelled(wide, hanging).listed] == [True, False]
+
+
+def test_heights_begin_at_the_table_that_is_seen() -> None:
+    for height in (-0.03, 0.02):
+        pose = scenes.POSE.copy()
+        pose[2, 3] += height
+        view = scenes.cloud(
+            scenes.seen(scenes.table(), scenes.box((0.06, 0.08, 0.12), (0.6, 0.0))), pose
+        )
+        (item,) = label_view(view, "a", WORKSPACE).listed
+        assert item.size[2] == pytest.approx(0.12, abs=0.006)
+
+
 def test_the_parts_of_the_report_add_up() -> None:
     scene = labelled(
         scenes.box((0.06, 0.08, 0.12), (0.6, 0.1)), scenes.can(0.035, 0.1, (0.55, -0.15))

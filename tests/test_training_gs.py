@@ -135,6 +135,7 @@ def rule_data(objects: int = 8, each: int = 60) -> tuple[GraspData, torch.Tensor
     data = GraspData(
         names=[str(k) for k in range(objects)],
         files=[Path(str(k)) for k in range(objects)],
+        meshes=[str(k) for k in range(objects)],
         held_out=np.arange(objects) % 4 == 0,
         object_of=object_of,
         planned=np.zeros(count, bool),

@@ -26,12 +26,13 @@ from pointsdf_cli.io.checkpoints import (
     read_train_state,
     write_checkpoint,
 )
-from pointsdf_cli.io.labels import Labels, write_labels
+from pointsdf_cli.io.labels import Labels, read_labels, write_labels
 from pointsdf_cli.io.views import Views, write_views
 from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import build_model, load_model
 from pointsdf_cli.training import sdf_loop
+from pointsdf_cli.training.presets import settings
 from pointsdf_cli.training.sdf_config import SdfLoss, TrainConfig
 from pointsdf_cli.training.sdf_data import (
     augment,
@@ -44,6 +45,7 @@ from pointsdf_cli.training.sdf_loop import train_sdf
 from pointsdf_cli.training.sdf_loss import label_iou, sdf_loss
 from pointsdf_cli.training.sdf_pack import Pack, open_pack, pair_artifacts, read_pack
 from pointsdf_cli.training.sdf_progress import Progress, TrainResult
+from pointsdf_cli.training.sdf_run import held_out_before
 
 VIEWS, LABELS = 4, 3000
 
@@ -210,6 +212,37 @@ def test_a_pack_is_built_once_and_again_for_other_files(artifacts: Path, tmp_pat
     assert read_pack(tmp_path).names == two.names
     with pytest.raises(InputError, match="no pack"):
         read_pack(tmp_path / "elsewhere")
+
+
+def test_views_and_labels_are_of_one_mesh_in_one_unit(artifacts: Path, tmp_path: Path) -> None:
+    shutil.copytree(artifacts / "labels", tmp_path / "labels")
+    pairs = pair_artifacts(artifacts / "views", tmp_path / "labels")
+    labels = read_labels(pairs[1][1])
+    write_labels(pairs[1][1], labels, seed=0, config={"unit": "cm"})
+    with pytest.raises(InputError, match="another unit of the mesh"):
+        open_pack(pairs, tmp_path / "pack")
+    write_labels(pairs[1][1], replace(labels, mesh_hash="another"), seed=0)
+    with pytest.raises(InputError, match="another mesh"):
+        open_pack(pairs, tmp_path / "pack")
+
+
+def test_objects_held_out_before_are_known_by_their_meshes(pack: Pack) -> None:
+    held = {"held_out": ["balls/0"], "held_out_meshes": [f"{2:064d}"]}
+    assert held_out_before(pack, held) == {pack.names[2]}
+    assert held_out_before(pack, {"held_out": [pack.names[0], "elsewhere"]}) == {pack.names[0]}
+    assert held_out_before(pack, {}) == set()
+
+
+@pytest.mark.parametrize(
+    ("model", "preset", "option"),
+    [("pointsdf", "paper", "temperature"), ("voxelcnn", "small", "near")],
+)
+def test_a_setting_that_the_loss_does_not_use_is_refused(
+    model: str, preset: str, option: str
+) -> None:
+    with pytest.raises(InputError, match="does not use it"):
+        settings(model, preset, {option: 0.1})
+    assert settings("pointsdf-ray", "small", {option: 0.1})[1].loss != SdfLoss()
 
 
 def test_a_damaged_pack_is_built_again(artifacts: Path, tmp_path: Path) -> None:
@@ -578,7 +611,7 @@ def test_the_command_trains_stops_and_resumes(cli, artifacts: Path, tmp_path: Pa
     assert config["data"]["held_out"] == first
     # Weights that do not say what was held out from them make no list to be believed later.
     path = tmp_path / "ckpt" / "config.json"
-    path.write_text(path.read_text().replace('"held_out"', '"kept_aside"'))
+    path.write_text(path.read_text().replace('"held_out', '"kept_aside'))
     vague = [*arguments[:5], "--out", tmp_path / "vague", *arguments[7:]]
     run = cli(*vague, "--start-from", tmp_path / "ckpt", "--steps", 2)
     assert run.code == 0, run.err

@@ -115,6 +115,17 @@ def test_sphere_and_gradient_in_closed_form():
     assert np.abs(values - (distance - 0.05))[clear].max() < 1e-4
     assert np.abs(gradients - away / distance[:, None])[clear].max() < 0.05
     assert (ball.sdf(points) == values).all()
+    # Beyond the table the distance is never said to be larger than it is.
+    points = ball.point + 0.4 * rng.standard_normal((500, 3))
+    distance = np.linalg.norm(points - ball.point, axis=1) - 0.05
+    values, gradients = ball.sdf_and_gradient(points)
+    assert (values < distance + 1e-4).all()
+    assert (values > 0.6 * distance - 0.01).all()
+    step = 1e-6
+    slopes = [
+        (ball.sdf(points + step * e) - ball.sdf(points - step * e)) / (2 * step) for e in np.eye(3)
+    ]
+    assert (np.abs(gradients - np.stack(slopes, axis=1)).max(axis=1) < 1e-3).mean() > 0.98
 
 
 def test_axis_of_a_cup():

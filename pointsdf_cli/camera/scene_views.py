@@ -76,7 +76,9 @@ class SceneViewConfig:
     def __post_init__(self) -> None:
         for name in ("exact", "dark"):
             if not 0 <= getattr(self, name) <= 1:
-                raise InputError(f"{name} = {getattr(self, name)}", allowed="a share from 0 to 1")
+                raise InputError(
+                    f"{getattr(self, name)} is no share", where=f"--{name}", allowed="0 to 1"
+                )
         if not 0 <= self.sensor_spread <= 2:
             raise InputError(f"sensor_spread = {self.sensor_spread}", allowed="0 to 2")
         if not self.sensors:

@@ -58,35 +58,6 @@ class TableObjects:
     plane: Array | None
     unsplit: frozenset[int] = frozenset()
 
-    def standing(self, points: Array, hidden: float = 0.08) -> NDArray[np.bool_]:
-        """Mask of the objects [T] that stand on the table; all if no table was seen.
-
-        Args:
-            points: [N, 3], world, m.
-            hidden: Largest height [m] of the lowest observed point of a standing object: nearer
-                objects may hide its foot.
-        """
-        stands = np.ones(self.count, dtype=bool)
-        table = points[self.label == TABLE]
-        if self.plane is None or not len(table):
-            return stands
-        height = points @ self.plane[:3] - self.plane[3]
-        on_table = height[self.label == TABLE] > -0.02
-        if not on_table.any():
-            return stands
-        level = table[on_table] * [1.0, 1.0, 0.0]
-        # A wall or another table at the same height is not the table.
-        piece, sizes = clusters(level, 0.05)
-        low, high = np.percentile(level[piece == sizes.argmax(), :2], [1, 99], axis=0)
-        for one in range(self.count):
-            mine = self.label == one
-            if not mine.any():  # a mask took all of it
-                continue
-            foot = points[mine][height[mine] < height[mine].min() + 0.02, :2]
-            over = ((foot > low - 0.03) & (foot < high + 0.03)).all(axis=1).mean() > 0.5
-            stands[one] = bool(np.percentile(height[mine], 1) < hidden and over)
-        return stands
-
     @property
     def count(self) -> int:
         """Number of objects."""

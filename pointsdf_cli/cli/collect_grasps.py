@@ -283,6 +283,8 @@ def _films(
     pictures: bool,
 ) -> list[tuple[str, np.ndarray]]:
     """Pictures for the report, and GIF films of the first `record` of the same attempts."""
+    for stale in out.glob("film-*.gif"):
+        stale.unlink()
     if not (pictures or record):
         return []
     from pointsdf_cli.simulation.replay import film_of, pick_attempts

@@ -53,7 +53,7 @@ def eval_gs(
     require_successes(checkpoint, machine)
     require_reconstructions([sdf])
 
-    from pointsdf_cli.io.apart import require_apart
+    from pointsdf_cli.io.apart import require_apart, require_outside
     from pointsdf_cli.io.atomic import write_text_atomic
     from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.io.strict_json import to_json
@@ -67,6 +67,7 @@ def eval_gs(
     inputs = [*checkpoint, grasps, sdf, robot]
     table_path, picture = common.table_files(out, (".png",), inputs, force)
     require_apart([cache], inputs)
+    require_outside(cache, grasps, "--cache")
     labelled = dict(zip(common.labels_of(checkpoint), checkpoint, strict=True))
     use_threads(threads or idle_processors())
     data = read_grasp_data(grasps, machine)
@@ -81,8 +82,14 @@ def eval_gs(
     lines = [
         f"{about['grasps']} grasps of {about['objects']} {'' if every else 'held-out '}objects, "
         f"{about['base_rate']:.1%} held",
+        *left_out_line(len(result["left_out"])),
         *evaluation.table_lines(result["table"]),
         "",
         f"{table_path}, {picture.name}",
     ]
     reporter.result(result, lines)
+
+
+def left_out_line(count: int) -> list[str]:
+    """Line about objects that are not scored; none without any."""
+    return [f"not scored: {count} objects that a network learned from"] if count else []

@@ -47,6 +47,7 @@ def eval_sdf(
     gallery: Annotated[
         int, typer.Option(min=0, help="Number of best, median and worst views each in the picture.")
     ] = 3,
+    pattern: common.Pattern = "*",
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     skip_bad: common.SkipBad = False,
@@ -65,7 +66,7 @@ def eval_sdf(
 
     IsosurfaceConfig(resolution)
     require_artifacts(views, "views", f"rgrasp render --meshes {meshes} --out {views}")
-    find_meshes(meshes)
+    find_meshes(meshes, pattern)
     require_reconstructions(checkpoint)
     table_path, csv_path, picture = common.table_files(
         out, (".csv", ".png"), [*checkpoint, views, meshes], force
@@ -84,7 +85,7 @@ def eval_sdf(
     labelled = tuple(zip(common.labels_of(checkpoint), checkpoint, strict=True))
     config = evaluation.EvalConfig(labelled, resolution, count, samples, precision, exact, seed)
     aside = sorted({*(apart or [])})
-    tasks = evaluation.make_tasks(views, meshes, config, aside)
+    tasks = evaluation.make_tasks(views, meshes, config, aside, pattern)
     reporter = common.Reporter(quiet, as_json)
     without_mesh = sum(1 for _ in views.rglob("*.h5")) - len(tasks)
     if without_mesh and meshes.is_dir():

@@ -15,6 +15,7 @@ def label_sdf(
     meshes: Annotated[Path, typer.Option(help="Folder of the rendered meshes.")],
     out: Annotated[Path, typer.Option(help="Output folder: one HDF5 of labelled points per mesh.")],
     points: Annotated[int, typer.Option(help="Number of labelled points per mesh.")] = 50_000,
+    pattern: common.Pattern = "*",
     seed: common.Seed = 0,
     jobs: common.Jobs = 0,
     shard: common.Shard = None,
@@ -28,13 +29,15 @@ def label_sdf(
     Example: rgrasp label-sdf --views views/ --meshes ycb/ --out labels/
     """
     from pointsdf_cli.geometry.sdf_sampling import SamplingConfig
-    from pointsdf_cli.io.apart import require_apart
+    from pointsdf_cli.io.apart import require_apart, require_outside
     from pointsdf_cli.io.atomic import require_folder
     from pointsdf_cli.io.batch import run_stage, shard_of
     from pointsdf_cli.objects.labelling import find_label_tasks, label_file
 
     config = SamplingConfig(points)
-    found = shard_of(find_label_tasks(views, meshes, out, config, seed, force), shard)
+    require_outside(out, views, "--out")
+    tasks = find_label_tasks(views, meshes, out, config, seed, force, pattern)
+    found = shard_of(tasks, shard)
     require_apart((t.out for t in found), [path for t in found for path in (t.views, t.mesh)])
     out = require_folder(out)
     reporter = common.Reporter(quiet, as_json)

@@ -101,6 +101,10 @@ def render(
         option = f"--sensor {sensor}" if len(sensors) > 1 else f"--exact {exact:g}"
         raise InputError("is for --scene table", where=option, hint="add --scene table")
 
+    if scene == "void" and noise is not None and sensor != "ideal":
+        raise InputError(
+            f"--noise with --sensor {sensor}, which has noise of its own", hint="leave it out"
+        )
     # Seconds of imports: only for options that fit each other.
     from pointsdf_cli.camera.noise import DepthNoise
     from pointsdf_cli.camera.pinhole import load_camera

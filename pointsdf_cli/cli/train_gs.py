@@ -77,7 +77,7 @@ def train_gs(
 
     from pointsdf_cli.cli.signals import stop_requests
     from pointsdf_cli.io import checkpoints
-    from pointsdf_cli.io.apart import require_apart
+    from pointsdf_cli.io.apart import require_apart, require_outside
     from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.models.grasp_checkpoint import check_hand
     from pointsdf_cli.models.registry import use_threads
@@ -91,6 +91,7 @@ def train_gs(
     given = settings_of(SuccessTraining, context.params)
     config = SuccessTraining(**{"epochs": variant.epochs, **given})
     require_apart([out, cache], [grasps, sdf, robot])
+    require_outside(cache, grasps, "--cache")
     checkpoints.require_checkpoint_place(out, replace=resume or force)
     use_threads(threads or idle_processors())
     state = resumable_state(out, variant, sdf) if resume else None

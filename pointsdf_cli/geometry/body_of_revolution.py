@@ -152,13 +152,14 @@ class BodyOfRevolution:
         value = (1 - x) * ((1 - y) * a + y * b) + x * ((1 - y) * c + y * d)
         by_radius = ((1 - y) * (c - a) + y * (d - b)) / sides[0]
         by_height = ((1 - x) * (b - a) + x * (d - c)) / sides[1]
-        # Beyond the table an estimate is enough: the value at its edge plus the distance to it.
-        out = np.linalg.norm(beyond, axis=1)
-        away = out > 0
-        if away.any():
-            value = value + out
-            by_radius = np.where(away, beyond[:, 0] / np.maximum(out, 1e-12), by_radius)
-            by_height = np.where(away, beyond[:, 1] / np.maximum(out, 1e-12), by_height)
+        # Beyond the table: the body is at least as far as from the nearest place of the table, at a
+        # right angle or more to the way there, so this never exceeds the distance.
+        away = np.flatnonzero(beyond.any(axis=1))
+        there, beyond = value[away], beyond[away]
+        value[away] = total = np.sqrt((beyond**2).sum(axis=1) + there**2)
+        for k, slope in enumerate((by_radius, by_height)):
+            out = beyond[:, k]
+            slope[away] = np.where(out != 0, out, there * slope[away]) / total
         return value, by_radius, by_height
 
 

@@ -42,6 +42,26 @@ def require_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | str | 
             )
 
 
+def require_outside(output: Path | None, folder: Path, option: str) -> None:
+    """Refuse an output folder within an input folder, where it would be read as input next time.
+
+    Args:
+        output: Folder to be written; None is passed over.
+        folder: Folder to be read.
+        option: Option of the output, for the message.
+
+    Raises:
+        InputError: It lies within the input folder.
+    """
+    if output is not None and folder.resolve() in output.resolve().parents:
+        raise InputError(
+            f"lies within {folder}, all of which is read",
+            where=f"{option} {output}",
+            allowed="a folder of its own",
+            hint=f"{option} {folder.resolve().with_name(f'{folder.resolve().name}-{output.name}')}",
+        )
+
+
 def _identity(path: Path) -> tuple[int, int]:
     about = path.stat()
     return about.st_dev, about.st_ino

@@ -26,12 +26,14 @@ class Labels:
         sdf: f4 [N], m, negative inside.
         mesh_file: Name of the mesh file.
         mesh_hash: SHA-256 of its bytes; the views of the same mesh carry the same.
+        unit: The unit that the mesh file was read in.
     """
 
     points: NDArray[np.float32]
     sdf: NDArray[np.float32]
     mesh_file: str
     mesh_hash: str
+    unit: str = "m"
 
 
 def write_labels(
@@ -73,4 +75,5 @@ def read_labels(path: Path | str) -> Labels:
             sdf=artifact.datasets["sdf"],
             mesh_file=str(artifact.attributes["mesh_file"]),
             mesh_hash=str(artifact.attributes["mesh_hash"]),
+            unit=str(artifact.config.get("unit", "m")),
         )

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from pointsdf_cli.camera.view import as_points, require_in_front
 from pointsdf_cli.errors import InputError
@@ -18,6 +19,9 @@ from pointsdf_cli.models.meshing import mesh_reconstruction
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
+
+MARGIN = 0.01
+"""Nearer to the surface than this [m] the network's distances are kept (docs/planning.md)."""
 
 
 @dataclass(frozen=True)
@@ -35,16 +39,45 @@ class Completion:
     reconstruction: Reconstruction
 
     def sdf(self, x: ArrayLike) -> NDArray[np.float32]:
-        """Signed distances [...] m at finite places x [..., 3] m; negative inside."""
-        return self.reconstruction.sdf(_finite(x))
+        """Signed distances [...] m at finite places x [..., 3] m; negative inside.
+
+        The network's, but outside at most the distance to the nearest vertex, and at least that
+        less `MARGIN`: far away, and where nothing was seen, the network's values mean little.
+        """
+        places = _finite(x)
+        values = self.reconstruction.sdf(places)
+        distance, _, outside = self._away(places, values)
+        bounded = np.clip(values, distance - MARGIN, distance)
+        return np.where(outside, bounded, values).astype(np.float32)
 
     def gradient(self, x: ArrayLike) -> NDArray[np.float32]:
         """Gradients [..., 3] of the signed distance at finite places x [..., 3] m."""
-        return self.reconstruction.sdf_and_gradient(_finite(x))[1]
+        places = _finite(x)
+        values, gradients = self.reconstruction.sdf_and_gradient(places)
+        distance, away, outside = self._away(places, values)
+        bounded = outside & ((values < distance - MARGIN) | (values > distance))
+        return np.where(bounded[..., None], away, gradients).astype(np.float32)
+
+    def _away(
+        self, places: NDArray[np.float64], values: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+        """Distances [...] to the nearest vertex, unit vectors [..., 3] away from it, and which
+        places are outside by the network's values [...]."""
+        distance, nearest = map(np.asarray, self._tree.query(places))
+        away = (places - self.vertices[nearest]) / np.maximum(distance, 1e-9)[..., None]
+        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        outside = (values > 0) | ((places < low) | (places > high)).any(axis=-1)
+        return distance, away, outside
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.vertices)
 
 
 def _finite(x: ArrayLike) -> NDArray[np.float64]:
     places = np.asarray(x, dtype=np.float64)
+    if places.shape[-1:] != (3,):
+        raise InputError(f"is of shape {places.shape}", where="x", allowed="[..., 3], m")
     if not np.isfinite(places).all():
         raise InputError("holds values that are NaN or infinite", where="x", allowed="[..., 3], m")
     return places

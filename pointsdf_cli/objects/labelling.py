@@ -16,11 +16,11 @@ from pointsdf_cli.io.views import read_views_header
 
 @dataclass(frozen=True)
 class LabelTask:
-    """One mesh to label, for one worker process."""
+    """One mesh to label, for one worker process; `mesh` is None where it is missing."""
 
     name: str
     views: Path
-    mesh: Path
+    mesh: Path | None
     out: Path
     config: SamplingConfig
     seed: int
@@ -36,12 +36,18 @@ class LabelSummary:
 
 
 def find_label_tasks(
-    views: Path, meshes: Path, out: Path, config: SamplingConfig, seed: int, force: bool
+    views: Path,
+    meshes: Path,
+    out: Path,
+    config: SamplingConfig,
+    seed: int,
+    force: bool,
+    pattern: str = "*",
 ) -> list[LabelTask]:
     """One task for every views file and its mesh.
 
     Raises:
-        InputError: A folder is missing or empty, or a views file's mesh is not in `meshes`.
+        InputError: A folder is missing or empty, or no views file's mesh is in `meshes`.
     """
     if not views.is_dir():
         raise InputError(
@@ -51,30 +57,36 @@ def find_label_tasks(
     if not files:
         raise InputError("holds no views (*.h5)", where=views, hint="rgrasp render --meshes DIR")
     root = meshes if meshes.is_dir() else meshes.parent
-    by_place = {mesh.relative_to(root).with_suffix(""): mesh for mesh in find_meshes(meshes)}
+    found = find_meshes(meshes, pattern)
+    by_place = {mesh.relative_to(root).with_suffix(""): mesh for mesh in found}
     tasks = []
     for file in files:
         place = file.relative_to(views).with_suffix("")
-        if place not in by_place:
-            raise InputError(
-                f"no mesh {place}.* for these views",
-                where=file,
-                allowed=f"a mesh in {meshes} at the place where render found it",
-            )
+        mesh = by_place.get(place)
         tasks.append(
-            LabelTask(
-                place.as_posix(), file, by_place[place], out / f"{place}.h5", config, seed, force
-            )
+            LabelTask(place.as_posix(), file, mesh, out / f"{place}.h5", config, seed, force)
         )
+    if all(task.mesh is None for task in tasks):
+        raise _no_mesh(tasks[0])
     return tasks
+
+
+def _no_mesh(task: LabelTask) -> InputError:
+    return InputError(
+        f"no mesh {task.name}.* for these views",
+        where=task.views,
+        allowed="a mesh in --meshes at the place where render found it",
+    )
 
 
 def label_file(task: LabelTask) -> LabelSummary | None:
     """Label one mesh; None if its labels exist already.
 
     Raises:
-        InputError: The mesh is not the one that the views show, or cannot be labelled.
+        InputError: The mesh is missing, is not the one that the views show, or cannot be labelled.
     """
+    if task.mesh is None:
+        raise _no_mesh(task)
     config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
     views = read_views_header(task.views)
     # The unit is compared too: the same file in another unit is another object.

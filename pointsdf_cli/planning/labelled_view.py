@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.camera.cleaning import Cleaning, clean, flying_pixels
 from pointsdf_cli.camera.mask_edge import grown_mask
 from pointsdf_cli.camera.segmentation import SegmentationConfig
+from pointsdf_cli.camera.standing_objects import standing_objects
 from pointsdf_cli.camera.table_objects import (
     LOOSE,
     OUTSIDE,
@@ -165,7 +166,7 @@ def label_view(
         objects = add_masked_object(mask[thinned.first], objects)
     pixels = None if cloud.pixels is None else cloud.pixels[thinned.first]
     place = image_place(few, pixels, cloud.image)
-    listed = numbered(world, place, objects, objects.standing(world), reach)
+    listed = numbered(world, place, objects, standing_objects(objects, world, camera), reach)
     return LabelledView(
         name=name,
         all_points=points,

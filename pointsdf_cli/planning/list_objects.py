@@ -7,9 +7,8 @@ from pathlib import Path
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.clouds import check_scene_cloud
 from pointsdf_cli.planning.cloud_checks import in_world, require_pose
-from pointsdf_cli.planning.labelled_view import LabelledView, label_view
+from pointsdf_cli.planning.labelled_view import LabelledView
 from pointsdf_cli.planning.object_choice import ListedObject, NoObjectError
 from pointsdf_cli.planning.plausibility import require_table_at_zero, table_doubt
 from pointsdf_cli.planning.scene_input import read_scene
@@ -65,11 +64,9 @@ def list_objects(
     (cloud,) = given.clouds
     require_pose(cloud, str(path))
     require_table_at_zero([in_world(cloud)], [str(path)], "there is nothing to list")
-    if cloud.over_table:
-        # The robot's place depends on the chosen object, and numbers must not.
-        view = label_view(check_scene_cloud(cloud, path), str(path), around, cleaned=cleaned)
-    else:
-        view = label_table(cloud, str(path), described, q, around, cleaned)
+    # Where a robot will stand over a table depends on the chosen object, and numbers must not.
+    there = None if cloud.over_table else described
+    view = label_table(cloud, str(path), there, q, around, cleaned)
     first = chosen_object(view, None, around)
     objects = tuple(item for item in view.listed if item.stands)
     if view.mask is not None:

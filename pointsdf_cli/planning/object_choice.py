@@ -175,7 +175,7 @@ def numbered(
             number=0,
             label=one,
             centre=(low + high) / 2,
-            size=_sides(seen),
+            size=_sides(seen, objects.plane if standing[one] else None),
             points=len(seen),
             stands=bool(standing[one]),
             unsplit=one in objects.unsplit,
@@ -264,8 +264,13 @@ def _are_finite(numbers: Any, count: int) -> bool:
     return array.shape == (count,) and bool(np.isfinite(array).all())
 
 
-def _sides(points: Array) -> Array:
-    """Sides [3] of the smallest upright box around points [N, 3], the longer level one first."""
+def _sides(points: Array, table: Array | None) -> Array:
+    """Sides [3] of the smallest upright box around points [N, 3], the longer level one first.
+
+    Args:
+        points: Seen points of an object, world, m.
+        table: Plane [4] that it stands on, where the box ends; None if it is not known.
+    """
     angle = np.linspace(0, np.pi / 2, 30, endpoint=False)
     turn = np.stack([np.cos(angle), np.sin(angle)])
     along, across = points[:, :2] @ turn, points[:, :2] @ np.stack([-turn[1], turn[0]])
@@ -273,7 +278,9 @@ def _sides(points: Array) -> Array:
     best = int((extent[0] * extent[1]).argmin())
     a, b = sorted((float(extent[0][best]), float(extent[1][best])), reverse=True)
     low, high = np.percentile(points[:, 2], [0.5, 99.5])
-    return np.array([a, b, high - min(low, 0.0) if low < 0.03 else high - low])
+    if table is not None:
+        low = (table[3] - table[:2] @ np.median(points[:, :2], axis=0)) / table[2]
+    return np.array([a, b, high - low])
 
 
 def _merit(item: ListedObject, reach: Reach | None) -> float:

@@ -120,21 +120,25 @@ def bare_cloud(view: Cloud, name: str, cleaned: bool = True) -> ObjectView:
         points, T_frame_camera = alone.in_camera_frame()
     except InputError as error:
         raise InputError.of(error, name) from error
-    standing = None if view.mask is None else _on_its_table(view, len(points), name, cleaned)
-    if standing is not None:
+    standing = "" if view.mask is None else _on_its_table(view, len(points), name, cleaned)
+    if isinstance(standing, ObjectView):
+        check_object_cloud(Cloud(standing.points), f"{name}, under its mask")
         return standing
     if view.mask is None:  # what a mask takes in by mistake may be far away
         check_object_cloud(alone, name)
     points, said = bare_object(alone, cleaned)
+    if view.mask is not None:
+        check_object_cloud(Cloud(points), f"{name}, under its mask")
     around = None if view.mask is None else _around_mask(view, points)
-    notes = [*view.notes, *([said] if said else [])]
+    notes = [*view.notes, *filter(None, (said, standing))]
     return ObjectView(
         points, T_frame_camera, view.frame, tuple(f"{name}: {note}" for note in notes), True, around
     )
 
 
-def _on_its_table(view: Cloud, under_mask: int, name: str, cleaned: bool) -> ObjectView | None:
-    """The object under a view's mask, as it is seen with a pose; None without a table under it.
+def _on_its_table(view: Cloud, under_mask: int, name: str, cleaned: bool) -> ObjectView | str:
+    """The object under a view's mask, as it is seen with a pose; without a table under it, or
+    where the mask shows only the table, a warning (which may be empty).
 
     The table is looked for in the view. Where it is known, a mask that is too small can grow, and
     the table's rays are known to miss the object.
@@ -153,15 +157,18 @@ def _on_its_table(view: Cloud, under_mask: int, name: str, cleaned: bool) -> Obj
     try:
         above = pose_over_plane(find_support_plane(points))
         posed = replace(view, points=points, frame="camera", T_world_camera=above, over_table=True)
+    except InputError:
+        return ""
+    try:
         labelled = label_view(posed, name, ANYWHERE, cleaned=cleaned)
         item = chosen_object(labelled, None, ANYWHERE)
-    except (InputError, NoObjectError):
-        return None
+    except (InputError, NoObjectError) as error:
+        return f"warning: {error.what}"
     if not item.stands:
-        return None
+        return ""
     found = sighting(labelled, item, cleaned)
     if item.size[2] < FLAT and len(found.object_points) < LEAST_ABOVE * under_mask:
-        return None
+        return ""
     said = [*view.notes, describe(labelled, item, found, place=False)]
     return ObjectView(
         found.object_points,
@@ -247,7 +254,7 @@ def segmented_cloud(
         found = look_at_table(
             [cloud],
             [name],
-            robot,
+            None if cloud.over_table else robot,  # where it will stand does not matter here
             robot.home if q is None else q,
             target=target,
             workspace=workspace,

@@ -176,9 +176,9 @@ def stand_on_table(
             where="--target",
             allowed="an object's number, or a pixel U,V",
         )
-    cloud = replace(check_scene_cloud(cloud, name), frame="camera", T_world_camera=None)
-    points, _ = cloud.in_camera_frame()
     try:
+        points, _ = check_scene_cloud(cloud, name).in_camera_frame()
+        cloud = replace(cloud, points=points, frame="camera", T_world_camera=None)
         plane = find_support_plane(points)
     except InputError as error:
         raise InputError.of(error, name) from error

@@ -86,7 +86,7 @@ class TableTop:
 def label_table(
     cloud: Cloud,
     name: str,
-    robot: RobotDescription,
+    robot: RobotDescription | None,
     q: Array,
     workspace: SegmentationConfig = WORKSPACE,
     cleaned: bool = True,
@@ -96,7 +96,7 @@ def label_table(
     Args:
         cloud: Cloud of the table.
         name: Name of the cloud, for messages.
-        robot: The robot.
+        robot: The robot; None if it is not in the scene.
         q: [J], its configuration: points on it are dropped.
         workspace, cleaned: As in `look_at_table`.
 
@@ -104,7 +104,10 @@ def label_table(
         InputError: The cloud has no pose, or is none of a scene.
     """
     require_pose(cloud, name)
-    usable, own = check_scene_cloud(cloud, name), robot_points(robot, q)
+    usable = check_scene_cloud(cloud, name)
+    if robot is None:
+        return label_view(usable, name, workspace, cleaned=cleaned)
+    own = robot_points(robot, q)
     return label_view(
         usable, name, workspace, lambda world: ~off_robot(world, own), reach_of(robot), cleaned
     )
@@ -113,7 +116,7 @@ def label_table(
 def look_at_table(
     clouds: Sequence[Cloud],
     names: Sequence[str],
-    robot: RobotDescription,
+    robot: RobotDescription | None,
     start: Array,
     segment: str = "auto",
     target: TargetChoice | Array | None = None,
@@ -125,7 +128,7 @@ def look_at_table(
     Args:
         clouds: Clouds, one for each camera, each with its pose.
         names: Names of the clouds, for messages.
-        robot: The robot.
+        robot: The robot; None if it is not in the scene.
         start: [J], its configuration: points on it are dropped.
         segment: "auto", or "none" if the clouds hold the object alone.
         target: Choice of the object, or a place [3] of it in the world. Numbers and pixels refer to
@@ -168,6 +171,8 @@ def _look(
             found = sighting(view, item, cleaned)
             if not len(found.object_points):
                 raise NoObjectError("the mask shows another object", where=name)
+            if view.mask is not None:
+                check_object_cloud(Cloud(found.object_points), f"{name}, under its mask")
             in_world = apply_transform(found.T_world_camera, found.object_points)
             _check_sighting(in_world, first, name)
         except NoObjectError as error:

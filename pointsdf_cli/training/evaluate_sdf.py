@@ -114,7 +114,11 @@ def evaluate_object(task: EvalTask) -> list[ScoredView]:
 
 
 def make_tasks(
-    views: Path, meshes: Path, config: EvalConfig, aside: Collection[str] = ()
+    views: Path,
+    meshes: Path,
+    config: EvalConfig,
+    aside: Collection[str] = (),
+    pattern: str = "*",
 ) -> list[EvalTask]:
     """One task for each mesh with views.
 
@@ -127,7 +131,7 @@ def make_tasks(
             "no such folder", where=views, hint=f"rgrasp render --meshes {meshes} --out {views}"
         )
     tasks = []
-    for mesh in find_meshes(meshes):
+    for mesh in find_meshes(meshes, pattern):
         relative = mesh.relative_to(meshes) if meshes.is_dir() else Path(mesh.name)
         artifact = views / relative.with_suffix(".h5")
         if artifact.exists():

@@ -6,8 +6,10 @@ kinematics or without a motion the outcome is unknown.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,6 +31,7 @@ class GraspData:
     Attributes:
         names: Paths of the files in the folder, without suffix.
         files: The files, in the order of their grasps.
+        meshes: SHA-256 of the mesh files of the O objects.
         held_out: bool [O], objects excluded from training success networks. The reconstruction
             network may have been trained on their shapes.
         object_of: int [N], the object of each grasp.
@@ -43,6 +46,7 @@ class GraspData:
 
     names: list[str]
     files: list[Path]
+    meshes: list[str]
     held_out: NDArray[np.bool_]
     object_of: NDArray[np.int64]
     planned: NDArray[np.bool_]
@@ -90,7 +94,8 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     """Read a folder that `collect-grasps` wrote.
 
     Raises:
-        InputError: No such folder, no grasps in it, a file of another schema or another robot.
+        InputError: No such folder, no grasps in it, a file of another schema or another robot, or
+            pushes that differ between files.
     """
     folder = Path(folder)
     hint = "rgrasp collect-grasps --meshes DIR --out " + str(folder)
@@ -105,6 +110,7 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     held_out: dict[str, bool] = {}
     rows = []
     scenes = 0
+    push: tuple[Path, float] | None = None
     for file in files:
         grasps, meta = read_grasps(file)
         check_robot(robot, meta.robot, meta.preshape_joints, file)
@@ -114,6 +120,7 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         collection = collection_of(file)
         if "robot" in collection:
             _require_palm(kinematics, grasps.q[chosen[0]], grasps.T_world_palm[chosen[0]], file)
+        push = _require_push(push, file, collection.get("execution"))
         held_out[meta.mesh_hash] = held_out.get(meta.mesh_hash, False) or meta.split == "test"
         number = list(held_out).index(meta.mesh_hash)
         columns = [meta.joint_names.index(joint) for joint in meta.preshape_joints]
@@ -137,13 +144,42 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     if not rows:
         raise InputError("holds no executed grasp", where=folder, hint="collect more of them")
     joined = [np.concatenate(column) for column in zip(*rows, strict=True)]
-    return GraspData(names, kept, np.array(list(held_out.values())), *joined)
+    return GraspData(names, kept, list(held_out), np.array(list(held_out.values())), *joined)
 
 
 def _succeeded(grasps: Grasps, chosen: NDArray[np.int64]) -> NDArray[np.float32]:
     """Labels [n] of executed grasps: 1 if the object was held and not lost in a push."""
     held = grasps.label[chosen] == HELD
     return (held & (grasps.unshaken[chosen] != 0)).astype(np.float32)
+
+
+def _require_push(
+    before: tuple[Path, float] | None, file: Path, execution: Any
+) -> tuple[Path, float] | None:
+    """Require one push for all files: what counts as success must not depend on the file.
+
+    Args:
+        before: A file and its push [N]; None without one yet.
+        file: The next file.
+        execution: Its options of the execution; None if something else wrote the file.
+
+    Returns:
+        The same for the next file.
+
+    Raises:
+        InputError: Another push.
+    """
+    if not isinstance(execution, Mapping):
+        return before
+    push = float(execution.get("push", 0.0))
+    if before is not None and push != before[1]:
+        raise InputError(
+            f"was collected with --push {push:g}, {before[0]} with --push {before[1]:g}: success "
+            "means two things",
+            where=file,
+            hint="read folders of one kind: --grasps FOLDER",
+        )
+    return before or (file, push)
 
 
 PALM_OFF = 2e-3

@@ -52,9 +52,10 @@ class SuccessTraining:
 
     def __post_init__(self) -> None:
         for name in ("epochs", "batch_size", "learning_rate", "encoder_rate", "patience"):
-            if getattr(self, name) <= 0:
+            value = getattr(self, name)
+            if not 0 < value < math.inf:
                 raise InputError(
-                    f"{getattr(self, name)} is not positive", where="--" + name.replace("_", "-")
+                    f"{value} is not positive and finite", where="--" + name.replace("_", "-")
                 )
         if not 0.0 < self.validation < 1.0:
             raise InputError(

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.checkpoints import read_config
 from pointsdf_cli.io.provenance import git_commit
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.training import gs_baselines
@@ -25,7 +27,8 @@ def compare(
     every: bool,
     seed: int,
 ) -> dict[str, Any]:
-    """Measure networks and baselines on the held-out objects.
+    """Measure networks and baselines on the held-out objects, less those that a network learned
+    from.
 
     Args:
         checkpoints: Checkpoint of each network, by a short name.
@@ -36,12 +39,22 @@ def compare(
         seed: Random seed of the intervals.
 
     Raises:
-        InputError: The grasps to measure on, or those to train on, are not both held and lost.
+        InputError: The grasps to measure on, or those to train on, are not both held and lost, or
+            networks learned from all objects to measure on.
     """
     held_out = data.held_out[data.object_of]
     rows, known = np.flatnonzero(held_out), np.flatnonzero(~held_out)
     if every:
         rows = known = np.arange(len(data))
+    taught = _taught(checkpoints, data)
+    objects = np.unique(data.object_of[rows])
+    if len(rows) and taught[objects].all():
+        raise InputError(
+            f"the networks learned from all {len(objects)} objects to measure on",
+            where=f"--grasps {grasps}",
+            allowed="grasps of other objects, or the folder that the networks were trained on",
+        )
+    rows = rows[~taught[data.object_of[rows]]]
     for part, what in ((rows, "held-out objects"), (known, "objects to train on")):
         if len(np.unique(data.label[part])) < 2:
             raise InputError(
@@ -78,8 +91,18 @@ def compare(
         "published_f1": evaluation.PUBLISHED,
         "held_out": evaluation.describe_grasps(data, rows),
         "known": evaluation.describe_grasps(data, known),
+        "left_out": [data.meshes[k] for k in objects if taught[k]],
         "checkpoints": [str(path) for path in checkpoints.values()],
         "grasps": str(grasps),
         "seed": seed,
         "git_commit": git_commit(),
     }
+
+
+def _taught(checkpoints: Mapping[str, Path], data: GraspData) -> NDArray[np.bool_]:
+    """Whether a network learned from each object; networks that do not name their meshes count as
+    if they had learned from none."""
+    meshes: set[str] = set()
+    for path in checkpoints.values():
+        meshes |= set(read_config(path).get("data", {}).get("meshes", ()))
+    return np.isin(data.meshes, sorted(meshes))

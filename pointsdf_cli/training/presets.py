@@ -8,7 +8,7 @@ from typing import Any
 
 from pointsdf_cli.choices import Model, Preset, require_choice
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.training.sdf_config import SdfLoss, TrainConfig
+from pointsdf_cli.training.sdf_config import LOSSES, SdfLoss, TrainConfig
 
 POINTSDF: dict[str, dict[str, Any]] = {
     "paper": {},
@@ -73,12 +73,22 @@ def settings(model: str, name: str, given: Mapping[str, Any]) -> tuple[dict[str,
             keeps the preset's. With `minutes` alone the number of steps has no limit.
 
     Raises:
-        InputError: No such model or preset, or a number is out of its range.
+        InputError: No such model or preset, a number is out of its range, or a setting of the loss
+            that the model's does not use.
     """
     arguments, config = preset(model, name)
     if given.get("minutes") and given.get("steps") is None:
         given = {**given, "steps": 10_000_000}
-    loss = replace(config.loss, **settings_of(SdfLoss, given))
+    asked = settings_of(SdfLoss, given)
+    used = LOSSES[config.loss.kind]
+    for option in asked.keys() - {*used, "kind"}:
+        raise InputError(
+            f"the loss of {model} --preset {name} ({config.loss.kind}) does not use it",
+            where="--" + option.replace("_", "-"),
+            allowed=", ".join("--" + each.replace("_", "-") for each in used) or "none",
+            hint="leave it out",
+        )
+    loss = replace(config.loss, **asked)
     return arguments, replace(config, loss=loss, **settings_of(TrainConfig, given))
 
 

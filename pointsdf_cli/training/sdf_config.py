@@ -8,7 +8,12 @@ from typing import Any
 
 from pointsdf_cli.errors import InputError
 
-LOSSES = ("mse", "relative", "sign")
+LOSSES: dict[str, tuple[str, ...]] = {
+    "mse": (),
+    "relative": ("near", "sign_weight", "temperature", "quantile"),
+    "sign": ("sign_weight", "temperature", "quantile"),
+}
+"""Kinds of loss, with the settings that each one uses."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +52,16 @@ class SdfLoss:
     def __post_init__(self) -> None:
         if self.kind not in LOSSES:
             raise InputError(f"no loss {self.kind!r}", where="loss", allowed=", ".join(LOSSES))
-        scales = self.near > 0 and self.temperature > 0 and self.sign_weight >= 0
-        if not scales or not max(self.near, self.temperature, self.sign_weight) < math.inf:
-            raise InputError("a scale of the loss is not positive and finite", where="loss")
+        for name in ("near", "temperature", "sign_weight"):
+            value = getattr(self, name)
+            if not 0 <= value < math.inf or (value == 0 and name != "sign_weight"):
+                raise InputError(
+                    f"{value} is not positive and finite", where="--" + name.replace("_", "-")
+                )
         if not 0 < self.quantile < 1:
-            raise InputError(f"a quantile of {self.quantile}", where="loss", allowed="0 to 1")
+            raise InputError(
+                f"{self.quantile} is no quantile", where="--quantile", allowed="between 0 and 1"
+            )
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from pointsdf_cli.io.atomic import (
 from pointsdf_cli.io.hdf5 import artifacts_below
 from pointsdf_cli.io.labels import read_labels
 from pointsdf_cli.io.untrusted import read_json, read_npy_array
-from pointsdf_cli.io.views import read_views
+from pointsdf_cli.io.views import read_views, read_views_header
 from pointsdf_cli.models.neighbours import farthest_point_order
 from pointsdf_cli.models.normalise import network_frame
 from pointsdf_cli.models.shape_model import PACKED_CENTRES as CENTRES
@@ -42,7 +42,7 @@ from pointsdf_cli.models.shape_model import PACKED_NEIGHBOURS as NEIGHBOURS
 from pointsdf_cli.models.surroundings import surroundings_arrays
 from pointsdf_cli.training.array_files import ArrayWriter, write_array
 
-FORMAT = 3
+FORMAT = 4
 PREFIX, INDEX = "pack-", "index.json"
 NAME = re.compile(r"pack-[0-9a-f]{16}")
 
@@ -64,6 +64,7 @@ class Pack:
         sdf: f4 [L], m.
         label_start: i8 [O + 1]; object o has the labels label_start[o] to label_start[o + 1].
         names: O names, with their folders.
+        meshes: SHA-256 of the O mesh files.
     """
 
     clouds: NDArray[np.float16]
@@ -80,6 +81,7 @@ class Pack:
     sdf: NDArray[np.float32]
     label_start: NDArray[np.int64]
     names: tuple[str, ...]
+    meshes: tuple[str, ...]
 
 
 SURROUNDINGS = ("maps", "to_map", "plane", "known")
@@ -154,11 +156,11 @@ def open_pack(
     try:
         building.mkdir()
         _check_limits(objects, limits)
-        label_start = _build(pairs, objects, building, limits, on_progress)
+        label_start, meshes = _build(pairs, objects, building, limits, on_progress)
         write_array(building / "label_start.npy", label_start)
-        write_text_atomic(building / INDEX, json.dumps({"names": objects}))
+        write_text_atomic(building / INDEX, json.dumps({"names": objects, "meshes": meshes}))
         # Who has a pack's files open keeps them, whoever moves or removes it.
-        pack = load_pack(building, tuple(objects))
+        pack = load_pack(building, tuple(objects), tuple(meshes))
         _place(building, home)
         for other in _packs_in(folder):
             if other != home:
@@ -231,18 +233,22 @@ def _build(
     folder: Path,
     limits: Mapping[str, int],
     on_progress: Callable[[int, int], None] | None,
-) -> NDArray[np.int64]:
-    """Write the arrays into a folder; where each object's labels start."""
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Write the arrays into a folder; where each object's labels start, and its mesh's hash."""
     writers: dict[str, ArrayWriter] = {}
     starts = [0]
+    meshes = []
     for done, (name, (view_file, label_file)) in enumerate(zip(names, pairs, strict=True)):
         views, labels = read_views(view_file), read_labels(label_file)
-        if views.mesh_hash != labels.mesh_hash:
+        unit = read_views_header(view_file).unit
+        if (views.mesh_hash, unit) != (labels.mesh_hash, labels.unit):
+            other = "mesh" if views.mesh_hash != labels.mesh_hash else "unit of the mesh"
             raise InputError(
-                f"was made from another mesh than {label_file}",
+                f"was made from another {other} than {label_file}",
                 where=view_file,
                 hint="render and label the same meshes again with --force",
             )
+        meshes.append(views.mesh_hash)
         kept = slice(None, _limit(name, limits))
         arrays: dict[str, NDArray] = pack_views(
             views.cloud[kept], views.T_camera_object[kept], views.evidence[kept]
@@ -258,7 +264,7 @@ def _build(
             on_progress(done + 1, len(pairs))
     for key, writer in writers.items():
         writer.finish(folder / f"{key}.npy")
-    return np.array(starts, np.int64)
+    return np.array(starts, np.int64), meshes
 
 
 def _check_limits(names: Sequence[str], limits: Mapping[str, int]) -> None:
@@ -285,7 +291,7 @@ def _finished(home: Path) -> Pack | None:
     """The pack in a folder, if one was finished there and is whole."""
     try:
         index = read_json(home / INDEX)
-        return load_pack(home, tuple(index["names"]))
+        return load_pack(home, tuple(index["names"]), tuple(index["meshes"]))
     except (InputError, ValueError, LookupError, TypeError):
         return None
 
@@ -303,10 +309,10 @@ def read_pack(folder: Path) -> Pack:
     return pack
 
 
-def load_pack(folder: Path, names: tuple[str, ...]) -> Pack:
+def load_pack(folder: Path, names: tuple[str, ...], meshes: tuple[str, ...]) -> Pack:
     """The arrays of a finished pack, mapped into memory."""
     arrays = {n: read_npy_array(folder / f"{n}.npy") for n in (*ARRAYS, *LABEL_ARRAYS)}
-    return Pack(**arrays, names=names)
+    return Pack(**arrays, names=names, meshes=meshes)
 
 
 def _fingerprint(

@@ -58,9 +58,9 @@ class SdfRun:
                 began with others.
         """
         arguments, config = settings(self.model, self.preset, given)
-        started = self._started_from()
-        before = (started or {}).get("data", {}).get("held_out") or ()
-        known = set(before) & set(data.names)
+        started = self.started_from()
+        before = (started or {}).get("data", {})
+        known = held_out_before(data, before)
         split = split_views(data, self.held_out, config.seed, known)
         if self.preset == "paper" and given["steps"] is None and given["minutes"] is None:
             config = replace(config, steps=paper_steps(len(split.train), config.batch_size))
@@ -75,14 +75,19 @@ class SdfRun:
             f"{len(split.held_out_objects)} of held-out objects"
         )
         # None where a run before this one may have learned from them.
-        held_out = sorted({*held_out_names(data, split), *before})
+        names = held_out_names(data, split)
+        meshes = {mesh for name, mesh in zip(data.names, data.meshes, strict=True) if name in names}
+        unknown = started is not None and not known
         provenance = {
             "preset": self.preset,
             "started_from": started,
             "data": {
                 "objects": len(data.names),
                 "views": len(data.scale),
-                "held_out": None if started is not None and not known else held_out,
+                "held_out": None if unknown else sorted({*names, *before.get("held_out", ())}),
+                "held_out_meshes": None
+                if unknown
+                else sorted({*meshes, *before.get("held_out_meshes", ())}),
             },
             "git_commit": git_commit(),
         }
@@ -111,7 +116,7 @@ class SdfRun:
             ]
         return []
 
-    def _started_from(self) -> dict[str, Any] | None:
+    def started_from(self) -> dict[str, Any] | None:
         """config.json of the checkpoint with the run's initial weights.
 
         Raises:
@@ -131,6 +136,20 @@ class SdfRun:
         if started is not None and started.get("architecture") != self.model:
             raise InputError(f"is a {started.get('architecture')}", where=where, allowed=self.model)
         return started
+
+
+def held_out_before(data: Pack, before: Mapping[str, Any]) -> set[str]:
+    """Names of the objects that were held out when the initial weights were trained.
+
+    Args:
+        data: Views and labels of this run.
+        before: `data` of the config.json of the initial weights. Meshes are compared by content;
+            by name where it has names only.
+    """
+    meshes = before.get("held_out_meshes")
+    if meshes is None:
+        return set(before.get("held_out") or ()) & set(data.names)
+    return {name for name, mesh in zip(data.names, data.meshes, strict=True) if mesh in meshes}
 
 
 def view_limits(entries: Sequence[str]) -> dict[str, int]:
