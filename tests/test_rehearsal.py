@@ -86,11 +86,17 @@ def test_a_good_grasp_holds_and_a_palm_in_the_air_does_not(
 ) -> None:
     can = can_in_world()
     away = can_grasp(shift=(-0.05, -0.1, 0.05))
-    tried = rehearsal(can.vertices, can.faces, np.stack([away, grasp]), seed=0)
+    likely = np.array([0.6, 0.6])
+    tried = rehearsal(can.vertices, can.faces, np.stack([away, grasp]), likely, seed=0)
     assert tried[1] == (3, 3, pytest.approx(0.15, abs=0.02))
     assert tried[0][:2] == (1, 0)
-    assert best_first(tried) == [1, 0]
-    assert rehearsal(can.vertices, can.faces, np.stack([away, grasp]), seed=0) == tried
+    assert best_first(tried, likely, [1.0, 1.0]) == [1, 0]
+    assert rehearsal(can.vertices, can.faces, np.stack([away, grasp]), likely, seed=0) == tried
+    # What cannot become better than the best before is not tried.
+    tried = rehearsal(can.vertices, can.faces, np.stack([grasp, grasp]), [0.6, 0.5], seed=0)
+    assert [one.tries for one in tried] == [3, 0]
+    tried = rehearsal(can.vertices, can.faces, np.stack([grasp, grasp]), [0.5, 0.6], seed=0)
+    assert [one.tries for one in tried] == [3, 3]
 
 
 def test_order_prefers_many_tries_and_keeps_equals() -> None:
@@ -100,11 +106,16 @@ def test_order_prefers_many_tries_and_keeps_equals() -> None:
         Rehearsed(5, 0, 0.0),
         Rehearsed(0, 0, 0.0),
     )
-    assert best_first([unable, never, once, often]) == [3, 2, 1, 0]
-    assert best_first([once, once]) == [0, 1]
-    # Half a chance that what it was tried on is true: five of five are then less than one of one.
-    assert best_first([often, once], [0.5, 1.0]) == [1, 0]
-    assert best_first([often, never], [0.5, 1.0]) == [0, 1]
+    equal, sure = [0.6] * 4, [1.0] * 4
+    assert best_first([unable, never, once, often], equal, sure) == [3, 2, 1, 0]
+    assert best_first([once, once], equal, sure) == [0, 1]
+    # A reconstruction that is hardly right at the contacts.
+    assert best_first([often, once], equal, [0.5, 1.0]) == [1, 0]
+    assert best_first([often, never], equal, [0.8, 1.0]) == [0, 1]
+    # The network counts, too: it knows contacts that a rehearsal only guesses.
+    assert best_first([often, never], [0.2, 0.9], sure) == [1, 0]
+    assert often.chance(0.6) > often.chance(0.3) > never.chance(0.3)
+    assert 0.0 < never.chance(0.0) < often.chance(1.0) < 1.0
 
 
 def test_the_lift_is_straight_and_keeps_the_palm(grasp: NDArray[np.float64]) -> None:
@@ -146,4 +157,4 @@ def test_a_surface_below_the_table_cannot_be_rehearsed_on(rehearsal: Rehearsal) 
     sunk = trimesh.creation.box((0.1, 0.1, 0.1))
     sunk.apply_translation([0.6, 0, -0.2])
     with pytest.raises(InputError, match="above the table"):
-        rehearsal(sunk.vertices, sunk.faces, np.zeros((1, 23)))
+        rehearsal(sunk.vertices, sunk.faces, np.zeros((1, 23)), np.zeros(1))

@@ -1,8 +1,8 @@
 """Choice of the grasp by rehearsals on the reconstructed object.
 
 `GraspPlanner` alone stops at the first round of seeds with an accepted grasp. Here the accepted
-grasps of a round are rehearsed; if none holds often enough, another round follows, and finally the
-best grasp of all rounds is chosen.
+grasps of a round are rehearsed; if none is likely enough to hold, another round follows, and
+finally the best grasp of all rounds is chosen.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ from pointsdf_cli.simulation.rehearsal import (
 )
 from pointsdf_cli.simulation.world import try_robot
 
-ENOUGH = 0.75
-"""Share of rehearsals in which a grasp must hold to end the search."""
+ENOUGH = 0.85
+"""Probability to hold, by success network and rehearsals, at which a grasp ends the search."""
 RESAMPLED_VIEWS = 3
 """Number of further samples of the cloud for the resampled-view check. A grasp that violates the
 clearance in any of them never ends the search."""
@@ -55,8 +55,8 @@ RESOLUTION = 64
 """Cells along the network's box for the surface to rehearse on."""
 NEARBY = 3
 """Number of grasps beside which the next round samples too."""
-CONTRADICTED = 0.5
-"""Factor on the rehearsed score of a grasp that the resampled-view check rejects."""
+CONTRADICTED = 0.8
+"""Factor on the probability to hold of a grasp that the resampled-view check rejects."""
 REHEARSED_SEARCH = SynthesisConfig(rounds=5, seeds=MANY_SEEDS)
 """Search settings: more grasps per round than in the paper, because rehearsals distinguish them."""
 
@@ -162,7 +162,7 @@ class RehearsedChoice:
     """Choice among the rehearsed candidates of all rounds.
 
     Args:
-        rehearse: Function from configurations [C, J] to their rehearsals.
+        rehearse: Function from configurations [C, J] and success probabilities [C] to rehearsals.
         surface: Surface of the rehearsals.
         count: Number of grasps of the first round to rehearse; twice as many of later ones.
         least_slack: As in `promising_first` [m].
@@ -172,7 +172,7 @@ class RehearsedChoice:
 
     def __init__(
         self,
-        rehearse: Callable[[Array], list[Rehearsed]],
+        rehearse: Callable[[Array, Array], list[Rehearsed]],
         surface: Surface,
         count: int,
         least_slack: float,
@@ -188,7 +188,7 @@ class RehearsedChoice:
         self._tried: list[Rehearsed] = []
 
     def stop(self, new: list[Candidate]) -> bool:
-        """Rehearse the candidates of a round; True if one holds often enough."""
+        """Rehearse the candidates of a round; True if one is likely enough to hold."""
         began = time.perf_counter()
         contradicted = self._are_contradicted(new)
         # Later rounds have as many again, beside the best so far.
@@ -196,7 +196,8 @@ class RehearsedChoice:
         order = promising_first(new, self._least_slack, contradicted)[:most]
         chosen = [new[k] for k in order]
         try:
-            tried = self._rehearse(np.stack([c.q for c in chosen]))
+            success = np.array([c.success for c in chosen])
+            tried = self._rehearse(np.stack([c.q for c in chosen]), success)
         except InputError:  # nothing solid to rehearse on: the objective alone decides
             tried = [UNTRIED] * len(chosen)
         self._candidates += chosen
@@ -204,12 +205,12 @@ class RehearsedChoice:
         self._tried += tried
         self.timings["rehearsal"] += time.perf_counter() - began
         return any(
-            one.tries > 1 and one.share >= ENOUGH and not contradicted[k]
+            one.tries and one.chance(new[k].success) >= ENOUGH and not contradicted[k]
             for k, one in zip(order, tried, strict=True)
         )
 
     def best(self) -> list[Candidate]:
-        """The grasps beside which the next round samples too: those that held best."""
+        """The grasps beside which the next round samples too: the most likely to hold."""
         return self._best_first()[:NEARBY]
 
     def ranked(self, accepted: list[Candidate]) -> list[Candidate]:
@@ -221,8 +222,9 @@ class RehearsedChoice:
         return order[:MOST_MOTIONS]
 
     def _best_first(self) -> list[Candidate]:
-        chances = [CONTRADICTED if one else 1.0 for one in self._contradicted]
-        return [self._candidates[k] for k in best_first(self._tried, chances)]
+        right = [CONTRADICTED if one else 1.0 for one in self._contradicted]
+        success = [each.success for each in self._candidates]
+        return [self._candidates[k] for k in best_first(self._tried, success, right)]
 
     def of(self, chosen: Candidate | None) -> Rehearsed | None:
         """Rehearsal of the chosen candidate; None without one."""

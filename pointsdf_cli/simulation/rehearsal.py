@@ -2,7 +2,8 @@
 
 A try on the completed surface, with the hand on a rigid arm, takes about 0.15 s. Surface, position,
 mass and friction of the object are uncertain, so each grasp is tried under the same few
-disturbances of them, and the grasp that holds most often is preferred. The true object is not used.
+disturbances of them. The grasp is preferred that is most likely to hold by the success network and
+its rehearsals together. The true object is not used.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import QhullError
+from scipy.special import expit, logit
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -47,6 +49,11 @@ tools up to 7."""
 FOOT = 0.012
 """Height [m] above the table below which the lowest points are moved onto it; at most half of the
 object's."""
+INTERCEPT, BY_SUCCESS, BY_REHEARSALS = 0.85, 0.83, 0.53
+"""Logistic regression of grasps that held on the true object, by the log-odds of the success
+network and of the rehearsals (docs/notebook.md, "What a rehearsal tells")."""
+SUREST = 0.99
+"""Largest success probability that is believed."""
 PHYSICS = PhysicsConfig(step=1 / 240, iterations=100)
 """Contact simulation, coarser than that of trials: only the ranking matters. Of 171 tries
 three end otherwise than with the whole arm and 200 iterations, which take three times as long."""
@@ -56,8 +63,8 @@ class Rehearsed(NamedTuple):
     """Result of one rehearsed grasp.
 
     Attributes:
-        tries: Number of tries; 0 if the arm cannot lift from there, or if an earlier grasp never
-            failed.
+        tries: Number of tries; 0 if the arm cannot lift from there, or if an earlier grasp is more
+            likely to hold than this one can be.
         held: Number of tries in which it held.
         rise: Mean rise of the object [m], at most the lift's height: decides between grasps that
             hold equally often.
@@ -71,6 +78,13 @@ class Rehearsed(NamedTuple):
     def share(self) -> float:
         """Share of tries in which it held."""
         return self.held / self.tries if self.tries else 0.0
+
+    def chance(self, success: float) -> float:
+        """Probability that the grasp holds, given the success network's `success`."""
+        rehearsed = (self.held + 0.5) / (self.tries + 1)
+        network = np.clip(success, 1 - SUREST, SUREST)
+        odds = INTERCEPT + BY_SUCCESS * logit(network) + BY_REHEARSALS * logit(rehearsed)
+        return float(expit(odds))
 
 
 UNTRIED = Rehearsed(0, 0, 0.0)
@@ -116,15 +130,17 @@ class Rehearsal:
         vertices: Array,
         faces: NDArray[np.integer],
         q: Array,
+        success: Array,
         seed: int = 0,
         table_height: float = 0.0,
     ) -> list[Rehearsed]:
-        """Try grasps of an object in their order, until one never fails.
+        """Try those grasps of an object, in their order, that may be better than all before.
 
         Args:
             vertices: [V, 3], vertices of the reconstructed surface, world frame.
             faces: [F, 3].
             q: [C, J], configurations in which the hand begins to close.
+            success: [C], their success probabilities by the network.
             seed: Random seed of the disturbances, which are the same for all grasps.
             table_height: Height of the table [m].
 
@@ -134,13 +150,16 @@ class Rehearsal:
         self._world.table_height = table_height
         believed = believed_object(vertices, faces, table_height)
         disturbances = _disturbances(self._repeats, np.random.default_rng(seed))
+        perfect = Rehearsed(len(disturbances), len(disturbances), LIFT_HEIGHT)
         tried: list[Rehearsed] = []
-        for grasp in np.atleast_2d(q):
-            if any(one.held == len(disturbances) for one in tried):
-                tried.append(UNTRIED)  # one that never fails is enough
+        best = 0.0
+        for grasp, probability in zip(np.atleast_2d(q), success, strict=True):
+            if perfect.chance(probability) <= best:
+                tried.append(UNTRIED)
                 continue
-            lift = self._lift(grasp)
-            tried.append(self._try(believed, grasp, lift, disturbances))
+            one = self._try(believed, grasp, self._lift(grasp), disturbances)
+            best = max(best, one.chance(probability) if one.tries else 0.0)
+            tried.append(one)
         return tried
 
     def _try(
@@ -169,23 +188,23 @@ class Rehearsal:
         return lift_path(world.chain, q)
 
 
-def best_first(tried: list[Rehearsed], chances: Sequence[float] | None = None) -> list[int]:
+def best_first(
+    tried: Sequence[Rehearsed], success: Sequence[float], right: Sequence[float]
+) -> list[int]:
     """Indices of grasps, the one most likely to hold first; ties keep their order.
 
-    Each grasp is rated by (held + 1/2) / (tries + 1), so that one success in one try counts less
-    than five in five; grasps without a try come last.
+    Grasps without a try come last.
 
     Args:
         tried: Result of each grasp.
-        chances: Factor on each grasp's rating: the probability that the reconstruction is right
-            at its contacts; 1 each if None.
+        success: Success probability of each by the network.
+        right: Probability of each that the reconstruction is right at its contacts.
     """
-    chances = [1.0] * len(tried) if chances is None else chances
 
     def cost(k: int) -> tuple[bool, float, float]:
         one = tried[k]
-        share = chances[k] * (one.held + 0.5) / (one.tries + 1)
-        return not one.tries, -share, -round(one.rise, 2)
+        chance = right[k] * one.chance(success[k])
+        return not one.tries, -round(chance, 3), -round(one.rise, 2)
 
     return sorted(range(len(tried)), key=cost)
 
