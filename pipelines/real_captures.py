@@ -87,7 +87,7 @@ def captures_in(folder: Path, only: str) -> list[Capture]:
         found.append(capture)
         label = place / "label.png"
         if label.exists():
-            for number in np.unique(np.asarray(Image.open(label)))[1:]:
+            for number in filter(None, np.unique(np.asarray(Image.open(label)))):
                 masked = SceneFileOptions(
                     str(place / "K.json"), DEPTH_SCALE, mask=f"{label}:{number}"
                 )
@@ -223,7 +223,10 @@ def main() -> None:
     arguments = parser.parse_args()
     with TemporaryDirectory() as scratch:
         page = Page(Path(scratch))
-        for capture in captures_in(arguments.folder, arguments.only):
+        captures = captures_in(arguments.folder, arguments.only)
+        if not captures:
+            parser.error(f"{arguments.folder} holds no capture {arguments.only}*")
+        for capture in captures:
             said = page.add(capture)
             print(f"== {capture.name}\n{said}", flush=True)
         page.save(arguments.out)

@@ -45,7 +45,8 @@ case "$("$python" -c 'import sys; print(sys.version_info[1])')" in
     *) echo "setup: $("$python" --version) has no PyBullet wheel; the simulator will be left out" >&2 ;;
 esac
 
-[ -x .venv/bin/python ] || "$python" -m venv .venv
+# A venv that was interrupted has no pip yet.
+.venv/bin/python -m pip --version >/dev/null 2>&1 || "$python" -m venv --clear .venv
 echo "setup: installing rgrasp and its dependencies into .venv (a few minutes the first time)" >&2
 # torch first and alone: with it in place no other package asks for another build of it.
 .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch

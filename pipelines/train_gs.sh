@@ -58,8 +58,9 @@ for variant in $variants; do
     if [ ! -e "$out/finished" ] || [ "$asked" != "$before" ]; then
         again=--force
         [ -f "$out/train_state.pt" ] && [ "$asked" = "$before" ] && again=--resume
-        printf '%s\n' "$asked" >"$out.asked"
         rm -f "$out/finished"
+        [ "$again" = --resume ] || rm -f "$out/train_state.pt" # it is of other grasps
+        printf '%s\n' "$asked" >"$out.asked"
         rgrasp train-gs "${common[@]}" --out "$out" "${options[@]}" ${OPTIONS:-} "$again"
         touch "$out/finished"
     fi

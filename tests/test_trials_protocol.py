@@ -81,8 +81,9 @@ def test_a_mesh_of_a_papers_name_is_that_mesh(tmp_path: Path) -> None:
 
 
 def test_any_other_folder_gives_all_its_meshes(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, "cup", "box")
-    assert [item.name for item in choose_objects(folder)] == ["box", "cup"]
+    folder = folder_of(tmp_path, "cup", "box", "001_kettle", "073_shoe")
+    names = ["001_kettle", "073_shoe", "box", "cup"]  # numbered, but not YCB's
+    assert [item.name for item in choose_objects(folder)] == names
 
 
 def test_mistakes_are_named(tmp_path: Path) -> None:
@@ -94,6 +95,10 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
         choose_objects(None, "others")
     with pytest.raises(InputError, match="no camera"):
         make_trials(choose_objects(None), BOTH, cameras=("middle",))
+    with pytest.raises(InputError, match="each camera once"):
+        make_trials(choose_objects(None), BOTH, cameras=("high", "high"))
+    with pytest.raises(InputError, match="an object twice"):
+        choose_objects(None, "lego,lego")
     with pytest.raises(InputError, match="yaws"):
         make_trials(choose_objects(None), BOTH, yaws=0)
     with pytest.raises(InputError, match="no ablation 'orakel'"):

@@ -144,6 +144,15 @@ def test_the_page_stands_alone_and_says_what_the_table_says(rows: list[TrialRow]
     markdown = markdown_report(rows, "trials")
     assert "| reconstruction | 100% [34, 100] of 2 |" in markdown
     assert "When does geometry matter" in markdown
+    assert "Skipped" not in markdown
+    assert "| vase, 1 of 4 trials | is broken |" in markdown_report(
+        rows, "trials", {"vase, 1 of 4 trials": "is broken"}
+    )
+    # Names of files are no formulas; without a plan there is no planning time.
+    odd = [
+        replace(row, object="a $^$ b", planning_time=np.nan, planning_cpu=np.nan) for row in rows
+    ]
+    assert "nan" not in html_report(odd, [], "trials").partition("<table")[2]
 
 
 def test_a_small_p_is_no_zero() -> None:

@@ -6,6 +6,7 @@ import base64
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +106,14 @@ def test_the_mesh_of_a_file_is_found_by_its_name_alone(tmp_path: Path) -> None:
         write_views(folder / "v.h5", views, seed=0)
         shown = [one.layer for one in scene_of(folder / "v.h5", OPTIONS).parts]
         assert ("mesh" in shown) is there
+    # Beside views/ as the stages have it; a folder that was named must hold it.
+    (tmp_path / "views").mkdir()
+    (tmp_path / "0" / "v.h5").rename(tmp_path / "views" / "v.h5")
+    (tmp_path / "0").rename(tmp_path / "meshes")
+    scene = scene_of(tmp_path / "views" / "v.h5", OPTIONS)
+    assert "mesh" in [one.layer for one in scene.parts]
+    with pytest.raises(InputError, match=r"does not hold ball\[1\].ply"):
+        scene_of(tmp_path / "views" / "v.h5", replace(OPTIONS, meshes=tmp_path / "1"))
 
 
 def test_a_plan_turns_the_robot_about_its_first_axis(tmp_path: Path) -> None:
@@ -137,9 +146,13 @@ def test_what_a_trial_believed_stands_where_it_was_seen_and_moves_along(tmp_path
         T_world_object=np.stack([stands, lifted]),
         trajectory=np.tile(ROBOT.home, (3, 1)),
         times=np.arange(3.0),
+        obstacle_vertices=(box.vertices + [0.3, 0, 0]).astype(np.float32),
+        obstacle_faces=box.faces.astype(np.int32),
     )
     write_trial(tmp_path / "t.h5", ROW, evidence, {})
     scene = scene_of(tmp_path / "t.h5", OPTIONS)
+    (other,) = [part for part in scene.parts if part.layer == "others"]
+    assert np.allclose(other.vertices, box.vertices + [0.3, 0, 0])
     (part,) = [part for part in scene.parts if part.layer == "object"]
     for frame, up in ((0, 0.0), (-1, 0.15)):
         pose = scene.poses[frame, part.body]
@@ -278,6 +291,7 @@ def test_view_exports_and_refuses(tmp_path: Path, cli: Callable) -> None:
     assert scene_of_page(page.read_text())["slider"] == "time"
     assert cli("view", plan, "--export", page).code == 2
     assert cli("view", plan, "--export", page, "--force").code == 0
+    assert "needs no server" in cli("view", plan, "--export", page, "--port", 9999).err
     (tmp_path / "note.md").write_text("hello")
     for bad in (tmp_path / "note.md", tmp_path, tmp_path / "absent.h5"):
         refused = cli("view", bad, "--export", tmp_path / "q.html")

@@ -16,7 +16,7 @@ SENSORS: Mapping[str, DepthSensor] = MappingProxyType(
         for sensor in (
             # The paper's: Gaussian noise of 1 mm at 1.5 m.
             DepthSensor("ideal", noise=DepthNoise()),
-            # Asus Xtion, Kinect 1; shares fitted by benchmarks/bench_sensor.py.
+            # Asus Xtion, Kinect 1; shares fitted by benchmarks/sensor_errors.py.
             DepthSensor(
                 "structured-light",
                 focal=575.0,

@@ -27,7 +27,8 @@ def report(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Output page.  [default: report.html in the folder, NAME.html by the file]"
+            help="Output page.  [default: report.html in the folder, trials.html for "
+            "trials, NAME.html by the file]"
         ),
     ] = None,
     pictures: Annotated[
@@ -57,9 +58,9 @@ def report(
     from pointsdf_cli.viz.sheets import save_figure, sdf_slices, views_sheet
 
     title = f"rgrasp: {artifacts.resolve().name}"
-    page = out or (
-        artifacts / "report.html" if artifacts.is_dir() else artifacts.with_suffix(".html")
-    )
+    # The report.html of trials shows more, such as pictures of failures.
+    name = "trials.html" if (artifacts / "trials.h5").is_file() else "report.html"
+    page = out or (artifacts / name if artifacts.is_dir() else artifacts.with_suffix(".html"))
     drawn = [] if pictures is None else [pictures / name for name in _PICTURES]
     require_apart([page, *drawn], [artifacts, robot, meshes])
     made = _content(artifacts, robot, meshes, unit, title)

@@ -26,19 +26,28 @@ def view(
     robot: common.Robot = None,
     meshes: Annotated[
         Path | None,
-        typer.Option(help="Folder of the meshes that artifacts name.  [default: beside them]"),
+        typer.Option(
+            help="Folder of the meshes that artifacts name.  [default: theirs, or ../meshes]"
+        ),
     ] = None,
     most: Annotated[
         int, typer.Option(help="Number of views or attempts to show, spread over all.")
     ] = 200,
     unit: common.Unit = "m",
     port: Annotated[
-        int,
-        typer.Option(min=1, max=65535, help="Port to serve at; the next free one if it is taken."),
-    ] = 8080,
+        int | None,
+        typer.Option(
+            min=1,
+            max=65535,
+            help="Port to serve at; the next free one if it is taken.  [default: 8080]",
+        ),
+    ] = None,
     host: Annotated[
-        str, typer.Option(help="Address to serve at; 0.0.0.0 lets other machines connect.")
-    ] = "127.0.0.1",
+        str | None,
+        typer.Option(
+            help="Address to serve at; 0.0.0.0 lets other machines connect.  [default: 127.0.0.1]"
+        ),
+    ] = None,
     force: common.Force = False,
     quiet: common.Quiet = False,
     as_json: common.Json = False,
@@ -58,6 +67,10 @@ def view(
         kind_of(path)
     require_present(meshes)
     options = SceneOptions(load_robot(robot), meshes, most, unit)
+    if export and (port or host):
+        from pointsdf_cli.errors import InputError
+
+        raise InputError("--port or --host with --export", hint="a page needs no server")
     if export:
         require_apart([export], [*artifacts, robot, meshes])
         common.check_suffix(export, "--export", (".html", ".htm"))
@@ -79,7 +92,8 @@ def view(
         return
     from pointsdf_cli.viz.viewer import Viewer
 
-    with Viewer(scene, host, port) as viewer:
+    host = host or "127.0.0.1"
+    with Viewer(scene, host, port or 8080) as viewer:
         reporter.result({"url": url(host, viewer.port), **facts}, address(host, viewer.port))
         try:
             viewer.run()

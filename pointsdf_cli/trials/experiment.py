@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.apart import require_apart
 from pointsdf_cli.io.atomic import require_folder, write_text_atomic
 from pointsdf_cli.io.batch import StageReport
@@ -65,7 +67,7 @@ def write_results(
         pictures: Largest number of failures to draw.
 
     Returns:
-        Number of results, refused objects with their reasons, shares by planner variant; and a
+        Number of results, refused trials with their reasons, shares by planner variant; and a
         line of text for each variant.
 
     Raises:
@@ -77,7 +79,7 @@ def write_results(
     # Ignore files of earlier runs for objects that are refused now.
     tried = [task for name, task in tasks.items() if name not in refused]
     rows = read_rows(tried)
-    reasons = {tasks[name].trial.object.name: error.what for name, error in refused.items()}
+    reasons = _reasons(tasks, refused)
     found: dict[str, Any] = {"trials": len(rows), "refused": reasons}
     if not rows:
         return found, []
@@ -86,7 +88,7 @@ def write_results(
     title = f"rgrasp trials: {out.resolve().name}"
     strips = _failures(tried, pictures)
     write_text_atomic(out / "report.html", html_report(rows, strips, title, reasons))
-    write_text_atomic(out / "report.md", markdown_report(rows, title) + "\n")
+    write_text_atomic(out / "report.md", markdown_report(rows, title, reasons) + "\n")
     summaries = summarise(rows)
     found |= {
         "lifted": {s.name: s.lifted.value for s in summaries},
@@ -97,6 +99,17 @@ def write_results(
         "contact": {s.name: s.contact.value for s in summaries},
     }
     return found, [_line(summary) for summary in summaries]
+
+
+def _reasons(tasks: Mapping[str, TrialTask], refused: Mapping[str, InputError]) -> dict[str, str]:
+    """Reasons of refused trials, by object; with their number, unless all of it are refused."""
+    objects = Counter(task.trial.object.name for task in tasks.values())
+    told = Counter((tasks[name].trial.object.name, str(error)) for name, error in refused.items())
+    reasons = {}
+    for (item, why), count in told.items():
+        part = "" if count == objects[item] else f", {count} of {objects[item]} trials"
+        reasons[f"{item}{part}"] = why
+    return reasons
 
 
 def _line(summary: Summary) -> str:

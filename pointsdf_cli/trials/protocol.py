@@ -25,12 +25,12 @@ CAMERAS = {"high": 0.85, "low": 0.40}
 """Heights above the table [m], 0.45 m apart as in the paper; the low one sees less."""
 
 YCB_NAMES = {
-    "mustard": ("006_",),
-    "soft_scrub": ("021_",),
-    "toy_airplane": ("072-a_",),
-    "lego": ("073-a_", "073_", "073-"),
-    "pringles": ("001_",),
-    "pitcher": ("019_",),
+    "mustard": ("006_mustard",),
+    "soft_scrub": ("021_bleach",),
+    "toy_airplane": ("072-a_toy",),
+    "lego": ("073-a_lego", "073_lego", "073-"),
+    "pringles": ("001_chips",),
+    "pitcher": ("019_pitcher",),
 }
 """Beginnings of the YCB names of the paper's objects; the other two are stand-ins."""
 
@@ -207,6 +207,8 @@ def choose_objects(
     known = {item.name: item for item in eight}
     known |= {item.name: item for item in every}  # a file of exactly that name takes precedence
     named = objects.split(",")
+    if len(set(named)) < len(named):
+        raise InputError("names an object twice", where=f"--objects {objects}")
     _distinct([item for item in every if item.name in named])
     chosen = []
     for name in named:
@@ -260,9 +262,11 @@ def make_trials(
         where = "--yaws" if yaws < 1 else "--repeats"
         raise InputError(f"{min(yaws, repeats)}", where=where, allowed="1 or more")
     unknown = [camera for camera in cameras if camera not in CAMERAS]
-    if unknown or not cameras:
+    if unknown or not cameras or len(set(cameras)) < len(cameras):
         raise InputError(
-            f"no camera {', '.join(unknown)!r}", where="--cameras", allowed=", ".join(CAMERAS)
+            f"no camera {', '.join(unknown)!r}" if unknown else "not each camera once",
+            where="--cameras",
+            allowed=", ".join(CAMERAS),
         )
     twice = sorted({one.name for one in variants if list(variants).count(one) > 1})
     if twice or not variants:

@@ -52,7 +52,7 @@ def html_report(
         rows: All trials.
         pictures: Caption and PNG of each trial to show.
         title: Title of the page.
-        refused: Objects that could not be used, with the reason.
+        refused: Trials that could not be run, with the reason.
     """
     summaries = [summary for summary in summarise(rows) if not summary.ablation]
     parts = []
@@ -61,7 +61,7 @@ def html_report(
     for name, header, body in trial_tables(rows):
         parts += [html.heading(name), html.table(header, body)]
     if refused:
-        parts += [html.heading("Skipped"), html.table(("object", "reason"), refused.items())]
+        parts += [html.heading("Skipped"), html.table(("trials", "reason"), refused.items())]
     if pictures:
         parts += [html.heading("What failed"), html.note(PICTURE_NOTE)]
         for text, image in pictures:
@@ -69,10 +69,15 @@ def html_report(
     return html.page(title, parts)
 
 
-def markdown_report(rows: Sequence[TrialRow], title: str) -> str:
-    """The tables as Markdown."""
+def markdown_report(
+    rows: Sequence[TrialRow], title: str, refused: Mapping[str, str] | None = None
+) -> str:
+    """The tables as Markdown; arguments as for `html_report`."""
     lines = [f"# {title}", ""]
-    for name, header, body in trial_tables(rows):
+    tables = trial_tables(rows)
+    if refused:
+        tables.append(("Skipped", ("trials", "reason"), list(refused.items())))
+    for name, header, body in tables:
         lines += [f"## {name}", "", "| " + " | ".join(header) + " |"]
         lines.append("|" + "---|" * len(header))
         lines += ["| " + " | ".join(_plain(cell) for cell in row) + " |" for row in body]
@@ -108,6 +113,8 @@ def success_figure(summaries: Sequence[Summary]) -> Figure:
         _bars(right, np.arange(len(shares)) + i * wide, shares, wide, colour, summary.name)
     left.set_xticks(np.arange(len(cameras)) + 0.4 - width / 2, cameras)
     right.set_xticks(np.arange(len(objects)) + 0.3, objects, rotation=40, ha="right", fontsize=8)
+    for label in (*right.get_xticklabels(), *left.get_xticklabels()):
+        label.set_parse_math(False)  # a file's name is no formula
     for axes in (left, right):
         axes.set_ylim(0, 1)
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
@@ -199,7 +206,7 @@ def _plans(summaries: Sequence[Summary]) -> Table:
     for s in summaries:
         reasons = ", ".join(f"{name} {count}" for name, count in s.reasons.items()) or "–"
         body.append(
-            (s.name, percent(s.no_plan), reasons, f"{s.seconds:.1f} s", f"{s.cpu_seconds:.1f} s")
+            (s.name, percent(s.no_plan), reasons, _seconds(s.seconds), _seconds(s.cpu_seconds))
         )
     for method in _whole_methods(summaries):
         no_plan, seconds = f"{PUBLISHED_NO_PLAN[method]:.0%}", f"{PUBLISHED_SECONDS[method]} s"
@@ -264,7 +271,7 @@ def _ablations(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
                 percent(s.no_plan),
                 percent(s.contact),
                 f"{1000 * s.penetration[1]:.1f} mm",
-                f"{s.cpu_seconds:.1f} s",
+                _seconds(s.cpu_seconds),
                 p,
             )
         )
@@ -325,6 +332,10 @@ def percent(share: Share) -> str:
 def counts(share: Share) -> str:
     """A share as "5 of 6"."""
     return f"{share.successes} of {share.trials}"
+
+
+def _seconds(value: float) -> str:
+    return "–" if np.isnan(value) else f"{value:.1f} s"
 
 
 def p_value(p: float) -> str:

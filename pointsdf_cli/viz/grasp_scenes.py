@@ -17,6 +17,7 @@ from pointsdf_cli.viz.scene import Part, Scene, axes, by_height
 from pointsdf_cli.viz.scene_sources import SceneOptions, named_mesh, require_joints, spread
 
 OBJECT_COLOUR = (0.25, 0.60, 0.35)
+OTHER_COLOUR = (0.60, 0.55, 0.50)
 
 
 def grasps_scene(path: Path, options: SceneOptions) -> Scene:
@@ -93,7 +94,8 @@ def plan_scene(path: Path, options: SceneOptions) -> Scene:
 def trial_scene(path: Path, options: SceneOptions) -> Scene:
     """One trial: the robot along the planned motion and at the moments of its execution.
 
-    Without a plan, the robot and the object at their first poses.
+    Other objects are shown as the planner saw them. Without a plan, the robot and the object at
+    their first poses.
     """
     row, evidence = read_trial(path)
     robot = MovingRobot(options.robot)
@@ -118,6 +120,10 @@ def trial_scene(path: Path, options: SceneOptions) -> Scene:
             opacity=0.6,
         ),
     ]
+    if len(evidence.obstacle_faces):
+        around = np.asarray(evidence.obstacle_vertices, np.float32)
+        faces = np.asarray(evidence.obstacle_faces, np.int32)
+        parts.append(Part("others", "others", "mesh", around, faces, OTHER_COLOUR, opacity=0.5))
     chosen = spread(len(evidence.times), 200)
     q = np.concatenate([evidence.trajectory[chosen], evidence.q])
     before = np.repeat(evidence.T_world_object[:1], len(chosen), axis=0)

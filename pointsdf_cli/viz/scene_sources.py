@@ -117,8 +117,14 @@ def mesh_part(name: str, vertices: NDArray, faces: NDArray, opacity: float = 1.0
 
 
 def named_mesh(name: str, digest: str, artifact: Path, options: SceneOptions) -> list[Part]:
-    """Mesh of an artifact as parts; empty if it is not found."""
-    folders = [options.meshes] if options.meshes else [artifact.parent]
+    """Mesh of an artifact as parts; empty if it is not found beside it, or in meshes/ beside its
+    folder.
+
+    Raises:
+        InputError: The given folder of meshes does not hold it.
+    """
+    here = artifact.resolve().parent
+    folders = [options.meshes] if options.meshes else [here, here.parent / "meshes"]
     with open_hdf5(artifact) as file:
         unit = mesh_unit(file)
     for folder in folders:
@@ -126,4 +132,6 @@ def named_mesh(name: str, digest: str, artifact: Path, options: SceneOptions) ->
             if path.name == name and path.is_file() and file_sha256(path) == digest:
                 mesh = load_mesh(path, options.unit if unit == "m" else unit)
                 return [mesh_part(name, mesh.vertices, mesh.faces, 0.35)]
+    if options.meshes:
+        raise InputError(f"does not hold {name} of {artifact}", where=f"--meshes {options.meshes}")
     return []

@@ -49,7 +49,10 @@ def views_sheet(items: Sequence[tuple[LoadedMesh, Views]], columns: int = 4) -> 
         row[0].set_title(f"{mesh.name[:24]}\ndepth of view 0", fontsize=7, parse_math=False)
         row[0].axis("off")
         for k, axis in enumerate(row[1:]):
-            cloud = views.cloud[k % len(views.cloud)]
+            if k >= len(views.cloud):
+                axis.axis("off")
+                continue
+            cloud = views.cloud[k]
             axis.scatter(cloud[:, 0], cloud[:, 1], c=cloud[:, 2], s=0.7, cmap="viridis_r")
             axis.set_aspect("equal")
             axis.invert_yaxis()
@@ -100,12 +103,13 @@ def sdf_slices(items: Sequence[tuple[LoadedMesh, Labels]], resolution: int = 160
         title = f"{mesh.name[:24]}: SDF [cm], zero in black"
         left.set_title(title, fontsize=8, parse_math=False)
         near = np.abs(labels.points[:, across] - centre[across]) < 0.03 * half
+        inside = f"{(labels.sdf[near] < 0).mean():.0%} inside" if near.any() else "none"
         points = (labels.points[near] - centre)[:, plane] * 100
         right.scatter(points[:, 0], points[:, 1], c=labels.sdf[near] * 100, s=2, **style)
         right.set_xlim(*extent[:2])
         right.set_ylim(*extent[2:])
         right.set_aspect("equal")
-        right.set_title(f"labels in the slab, {(labels.sdf < 0).mean():.0%} inside", fontsize=8)
+        right.set_title(f"labels in the slab, {inside}", fontsize=8)
     return figure
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from pointsdf_cli.io.atomic import atomic_path
 
@@ -44,6 +45,7 @@ def draw_success_figure(
         for x, value in zip(place + shift, values, strict=True):
             axes.text(x, 0.01, f"{value:.2f}", ha="center", color="white", fontsize=7)
         axes.set_xticks(place, names, rotation=35, ha="right", fontsize=8)
+        _plain(axes.get_xticklabels())
         axes.set(title=title, ylim=(0, 1))
         axes.grid(axis="y", alpha=0.3)
     theirs = [(k, published[name]) for k, name in enumerate(names) if name in published]
@@ -67,6 +69,12 @@ def draw_success_figure(
         ylim=(0, 1),
     )
     curve.grid(alpha=0.3)
-    curve.legend(frameon=False, fontsize=7)
+    _plain(curve.legend(frameon=False, fontsize=7).get_texts())
     with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=130, metadata={"Software": "rgrasp"})
+
+
+def _plain(texts: Iterable[Text]) -> None:
+    """Show names as they are: a checkpoint's name is no formula."""
+    for text in texts:
+        text.set_parse_math(False)

@@ -1,6 +1,6 @@
 """Simulated depth beside measured depth, and what it costs `render`.
 
-    python benchmarks/bench_sensor.py YCB_MESHES [--scenes N] [--views N]
+    python benchmarks/sensor_errors.py YCB_MESHES [--scenes N] [--views N]
 
 The bins of docs/method.md: simulated on random tables of YCB objects at about 1 m, by the camera
 of YCB-Video, next to those measured on seven of its frames (Xtion). Then views per second of
