@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -192,6 +193,19 @@ def test_the_networks_own_field_serves_where_none_is_given() -> None:
     preshape, palm = map(torch.tensor, exact.sample("side", 50, np.random.default_rng(1)))
     a, b = exact.log_success(preshape, palm), own.log_success(preshape, palm)
     assert float(np.corrcoef(a, b)[0, 1]) > 0.8
+
+
+def test_narrower_ranges_of_a_robot_bound_samples_and_leave_scores() -> None:
+    """Features are scaled as in training."""
+    trained = load_grasp_model()
+    middle = ROBOT.preshape_ranges.mean(axis=1, keepdims=True)
+    narrow = middle + 0.1 * (ROBOT.preshape_ranges - middle)
+    here = replace(trained, robot=replace(ROBOT, preshape_ranges=narrow)).on(CLOUD, POSE)
+    preshape, palms = here.sample("side", 50, np.random.default_rng(0))
+    assert (preshape >= narrow[:, 0] - 1e-6).all()
+    assert (preshape <= narrow[:, 1] + 1e-6).all()
+    asked = torch.from_numpy(preshape), torch.from_numpy(palms)
+    torch.testing.assert_close(here.logit(*asked), trained.on(CLOUD, POSE).logit(*asked))
 
 
 def test_bad_clouds_and_poses_are_refused() -> None:

@@ -11,11 +11,12 @@ from planning_worlds import SphereField
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
-from pointsdf_cli.planning.acceptance import Candidate
+from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate
 from pointsdf_cli.planning.bodies import BodyDistances
 from pointsdf_cli.planning.closing_check import STEPS, ClosingCheck, _coupled
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.reasons import warning
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -104,11 +105,16 @@ def test_only_accepted_candidates_get_the_reason() -> None:
     obstacle = Obstacle("ball", "sphere", (0.008,), transform(np.eye(3), BETWEEN))
     bodies = BodyDistances(GEOMETRY, Environment((obstacle,)))
     met = ClosingCheck(GEOMETRY, SphereField(0.01, tuple(FAR)), bodies, 0.0)
-    judged = met.judged([poor, good])
-    assert [c.reason for c in judged] == ["objective", "closing"]
-    assert judged[1].closing_slack < 0
+    config, hit = AcceptanceConfig(), replace(good, reason="object_collision")
+    judged = met.judged([poor, good, hit], config)
+    assert [c.reason for c in judged] == ["objective", "closing", "object_collision"]
+    # A fallback may become the plan, and is checked, too; what collides never does.
+    assert judged[0].closing_slack == judged[1].closing_slack < 0
+    assert judged[2].closing_slack == np.inf
+    assert "too near" in warning(judged[0], 8)
+    assert "none looks good" in warning(poor, 8)
     kept = ClosingCheck(GEOMETRY, SphereField(0.02, tuple(BETWEEN)), bodies, 0.0)
-    (one,) = kept.judged([good])
+    (one,) = kept.judged([good], config)
     assert one.reason == ""
     assert one.closing_slack == pytest.approx(0.012, abs=STEP)
-    assert kept.judged([]) == []
+    assert kept.judged([], config) == []

@@ -11,7 +11,7 @@ from planning_worlds import AroundObject, BoxField, CylinderField, NearPalm
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.field import Field
-from pointsdf_cli.planning.acceptance import AcceptanceConfig, judge
+from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate, judge
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.fields import MeshField, RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
@@ -21,7 +21,13 @@ from pointsdf_cli.planning.reasons import SeedStatistics, explain, is_hemmed_in,
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.seeds import SeedConfig, Seeds, draw_seeds
 from pointsdf_cli.planning.sqp import Sqp
-from pointsdf_cli.planning.synthesis import Problems, Synthesis, SynthesisConfig, synthesise
+from pointsdf_cli.planning.synthesis import (
+    Problems,
+    Synthesis,
+    SynthesisConfig,
+    _outcome,
+    synthesise,
+)
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -272,3 +278,15 @@ def test_the_cautious_field_never_says_more_than_the_exact_one() -> None:
     np.testing.assert_array_equal(gradients, refined.with_gradient(points)[1])
     near = true < 0.005
     np.testing.assert_array_equal(values[near], true[near])
+
+
+def test_of_fallbacks_those_with_clear_fingers_come_first() -> None:
+    none = np.zeros(0)
+    clear = Candidate(none, none, 0.2, 0.0, 6.0, 1.0, 1.0, 1.0, 1.0, "objective")
+    near = replace(clear, objective=0.0, reason="closing", closing_slack=-0.003)
+    nearer = replace(near, success=0.5, closing_slack=-0.004)  # hardly
+    deep = replace(near, closing_slack=-0.03)
+    rejected = [deep, nearer, near, clear]
+    found = _outcome([], rejected, 8, SeedStatistics(), SynthesisConfig(), {})
+    expected = [clear, nearer, near, deep]
+    assert all(c is d for c, d in zip(found.fallbacks, expected, strict=True))

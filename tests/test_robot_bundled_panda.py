@@ -24,6 +24,7 @@ from pointsdf_cli.planning.reasons import few_grasps
 from pointsdf_cli.planning.seeds import SeedConfig
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import Target
+from pointsdf_cli.planning.variables import Variables
 from pointsdf_cli.robot.check import check_robot
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.robot.jaws import jaws_of
@@ -261,3 +262,23 @@ def test_no_link_stands_out_of_its_shapes(panda: RobotDescription) -> None:
             inside = trimesh.proximity.signed_distance(shape.as_mesh(), points)
             outside = np.minimum(outside, -inside)
         assert outside.max() < 0.005, (link, outside.max())
+
+
+def test_both_jaws_are_one_variable(panda: RobotDescription) -> None:
+    """The gripper has one motor: a plan with two widths could not be executed."""
+    variables = Variables(panda)
+    assert variables.count == 8
+    rng = np.random.default_rng(0)
+    x = rng.uniform(variables.lower, variables.upper, (20, 8))
+    q = variables.configuration(x)
+    np.testing.assert_array_equal(q[:, -1], q[:, -2])
+    np.testing.assert_array_equal(variables.of(q), x)
+    leaf = torch.tensor(x, requires_grad=True)
+    weights = rng.standard_normal(q.shape)
+    (variables.configuration_tensor(leaf) * torch.from_numpy(weights)).sum().backward()
+    assert leaf.grad is not None
+    np.testing.assert_allclose(variables.derivatives(weights), leaf.grad.numpy())
+    open_hand = np.array([[0.04, 0.02]])
+    np.testing.assert_allclose(variables.coupled(open_hand), [[0.04, 0.04]])
+    drawn = panda.configuration(panda.home[panda.arm], np.array([0.03, 0.01]))
+    np.testing.assert_allclose(drawn[-2:], [0.03, 0.03])

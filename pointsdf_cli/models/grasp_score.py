@@ -120,8 +120,12 @@ class ObjectGrasps(ABC):
         return self._model.prior.log_density(preshape, T_world_palm, self._place)
 
     def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Sample preshapes [N, K] and palms [N, 4, 4] of the prior's "side" or "top" component."""
-        return self._model.prior.sample(kind, count, self._place, rng)
+        """Sample preshapes [N, K] within the robot's ranges, and palms [N, 4, 4], of the prior's
+        "side" or "top" component."""
+        preshape, palm = self._model.prior.sample(kind, count, self._place, rng)
+        # In the prior's precision: its own ranges change nothing.
+        low, high = self._model.robot.preshape_ranges.T.astype(np.float32)
+        return np.clip(preshape, low, high), palm
 
 
 class EmbeddingGrasps(ObjectGrasps):
@@ -164,7 +168,8 @@ class GeometryGrasps(ObjectGrasps):
         low[2] = max(low[2], -FAR)
         cells = OWN_CELLS if own else 4 * OWN_CELLS
         self._field = TensorGrid(field, low, high, GRID_STEP, cells)  # type: ignore[arg-type]
-        self._features = GraspFeatures(model.sweep, model.robot.preshape_ranges)
+        # Scaled as in training, whatever ranges the robot has now.
+        self._features = GraspFeatures(model.sweep, model.prior.ranges.numpy())
 
     def logit(self, preshape: Tensor, T_world_palm: Tensor) -> Tensor:
         features = self._features(preshape, T_world_palm, self.body, self._field)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
-from pointsdf_cli.planning.acceptance import Candidate
+from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate
 from pointsdf_cli.planning.bodies import BodyDistances
 from pointsdf_cli.planning.contacts import WORLD, link_poses
 from pointsdf_cli.planning.object_distance import ObjectDistances
@@ -57,13 +57,14 @@ class ClosingCheck:
         obstacle = (bodies.other_link == WORLD) & ~bodies.is_table
         self._pairs = np.flatnonzero(obstacle & np.isin(bodies.link, links))
 
-    def judged(self, candidates: list[Candidate]) -> list[Candidate]:
-        """The candidates, with the reason "closing" where fingers come too near to an obstacle."""
-        free = [k for k, one in enumerate(candidates) if not one.reason]
+    def judged(self, candidates: list[Candidate], config: AcceptanceConfig) -> list[Candidate]:
+        """The candidates with the slack of accepted ones and fallbacks; accepted ones whose fingers
+        come too near to an obstacle get the reason "closing"."""
+        free = [k for k, one in enumerate(candidates) if not one.reason or one.is_fallback(config)]
         slacks = self.slack(np.array([candidates[k].q for k in free]))
         judged = list(candidates)
         for k, slack in zip(free, slacks, strict=True):
-            reason = "" if slack >= 0 else "closing"
+            reason = judged[k].reason or ("" if slack >= 0 else "closing")
             judged[k] = replace(judged[k], closing_slack=float(slack), reason=reason)
         return judged
 

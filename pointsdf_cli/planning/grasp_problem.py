@@ -200,7 +200,7 @@ class GraspProblem:
             cost.gradient,
             2 * slope[:, :, None] * slope[:, None, :],
             np.take_along_axis(slack, chosen, axis=1),
-            self.variables.of(self._jacobian(poses, contacts, chosen)),
+            self.variables.derivatives(self._jacobian(poses, contacts, chosen)),
         )
 
     def _margins(self) -> Array:
@@ -213,7 +213,7 @@ class GraspProblem:
 
     def _movable(self) -> NDArray[np.bool_]:
         """Mask of the distances that the variables can change."""
-        moved = self._jacobian.moved[:, self.variables.columns]
+        moved = self.variables.derivatives(self._jacobian.moved.astype(float)) != 0
         link = np.concatenate([self.object.link, self.bodies.link])
         none = np.full(len(self.object.link), WORLD)
         other = np.concatenate([none, self.bodies.other_link])

@@ -146,7 +146,7 @@ def never_held(rehearsed: Rehearsed) -> list[str]:
 
 def warning(chosen: Candidate, seeds_tried: int) -> str:
     """Warning for a plan whose grasp would not have been accepted."""
-    if chosen.reason == "closing":
+    if chosen.closing_slack < 0:
         return (
             f"Of {seeds_tried} grasps none closes clear of obstacles; this one comes "
             f"{-chosen.closing_slack * 1000:.0f} mm too near. Clear the space around the "

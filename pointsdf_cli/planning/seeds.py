@@ -116,7 +116,7 @@ def draw_seeds(
     around = problem.environment
     above = (palm[:, 2, 3] >= LOWEST_PALM + around.table_height) | (not around.table)
     preshape, palm, kinds = preshape[above], palm[above], kinds[above]
-    n = problem.variables.count
+    n, preshape = problem.variables.count, problem.variables.coupled(preshape)
     if not len(palm):
         return Seeds(np.zeros((0, n)), (), SeedStatistics(len(above)))
     palm, chosen = _promising(problem, preshape, palm, rng, config)
@@ -127,7 +127,7 @@ def draw_seeds(
     for row in np.unique(rows):
         keep[np.flatnonzero(rows == row)[:ELBOWS]] = True
     rows, elbows = rows[keep], elbows[keep]
-    x = np.hstack([found.arm[rows, elbows], preshape[rows]])
+    x = np.hstack([found.arm[rows, elbows], preshape[rows][:, problem.variables.of_preshape]])
     x = np.clip(x, problem.lower, problem.upper)
     if not len(x):
         return Seeds(x, (), SeedStatistics(len(above), int(above.sum())))

@@ -45,6 +45,9 @@ MARGINS = (1.0, 0.5, 0.0)
 FALLBACKS = 4
 """Number of fallbacks kept: if none of these has a motion, none of the rest will."""
 
+NEARER = 0.005
+"""Difference of distances of closing fingers to obstacles [m] that decides between fallbacks."""
+
 STALLED = 0.8
 """Ratio of a round's best free cost to the best before, above which the round has gained little."""
 
@@ -176,7 +179,7 @@ def synthesise(
         _lap(timings, "check", start)
         if closing is not None:
             start = time.perf_counter()
-            candidates = closing.judged(candidates)
+            candidates = closing.judged(candidates, config.acceptance)
             _lap(timings, "check", start)
         new = [c for c in candidates if not c.reason]
         accepted += new
@@ -284,9 +287,9 @@ def _outcome(
     reason = sentence = ""
     if not accepted:
         reason, sentence = why_none(statistics, rejected, tried, config.acceptance)
-    fallbacks = sorted(
-        (c for c in rejected if c.is_fallback(config.acceptance)), key=lambda c: c.objective
-    )
+    fallbacks = [c for c in rejected if c.is_fallback(config.acceptance)]
+    # First those whose fingers stay clear of obstacles.
+    fallbacks.sort(key=lambda c: (np.ceil(max(-c.closing_slack, 0.0) / NEARER), c.objective))
     if is_hemmed_in(statistics):  # what is free there stands beside the object
         fallbacks = []
     return Synthesis(

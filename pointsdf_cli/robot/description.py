@@ -94,6 +94,21 @@ class RobotDescription:
         return np.array([self.joint_names.index(name) for name in self.closing_joints])
 
     @cached_property
+    def followers(self) -> tuple[tuple[int, int, float], ...]:
+        """Joints that others move along (`<mimic>`), such as the second jaw of a gripper: column in
+        q, the leader's column, and the ratio of their motions."""
+        coupled = {joint.name: joint.mimic for joint in self.tree.joints if joint.mimic}
+        found = []
+        for column, name in enumerate(self.joint_names):
+            leader, ratio = name, 1.0
+            while leader in coupled:
+                leader, share = coupled[leader]
+                ratio *= share
+            if leader != name and leader in self.joint_names:
+                found.append((column, self.joint_names.index(leader), ratio))
+        return tuple(found)
+
+    @cached_property
     def hand_links(self) -> tuple[str, ...]:
         """Hand links: the palm's link, all links fixed to it and all links beyond."""
         inside = {self.palm_link}
@@ -115,12 +130,15 @@ class RobotDescription:
         )
 
     def configuration(self, arm: Array, preshape: Array) -> Array:
-        """Whole configurations [..., J] from arm [..., A] and preshape [..., K] joints."""
+        """Whole configurations [..., J] from arm [..., A] and preshape [..., K] joints; followers
+        take the place that their leader gives them."""
         arm, preshape = np.asarray(arm, dtype=float), np.asarray(preshape, dtype=float)
         q = np.zeros((*arm.shape[:-1], len(self.joint_names)))
         q = np.clip(q, self.lower, self.upper)  # a joint whose range leaves out 0 rests at its end
         q[..., self.arm] = arm
         q[..., self.preshape_columns] = preshape
+        for column, leader, ratio in self.followers:
+            q[..., column] = ratio * q[..., leader]
         return q
 
 
