@@ -8,7 +8,7 @@ finally the best grasp of all rounds is chosen.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -55,8 +55,9 @@ RESOLUTION = 64
 """Cells along the network's box for the surface to rehearse on."""
 NEARBY = 3
 """Number of grasps beside which the next round samples too."""
-CONTRADICTED = 0.8
-"""Factor on the probability to hold of a grasp that the resampled-view check rejects."""
+CONTRADICTED, TIGHT = 0.8, 0.95
+"""Factors on the probability to hold of grasps that the resampled-view check rejects, and of others
+that keep less than `PREFERRED_SLACK` from the object."""
 REHEARSED_SEARCH = SynthesisConfig(rounds=5, seeds=MANY_SEEDS)
 """Search settings: more grasps per round than in the paper, because rehearsals distinguish them."""
 
@@ -162,17 +163,18 @@ class RehearsedChoice:
     """Choice among the rehearsed candidates of all rounds.
 
     Args:
-        rehearse: Function from configurations [C, J] and success probabilities [C] to rehearsals.
+        rehearse: Function from configurations [C, J], success probabilities [C] and factors [C] on
+            them to rehearsals.
         surface: Surface of the rehearsals.
         count: Number of grasps of the first round to rehearse; twice as many of later ones.
-        least_slack: As in `promising_first` [m].
+        least_slack: Slack of the distance to the object [m] below which a grasp is tight.
         contradicted: Function that tells which candidates the resampled-view check rejects.
         meshing: Seconds that the surface took.
     """
 
     def __init__(
         self,
-        rehearse: Callable[[Array, Array], list[Rehearsed]],
+        rehearse: Callable[[Array, Array, Array], list[Rehearsed]],
         surface: Surface,
         count: int,
         least_slack: float,
@@ -184,28 +186,30 @@ class RehearsedChoice:
         self._rehearse, self._count, self._least_slack = rehearse, count, least_slack
         self._are_contradicted = contradicted
         self._candidates: list[Candidate] = []
-        self._contradicted: list[bool] = []
+        self._right: list[float] = []
         self._tried: list[Rehearsed] = []
 
     def stop(self, new: list[Candidate]) -> bool:
         """Rehearse the candidates of a round; True if one is likely enough to hold."""
         began = time.perf_counter()
-        contradicted = self._are_contradicted(new)
+        contradicted = np.array(self._are_contradicted(new), dtype=bool)
+        tight = np.array([one.object_slack < self._least_slack for one in new], dtype=bool)
+        right = np.where(contradicted, CONTRADICTED, np.where(tight, TIGHT, 1.0))
+        success = np.array([one.success for one in new])
         # Later rounds have as many again, beside the best so far.
         most = 2 * self._count if self._tried else self._count
-        order = promising_first(new, self._least_slack, contradicted)[:most]
-        chosen = [new[k] for k in order]
+        order = np.argsort(-right * success, kind="stable")[:most]
         try:
-            success = np.array([c.success for c in chosen])
-            tried = self._rehearse(np.stack([c.q for c in chosen]), success)
-        except InputError:  # nothing solid to rehearse on: the objective alone decides
-            tried = [UNTRIED] * len(chosen)
-        self._candidates += chosen
-        self._contradicted += [contradicted[k] for k in order]
+            q = np.stack([new[k].q for k in order])
+            tried = self._rehearse(q, success[order], right[order])
+        except InputError:  # nothing solid to rehearse on: the network alone decides
+            tried = [UNTRIED] * len(order)
+        self._candidates += [new[k] for k in order]
+        self._right += list(right[order])
         self._tried += tried
         self.timings["rehearsal"] += time.perf_counter() - began
         return any(
-            one.tries and one.chance(new[k].success) >= ENOUGH and not contradicted[k]
+            one.tries and one.chance(success[k]) >= ENOUGH and not contradicted[k]
             for k, one in zip(order, tried, strict=True)
         )
 
@@ -222,9 +226,8 @@ class RehearsedChoice:
         return order[:MOST_MOTIONS]
 
     def _best_first(self) -> list[Candidate]:
-        right = [CONTRADICTED if one else 1.0 for one in self._contradicted]
         success = [each.success for each in self._candidates]
-        return [self._candidates[k] for k in best_first(self._tried, success, right)]
+        return [self._candidates[k] for k in best_first(self._tried, success, self._right)]
 
     def of(self, chosen: Candidate | None) -> Rehearsed | None:
         """Rehearsal of the chosen candidate; None without one."""
@@ -232,19 +235,6 @@ class RehearsedChoice:
             if chosen is not None and np.array_equal(candidate.q, chosen.q):
                 return tried
         return None
-
-
-def promising_first(
-    candidates: list[Candidate], least_slack: float, contradicted: Sequence[bool]
-) -> list[int]:
-    """Order of rehearsal: uncontradicted grasps first, then by objective (0 for most good ones),
-    then those with enough slack, then by success probability."""
-
-    def cost(k: int) -> tuple[bool, float, bool, float]:
-        one = candidates[k]
-        return contradicted[k], one.objective, one.object_slack < least_slack, -one.success
-
-    return sorted(range(len(candidates)), key=cost)
 
 
 def believed_surface(

@@ -131,6 +131,7 @@ class Rehearsal:
         faces: NDArray[np.integer],
         q: Array,
         success: Array,
+        right: Array | None = None,
         seed: int = 0,
         table_height: float = 0.0,
     ) -> list[Rehearsed]:
@@ -141,6 +142,8 @@ class Rehearsal:
             faces: [F, 3].
             q: [C, J], configurations in which the hand begins to close.
             success: [C], their success probabilities by the network.
+            right: [C], probability of each that the reconstruction is right at its contacts; 1 each
+                if None.
             seed: Random seed of the disturbances, which are the same for all grasps.
             table_height: Height of the table [m].
 
@@ -153,12 +156,13 @@ class Rehearsal:
         perfect = Rehearsed(len(disturbances), len(disturbances), LIFT_HEIGHT)
         tried: list[Rehearsed] = []
         best = 0.0
-        for grasp, probability in zip(np.atleast_2d(q), success, strict=True):
-            if perfect.chance(probability) <= best:
+        right = np.ones(len(success)) if right is None else right
+        for grasp, probability, factor in zip(np.atleast_2d(q), success, right, strict=True):
+            if factor * perfect.chance(probability) <= best:
                 tried.append(UNTRIED)
                 continue
             one = self._try(believed, grasp, self._lift(grasp), disturbances)
-            best = max(best, one.chance(probability) if one.tries else 0.0)
+            best = max(best, factor * one.chance(probability) if one.tries else 0.0)
             tried.append(one)
         return tried
 
