@@ -102,6 +102,18 @@ def test_a_leader_that_is_none_is_refused(tmp_path: Path, leader: str) -> None:
         load_robot(path)
 
 
+def test_joints_that_follow_each_other_are_refused(tmp_path: Path) -> None:
+    left, right = (f'<parent link="grip"/><child link="{side}"/>' for side in ("left", "right"))
+    path = spoiled(tmp_path, right, f'{right}<mimic joint="left_jaw"/>')
+    assert load_robot(path).followers == ((5, 4, 1.0),)
+    urdf = tmp_path / "gripper.urdf"
+    text = urdf.read_text()
+    assert left in text
+    urdf.write_text(text.replace(left, f'{left}<mimic joint="right_jaw"/>'))
+    with pytest.raises(InputError, match="follows"):
+        load_robot(path)
+
+
 def test_a_follower_without_limits_has_those_of_its_leader(tmp_path: Path) -> None:
     joint = (
         '<parent link="grip"/><child link="right"/><origin xyz="0 -0.05 0"/><axis xyz="0 1 0"/>\n'

@@ -44,6 +44,7 @@ class Variables:
                 self.lower[k] = max(self.lower[k], ends[0])
                 self.upper[k] = min(self.upper[k], ends[1])
         self._preshape, self._coupled = robot.preshape_columns, bool(robot.followers)
+        self._arm_count = len(arm)
 
     @property
     def count(self) -> int:
@@ -76,5 +77,5 @@ class Variables:
     def coupled(self, preshape: Array) -> Array:
         """Preshapes [..., K] whose followers take the place that their leader gives them."""
         x = np.zeros((*preshape.shape[:-1], self.count))
-        x[..., -len(self.of_preshape) :] = preshape[..., self.of_preshape]
+        x[..., self._arm_count :] = preshape[..., self.of_preshape]
         return self.configuration(x)[..., self._preshape]

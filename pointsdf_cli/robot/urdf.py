@@ -152,13 +152,17 @@ def _following(joint: Joint, joints: list[Joint], path: Path) -> Joint:
     """A joint that may follow another (`<mimic>`): a missing limit is its leader's, scaled.
 
     Raises:
-        InputError: The leader does not move, or is the joint itself.
+        InputError: The leader does not move, or is or follows the joint itself.
     """
     if joint.mimic is None:
         return joint
     name, share = joint.mimic
-    leader = next((one for one in joints if one.name == name and one.kind in MOVING), None)
-    if leader is None or leader is joint:
+    by_name = {one.name: one for one in joints if one.kind in MOVING}
+    leader = first = by_name.get(name)
+    for _ in joints:  # to the end of a chain, or around a circle
+        if first and first.mimic:
+            first = by_name.get(first.mimic[0])
+    if leader is None or first is None or first.mimic:
         raise InputError(
             f"<mimic> of joint {joint.name!r} follows {name!r}",
             where=path,
