@@ -162,6 +162,16 @@ def test_clouds_and_meshes_are_described_in_their_unit(tmp_path: Path) -> None:
     assert "[0.07" in page.read_text()
 
 
+@pytest.mark.parametrize("option", ["--robot", "--meshes"])
+def test_an_option_without_use_is_refused(data: Path, tmp_path: Path, option: str) -> None:
+    mesh = next(path for path in sorted(data.rglob("*.ply")))
+    given = "panda" if option == "--robot" else data
+    refused = run_cli("report", mesh, "--out", tmp_path / "page.html", option, given)
+    assert refused.code == 2
+    assert f"{option}: not used for a cloud or a mesh" in refused.err
+    assert not (tmp_path / "page.html").exists()
+
+
 def test_the_page_on_a_mesh_shows_it(data: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     assert run_cli("report", data / "meshes" / "ball.ply", "--out", page).code == 0

@@ -108,6 +108,7 @@ def _content(
     if not path.exists():
         raise InputError("no such file or folder", where=path)
     if path.is_file() and path.suffix.lower() not in (".h5", ".hdf5"):
+        _require_none(robot, meshes, "a cloud or a mesh")
         return shape_report(path, unit, title)
     if path.is_file():
         return _of_file(path, robot, meshes, title)
@@ -116,6 +117,7 @@ def _content(
     if (path / CONFIG).is_file():
         from pointsdf_cli.viz.checkpoint_report import checkpoint_report
 
+        _require_none(robot, meshes, "a checkpoint")
         return checkpoint_report(path, title)
     files = artifacts_below(path)
     kinds = [_schema(file) for file in files]
@@ -128,6 +130,9 @@ def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) ->
     from pointsdf_cli.errors import InputError
 
     kind = _schema(path)
+    _require_none(
+        None if kind == "plan" else robot, None if kind in ("views", "labels") else meshes, kind
+    )
     if kind in ("views", "labels"):
         from pointsdf_cli.viz.data_report import single
 
@@ -153,6 +158,15 @@ def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) ->
         where=path,
         allowed="views, labels, grasps, plan, trials",
     )
+
+
+def _require_none(robot: Path | None, meshes: Path | None, kind: str) -> None:
+    """Refuse options that a page about this kind does not use."""
+    from pointsdf_cli.errors import InputError
+
+    for option, given in (("--robot", robot), ("--meshes", meshes)):
+        if given is not None:
+            raise InputError(f"not used for {kind}", where=option, hint="leave it out")
 
 
 def _of_grasps(files: list[Path], title: str) -> str:
