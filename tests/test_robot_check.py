@@ -125,9 +125,10 @@ def test_a_hand_that_waits_otherwise_than_it_grasps_is_told() -> None:
     assert not any("in grasps" in f.what for f in check_robot(panda).findings)
     joints, ranges = panda.preshape_joints[1:], panda.preshape_ranges[1:]
     half = replace(panda, preshape_joints=joints, preshape_ranges=ranges)
-    (found,) = _left_home(half)
-    assert found.what == "panda_finger_joint1: 0.04 at home, but 0 in grasps"
-    assert open_hand(half)[7] == 0.0
+    first, second = _left_home(half)  # the other jaw follows the one that is left out
+    assert first.what == "panda_finger_joint1: 0.04 at home, but 0 in grasps"
+    assert second.what == "panda_finger_joint2: 0.04 at home, but 0 in grasps"
+    assert open_hand(half)[7:].tolist() == [0.0, 0.0]
 
 
 def test_the_command_reports_draws_and_exits_as_it_should(
