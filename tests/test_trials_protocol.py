@@ -95,7 +95,7 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
         choose_objects(None, "others")
     with pytest.raises(InputError, match="no camera"):
         make_trials(choose_objects(None), BOTH, cameras=("middle",))
-    with pytest.raises(InputError, match="each camera once"):
+    with pytest.raises(InputError, match="a camera is given twice"):
         make_trials(choose_objects(None), BOTH, cameras=("high", "high"))
     with pytest.raises(InputError, match="an object twice"):
         choose_objects(None, "lego,lego")

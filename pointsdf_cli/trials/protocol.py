@@ -264,7 +264,7 @@ def make_trials(
     unknown = [camera for camera in cameras if camera not in CAMERAS]
     if unknown or not cameras or len(set(cameras)) < len(cameras):
         raise InputError(
-            f"no camera {', '.join(unknown)!r}" if unknown else "not each camera once",
+            f"no camera {', '.join(unknown)!r}" if unknown else "a camera is given twice",
             where="--cameras",
             allowed=", ".join(CAMERAS),
         )
