@@ -61,7 +61,8 @@ def test_a_table_gets_a_plan_with_its_files(cli: Callable, tmp_path: Path) -> No
     told = json.loads(run.out)
     stored = json.loads(json.dumps(plan_as_json(plan)))
     assert {key: told[key] for key in stored} == stored
-    assert told["clouds"]
+    assert told["report"]
+    assert told["likely"] is True
     assert "kept" in run.err
     assert "begins at the robot's home" in run.err
     written = json.loads(motion.read_text())

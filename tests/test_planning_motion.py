@@ -13,6 +13,7 @@ from planning_worlds import CylinderField, SphereField
 
 import pointsdf_cli
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.motion_file import velocities_of
 from pointsdf_cli.planning import motion as motion_module
 from pointsdf_cli.planning.approach import LENGTH, retreat
 from pointsdf_cli.planning.environment import Environment, Obstacle
@@ -250,6 +251,22 @@ def test_times_keep_speed_limits_and_the_path() -> None:
         assert np.abs(trajectory.positions - corner).max(axis=1).min() < 1e-12
     # From rest to rest.
     assert (np.abs(speed[[0, -1]]) <= 0.8 * velocity * 0.5).all()
+
+
+def test_a_cubic_through_the_motion_needs_no_more_acceleration_than_ramps() -> None:
+    rng = np.random.default_rng(0)
+    velocity = rng.uniform(0.5, 2.0, 5)
+    sharp = np.cumsum(rng.normal(0, 0.4, (8, 5)), axis=0)
+    way = np.linspace(0, np.pi, 40)[:, None]
+    bent = np.concatenate([np.cos(way), np.sin(way)], axis=1) * [[0.8, 0.5]]  # 40 slight bends
+    for path, limits in ((sharp, velocity), (bent, velocity[:2])):
+        motion = time_path(path, limits, 0.8)
+        v = velocities_of(motion.times, motion.positions)
+        duration = np.diff(motion.times)[:, None]
+        mean = np.diff(motion.positions, axis=0) / duration
+        # Second derivatives of each piece's cubic at its two ends.
+        ends = np.abs([6 * mean - 4 * v[:-1] - 2 * v[1:], -6 * mean + 2 * v[:-1] + 4 * v[1:]])
+        assert (ends / duration <= 3 * 0.8 * limits / RAMP).all()
 
 
 def test_one_joint_over_a_long_way_takes_as_long_as_a_ramp_says() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform
 from pointsdf_cli.io.clouds import Cloud
@@ -171,6 +172,11 @@ def test_a_start_is_typed_for_the_arm_or_for_all() -> None:
         start_configuration("1,2,3", ROBOT)
     with pytest.raises(InputError, match="beyond its limit"):
         start_configuration("0,0,0,0,0,0,9", ROBOT)
+    panda = load_robot(asset_path("robots/panda.yaml"))
+    home = "0,-0.4,0,-2.2,0,1.9,0.785,0.04,"
+    assert start_configuration(f"{home}0.0397", panda)[-1] == 0.0397
+    with pytest.raises(InputError, match="does not follow panda_finger_joint1"):
+        start_configuration(f"{home}0.02", panda)
     with pytest.raises(InputError, match="beyond its limit"):
         start_configuration(np.full(7, np.nan), ROBOT)
     with pytest.raises(InputError, match=r"0\.05 m is beyond.*\n.*0 to 0\.04 m"):

@@ -164,7 +164,7 @@ class Goals(list):
 
     def __init__(self, off: float, gripper: list[tuple[bool, bool, float] | None]) -> None:
         super().__init__()
-        self.off, self.gripper = off, gripper
+        self.off, self.gripper, self.spins = off, gripper, 0
         self.heard: list[Any] = []
 
     def result_of(self, goal: Any, state: dict[str, float]) -> Any:
@@ -219,9 +219,11 @@ class Goals(list):
             return lambda **values: SimpleNamespace(kind=name, **values)
 
         def spin_once(node: Any, timeout_sec: float) -> None:
+            goals.spins += 1  # the drivers of arm and hand publish in turn
+            names = list(state)[:7] if goals.spins % 2 else list(state)[7:]
+            positions, still = [state[name] for name in names], [0.0] * len(names)
             for heard in goals.heard:
-                names, positions = list(state), list(state.values())
-                heard(SimpleNamespace(name=names, position=positions, velocity=[0.0] * len(names)))
+                heard(SimpleNamespace(name=names, position=positions, velocity=still))
 
         none = lambda *_, **__: None  # noqa: E731
         follow = SimpleNamespace(Goal=message_of("goal"), Result=SimpleNamespace(SUCCESSFUL=0))
@@ -390,6 +392,36 @@ def test_the_hand_does_not_close_where_the_arm_is_not_at_the_grasp(
 def test_a_plan_of_another_run_is_refused(
     monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path
 ) -> None:
-    with pytest.raises(SystemExit, match="of another run") as left:
-        run_node(monkeypatch, plan, tmp_path, lifts=replace(plan, lift=plan.lift + 0.3))
-    assert left.value.goals == []  # type: ignore[attr-defined]
+    none = replace(
+        plan, status="no_plan", reason="ik_failed", q=plan.q * np.nan,
+        trajectory=plan.trajectory[:0], times=plan.times[:0], lift=plan.lift[:0],
+    )  # fmt: skip
+    others = {
+        "grasps elsewhere": replace(plan, q=plan.q + 0.3, lift=plan.lift[:0]),
+        "holds no grasp": none,
+        "probability 0.04": replace(plan, success_probability=0.04),
+    }
+    for told, other in others.items():
+        with pytest.raises(SystemExit, match=told) as left:
+            run_node(monkeypatch, plan, tmp_path, lifts=other)
+        assert left.value.goals == []  # type: ignore[attr-defined]
+    assert run_node(monkeypatch, plan, tmp_path, "--accept-unlikely", lifts=other)
+
+
+def test_the_hand_does_not_close_where_its_fingers_are_not_at_the_preshape(
+    monkeypatch: pytest.MonkeyPatch, plan: Plan, tmp_path: Path
+) -> None:
+    def result_of(self: Goals, goal: Any, state: dict[str, float]) -> Any:
+        before = dict(state)
+        found = moved(self, goal, state)
+        if goal.trajectory.joint_names[0] != next(iter(state)):  # the hand's controller lies
+            state.update(before)
+        return found
+
+    moved = Goals.result_of
+    monkeypatch.setattr(Goals, "result_of", result_of)
+    path = plan.trajectory.copy()
+    path[0, 8] += 0.3  # the preshape is not where the motion begins
+    with pytest.raises(SystemExit, match=r"is 0\.300 from the grasp") as left:
+        run_node(monkeypatch, replace(plan, trajectory=path), tmp_path)
+    assert len(left.value.goals) == 2  # type: ignore[attr-defined]

@@ -42,6 +42,7 @@ from trajectories import (
     farthest_from,
     grip,
     message,
+    read_grasp,
     read_hand,
     read_lift,
     read_motion,
@@ -55,7 +56,8 @@ GRIP_TIME = 0.5  # s
 LATE = 5.0  # s that a controller may take longer than its trajectory
 GRIPPER_TIME = 20.0  # s
 CLOSED = 0.02  # of the gripper's way: nearer to its closed position it holds nothing
-SAME_PLAN = 1e-3  # rad or m between the end of the motion and the start of the lift
+SAME_PLAN = 1e-3  # rad or m between the end of the motion and the plan's grasp
+UNLIKELY = 0.1  # success probability below which `rgrasp plan` ends with exit code 4
 
 
 class Executor(Node):
@@ -195,6 +197,7 @@ def main() -> None:
     parser.add_argument("--gripper-effort", type=float, default=20.0, help="largest effort [N]")
     parser.add_argument("--lift-speed", type=float, default=0.1, help="fastest joint [rad/s]")
     parser.add_argument("--squeeze", type=float, default=0.1, help="beyond the contact [rad or m]")
+    parser.add_argument("--accept-unlikely", action="store_true", help="also below 0.1")
     parser.add_argument("--tolerance", type=float, default=0.02, help="before each step [rad or m]")
     options = parser.parse_args()
     if options.gripper and None in (options.gripper_open, options.gripper_closed):
@@ -204,8 +207,13 @@ def main() -> None:
     arm, hand = read_hand(options.robot)
     others = {*arm, *hand.followers}
     fingers = tuple(name for name in motion.names if name not in others)
-    if lift is not None and apart(motion, lift) > SAME_PLAN:
-        sys.exit(f"{options.plan} is of another run than {options.motion}: it lifts elsewhere")
+    grasp = read_grasp(options.plan)
+    if grasp.status != "ok":
+        sys.exit(f"{options.plan} holds no grasp: {options.motion} is of another run")
+    if apart(motion, grasp) > SAME_PLAN:
+        sys.exit(f"{options.plan} is of another run than {options.motion}: it grasps elsewhere")
+    if grasp.success < UNLIKELY and not options.accept_unlikely:
+        sys.exit(f"the grasp holds with probability {grasp.success:.2f}: see --accept-unlikely")
     for name in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(name, lambda *_: sys.exit("terminated"))
     # rclpy's own handler would shut the context down on Ctrl-C, and no goal could be cancelled.
@@ -223,7 +231,7 @@ def main() -> None:
         if not options.gripper:
             node.send(node.hand, motion.of(fingers))
         node.finish(motion.times[-1])
-        node.require_at(motion.of(arm), -1, options.tolerance, "the grasp")
+        node.require_at(checked, -1, options.tolerance, "the grasp")
         if options.gripper:
             _, stalled_at, now = node.move_gripper(options.gripper_closed, options.gripper_effort)
             # Not every driver tells that it stalled: the Franka Hand's does not.

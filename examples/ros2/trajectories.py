@@ -52,6 +52,18 @@ class Hand(NamedTuple):
     followers: frozenset[str] = frozenset()
 
 
+class Grasp(NamedTuple):
+    """What a plan says of its grasp.
+
+    status: "ok", or "no_plan"; success: its probability; names: the J joints; q: [J], the grasp.
+    """
+
+    status: str
+    success: float
+    names: tuple[str, ...]
+    q: Array
+
+
 class MessageTypes(NamedTuple):
     """Message classes, and what makes a float64[] of a list (rclpy: list, rosbags: np.array)."""
 
@@ -73,6 +85,14 @@ def read_motion(path: Path | str) -> Trajectory:
         np.array([p["positions"] for p in motion["points"]], dtype=np.float64),
         np.array([p["velocities"] for p in motion["points"]], dtype=np.float64),
     )
+
+
+def read_grasp(path: Path | str) -> Grasp:
+    """Read a plan's grasp, with which its motion ends and its lift begins."""
+    with h5py.File(path) as file:
+        names = tuple(name.decode() for name in file["joint_names"][()])
+        q = np.asarray(file["q"][()], dtype=np.float64)
+        return Grasp(str(file.attrs["status"]), float(file.attrs["success_probability"]), names, q)
 
 
 def read_lift(path: Path | str, speed: float) -> Trajectory | None:
@@ -119,10 +139,10 @@ def farthest_from(
     return max(off.items(), key=lambda item: item[1])
 
 
-def apart(motion: Trajectory, lift: Trajectory) -> float:
-    """Largest difference of a joint [rad or m] between the end of the motion and the start of the
-    lift: 0 for the files of one plan."""
-    return float(np.abs(motion.of(lift.names).positions[-1] - lift.positions[0]).max())
+def apart(motion: Trajectory, grasp: Grasp) -> float:
+    """Largest difference of a joint [rad or m] between the end of the motion and the grasp: 0 for
+    the files of one plan."""
+    return float(np.abs(motion.of(grasp.names).positions[-1] - grasp.q).max())
 
 
 def closing(hand: Hand, names: Sequence[str], q: Sequence[float]) -> Trajectory:

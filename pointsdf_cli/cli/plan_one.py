@@ -233,6 +233,6 @@ def _report(
         if path
     ]
     reporter.result(
-        {**plan_as_json(plan), "clouds": list(result.report), "warnings": list(warnings), **files},
+        {**plan_as_json(plan), **result.said(), **files},
         lines,
     )

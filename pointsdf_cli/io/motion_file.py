@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -32,12 +33,17 @@ def velocities_of(times: Array, positions: Array) -> Array:
         return np.zeros_like(positions)
     # Of second order, so exact for constant acceleration along a leg.
     velocities = np.gradient(positions, times, axis=0)
-    legs = np.diff(positions, axis=0)
-    ways = legs / np.maximum(np.linalg.norm(legs, axis=1, keepdims=True), 1e-12)
-    corner = np.linalg.norm(np.diff(ways, axis=0), axis=1) > CORNER
-    velocities[1:-1][corner] = 0.0
+    velocities[1:-1][is_corner(positions)] = 0.0
     velocities[[0, -1]] = 0.0
     return velocities
+
+
+def is_corner(positions: Array) -> NDArray[np.bool_]:
+    """Corners [T − 2] among the inner points of a polyline [T, J]."""
+    legs = np.diff(positions, axis=0)
+    ways = legs / np.maximum(np.linalg.norm(legs, axis=1, keepdims=True), 1e-12)
+    found: NDArray[np.bool_] = np.linalg.norm(np.diff(ways, axis=0), axis=1) > CORNER
+    return found
 
 
 def trajectory_as_json(plan: Plan) -> dict[str, Any]:

@@ -2,8 +2,9 @@
 
 The path is a polyline and is kept exactly: the result only adds points on it and times. Let τ be
 the time that the path would take with the fastest joint always at its limit. The speed u = dτ/dt is
-at most 1, changes by at most 1/ramp per second, and is so low at a corner that no joint's speed
-jumps by more than `jump` of its limit there.
+at most 1 and changes by at most 1/`RAMP` per second. It is zero at corners, where the exported
+velocities are, and so low at slighter bends that a cubic interpolation needs no larger acceleration
+there than on a ramp.
 """
 
 from __future__ import annotations
@@ -13,11 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.io.motion_file import is_corner
 
 RAMP = 0.5
 """Time from rest to full speed [s]."""
-JUMP = 0.1
-"""Largest jump of a joint's speed at a corner, as a share of its limit."""
 STEP = 0.05
 """Longest piece of the path between two points of the result, as time at full speed [s]."""
 
@@ -53,14 +53,17 @@ def time_path(path: Array, velocity: Array, speed: float = 0.5) -> Trajectory:
     full = (np.abs(legs) / limit).max(axis=1)
     pieces = np.maximum(2, np.ceil(full / STEP)).astype(int)
     points, tau, top = [path[:1]], [np.zeros(1)], [np.zeros(1)]
+    corners = np.append(is_corner(path), True)
     for i, (leg, count) in enumerate(zip(legs, pieces, strict=True)):
         share = np.arange(1, count + 1)[:, None] / count
         points.append(path[i] + share * leg)
         tau.append(np.full(count, full[i] / count))
         corner = 0.0
-        if i + 1 < len(legs):
+        if not corners[i]:
             change = np.abs(legs[i + 1] / full[i + 1] - leg / full[i]) / limit
-            corner = min(1.0, JUMP / max(float(change.max()), 1e-12))
+            gap = (full[i : i + 2] / pieces[i : i + 2]).min()
+            # A cubic over a piece of duration gap / u turns by half the change: 2 u² change / gap.
+            corner = min(1.0, np.sqrt(gap / (2 * RAMP * max(float(change.max()), 1e-12))))
         top.append(np.concatenate([np.ones(count - 1), [corner]]))
     positions, gap = np.concatenate(points), np.concatenate(tau)[1:]
     positions[-1] = path[-1]

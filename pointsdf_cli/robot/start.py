@@ -9,6 +9,9 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.poses import numbers_in
 from pointsdf_cli.robot.description import RobotDescription
 
+APART = 0.005
+"""Largest difference [rad or m] of a joint from where its leader puts it (`<mimic>`)."""
+
 
 def start_configuration(given: str | Array | None, robot: RobotDescription) -> Array:
     """A configuration [J] from `--start`: all joints, or the arm's with the hand as at home.
@@ -18,7 +21,8 @@ def start_configuration(given: str | Array | None, robot: RobotDescription) -> A
         robot: The robot.
 
     Raises:
-        InputError: Another number of joints, or beyond a joint's hard limit.
+        InputError: Another number of joints, beyond a joint's hard limit, or joints apart that the
+            hardware moves together.
     """
     if given is None:
         return robot.home.copy()
@@ -43,4 +47,12 @@ def start_configuration(given: str | Array | None, robot: RobotDescription) -> A
             where="--start",
             allowed=f"{robot.hard_lower[j]:.4g} to {robot.hard_upper[j]:.4g} {unit}",
         )
+    for column, leader, ratio in robot.followers:
+        if abs(q[column] - ratio * q[leader]) > APART:
+            raise InputError(
+                f"{robot.joint_names[column]} at {q[column]:.4g} does not follow "
+                f"{robot.joint_names[leader]} at {q[leader]:.4g}",
+                where="--start",
+                allowed=f"{ratio * q[leader]:.4g}: the hardware moves both together",
+            )
     return q

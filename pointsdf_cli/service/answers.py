@@ -26,9 +26,7 @@ def plan_answer(resident: Resident, body: PlanBody, form: str) -> tuple[bytes, s
         return tree_to_npz(result_tree(result)), NPZ
     if form == HDF5:
         return _file(result, body.seed), HDF5
-    said = {"report": result.report, "warnings": result.warnings}
-    likely = bool(result.plan.success_probability >= result.least)
-    return to_json({**plan_as_json(result.plan), **said, "likely": likely}).encode(), JSON
+    return to_json({**plan_as_json(result.plan), **result.said()}).encode(), JSON
 
 
 def mesh_answer(resident: Resident, body: MeshBody, form: str) -> tuple[bytes, str]:

@@ -41,7 +41,7 @@ class SceneBody(Body):
     )
     workspace: numbers(2, 3) | None = Field(None, description="Corners of what is looked at [m]")  # type: ignore[valid-type]
     start: numbers(None) | None = Field(  # type: ignore[valid-type]
-        None, description="The arm's joints, or all [rad]; home if null"
+        None, description="The arm's joints, or all [rad or m]; home if null"
     )
     clean: bool = True
     seed: int = Field(0, ge=0, lt=2**63)
