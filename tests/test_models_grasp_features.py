@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from grasp_worlds import side_palm, top_palm
 
@@ -148,3 +149,14 @@ def test_raising_the_scene_above_the_table_changes_what_the_table_does() -> None
     sampled = (4 + 2) * moving + still + 64  # four moments, and who touches when
     assert torch.allclose(here[:, :sampled], there[:, :sampled], atol=1e-4)
     assert torch.allclose(there[:, sampled + 4], here[:, sampled + 4] + 0.1 / LENGTH, atol=1e-5)
+
+
+def test_a_body_reaches_down_to_the_table_where_only_its_top_is_seen() -> None:
+    centre, radius = np.array([0.6, 0.0, 0.05]), 0.05
+    ways = np.random.default_rng(0).normal(size=(4000, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    top = centre + radius * ways[ways[:, 2] > 0]
+    body = object_body(top, lambda x: np.linalg.norm(x - centre, axis=1) - radius)
+    assert float(body.mass_centre[2]) == pytest.approx(0.05, abs=0.005)
+    litres = float(body.numbers[1])
+    assert litres == pytest.approx(4 / 3 * np.pi * 0.05**3 * 1e3, rel=0.15)

@@ -274,3 +274,22 @@ def test_one_joint_over_a_long_way_takes_as_long_as_a_ramp_says() -> None:
     trajectory = time_path(np.array([[0.0], [4.0]]), np.array([1.0]), 1.0)
     assert trajectory.times[-1] == pytest.approx(4 + RAMP, abs=0.01)
     assert time_path(np.array([[1.0], [1.0]]), np.array([1.0])).times.tolist() == [0.0]
+
+
+def test_a_motion_is_proven_free_only_below_the_sum_of_its_distances() -> None:
+    # Distances of 4 and 6 cm at both ends: a motion of up to 8 cm, and of 12 cm, cannot touch.
+    ends, moved = np.array([[0.04, 0.06]]), np.array([[0.1, 0.1]])
+    doubts = PathChecker._in_doubt(None, ends, ends, moved)  # type: ignore[arg-type]
+    assert doubts.tolist() == [[True, False]]
+
+
+def test_a_hand_that_cannot_take_its_preshape_does_not_start() -> None:
+    checker = PathChecker(GEOMETRY, FIELD)
+    really = checker.is_free
+
+    def is_free(path: np.ndarray) -> bool:
+        opening = np.ptp(path[:, 7:], axis=0).max() > 0
+        return not opening and really(path)
+
+    checker.is_free = is_free  # type: ignore[method-assign]
+    assert "preshape" in plan_motion(checker, IK, ROBOT.home, grasp(), seed=3).failure

@@ -317,3 +317,10 @@ def test_a_fallback_waits_until_no_accepted_grasp_has_a_motion(
         best, motion, _ = planner._with_motion(checker, found, planner.robot.home, 0, ranked)
         assert best is good
         assert motion is not None
+
+
+def test_a_floor_below_the_usual_one_holds_for_fallbacks_too() -> None:
+    none = np.zeros(0)
+    unlikely = Candidate(none, none, 0.02, 0.0, 6.0, 1.0, 1.0, 1.0, 1.0, "objective")
+    assert unlikely.is_fallback(AcceptanceConfig(least=0.01))
+    assert not unlikely.is_fallback(AcceptanceConfig())

@@ -68,3 +68,13 @@ def test_from_above_all_below_is_hidden_and_from_the_side_nothing() -> None:
     assert len(hidden_below(solid, [(beside, seen)])) == 0
     # A second view frees what it sees.
     assert len(hidden_below(solid, [(above, seen), (beside, seen)])) == 0
+
+
+def test_space_is_hidden_only_well_behind_what_is_seen() -> None:
+    x, y = np.arange(0.58, 0.62, 0.004), np.arange(-0.02, 0.02, 0.004)
+    solid = np.stack(np.meshgrid(x, y, [0.0205], indexing="ij"), -1).reshape(-1, 3)
+    x, y = np.arange(0.56, 0.64, 0.002), np.arange(-0.04, 0.04, 0.002)
+    sheet = np.stack(np.meshgrid(x, y, [0.01], indexing="ij"), -1).reshape(-1, 3)
+    hidden = hidden_below(solid, [(np.array([0.6, 0.0, 1.5]), sheet)])
+    # Of 4, 12 and 20 mm only the first lies more than 5 mm below the sheet.
+    assert sorted(set(hidden[:, 2].round(4))) == [0.004]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,15 +13,23 @@ import trimesh
 
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.frames import apply_transform, invert_transform
+from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.planning.cloud_checks import in_world
-from pointsdf_cli.planning.environment import Obstacle, read_environment
+from pointsdf_cli.planning.environment import Environment, Obstacle, read_environment
 from pointsdf_cli.planning.object_choice import TargetChoice
 from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
+from pointsdf_cli.planning.plan_on_table import plan_on_table
+from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.plausibility import table_doubt
 from pointsdf_cli.planning.seen_obstacles import hulls
-from pointsdf_cli.planning.table_top import NoObjectError, look_at_table, workspace_of
+from pointsdf_cli.planning.table_top import (
+    NoObjectError,
+    _require_same,
+    _table_height,
+    look_at_table,
+    workspace_of,
+)
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.own_points import robot_points
 from pointsdf_cli.robot.start import start_configuration
@@ -245,3 +255,56 @@ def test_a_camera_without_the_object_still_sees_what_is_in_the_way() -> None:
     )
     assert len(seen.views) == 1
     assert len(hulls(seen.others)) == 1
+
+
+class Scene:
+    """A planner that keeps the scene that it is given.
+
+    What is tested is what `plan_on_table` makes of cloud and environment; the search has tests of
+    its own.
+    """
+
+    robot, shape = ROBOT, None
+    options = SimpleNamespace(planner=PlannerConfig())
+
+    def doubts(self) -> list[str]:
+        return []
+
+    def see(self, views: Any, seed: int, table: bool = True) -> object:
+        return object()
+
+    def plan_seen(self, perceived: object, environment: Environment, *_: Any, **__: Any) -> Any:
+        self.environment = environment
+        return SimpleNamespace(plan=None, rehearsed=None)
+
+
+def test_known_obstacles_stay_beside_what_is_seen() -> None:
+    post = Obstacle("post", "box", (0.1, 0.1, 0.4), transform(np.eye(3), [0.3, 0.6, 0.2]))
+    scene = Scene()
+    both = [cloud(np.concatenate([TABLE, THINGS]))]
+    plan_on_table(scene, both, ["a"], Environment((post,)), obstacles="hull")  # type: ignore[arg-type]
+    names = [one.name for one in scene.environment.obstacles]
+    assert names[0] == "post"
+    assert len(names) == 2  # and the smaller thing
+
+
+def test_the_robot_keeps_above_a_table_that_is_seen_higher() -> None:
+    scene = Scene()
+    raised = np.concatenate([TABLE, THINGS]) + [0, 0, 0.025]
+    plan_on_table(scene, [cloud(raised)], ["a"], obstacles="hull")  # type: ignore[arg-type]
+    assert scene.environment.table_height == pytest.approx(0.025, abs=0.002)
+
+
+def test_a_camera_that_does_not_see_the_object_does_not_move_the_table() -> None:
+    def at(height: float) -> Any:
+        plane = np.array([0.0, 0.0, 1.0, height])
+        return SimpleNamespace(objects=SimpleNamespace(plane=plane))
+
+    assert _table_height([(at(0.0), 0), (at(0.02), -1)]) == 0.0
+
+
+def test_another_cameras_object_is_the_same_if_nothing_else_is_nearer() -> None:
+    here, there = np.zeros((1, 3)), np.array([[0.02, 0.0, 0.0]])
+    _require_same(here, (there, np.zeros((0, 3))), "b")
+    with pytest.raises(NoObjectError):
+        _require_same(here, (there, np.array([[0.01, 0.0, 0.0]])), "b")

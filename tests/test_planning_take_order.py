@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from scenes import POSE, box, cloud, seen, table
@@ -9,6 +13,7 @@ from scenes import POSE, box, cloud, seen, table
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.labelled_view import WORKSPACE, label_view
 from pointsdf_cli.planning.object_choice import Reach, TargetChoice
+from pointsdf_cli.planning.plan_on_table import _first_good
 from pointsdf_cli.planning.scene_input import parse_target
 from pointsdf_cli.planning.table_top import look_at_table
 from pointsdf_cli.planning.take_order import HAND_ROOM, free_share, take_order
@@ -49,3 +54,31 @@ def test_any_is_a_target_of_plans_only() -> None:
     view = cloud(seen(table(), box((0.06, 0.06, 0.12), (0.6, 0.0))), POSE)
     with pytest.raises(InputError, match="does not name one object"):
         look_at_table([view], ["view"], robot, robot.home, target=TargetChoice(any=True))
+
+
+def test_any_takes_the_first_good_grasp_or_the_best() -> None:
+    success = {1: 0.3, 2: 0.5, 3: 0.4}
+    objects: Any = [
+        SimpleNamespace(item=SimpleNamespace(number=k), describe=lambda k=k: f"object {k}")
+        for k in success
+    ]
+    tried: list[int] = []
+
+    @dataclass(frozen=True)
+    class Tried:
+        answer: Any
+        report: tuple[str, ...] = ()
+        warnings: tuple[str, ...] = ()
+
+    def attempt(choice: TargetChoice, warn: object = None) -> Any:
+        tried.append(choice.number or 0)
+        found = success[tried[-1]]
+        plan = SimpleNamespace(status="ok", reason="", success_probability=found)
+        return Tried(SimpleNamespace(plan=plan))
+
+    def best(enough: float) -> float:
+        tried.clear()
+        return float(_first_good(objects, attempt, enough, None).answer.plan.success_probability)
+
+    assert (best(0.9), tried) == (0.5, [1, 2, 3])
+    assert (best(0.45), tried) == (0.5, [1, 2])

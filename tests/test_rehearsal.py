@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ import trimesh
 from numpy.typing import NDArray
 from trial_worlds import CAN_AT, can_grasp, can_in_world
 
+from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.robot import lift as lift_module
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.lift import lift_path
@@ -158,3 +161,20 @@ def test_a_surface_below_the_table_cannot_be_rehearsed_on(rehearsal: Rehearsal) 
     sunk.apply_translation([0.6, 0, -0.2])
     with pytest.raises(InputError, match="above the table"):
         rehearsal(sunk.vertices, sunk.faces, np.zeros((1, 23)), np.zeros(1))
+
+
+def test_a_lift_leads_away_from_where_the_robot_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    ways: list[NDArray[np.float64]] = []
+
+    def nowhere(chain: object, arm: object, poses: NDArray[np.float64], config: object) -> object:
+        ways.append(poses[0, -1, :3, 3] - palm[:3, 3])
+        return np.zeros((1, 16, 1)), np.array([0])
+
+    monkeypatch.setattr(lift_module, "follow", nowhere)
+    palm, base = transform(np.eye(3), [0.6, 0, 0.3]), transform(np.eye(3), [1.2, 0, 0])
+    robot = SimpleNamespace(arm=slice(0, 1), T_world_base=base)
+    chain = SimpleNamespace(robot=robot, palm=lambda q: palm)
+    assert lift_path(chain, np.zeros(1)) is None  # type: ignore[arg-type]
+    # Straight up first, then outwards: the robot stands on the far side.
+    np.testing.assert_allclose(ways[0], [0, 0, 0.15], atol=1e-12)
+    np.testing.assert_allclose(ways[1], [-0.05, 0, 0.15], atol=1e-12)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,11 +16,11 @@ from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.attempt import AttemptConfig
 from pointsdf_cli.simulation.attempter import Attempter
-from pointsdf_cli.simulation.executor import PUSH_TIME, SQUEEZE, ExecutorConfig
+from pointsdf_cli.simulation.executor import PUSH_TIME, SQUEEZE, Executor, ExecutorConfig
 from pointsdf_cli.simulation.film import Recorder
 from pointsdf_cli.simulation.physics import GRAVITY
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
-from pointsdf_cli.simulation.verdict import UNTRIED, Outcome
+from pointsdf_cli.simulation.verdict import UNTRIED, Outcome, Seen, cause_of
 from pointsdf_cli.simulation.world import World
 
 pytest.importorskip("pybullet")
@@ -355,3 +356,38 @@ def test_fingers_do_not_push_an_object_through_the_hand(
     assert outcome.held, outcome
     assert np.max(np.array(joints["hold"]) - joints["grip"][-1]) < SQUEEZE + 0.01
     assert np.linalg.norm(places[-1] - places[0]) < CREEP
+
+
+def test_what_still_touches_the_table_is_not_held() -> None:
+    # 12 cm of a lift of 15 cm: more than 0.7 of it.
+    seen = Seen(rise=0.12, hand_links=2, depth=0.0, on_table=False, fastest=0.1)
+    assert cause_of(seen, 0.15, True) == "held"
+    assert cause_of(replace(seen, on_table=True), 0.15, True) == "slipped"
+
+
+def test_an_object_is_shaken_out_of_the_hand(attempter: Attempter, grip: Grip, cache: Path) -> None:
+    mesh, depth = SHAPES["can 6.4 cm"]
+    item = replace(item_of("can", mesh, cache), mass=0.6)
+    place = beside_the_palm(item, 0.03 + depth)
+    kept = attempter.config
+    attempter.config = replace(kept, execution=ExecutorConfig(shake=300.0))
+    try:
+        assert not attempter.execute(item, place, grip.q, grip.lift).held
+    finally:
+        attempter.config = kept
+
+
+def test_shaking_pulls_along_x_and_then_along_y() -> None:
+    pulls: list[list[float]] = []
+    executor = Executor.__new__(Executor)
+    physics = SimpleNamespace(step=1 / 240)
+    executor._world = SimpleNamespace(  # type: ignore[assignment]
+        physics=physics, set_gravity=lambda g: pulls.append([float(v) for v in g])
+    )
+    executor._config = ExecutorConfig(shake=3.0)
+    executor._advance = executor._wait = lambda *_: None  # type: ignore[method-assign, assignment]
+    executor._shake()
+    # 4 Hz at 240 steps a second: a quarter of a period is 15 steps.
+    np.testing.assert_allclose(pulls[15], [3, 0, -GRAVITY], atol=1e-9)
+    np.testing.assert_allclose(pulls[120 + 15], [0, 3, -GRAVITY], atol=1e-9)
+    assert pulls[-1] == [0, 0, -GRAVITY]

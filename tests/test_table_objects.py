@@ -9,7 +9,7 @@ import pytest
 
 from pointsdf_cli.assets import asset_path
 from pointsdf_cli.camera.segmentation import SegmentationConfig
-from pointsdf_cli.camera.support_plane import find_support_plane, pose_over_plane
+from pointsdf_cli.camera.support_plane import _upright, find_support_plane, pose_over_plane
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.geometry.voxels import thin
@@ -295,3 +295,9 @@ def test_one_cloud_has_one_plane() -> None:
     cloud = read_cloud(asset_path("clouds/power_drill.ply"))
     planes = {tuple(find_support_plane(cloud.points)) for _ in range(6)}
     assert len(planes) == 1
+
+
+def test_a_ceiling_counts_less_than_a_table() -> None:
+    # The camera's y points down: a table's normal up to the camera is -y.
+    assert _upright(np.array([0.0, -1.0, 0.0, -1.0])) == 1.0
+    assert _upright(np.array([0.0, 1.0, 0.0, -1.0])) == 0.25

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,6 +34,7 @@ from pointsdf_cli.training.gs_inputs import CloudInputs, FixedInputs, turn_numbe
 from pointsdf_cli.training.gs_loop import (
     Fitted,
     SuccessTraining,
+    _Run,
     scene_order,
     train_success,
     weights_of,
@@ -376,3 +379,29 @@ def test_a_run_stopped_within_an_epoch_carries_on_from_the_last_whole_one() -> N
     states[0]["history"] = states[0]["history"][:1]
     again = train_success(data, split, rule_learner(x), config, resume=states[0])
     assert same(whole, again)
+
+
+def test_a_mesh_that_tests_in_one_file_teaches_in_none(balls: Path, tmp_path: Path) -> None:
+    grasps, meta = read_grasps(balls / "balls" / "0.h5")
+    for name, split in (("a", "test"), ("b", "train")):
+        write_grasps(tmp_path / f"{name}.h5", grasps, replace(meta, split=split), seed=0)
+    assert read_grasp_data(tmp_path, ROBOT).held_out.tolist() == [True]
+
+
+def test_other_seeds_validate_on_other_objects(balls: Path) -> None:
+    data = read_grasp_data(balls, ROBOT)
+    chosen = {
+        tuple(np.unique(data.object_of[split_grasps(data, 0.3, k).validation])) for k in range(9)
+    }
+    assert len(chosen) > 1
+
+
+def test_rare_successes_weigh_more() -> None:
+    label = np.array([1, 0, 0, 0, 0], np.float32)
+    data: Any = SimpleNamespace(
+        label=label, names=[], object_of=np.arange(5), T_world_palm=np.zeros((5, 4, 4))
+    )
+    split: Any = SimpleNamespace(train=np.arange(5), validation=np.arange(5))
+    learner: Any = SimpleNamespace(modules={"network": torch.nn.Linear(1, 1)})
+    run = _Run(data, split, learner, SuccessTraining())
+    assert run._class_weight.tolist() == pytest.approx([0.5 / 0.8, 0.5 / 0.2])

@@ -32,6 +32,7 @@ from pointsdf_cli.models.pointsdf_ray import PointSDFRay
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import build_model, load_model
 from pointsdf_cli.training import sdf_loop
+from pointsdf_cli.training.ema import WeightAverage
 from pointsdf_cli.training.presets import settings
 from pointsdf_cli.training.sdf_config import SdfLoss, TrainConfig
 from pointsdf_cli.training.sdf_data import (
@@ -635,3 +636,12 @@ def test_the_command_trains_stops_and_resumes(cli, artifacts: Path, tmp_path: Pa
         refused = cli(*arguments, *wrong, "--resume")
         assert refused.code == 2
         assert told in refused.err
+
+
+def test_averaged_weights_move_slowly() -> None:
+    average, now = torch.nn.Linear(1, 1, bias=False), torch.nn.Linear(1, 1, bias=False)
+    average.weight.data.fill_(0.0)
+    now.weight.data.fill_(1.0)
+    made = WeightAverage(average, 0.9, every=1)
+    made.update(now, 1000)
+    assert float(made.model.weight) == pytest.approx(0.1)  # type: ignore[arg-type]
