@@ -370,7 +370,7 @@ def test_an_object_is_shaken_out_of_the_hand(attempter: Attempter, grip: Grip, c
     item = replace(item_of("can", mesh, cache), mass=0.6)
     place = beside_the_palm(item, 0.03 + depth)
     kept = attempter.config
-    attempter.config = replace(kept, execution=ExecutorConfig(shake=300.0))
+    attempter.config = replace(kept, execution=ExecutorConfig(shake=100.0))
     try:
         assert not attempter.execute(item, place, grip.q, grip.lift).held
     finally:
