@@ -138,7 +138,7 @@ def test_the_file_says_what_the_contract_names(tmp_path: Path, plan: Plan) -> No
         assert file.attrs["schema"] == "plan"
         assert file.attrs["status"] == "ok"
         assert json.loads(file.attrs["timings_json"]) == {"solve": 0.25}
-        assert file["q"].attrs["units"] == "rad"
+        assert file["q"].attrs["units"] == "rad or m"
         assert file["T_world_palm"].attrs["frame"] == "world"
         assert [n.decode() for n in file["joint_names"]] == ["shoulder", "elbow"]
 
