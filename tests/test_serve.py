@@ -48,7 +48,7 @@ pytest.importorskip("fastapi", reason="the extra `serve` is not installed")
 pytest.importorskip("uvicorn", reason="the extra `serve` is not installed")
 
 from pointsdf_cli.models.registry import use_threads
-from pointsdf_cli.service.app import _unless
+from pointsdf_cli.service.app import Gate, _unless
 from pointsdf_cli.service.bodies import PlanBody, read_body
 from pointsdf_cli.service.identity import PlannerFiles
 from pointsdf_cli.service.resident import Resident
@@ -538,3 +538,13 @@ def test_sigterm_ends_a_server_that_answered_what_ran(tmp_path: Path) -> None:
     if answers[0].status_code == 200:
         (tmp_path / "plan.h5").write_bytes(answers[0].content)
         assert read_plan(tmp_path / "plan.h5").joint_names
+
+
+def test_a_second_origin_is_looked_at_too() -> None:
+    own = [(b"host", b"127.0.0.1:8765"), (b"origin", b"http://127.0.0.1:8765")]
+    gate = Gate(None, "127.0.0.1", None)  # type: ignore[arg-type]
+    assert gate._refusal({"headers": own, "path": "/plan"}) is None
+    both = [*own, (b"origin", b"http://evil.test")]
+    refused = gate._refusal({"headers": both, "path": "/plan"})
+    assert refused is not None
+    assert refused[0] == 403
