@@ -36,14 +36,15 @@ NO_NOTES = PlanNotes()
 
 
 class Choice(Protocol):
-    """Choice among the accepted grasps of one object (rehearsed.py).
+    """Choice among the accepted grasps of one object (likeliest.py, rehearsed.py).
 
     Attributes:
-        surface: The surface on which it is made.
+        surface: The surface on which grasps were rehearsed; None without rehearsals.
         timings: Seconds by stage so far.
     """
 
-    surface: Surface
+    @property
+    def surface(self) -> Surface | None: ...
 
     @property
     def timings(self) -> dict[str, float]: ...

@@ -43,9 +43,10 @@ from pointsdf_cli.planning.answer import (
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed, given_constraint, unseen_support
 from pointsdf_cli.planning.environment import Environment
+from pointsdf_cli.planning.likeliest import LikeliestChoice
 from pointsdf_cli.planning.option_checks import PARTIAL_VIEW, RECONSTRUCTION
 from pointsdf_cli.planning.plan_artifact import no_plan, plan_of
-from pointsdf_cli.planning.planner import Planner, PlannerConfig
+from pointsdf_cli.planning.planner import PREFERRED_SLACK, Planner, PlannerConfig
 from pointsdf_cli.planning.reasons import few_grasps, never_held, too_large
 from pointsdf_cli.planning.resampled_views import redrawn
 from pointsdf_cli.planning.screen import narrowest
@@ -74,7 +75,7 @@ Choose = Callable[
     [Planner, PerceivedObject, Environment | None, int, Surface | None], Choice | None
 ]
 """Function from planner, object, environment, seed and surface (None for the reconstruction's) to
-the choice for this object; None for the planner's own choice."""
+the choice for this object; None for that by the success network."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ class GraspPlanner:
     Args:
         options: Options; the defaults if None.
         grasps: The success network to use instead of a checkpoint's.
-        choose: Choice among accepted grasps; the best by the objective if None.
+        choose: Choice among accepted grasps; by the success network if None.
 
     Raises:
         InputError: The robot or a checkpoint cannot be used.
@@ -264,15 +265,17 @@ class GraspPlanner:
         points, choice = perceived.points, None
         if self._choose is not None:
             choice = self._choose(self.planner, perceived, environment, seed, surface)
+        if choice is None:
+            choice = LikeliestChoice(PREFERRED_SLACK - self.planner.config.clearances.object)
         outcome = self.planner.search(
             perceived.target,
             environment,
             start,
             seed,
             self.search_settings(points),
-            rank=None if choice is None else choice.ranked,
-            stop=None if choice is None else choice.stop,
-            near=None if choice is None else choice.best,
+            rank=choice.ranked,
+            stop=choice.stop,
+            near=choice.best,
         )
         found = outcome.found
         if found.reason not in ("", "inverse_kinematics", "motion") and self.is_too_large(points):
@@ -280,17 +283,15 @@ class GraspPlanner:
             found = replace(found, reason=reason, sentence=sentence)
         timings = {**perceived.timings, **outcome.timings}
         timings["configuration"] += sum(perceived.timings.values())
-        if choice is not None:
-            timings |= choice.timings
-            timings["configuration"] += timings["rehearsal_surface"]
-        timings |= dict(notes.timings)
+        timings["configuration"] += choice.timings.get("rehearsal_surface", 0.0)
+        timings |= choice.timings | dict(notes.timings)
         drawn, warnings = None, list(notes.warnings)
         if notes.surface:
             drawn, seconds = timed(perceived.surface)
             timings["surface"] += seconds
             warnings += missed_points(drawn, points)
         outcome = replace(outcome, found=found, timings=timings)
-        rehearsed = None if choice is None else choice.of(outcome.best)
+        rehearsed = choice.of(outcome.best)
         if rehearsed is not None:
             warnings += never_held(rehearsed)
         return Answer(
@@ -298,7 +299,7 @@ class GraspPlanner:
             perceived.target,
             perceived.reconstruction,
             rehearsed,
-            None if choice is None else choice.surface,
+            choice.surface,
         )
 
     def is_too_large(self, points: Array) -> bool:

@@ -1,7 +1,6 @@
-"""Grasps beside those that held best in rehearsals: a local random search, round by round.
+"""Grasps beside the best ones so far: a local random search, round by round.
 
-The success network leads to grasps that are likely to hold; which of them do is known only after a
-rehearsal. What is beside the best is more likely to hold than what the prior draws anew.
+What is beside the best is more likely to hold than what the prior draws anew.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ SPREAD = 0.1
 """Standard deviation of preshape joints, over their ranges."""
 
 BestGrasps = Callable[[], list[Candidate]]
-"""Function that returns the grasps that held best so far."""
+"""Function that returns the best grasps so far."""
 
 
 class NearbySampler:
@@ -60,5 +59,5 @@ class NearbySampler:
 def nearby_grasps(
     best: BestGrasps | None, score: GraspScore, chain: ArmChain
 ) -> list[UnsolvedGrasps]:
-    """Grasps beside the best ones, ranked by the object's score; none without rehearsals."""
+    """Grasps beside the best ones, ranked by the object's score; none if `best` is None."""
     return [] if best is None else [UnsolvedGrasps(NearbySampler(best, chain), score)]

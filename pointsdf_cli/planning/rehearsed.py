@@ -1,8 +1,8 @@
 """Choice of the grasp by rehearsals on the reconstructed object.
 
-`GraspPlanner` alone stops at the first round of seeds with an accepted grasp. Here the accepted
-grasps of a round are rehearsed; if none is likely enough to hold, another round follows, and
-finally the best grasp of all rounds is chosen.
+The accepted grasps of a round of seeds are rehearsed; if none is likely enough to hold, another
+round follows, and finally the best grasp of all rounds is chosen. Without rehearsals the success
+network alone decides (likeliest.py).
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from pointsdf_cli.planning.grasp_planner import (
     GraspPlanner,
     PlanOptions,
 )
+from pointsdf_cli.planning.likeliest import ENOUGH, MOST_MOTIONS, NEARBY, TIGHT
 from pointsdf_cli.planning.planner import PREFERRED_SLACK, Planner
 from pointsdf_cli.planning.resampled_views import ResampledViewCheck
 from pointsdf_cli.planning.seeds import MANY_SEEDS
@@ -43,21 +44,13 @@ from pointsdf_cli.simulation.rehearsal import (
 )
 from pointsdf_cli.simulation.world import try_robot
 
-ENOUGH = 0.85
-"""Probability to hold, by success network and rehearsals, at which a grasp ends the search."""
 RESAMPLED_VIEWS = 3
 """Number of further samples of the cloud for the resampled-view check. A grasp that violates the
 clearance in any of them never ends the search."""
-MOST_MOTIONS = 6
-"""Largest number of grasps for which motions are searched: if these have none, the others hardly
-will."""
 RESOLUTION = 64
 """Cells along the network's box for the surface to rehearse on."""
-NEARBY = 3
-"""Number of grasps beside which the next round samples too."""
-CONTRADICTED, TIGHT = 0.8, 0.95
-"""Factors on the probability to hold of grasps that the resampled-view check rejects, and of others
-that keep less than `PREFERRED_SLACK` from the object."""
+CONTRADICTED = 0.8
+"""Factor on the probability to hold of grasps that the resampled-view check rejects."""
 REHEARSED_SEARCH = SynthesisConfig(rounds=5, seeds=MANY_SEEDS)
 """Search settings: more grasps per round than in the paper, because rehearsals distinguish them."""
 
