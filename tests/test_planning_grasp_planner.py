@@ -21,6 +21,8 @@ from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.plans import OK
 from pointsdf_cli.models import reconstruction as reconstruction_module
+from pointsdf_cli.planning import likeliest
+from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.fields import (
     MeanField,
     NearField,
@@ -30,6 +32,7 @@ from pointsdf_cli.planning.fields import (
     UnionField,
 )
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
+from pointsdf_cli.planning.likeliest import ENOUGH, LikeliestChoice
 from pointsdf_cli.planning.motion import MotionConfig
 from pointsdf_cli.planning.plan_artifact import plan_of
 from pointsdf_cli.planning.planner import PlannerConfig
@@ -117,6 +120,28 @@ def test_a_can_gets_a_plan_that_the_true_can_allows(planner: GraspPlanner) -> No
     assert all(answer.plan.timings[stage] >= 0 for stage in stages)
     again = planner.plan([VIEW], seed=1)
     np.testing.assert_array_equal(again.plan.trajectory, answer.plan.trajectory)
+
+
+def test_the_search_goes_on_until_a_grasp_is_likely_to_hold(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    two = replace(SMALL, synthesis=replace(SMALL.synthesis, rounds=2))
+    twice = GraspPlanner(PlanOptions(method="partial-view", planner=two), CanModel())
+    rounds: list[list[Candidate]] = []
+    stop = LikeliestChoice.stop
+
+    def kept(self: LikeliestChoice, new: list[Candidate]) -> bool:
+        rounds.append(list(new))
+        return stop(self, new)
+
+    monkeypatch.setattr(LikeliestChoice, "stop", kept)
+    plan = twice.plan([VIEW], seed=1).plan
+    assert len(rounds) == 1  # the best place for the palm is certain to hold
+    assert plan.success_probability == max(one.success for one in rounds[0]) > ENOUGH
+    monkeypatch.setattr(likeliest, "ENOUGH", 1.1)
+    plan = twice.plan([VIEW], seed=1).plan
+    assert len(rounds) == 3
+    assert plan.success_probability == max(one.success for one in [*rounds[1], *rounds[2]])
 
 
 def test_the_motion_uses_the_share_of_the_speed_limits_that_is_asked_for() -> None:

@@ -17,11 +17,12 @@ class AcceptanceConfig:
     """Thresholds of acceptance (the paper: h > 0.6 and the objective < 5).
 
     The paper's h was not calibrated; this one is, and not every object has grasps of which 6 in 10
-    hold. So h > `success` ends the search; h > `least` is accepted if a longer search finds nothing
-    better; h > `floor` is accepted with a warning if nothing exceeds `least` (docs/planning.md).
+    hold. So h > `least` is accepted, and the likeliest of several rounds is chosen (likeliest.py);
+    h > `floor` is accepted with a warning if nothing exceeds `least` (docs/planning.md).
 
     Attributes:
-        success: Success probability that ends the search.
+        success: Success probability of a good grasp: with one, `--target any` tries no further
+            object. It also ends a search without a stop condition.
         least: Least success probability of an accepted grasp.
         objective: Largest objective of an accepted grasp.
         floor: Least success probability of a fallback, a collision-free grasp that is not accepted.
