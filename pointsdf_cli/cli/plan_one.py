@@ -222,9 +222,10 @@ def _report(
         if plan.success_probability < 0.5:
             reporter.say("warning: this grasp is more likely to fail than to hold")
         near = float(plan.link_clearance_object.min()) * 1000
+        accepted = len(plan.accepted.kinds) + plan.rejected.reasons.count("not_tried")
         lines.append(
             f"planned in {plan.timings['configuration'] + plan.timings['motion']:.2f} s, "
-            f"{len(plan.accepted.kinds)} grasps accepted; motion of {len(plan.times)} points, "
+            f"{accepted} grasps accepted; motion of {len(plan.times)} points, "
             f"{plan.times[-1]:.1f} s long; the open hand {near:.1f} mm from the object"
         )
     lines += [

@@ -108,5 +108,5 @@ class Answer:
 
     @property
     def candidates(self) -> Array:
-        """Configurations [C, J] of all accepted grasps, best first."""
+        """Configurations [C, J] of the best accepted grasps, best first."""
         return self.plan.accepted.q
