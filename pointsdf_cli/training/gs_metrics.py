@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
+from sklearn.metrics import average_precision_score, f1_score, roc_auc_score
 
 from pointsdf_cli.geometry.arrays import Array
 
@@ -34,9 +34,7 @@ class Interval(NamedTuple):
 
 def f1(label: NDArray[np.floating], chosen: NDArray[np.bool_]) -> float:
     """F1 score 2 TP / (2 TP + FP + FN); 0 without any positives."""
-    hits = float((label[chosen] == 1).sum())
-    total = float(chosen.sum() + (label == 1).sum())
-    return 2.0 * hits / total if total else 0.0
+    return float(f1_score(label == 1, chosen, zero_division=0.0))
 
 
 def best_threshold(label: NDArray[np.floating], score: NDArray[np.floating]) -> float:
@@ -51,25 +49,14 @@ def best_threshold(label: NDArray[np.floating], score: NDArray[np.floating]) -> 
 
 def average_precision(label: NDArray[np.floating], score: NDArray[np.floating]) -> float:
     """Average precision Σ (R_k − R_{k−1}) P_k over thresholds; NaN without a held grasp."""
-    if not label.sum():
-        return float("nan")
-    order = np.argsort(-score, kind="stable")
-    last = np.append(score[order][1:] < score[order][:-1], True)
-    held = np.cumsum(label[order])[last]
-    chosen = np.arange(1, len(label) + 1)[last]
-    steps = np.diff(held, prepend=0.0)
-    return float((steps * held / chosen).sum() / label.sum())
+    return float(average_precision_score(label, score)) if label.any() else float("nan")
 
 
 def roc_auc(label: NDArray[np.floating], score: NDArray[np.floating]) -> float:
     """Area under the ROC curve: probability that a held grasp scores above a lost one; NaN without
     both."""
-    positive = int(label.sum())
-    negative = len(label) - positive
-    if not positive or not negative:
-        return float("nan")
-    ranks = rankdata(score)[label == 1].sum()
-    return float((ranks - positive * (positive + 1) / 2) / (positive * negative))
+    both = 0 < label.sum() < len(label)
+    return float(roc_auc_score(label, score)) if both else float("nan")
 
 
 def brier(label: NDArray[np.floating], probability: NDArray[np.floating]) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binomtest, norm
+from scipy.stats import binomtest
 
 from pointsdf_cli.errors import InputError
 
@@ -44,14 +44,11 @@ def wilson(successes: int, trials: int) -> Share:
         raise InputError(f"{successes} of {trials}", allowed="0 ≤ successes ≤ trials")
     if trials == 0:
         return Share(0, 0, float("nan"), float("nan"))
-    z = float(norm.ppf(0.5 + CONFIDENCE / 2))
-    p, n = successes / trials, trials
-    middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    low, high = binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
     # At 0 and 1 the bound is exact; correct its rounding error.
-    low = 0.0 if successes == 0 else max(0.0, middle - half)
-    high = 1.0 if successes == trials else min(1.0, middle + half)
-    return Share(successes, trials, float(low), float(high))
+    low = 0.0 if successes == 0 else float(low)
+    high = 1.0 if successes == trials else float(high)
+    return Share(successes, trials, low, high)
 
 
 class Paired(NamedTuple):
