@@ -153,7 +153,7 @@ def main() -> None:
                     turned(case, 2 * np.pi * k / given.yaws), planner, world, given.seed
                 )
                 sums.append(flags)
-                touched = "" if flags[4] else ", touched early"
+                touched = ", touched early" if flags[0] and not flags[4] else ""
                 spent = time.process_time() - began
                 print(f"{case.name:40s} yaw {k}: {said}{touched} ({spent:.0f} s)", flush=True)
     planned, lifted, held, unshaken, untouched = np.sum(sums, axis=0)

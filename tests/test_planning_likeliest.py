@@ -35,7 +35,7 @@ def test_the_likeliest_of_all_rounds_comes_first_whatever_its_cost() -> None:
     choice = LikeliestChoice(0.005)
     first, second, tight = grasp(0.7, cost=4.0), grasp(0.6), grasp(0.73, slack=0.001)
     choice.stop([second])
-    choice.stop([tight, first, *(grasp(0.01 * k) for k in range(10))])
+    choice.stop([tight, first, *(grasp(0.01 * k) for k in range(20))])
     ranked = choice.ranked([second, tight, first])
     assert ranked[:3] == [first, tight, second]  # 0.7, 0.73 · 0.95, 0.6
     assert len(ranked) == MOST_MOTIONS

@@ -11,9 +11,9 @@ from pointsdf_cli.planning.acceptance import Candidate
 
 ENOUGH = 0.85
 """Probability to hold at which a grasp ends the search."""
-MOST_MOTIONS = 6
-"""Largest number of grasps for which motions are searched: if these have none, the others hardly
-will."""
+MOST_MOTIONS = 12
+"""Largest number of grasps for which motions are searched. The first few are often near each other,
+and without a motion for the same reason."""
 NEARBY = 3
 """Number of grasps beside which the next round samples too."""
 TIGHT = 0.95

@@ -28,7 +28,7 @@ from pointsdf_cli.planning.grasp_planner import (
     GraspPlanner,
     PlanOptions,
 )
-from pointsdf_cli.planning.likeliest import ENOUGH, MOST_MOTIONS, NEARBY, TIGHT
+from pointsdf_cli.planning.likeliest import ENOUGH, NEARBY, TIGHT
 from pointsdf_cli.planning.planner import PREFERRED_SLACK, Planner
 from pointsdf_cli.planning.resampled_views import ResampledViewCheck
 from pointsdf_cli.planning.seeds import MANY_SEEDS
@@ -47,6 +47,9 @@ from pointsdf_cli.simulation.world import try_robot
 RESAMPLED_VIEWS = 3
 """Number of further samples of the cloud for the resampled-view check. A grasp that violates the
 clearance in any of them never ends the search."""
+MOST_MOTIONS = 6
+"""Largest number of grasps for which motions are searched: if these have none, the others hardly
+will."""
 RESOLUTION = 64
 """Cells along the network's box for the surface to rehearse on."""
 CONTRADICTED = 0.8
