@@ -75,7 +75,7 @@ Choose = Callable[
     [Planner, PerceivedObject, Environment | None, int, Surface | None], Choice | None
 ]
 """Function from planner, object, environment, seed and surface (None for the reconstruction's) to
-the choice for this object; None for that by the success network."""
+the choice for this object; None for the choice by the success network."""
 
 
 @dataclass(frozen=True)

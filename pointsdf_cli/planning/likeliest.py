@@ -21,11 +21,21 @@ TIGHT = 0.95
 object, whose unseen side may be nearer than predicted."""
 
 
+def trust(candidate: Candidate, least_slack: float) -> float:
+    """Factor on a candidate's success probability, below 1 if it is tight.
+
+    Args:
+        candidate: The candidate.
+        least_slack: Slack of the distance to the object [m] below which a grasp is tight.
+    """
+    return TIGHT if candidate.object_slack < least_slack else 1.0
+
+
 class LikeliestChoice:
     """Choice by the success network.
 
     Args:
-        least_slack: Slack of the distance to the object [m] below which a grasp is tight.
+        least_slack: As in `trust`.
     """
 
     def __init__(self, least_slack: float) -> None:
@@ -54,4 +64,4 @@ class LikeliestChoice:
         return sorted(self._candidates, key=self._chance, reverse=True)
 
     def _chance(self, candidate: Candidate) -> float:
-        return candidate.success * (TIGHT if candidate.object_slack < self._least_slack else 1.0)
+        return candidate.success * trust(candidate, self._least_slack)

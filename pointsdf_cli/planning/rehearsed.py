@@ -28,7 +28,7 @@ from pointsdf_cli.planning.grasp_planner import (
     GraspPlanner,
     PlanOptions,
 )
-from pointsdf_cli.planning.likeliest import ENOUGH, NEARBY, TIGHT
+from pointsdf_cli.planning.likeliest import ENOUGH, NEARBY, trust
 from pointsdf_cli.planning.planner import PREFERRED_SLACK, Planner
 from pointsdf_cli.planning.resampled_views import ResampledViewCheck
 from pointsdf_cli.planning.seeds import MANY_SEEDS
@@ -163,7 +163,7 @@ class RehearsedChoice:
             them to rehearsals.
         surface: Surface of the rehearsals.
         count: Number of grasps of the first round to rehearse; twice as many of later ones.
-        least_slack: Slack of the distance to the object [m] below which a grasp is tight.
+        least_slack: As in `trust`.
         contradicted: Function that tells which candidates the resampled-view check rejects.
         meshing: Seconds that the surface took.
     """
@@ -189,8 +189,8 @@ class RehearsedChoice:
         """Rehearse the candidates of a round; True if one is likely enough to hold."""
         began = time.perf_counter()
         contradicted = np.array(self._are_contradicted(new), dtype=bool)
-        tight = np.array([one.object_slack < self._least_slack for one in new], dtype=bool)
-        right = np.where(contradicted, CONTRADICTED, np.where(tight, TIGHT, 1.0))
+        trusted = np.array([trust(one, self._least_slack) for one in new])
+        right = np.where(contradicted, CONTRADICTED, trusted)
         success = np.array([one.success for one in new])
         # Later rounds have as many again, beside the best so far.
         most = 2 * self._count if self._tried else self._count
