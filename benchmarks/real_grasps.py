@@ -1,7 +1,7 @@
 """Grasps planned from real depth images, executed in simulation on the registered scans.
 
     python benchmarks/real_grasps.py CAPTURES MESHES [--checkpoint DIR] [--grasp-checkpoint DIR]
-        [--robot FILE] [--yaws 3] [--rehearse 12] [--seed 0]
+        [--robot FILE] [--yaws 3] [--seed 0]
 
 CAPTURES and MESHES as for real_depth.py. Every object whose pose is known and that stands by itself
 is planned for from the depth image, with its mask where there is a label image. The table is z = 0
@@ -35,7 +35,6 @@ from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.io.plans import OK
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.plan_on_table import plan_on_table
-from pointsdf_cli.planning.rehearsed import rehearsed_planner
 from pointsdf_cli.planning.scene_input import stand_on_table
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.executor import ExecutorConfig
@@ -131,14 +130,12 @@ def main() -> None:
     parser.add_argument("--grasp-checkpoint", type=Path)
     parser.add_argument("--robot", type=Path)
     parser.add_argument("--yaws", type=int, default=3)
-    parser.add_argument("--rehearse", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     options = PlanOptions(
         robot=given.robot, checkpoint=given.checkpoint, grasp_checkpoint=given.grasp_checkpoint
     )
-    count = given.rehearse
-    planner = rehearsed_planner(options, count=count) if count else GraspPlanner(options)
+    planner = GraspPlanner(options)
     sums = []
     with World(load_robot(given.robot)) as world:
         for given_case in cases(given.captures, given.meshes):

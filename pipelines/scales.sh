@@ -13,7 +13,7 @@ tiny)
     GRASPS="20"
     COLLECT="--no-pictures"
     GS_LENGTH="--epochs 2 --validation 0.5"
-    TRIALS="--yaws 1 --cameras high --rehearse 1 --pictures 0"
+    TRIALS="--yaws 1 --cameras high --pictures 0"
     TRIAL_WEIGHTS="bundled"
     ;;
 small)

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from pointsdf_cli.planning.object_choice import TargetChoice as TargetChoice
     from pointsdf_cli.planning.plan_on_table import plan_on_table as plan_on_table
     from pointsdf_cli.planning.planner import PlannerConfig as PlannerConfig
-    from pointsdf_cli.planning.rehearsed import rehearsed_planner as rehearsed_planner
 
 __version__ = "0.1.0"
 
@@ -66,7 +65,6 @@ _HOMES = {
     "TargetChoice": "planning.object_choice",
     "plan_on_table": "planning.plan_on_table",
     "PlannerConfig": "planning.planner",
-    "rehearsed_planner": "planning.rehearsed",
 }
 __all__ = [*_HOMES]
 

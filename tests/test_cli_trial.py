@@ -94,7 +94,6 @@ def test_all_ablations_are_one_word() -> None:
         (("--objects", "anvil"), "no object"),
         (("--yaws", 0), "yaws"),
         (("--seed", -1), "seed"),
-        (("--rehearse", -1), "--rehearse"),
         (("--margin", 1), "--margin"),
         (("--record", -1), "--record"),
         (("--hold", -1), "--hold"),

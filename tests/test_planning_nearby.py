@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from planning_worlds import REST, can_target
 
 from pointsdf_cli.geometry.frames import rotation_vector
+from pointsdf_cli.planning import synthesis
 from pointsdf_cli.planning.acceptance import Candidate
+from pointsdf_cli.planning.likeliest import NEARBY
 from pointsdf_cli.planning.nearby_grasps import SHIFT, SPREAD, TURN, NearbySampler
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.seeds import SeedConfig
@@ -33,7 +33,7 @@ def held(planner: Planner) -> Candidate:
 
 def test_samples_spread_about_the_best_as_far_as_stated(planner: Planner, held: Candidate) -> None:
     chain = planner.inverse.chain
-    sampler = NearbySampler(lambda: [held], chain)
+    sampler = NearbySampler([held], chain)
     preshape, palms = sampler.sample("side", 4000, np.random.default_rng(0))
     middle = chain.palm(held.q)
     shift = palms[:, :3, 3] - middle[:3, 3]
@@ -53,34 +53,37 @@ def test_samples_spread_about_the_best_as_far_as_stated(planner: Planner, held: 
 def test_samples_are_of_the_kind_that_is_asked_for(planner: Planner, held: Candidate) -> None:
     assert held.kind == "side"
     chain, rng = planner.inverse.chain, np.random.default_rng(0)
-    from_top = NearbySampler(lambda: [held], chain).sample("top", 5, rng)
-    without_any = NearbySampler(list, chain).sample("side", 5, rng)
+    from_top = NearbySampler([held], chain).sample("top", 5, rng)
+    without_any = NearbySampler([], chain).sample("side", 5, rng)
     for preshape, palms in (from_top, without_any):
         assert preshape.shape == (0, len(REST))
         assert palms.shape == (0, 4, 4)
 
 
-def test_the_second_round_has_grasps_beside_the_best(planner: Planner, held: Candidate) -> None:
+def test_the_second_round_has_grasps_beside_the_best(
+    planner: Planner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[list[Candidate]] = []
+    drawn = NearbySampler.sample
+
+    def kept(
+        self: NearbySampler, kind: str, count: int, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        asked.append(self._best)
+        return drawn(self, kind, count, rng)
+
+    monkeypatch.setattr(NearbySampler, "sample", kept)
+    monkeypatch.setattr(synthesis, "ENOUGH", 1.1)
+    found = planner.search(can_target()).found
+    (second,) = asked  # in the first round there is nothing to be beside
+    assert 0 < len(second) <= NEARBY
     chain = planner.inverse.chain
-
-    def rounds(near: Callable[[], list[Candidate]] | None) -> list[list[Candidate]]:
-        found: list[list[Candidate]] = []
-
-        def go_on(new: list[Candidate]) -> bool:
-            found.append(new)
-            return False
-
-        planner.search(can_target(), stop=go_on, near=near)
-        return found
-
-    alone, beside = rounds(None), rounds(lambda: [held])
-    before = {one.x.tobytes() for each in alone for one in each}
-    added = [one for each in beside for one in each if one.x.tobytes() not in before]
-    assert added
-    away = [np.linalg.norm(chain.palm(one.q)[:3, 3] - chain.palm(held.q)[:3, 3]) for one in added]
-    assert max(away) < 6 * SHIFT
-    assert min(one.worst_slack for one in added) >= 0
-    # Nothing is drawn before anything was tried.
-    tried: list[Candidate] = []
-    later = rounds(lambda: tried)
-    assert [len(each) for each in later] == [len(each) for each in alone]
+    places = np.stack([chain.palm(one.q)[:3, 3] for one in second])
+    beside = [
+        one
+        for one in found.accepted
+        if np.linalg.norm(places - chain.palm(one.q)[:3, 3], axis=1).min() < 6 * SHIFT
+        and all(one is not each for each in second)
+    ]
+    assert beside
+    assert min(one.worst_slack for one in beside) >= 0

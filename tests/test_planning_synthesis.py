@@ -11,6 +11,7 @@ from planning_worlds import AroundObject, BoxField, CylinderField, NearPalm
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.field import Field
+from pointsdf_cli.planning import synthesis
 from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate, judge
 from pointsdf_cli.planning.environment import Environment, Obstacle
 from pointsdf_cli.planning.fields import MeshField, RefinedField
@@ -207,25 +208,52 @@ def test_a_prior_that_knows_one_kind_is_asked_for_that() -> None:
     assert "other --kind" in why_none(none.statistics, [], 0)[1]
 
 
-def test_a_round_without_candidates_ends_the_search_too(
+@pytest.mark.parametrize(
+    ("success", "rounds"), [((0.5, 0.84, 0.9), 3), ((0.5,) * 5, 5), ((0.9,), 1)]
+)
+def test_the_search_ends_with_a_grasp_that_is_likely_enough(
+    can_plan: Synthesis,
+    monkeypatch: pytest.MonkeyPatch,
+    success: tuple[float, ...],
+    rounds: int,
+) -> None:
+    given = [replace(can_plan.accepted[0], success=each, object_slack=0.02) for each in success]
+    found, drawn = with_solutions(given, monkeypatch)
+    assert drawn == rounds
+    assert [one.success for one in found.accepted] == sorted(success, reverse=True)
+
+
+def test_motions_are_searched_for_the_likeliest_few(
     can_plan: Synthesis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    poor = replace(can_plan.accepted[0], success=0.3)
-    drawn = []
+    monkeypatch.setattr(synthesis, "MOST_MOTIONS", 3)
+    given = [replace(can_plan.accepted[0], success=each) for each in (0.4, 0.2, 0.6, 0.5, 0.3)]
+    found, _ = with_solutions(given, monkeypatch)
+    assert [one.success for one in found.accepted] == [0.6, 0.5, 0.4]
+    assert [(one.success, one.reason) for one in found.rejected] == [
+        (0.3, "not_tried"),
+        (0.2, "not_tried"),
+    ]
+
+
+def with_solutions(
+    given: list[Candidate], monkeypatch: pytest.MonkeyPatch
+) -> tuple[Synthesis, int]:
+    """Result of a search whose rounds find one of these candidates each, and its rounds."""
+    drawn: list[int] = []
 
     def draw(*_: object) -> Seeds:
         drawn.append(1)
         return Seeds(np.zeros((1, 1)), ("side",), SeedStatistics(1, 1, 1))
 
-    solved = lambda *_: [poor] if len(drawn) == 1 else []  # noqa: E731
-    monkeypatch.setattr("pointsdf_cli.planning.synthesis.draw_seeds", draw)
-    monkeypatch.setattr("pointsdf_cli.planning.synthesis._solved", solved)
+    monkeypatch.setattr(synthesis, "draw_seeds", draw)
+    monkeypatch.setattr(synthesis, "_solved", lambda *_: [given[len(drawn) - 1]])
+    monkeypatch.setattr(synthesis, "_beside", lambda *_: [])
     score = NearPalm((CAN[0] - 0.09, 0.0, CAN[2]), (1.0, 0.0, 0.0), REST)
     whole = problems(CylinderField(RADIUS, 0.24, CAN), score, Environment(), CAN)
     rng = np.random.default_rng(0)
     found = synthesise(whole, AroundObject(CAN, 0.09, REST), IK, Sqp(), rng)
-    assert found.accepted == [poor]
-    assert len(drawn) == 2
+    return found, len(drawn)
 
 
 def test_every_reason_is_told_apart(can_plan: Synthesis) -> None:

@@ -275,7 +275,7 @@ class Scene:
 
     def plan_seen(self, perceived: object, environment: Environment, *_: Any, **__: Any) -> Any:
         self.environment = environment
-        return SimpleNamespace(plan=None, rehearsed=None)
+        return SimpleNamespace(plan=None)
 
 
 def test_known_obstacles_stay_beside_what_is_seen() -> None:

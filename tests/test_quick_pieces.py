@@ -8,7 +8,7 @@ import trimesh
 from manifold3d import Manifold
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
+from pointsdf_cli.simulation.quick_pieces import MOST_CORNERS, quick_pieces
 
 
 def volume_of(pieces: list) -> float:
@@ -23,14 +23,14 @@ def arrays(solid: Manifold) -> tuple[np.ndarray, np.ndarray]:
 def test_a_ball_is_one_piece() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.05)
     (piece,) = quick_pieces(ball.vertices, ball.faces)
-    assert len(piece[0]) <= QuickCutConfig().most_corners
+    assert len(piece[0]) <= MOST_CORNERS
     assert volume_of([piece]) == pytest.approx(ball.volume, rel=0.15)
 
 
 def test_an_l_becomes_two_boxes() -> None:
     # Arms of 10 cm, 5 cm thick: one cut at half the length leaves no concavity.
     solid = Manifold.cube((0.1, 0.05, 0.05)) + Manifold.cube((0.05, 0.1, 0.05))
-    pieces = quick_pieces(*arrays(solid), QuickCutConfig(close_enough=0.01))
+    pieces = quick_pieces(*arrays(solid))
     assert volume_of(pieces) == pytest.approx(solid.volume(), rel=0.02)
     assert len(pieces) <= 4
 

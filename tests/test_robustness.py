@@ -56,7 +56,7 @@ COMMANDS = {
     ],
     "trial": [
         "trial", "--meshes", "@meshes", "--pattern", "box*", "--out", "OUT", "--yaws", 1,
-        "--cameras", "high", "--jobs", 1, "--pictures", 0, "--rehearse", 1,
+        "--cameras", "high", "--jobs", 1, "--pictures", 0,
     ],
     "report": ["report", "@", "--out", "OUT/report.html"],
 }  # fmt: skip

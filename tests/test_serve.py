@@ -152,7 +152,7 @@ def test_a_request_arrives_as_it_was_sent() -> None:
     sent = PlanRequest(
         [cloud],
         ["a"],
-        PlanChoices(kind="side", margin=0.002, speed=0.1, rehearse=3, min_success=0.2),
+        PlanChoices(kind="side", margin=0.002, speed=0.1, min_success=0.2),
         Environment(obstacles, table=False),
         np.arange(23.0),
         7,

@@ -211,7 +211,7 @@ def test_a_trial_in_clutter_from_the_folder_to_the_report(
     out = tmp_path / "trials"
     run = (
         *("trial", "--meshes", meshes, "--objects", "can", "--out", out, "--clutter", 1),
-        *("--method", "reconstruction", "--rehearse", 0, "--yaws", 1, "--cameras", "high"),
+        *("--method", "reconstruction", "--yaws", 1, "--cameras", "high"),
         *("--pictures", 1, "--jobs", 1, "--quiet"),
     )
     result = cli(*run)

@@ -12,11 +12,8 @@ import trimesh
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform
-from pointsdf_cli.planning.grasp_planner import PlanOptions
-from pointsdf_cli.planning.rehearsed import GraspRehearsal, rehearsed_planner
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.trials.planner_variants import TrialPlanner
 from pointsdf_cli.trials.protocol import (
     CAMERAS,
@@ -64,7 +61,6 @@ def test_the_oracle_plans_clear_of_the_truth_and_says_what_it_saw(
     assert row.status == "ok", row.reason
     assert row.penetration == 0.0
     assert not row.contact
-    assert row.rehearsed > 0
     assert row.held == (row.cause == "held")
     # The can stands where the protocol puts it, seen from the side away from the robot.
     stands = evidence.T_world_object[0]
@@ -131,19 +127,6 @@ def test_ablations_of_the_view_leave_out_what_they_say(
     np.testing.assert_array_equal(bare.support_plane, whole.support_plane)
     assert floating.support_plane is None
     np.testing.assert_array_equal(floating.visibility.free, whole.visibility.free)
-
-
-def test_grasps_that_will_be_shaken_are_rehearsed_so() -> None:
-    shaken = TrialRunner(TrialConfig(execution=ExecutorConfig(shake=3.0)))
-    planner = shaken._planner(PlannerVariant("reconstruction"))._planner
-    shaken.close()
-    assert isinstance(planner._choose, GraspRehearsal)
-    assert planner._choose._rehearsal._execution.shake == 3.0
-
-
-def test_partial_views_cannot_be_rehearsed_on() -> None:
-    with pytest.raises(InputError, match="no closed surface"):
-        rehearsed_planner(PlanOptions(method="partial-view"))
 
 
 def test_a_mesh_that_is_none_is_refused(runner: TrialRunner, tmp_path: Path) -> None:

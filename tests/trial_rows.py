@@ -19,7 +19,6 @@ ROW = TrialRow(
     planning_time=4.0,
     planning_cpu=2.0,
     success_probability=0.9,
-    rehearsed=1.0,
     contact=False,
     moved=0.0,
     penetration=0.0,

@@ -113,14 +113,6 @@ def plan(
     speed: Annotated[
         float, typer.Option(help="Speed of the motion as a share of the joints' speed limits.")
     ] = 0.5,
-    rehearse: Annotated[
-        int,
-        typer.Option(
-            metavar="N",
-            help="Try up to N grasps in simulation on the reconstruction in the first round, twice "
-            "as many in later ones.",
-        ),
-    ] = 0,
     min_success: Annotated[
         float | None,
         typer.Option(
@@ -207,7 +199,7 @@ def plan(
     if trajectory is not None and any(table_place(pose) for pose in camera_pose or ()):
         raise _assumed_pose("--trajectory")
     corners = None if workspace is None else box(workspace, "--workspace")
-    search = PlanChoices(method, solver, kind, clearance, margin, speed, rehearse, min_success)
+    search = PlanChoices(method, solver, kind, clearance, margin, speed, min_success)
     if server is not None:
         _check_server(server, threads, device)
     check_segment(segment, target is not None, workspace is not None)
@@ -266,7 +258,7 @@ def _assumed_pose(where: str) -> InputError:
 
 
 _RECORDED = (
-    "rehearse", "target", "start", "segment", "workspace", "environment", "ignore_others", "unit",
+    "target", "start", "segment", "workspace", "environment", "ignore_others", "unit",
     "frame", "camera_pose", "intrinsics", "depth_scale", "mask",
 )  # fmt: skip
 """Options that the plan's provenance holds as they were typed."""

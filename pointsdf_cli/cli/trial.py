@@ -35,7 +35,7 @@ def trial(
         list[str] | None,
         typer.Option(
             help="Ablation of the reconstruction method to add: oracle, no-object-constraint, "
-            "no-success-network, no-rehearsal, no-cleaning, no-free-space, no-support-plane, all "
+            "no-success-network, no-cleaning, no-free-space, no-support-plane, all "
             "(of these), checkpoint=PATH.",
             show_default=False,
         ),
@@ -51,14 +51,6 @@ def trial(
         typer.Option(min=1, help="Number of repetitions, each with its own yaws, place and noise."),
     ] = 1,
     solver: common.Solver = "sqp",
-    rehearse: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            help="Number of grasps to rehearse on the reconstruction in the first round, twice as "
-            "many in later ones; 0 for none.",
-        ),
-    ] = 12,
     clearance: Annotated[
         float, typer.Option(help="Smallest distance to the object in plans [m].")
     ] = 0.001,
@@ -138,7 +130,6 @@ def trial(
     from pointsdf_cli.simulation.executor import ExecutorConfig
     from pointsdf_cli.simulation.world import try_robot
     from pointsdf_cli.trials.experiment import make_tasks, write_results
-    from pointsdf_cli.trials.planner_variants import VariantOptions
     from pointsdf_cli.trials.run import TrialConfig, run_trial_task
 
     try_robot(machine)  # report a wrong robot once, here
@@ -147,7 +138,7 @@ def trial(
         robot=robot, checkpoint=checkpoint, grasp_checkpoint=grasp_checkpoint, planner=planner
     )
     execution = ExecutorConfig(shake=shake, hold=hold, push=push)
-    config = TrialConfig(VariantOptions(planning, rehearse), execution=execution, sensor=sensor)
+    config = TrialConfig(planning, execution=execution, sensor=sensor)
     common.say_if_from_another(reporter, checkpoint, grasp_checkpoint, robot)
     tasks = make_tasks(trials, config, out, record, force)
     started = time.monotonic()

@@ -15,8 +15,8 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.hdf5 import Dataset, attributes_as_input_error, read_artifact, write_artifact
 
-SCHEMA, VERSION = "trials", 2
-TRIAL_SCHEMA, TRIAL_VERSION = "trial", 2
+SCHEMA, VERSION = "trials", 3
+TRIAL_SCHEMA, TRIAL_VERSION = "trial", 3
 TRIAL_LAYOUT = {
     "cloud": "f4 [N, 3]",
     "T_world_camera": "f8 [4, 4]",
@@ -54,7 +54,6 @@ class TrialRow:
         planning_time: Wall time from the object's points to the trajectory [s]; 0 if none is seen.
         planning_cpu: The same in processor time [s], which the load of the machine hardly changes.
         success_probability: Predicted probability; NaN without a plan.
-        rehearsed: Share of rehearsals in which the grasp held; NaN without rehearsals.
         contact: Whether the robot touched the object before the hand closed.
         moved: Displacement of the object by then [m].
         penetration: Depth of the planned grasp in the true mesh [m], 0 if none.
@@ -84,7 +83,6 @@ class TrialRow:
     planning_time: float
     planning_cpu: float
     success_probability: float
-    rehearsed: float
     contact: bool
     moved: float
     penetration: float

@@ -13,7 +13,7 @@ by the seen points alone, meshed at 32³, and judges by an encoder that learned 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -24,7 +24,7 @@ from pointsdf_cli import choices
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.choices import require_choice
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.arrays import Array, Surface
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.models.bundled_success import bundled_success
 from pointsdf_cli.models.grasp_checkpoint import reconstruction_for
@@ -36,19 +36,16 @@ from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.planning.answer import (
     NO_NOTES,
     Answer,
-    Choice,
     PerceivedObject,
     PlanNotes,
 )
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed, given_constraint, unseen_support
 from pointsdf_cli.planning.environment import Environment
-from pointsdf_cli.planning.likeliest import LikeliestChoice
 from pointsdf_cli.planning.option_checks import PARTIAL_VIEW, RECONSTRUCTION
 from pointsdf_cli.planning.plan_artifact import no_plan, plan_of
-from pointsdf_cli.planning.planner import PREFERRED_SLACK, Planner, PlannerConfig
-from pointsdf_cli.planning.reasons import few_grasps, never_held, too_large
-from pointsdf_cli.planning.resampled_views import redrawn
+from pointsdf_cli.planning.planner import Planner, PlannerConfig
+from pointsdf_cli.planning.reasons import few_grasps, too_large
 from pointsdf_cli.planning.screen import narrowest
 from pointsdf_cli.planning.seeds import EITHER
 from pointsdf_cli.planning.success_model import SuccessModel
@@ -56,7 +53,6 @@ from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import (
     EmptyFieldError,
     Target,
-    completed_field,
     enclosing,
     grid_for,
     missed_points,
@@ -69,13 +65,6 @@ from pointsdf_cli.robot.description import RobotDescription, load_robot
 
 LOW_OBJECT = 0.03
 """An object lower than this [m] is grasped from the top first, as the paper's heuristic does."""
-
-
-Choose = Callable[
-    [Planner, PerceivedObject, Environment | None, int, Surface | None], Choice | None
-]
-"""Function from planner, object, environment, seed and surface (None for the reconstruction's) to
-the choice for this object; None for the choice by the success network."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +80,6 @@ class PlanOptions:
         grasp_checkpoint: Success network; the method's bundled one if None.
         device: Device of the networks.
         planner: Solver, distances, effort and speed.
-        resampled_views: Further samples of the cloud's points to complete, for the resampled-view
-            check.
     """
 
     method: str = RECONSTRUCTION
@@ -102,7 +89,6 @@ class PlanOptions:
     grasp_checkpoint: Path | None = None
     device: str = "cpu"
     planner: PlannerConfig = field(default_factory=PlannerConfig)
-    resampled_views: int = 0
 
     def __post_init__(self) -> None:
         require_choice(self.method, choices.Method, "--method")
@@ -115,7 +101,6 @@ class GraspPlanner:
     Args:
         options: Options; the defaults if None.
         grasps: The success network to use instead of a checkpoint's.
-        choose: Choice among accepted grasps; by the success network if None.
 
     Raises:
         InputError: The robot or a checkpoint cannot be used.
@@ -125,7 +110,6 @@ class GraspPlanner:
         self,
         options: PlanOptions | None = None,
         grasps: SuccessModel | None = None,
-        choose: Choose | None = None,
     ) -> None:
         self.options = options = options or PlanOptions()
         self.robot = load_robot(options.robot)
@@ -137,7 +121,6 @@ class GraspPlanner:
             path = options.checkpoint or reconstruction_for(success)
             self._shape = load_model(path, options.device)
         self._grasps = grasps or _success_network(options, self.robot)
-        self._choose = choose
 
     def doubts(self) -> list[str]:
         """Sentences about what makes all plans doubtful."""
@@ -176,18 +159,9 @@ class GraspPlanner:
         grid = grid_for(narrowest(world))
         began = time.perf_counter()
         made: list[Reconstruction] = []
-        resampled: tuple[Field, ...] = ()
         if self._shape is not None:
             made = [completed(self._shape, view, seed) for view in views]
             own = reconstructed_object(made, grid, world)
-            if field is None:
-                others = range(1, 1 + self.options.resampled_views)
-                size = self._shape.cloud_size
-                again = [[redrawn(view, size, (seed, draw)) for view in views] for draw in others]
-                resampled = tuple(
-                    completed_field([completed(self._shape, view, seed) for view in each])
-                    for each in again
-                )
         else:
             own = seen_object(world, grid)
         stop_if_cancelled()
@@ -211,8 +185,7 @@ class GraspPlanner:
         timings["surface"] = time.perf_counter() - began
         reconstruction = made[0] if made else None
         target = Target.of(constraint, grasps, grasps)
-        fused = own.field if len(made) > 1 else None
-        return PerceivedObject(target, world, reconstruction, timings, resampled, fused)
+        return PerceivedObject(target, world, reconstruction, timings)
 
     def plan(
         self,
@@ -249,7 +222,6 @@ class GraspPlanner:
         environment: Environment | None = None,
         start: Array | None = None,
         seed: int = 0,
-        surface: Surface | None = None,
         notes: PlanNotes = NO_NOTES,
     ) -> Answer:
         """Plan as `plan` does, for a perceived object.
@@ -260,47 +232,25 @@ class GraspPlanner:
             start: As in `plan`.
             seed: As in `plan`.
             notes: As in `plan`.
-            surface: Surface to rehearse on instead of the reconstruction's, world frame.
         """
-        points, choice = perceived.points, None
-        if self._choose is not None:
-            choice = self._choose(self.planner, perceived, environment, seed, surface)
-        if choice is None:
-            choice = LikeliestChoice(PREFERRED_SLACK - self.planner.config.clearances.object)
-        outcome = self.planner.search(
-            perceived.target,
-            environment,
-            start,
-            seed,
-            self.search_settings(points),
-            rank=choice.ranked,
-            stop=choice.stop,
-            near=choice.best,
-        )
+        points = perceived.points
+        settings = self.search_settings(points)
+        outcome = self.planner.search(perceived.target, environment, start, seed, settings)
         found = outcome.found
         if found.reason not in ("", "inverse_kinematics", "motion") and self.is_too_large(points):
             reason, sentence = too_large(narrowest(points), self.planner.geometry.hand.span)
             found = replace(found, reason=reason, sentence=sentence)
         timings = {**perceived.timings, **outcome.timings}
         timings["configuration"] += sum(perceived.timings.values())
-        timings["configuration"] += choice.timings.get("rehearsal_surface", 0.0)
-        timings |= choice.timings | dict(notes.timings)
+        timings |= notes.timings
         drawn, warnings = None, list(notes.warnings)
         if notes.surface:
             drawn, seconds = timed(perceived.surface)
             timings["surface"] += seconds
             warnings += missed_points(drawn, points)
         outcome = replace(outcome, found=found, timings=timings)
-        rehearsed = choice.of(outcome.best)
-        if rehearsed is not None:
-            warnings += never_held(rehearsed)
-        return Answer(
-            plan_of(outcome, warnings, drawn),
-            perceived.target,
-            perceived.reconstruction,
-            rehearsed,
-            choice.surface,
-        )
+        plan = plan_of(outcome, warnings, drawn)
+        return Answer(plan, perceived.target, perceived.reconstruction)
 
     def is_too_large(self, points: Array) -> bool:
         """Whether an object seen at points [N, 3] is wider than the open hand everywhere."""

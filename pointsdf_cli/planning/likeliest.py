@@ -7,61 +7,37 @@ a calibrated h tells grasps above 0.6 apart: a few more rounds of seeds pay (doc
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from pointsdf_cli.planning.acceptance import Candidate
 
 ENOUGH = 0.85
 """Probability to hold at which a grasp ends the search."""
-MOST_MOTIONS = 12
-"""Largest number of grasps for which motions are searched. The first few are often near each other,
-and without a motion for the same reason."""
 NEARBY = 3
 """Number of grasps beside which the next round samples too."""
 TIGHT = 0.95
-"""Factor on the probability to hold of grasps that keep less than the preferred slack from the
-object, whose unseen side may be nearer than predicted."""
+"""Factor on the probability to hold of tight grasps: the unseen side may be nearer than
+predicted."""
+PREFERRED_SLACK = 0.006
+"""Distance to the object [m] below which a grasp is tight; slacks are exact up to it."""
 
 
-def trust(candidate: Candidate, least_slack: float) -> float:
-    """Factor on a candidate's success probability, below 1 if it is tight.
+def probability_to_hold(candidate: Candidate, clearance: float) -> float:
+    """Success probability of a candidate, less if it is tight.
 
     Args:
         candidate: The candidate.
-        least_slack: Slack of the distance to the object [m] below which a grasp is tight.
+        clearance: Clearance to the object [m] with which its slack was computed.
     """
-    return TIGHT if candidate.object_slack < least_slack else 1.0
+    tight = candidate.object_slack < PREFERRED_SLACK - clearance
+    return candidate.success * (TIGHT if tight else 1.0)
 
 
-class LikeliestChoice:
-    """Choice by the success network.
+def likeliest_first(candidates: Iterable[Candidate], clearance: float) -> list[Candidate]:
+    """Candidates by their probability to hold; equals keep their order.
 
     Args:
-        least_slack: As in `trust`.
+        candidates: The candidates.
+        clearance: As in `probability_to_hold`.
     """
-
-    def __init__(self, least_slack: float) -> None:
-        self.surface = None
-        self.timings: dict[str, float] = {}
-        self._least_slack = least_slack
-        self._candidates: list[Candidate] = []
-
-    def stop(self, new: list[Candidate]) -> bool:
-        """Whether one of a round's candidates is likely enough to hold."""
-        self._candidates += new
-        return any(self._chance(one) >= ENOUGH for one in new)
-
-    def best(self) -> list[Candidate]:
-        """The grasps beside which the next round samples too."""
-        return self._likeliest_first()[:NEARBY]
-
-    def ranked(self, accepted: list[Candidate]) -> list[Candidate]:
-        """The most likely few candidates of all rounds; fallbacks in their order."""
-        return self._likeliest_first()[:MOST_MOTIONS] if self._candidates else accepted
-
-    def of(self, chosen: Candidate | None) -> None:
-        """No rehearsal."""
-
-    def _likeliest_first(self) -> list[Candidate]:
-        return sorted(self._candidates, key=self._chance, reverse=True)
-
-    def _chance(self, candidate: Candidate) -> float:
-        return candidate.success * trust(candidate, self._least_slack)
+    return sorted(candidates, key=lambda one: -probability_to_hold(one, clearance))

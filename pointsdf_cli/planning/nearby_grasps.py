@@ -5,15 +5,11 @@ What is beside the best is more likely to hold than what the prior draws anew.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.planning.acceptance import Candidate
-from pointsdf_cli.planning.objective import GraspScore
-from pointsdf_cli.planning.seeds import UnsolvedGrasps
 from pointsdf_cli.robot.arm_chain import ArmChain
 
 SHIFT = 0.01
@@ -23,26 +19,23 @@ TURN = 0.15
 SPREAD = 0.1
 """Standard deviation of preshape joints, over their ranges."""
 
-BestGrasps = Callable[[], list[Candidate]]
-"""Function that returns the best grasps so far."""
-
 
 class NearbySampler:
     """Sampler of grasps beside the best ones; a `GraspSampler`.
 
     Args:
-        best: The grasps to sample around; without any, no samples are drawn.
+        best: The best grasps so far, to sample around; without any, no samples are drawn.
         chain: Kinematics of the arm.
     """
 
-    def __init__(self, best: BestGrasps, chain: ArmChain) -> None:
+    def __init__(self, best: list[Candidate], chain: ArmChain) -> None:
         self._best, self._chain = best, chain
 
     def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Preshape joints [N, K] and T_world_palm [N, 4, 4] of `count` grasps beside those of this
         kind."""
         robot = self._chain.robot
-        best = [candidate.q for candidate in self._best() if candidate.kind == kind]
+        best = [candidate.q for candidate in self._best if candidate.kind == kind]
         if not best:
             return np.zeros((0, len(robot.preshape_joints))), np.zeros((0, 4, 4))
         q = np.stack(best)[rng.integers(len(best), size=count)]
@@ -54,10 +47,3 @@ class NearbySampler:
         palms[:, :3, :3] = turn @ palms[:, :3, :3]
         palms[:, :3, 3] += SHIFT * rng.standard_normal((count, 3))
         return np.clip(preshape, low, high), palms
-
-
-def nearby_grasps(
-    best: BestGrasps | None, score: GraspScore, chain: ArmChain
-) -> list[UnsolvedGrasps]:
-    """Grasps beside the best ones, ranked by the object's score; none if `best` is None."""
-    return [] if best is None else [UnsolvedGrasps(NearbySampler(best, chain), score)]

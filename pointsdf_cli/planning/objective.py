@@ -70,7 +70,7 @@ class Objective:
         variables: Variables,
         score: GraspScore,
     ) -> None:
-        self._kinematics, self._variables, self._score = kinematics, variables, score
+        self._kinematics, self._variables, self.score = kinematics, variables, score
 
     def __call__(self, x: Array) -> Cost:
         """The cost of x [B, n]."""
@@ -78,8 +78,8 @@ class Objective:
         with torch.enable_grad():
             palm = self._kinematics.palm(self._variables.configuration_tensor(leaf))
             preshape = self._variables.preshape(leaf)
-            success = self._score.log_success(preshape, palm).to(leaf.dtype)
-            prior = self._score.log_prior(preshape, palm).to(leaf.dtype)
+            success = self.score.log_success(preshape, palm).to(leaf.dtype)
+            prior = self.score.log_prior(preshape, palm).to(leaf.dtype)
             residual = (-success - ALPHA * prior - BETA).clamp(min=0)
             (gradient,) = torch.autograd.grad(residual.sum(), leaf)
         r = residual.detach().numpy()
@@ -89,7 +89,7 @@ class Objective:
         """The cost [B] of preshapes [B, K] at palm poses [B, 4, 4], independent of the arm."""
         hand, palm = torch.from_numpy(preshape), torch.from_numpy(T_world_palm)
         with torch.no_grad():
-            success = self._score.log_success(hand, palm).double()
-            prior = self._score.log_prior(hand, palm).double()
+            success = self.score.log_success(hand, palm).double()
+            prior = self.score.log_prior(hand, palm).double()
         residual = (-success - ALPHA * prior - BETA).clamp(min=0)
         return np.asarray(residual.square().numpy())

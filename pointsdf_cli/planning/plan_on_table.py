@@ -211,10 +211,6 @@ def _plan_for(
         answer = planner.nothing(perceived.what, notes)
     else:
         answer = planner.plan_seen(perceived, environment, q, request.seed, notes=notes)
-        if answer.rehearsed is not None:
-            held, tries = answer.rehearsed.held, answer.rehearsed.tries
-            said = f"held in {held} of {tries} rehearsals" if tries else "was not rehearsed"
-            report.append(f"the grasp {said}")
     points = np.concatenate([view.in_world for view in seen.views])
     camera = seen.views[0].T_world_camera[:3, 3]
     return TablePlan(

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from pointsdf_cli import choices
 from pointsdf_cli.choices import require_choice
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import Plan
@@ -32,8 +31,6 @@ class PlanChoices:
         clearance: Least distance to everything [m]; the default ones if None.
         margin: Preferred distance to the object [m].
         speed: Share of the joints' speed limits that the motion uses.
-        rehearse: Number of grasps of the first round to try in simulation, twice as many of later
-            ones; 0 for none.
         min_success: Least predicted probability; the default thresholds if None.
 
     Raises:
@@ -46,7 +43,6 @@ class PlanChoices:
     clearance: float | None = None
     margin: float = 0.004
     speed: float = 0.5
-    rehearse: int = 0
     min_success: float | None = None
 
     def __post_init__(self) -> None:
@@ -58,8 +54,6 @@ class PlanChoices:
         if self.clearance is not None:
             option_checks.check_distance("clearance", self.clearance)
         option_checks.check_min_success(self.min_success)
-        if self.rehearse < 0:
-            raise InputError(f"{self.rehearse} grasps", where="--rehearse", allowed="0 or more")
 
     def acceptance(self) -> AcceptanceConfig:
         """Default thresholds, or `min_success` as the least probability, of fallbacks too."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
@@ -21,8 +21,8 @@ from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import RefinedField
 from pointsdf_cli.planning.grasp_problem import Clearances, GraspProblem
 from pointsdf_cli.planning.grid import GridField
+from pointsdf_cli.planning.likeliest import PREFERRED_SLACK
 from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion
-from pointsdf_cli.planning.nearby_grasps import BestGrasps, nearby_grasps
 from pointsdf_cli.planning.nonlinear import Solver
 from pointsdf_cli.planning.option_checks import check_distance
 from pointsdf_cli.planning.path_check import PathChecker
@@ -34,7 +34,6 @@ from pointsdf_cli.planning.sqp import Sqp, SqpConfig
 from pointsdf_cli.planning.synthesis import (
     SOLVER_MARGIN,
     Problems,
-    StopCondition,
     Synthesis,
     SynthesisConfig,
     synthesise,
@@ -45,9 +44,6 @@ from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.lift import lift_path
 
-Rank = Callable[[list[Candidate]], list[Candidate]]
-"""Order in which motions to accepted candidates are searched; may leave out all but one."""
-
 SUCCESSIVE_HALVING = (6, 11)
 """Iterations of `sqp` after which the worse half of the seeds stops: seeds that cost three times as
 much as the best after six iterations do not catch up."""
@@ -55,11 +51,6 @@ much as the best after six iterations do not catch up."""
 MARGIN = 0.004
 """Distance to the object that plans keep where they can [m]: reconstructions err by a few
 millimetres on the unseen side, and arms lag behind their trajectory by as much."""
-
-PREFERRED_SLACK = 0.006
-"""Distance to the object [m] up to which a candidate's slack is exact, for any clearance. Among
-equally good grasps, those that keep this distance are rehearsed first, because the unseen side may
-be nearer than predicted."""
 
 QUICK_CHECKS = 1000
 """Configurations checked at most by a brief motion search, with the margin and without: most
@@ -158,8 +149,6 @@ class Planner:
         rng: np.random.Generator,
         pairs: np.random.Generator,
         search: SynthesisConfig,
-        stop: StopCondition | None = None,
-        near: BestGrasps | None = None,
     ) -> Synthesis:
         """All rounds of a search; `rng` draws the seeds, `pairs` antipodal grasps."""
         closing, quick = None, problems.quick
@@ -167,9 +156,8 @@ class Planner:
             least = self.config.clearances.environment
             closing = ClosingCheck(self.geometry, quick.object.field, quick.bodies, least)
         unsolved = antipodal_grasps(target, problems.exact, search.acceptance.success, pairs)
-        unsolved += nearby_grasps(near, target.score, self.inverse.chain)
         source = target.prior, self.inverse, self.solver, rng
-        return synthesise(problems, *source, search, stop, closing, unsolved)
+        return synthesise(problems, *source, search, closing, unsolved)
 
     def search(
         self,
@@ -178,9 +166,6 @@ class Planner:
         start: Array | None = None,
         seed: int = 0,
         search: SynthesisConfig | None = None,
-        rank: Rank | None = None,
-        stop: StopCondition | None = None,
-        near: BestGrasps | None = None,
     ) -> Outcome:
         """Configuration and motion, or the reason why there is none.
 
@@ -190,9 +175,6 @@ class Planner:
             start: [J], where the robot is; its home if None.
             seed: Equal seeds give equal plans.
             search: Effort and kind of the search; as configured if None.
-            rank: Applied to the accepted candidates before motions are looked for.
-            stop: As in `synthesise`.
-            near: Grasps beside which rounds after the first sample too.
 
         Raises:
             InputError: The start is no configuration within the joint limits.
@@ -210,13 +192,9 @@ class Planner:
         field_time = time.perf_counter() - began
         rng, pairs = np.random.default_rng(seed), np.random.default_rng((seed, PAIRS))
         asked = search or self.config.synthesis
-        found = self._synthesised(problems, target, rng, pairs, asked, stop, near)
+        found = self._synthesised(problems, target, rng, pairs, asked)
         timings = {"field": field_time, **found.timings}
         timings["configuration"] = time.perf_counter() - began
-        if rank is not None and (found.accepted or found.fallbacks):
-            began = time.perf_counter()
-            found = _ranked(found, rank)
-            timings["rank"] = time.perf_counter() - began
         began = time.perf_counter()
         field = problems.polish.object.field
         checker = PathChecker(
@@ -227,28 +205,27 @@ class Planner:
             bodies=problems.polish.bodies,
         )
         with one_thread():  # a few configurations at a time: nothing to share out
-            best, motion, found = self._with_motion(checker, found, start, seed, rank is not None)
+            best, motion, found = self._with_motion(checker, found, start, seed)
         timings["motion"] = time.perf_counter() - began
         return Outcome(problems.polish, self.inverse.chain, found, best, motion, timings)
 
     def _searches(
-        self, checker: PathChecker, best: list[Candidate], ranked: bool, first: int = 0
+        self, checker: PathChecker, best: list[Candidate], first: int = 0
     ) -> Iterator[tuple[int, PathChecker, MotionConfig]]:
         """Motion searches in turn: number of the candidate from `first` on, checker, effort.
 
         The best few get a brief search before any gets a thorough one: if the way to one is narrow,
         the next is hardly worse and often reached at once. The first brief search keeps the
         grasp's own distance to the object, at most the margin; the second keeps the clearance.
-        Ranked candidates differ more, so both searches of one precede those of the next.
         """
         thorough, least = self.config.motion, self.config.clearances.object
         brief = replace(thorough, attempts=1, checks=QUICK_CHECKS)
         slack = [candidate.object_slack for candidate in best]
         kept = [min(self.config.margin, least + each) - SOLVER_MARGIN for each in slack]
-        few = range(len(best[:BRIEFLY]))
-        once = [(first + k, checker.with_clearance(max(kept[k], least)), brief) for k in few]
-        again = [(first + k, checker, brief) for k in few if kept[k] > least]
-        yield from sorted(once + again, key=lambda each: each[0]) if ranked else once + again
+        for k in range(len(best[:BRIEFLY])):
+            yield first + k, checker.with_clearance(max(kept[k], least)), brief
+            if kept[k] > least:
+                yield first + k, checker, brief
         for k in range(len(best)):
             yield first + k, checker, thorough
 
@@ -258,7 +235,6 @@ class Planner:
         found: Synthesis,
         start: Array,
         seed: int,
-        ranked: bool = False,
     ) -> tuple[Candidate | None, Motion | None, Synthesis]:
         """Choose the first accepted candidate with a motion, or failing that, a fallback.
 
@@ -268,8 +244,8 @@ class Planner:
         failure = ""
         stuck: dict[int, Motion] = {}
         searches = chain(
-            self._searches(checker, found.accepted, ranked),
-            self._searches(checker, found.fallbacks, ranked, first=len(found.accepted)),
+            self._searches(checker, found.accepted),
+            self._searches(checker, found.fallbacks, first=len(found.accepted)),
         )
         for k, asked, effort in searches:
             if k in stuck:
@@ -337,14 +313,3 @@ def _with_warning(found: Synthesis, chosen: Candidate) -> Synthesis:
     """The result `found` without a reason, and with a warning if the plan is poor."""
     sentence = "" if not chosen.reason else warning(chosen, found.seeds_tried)
     return replace(found, best=chosen, reason="", sentence=sentence)
-
-
-def _ranked(found: Synthesis, rank: Rank) -> Synthesis:
-    """Apply `rank` to the accepted candidates; those it drops count as rejected. Without accepted
-    candidates it orders the fallbacks."""
-    if not found.accepted:
-        return replace(found, fallbacks=rank(list(found.fallbacks)))
-    kept = rank(list(found.accepted))
-    left = [c for c in found.accepted if not any(c is k for k in kept)]
-    dropped = [replace(c, reason="not_tried") for c in left]
-    return replace(found, best=kept[0], accepted=kept, rejected=found.rejected + dropped)

@@ -9,13 +9,9 @@ solution would fail for a low success probability.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate
-
-if TYPE_CHECKING:
-    from pointsdf_cli.simulation.rehearsal import Rehearsed
 
 REASONS = (
     "no_object",
@@ -135,13 +131,6 @@ def few_grasps(learned_from: int | None) -> list[str]:
         f"the success network learned from {learned_from} grasps only, fewer than {FEW_GRASPS}: "
         "its probabilities say little"
     ]
-
-
-def never_held(rehearsed: Rehearsed) -> list[str]:
-    """Warning if the chosen grasp held in none of its rehearsals; empty otherwise."""
-    if not rehearsed.tries or rehearsed.held:
-        return []
-    return ["the grasp held in no rehearsal in simulation: it is not likely to hold"]
 
 
 def warning(chosen: Candidate, seeds_tried: int) -> str:

@@ -74,7 +74,7 @@ class SeedConfig:
 
 
 MANY_SEEDS = SeedConfig(palms=40, seeds=12)
-"""For rehearsals, and for grasps to learn from: more in a round than in the paper."""
+"""For grasps to learn from: more in a round than in the paper."""
 
 
 @dataclass(frozen=True)

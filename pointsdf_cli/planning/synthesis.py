@@ -8,8 +8,8 @@ which is cheap because only points near the object evaluate it.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,13 @@ from pointsdf_cli.planning.acceptance import (
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.closing_check import ClosingCheck
 from pointsdf_cli.planning.grasp_problem import GraspProblem
+from pointsdf_cli.planning.likeliest import (
+    ENOUGH,
+    NEARBY,
+    likeliest_first,
+    probability_to_hold,
+)
+from pointsdf_cli.planning.nearby_grasps import NearbySampler
 from pointsdf_cli.planning.nonlinear import Solutions, Solver
 from pointsdf_cli.planning.reasons import SeedStatistics, is_hemmed_in, why_none
 from pointsdf_cli.planning.seeds import (
@@ -45,16 +52,17 @@ MARGINS = (1.0, 0.5, 0.0)
 FALLBACKS = 4
 """Number of fallbacks kept: if none of these has a motion, none of the rest will."""
 
+MOST_MOTIONS = 12
+"""Largest number of grasps for which motions are searched. The first few are often near each other,
+and without a motion for the same reason."""
+
 NEARER = 0.005
 """Difference of distances of closing fingers to obstacles [m] that decides between fallbacks."""
 
 STALLED = 0.8
 """Ratio of a round's best free cost to the best before, above which the round has gained little."""
-
-
-ENOUGH = 2
-"""Round (from 1) from which on any accepted grasp ends the search, or, without one, a round that
-gains little. The rounds before end it only with a good grasp."""
+LEAST_ROUNDS = 2
+"""Rounds after which a search without an accepted grasp ends if a round gains little."""
 POLISHED = 3
 """Largest number of solutions of a round that are solved again with the exact field."""
 POLISH_ITERATIONS = 12
@@ -83,10 +91,11 @@ class Synthesis:
     """Result of the search.
 
     Attributes:
-        best: The accepted candidate with the smallest objective; None if there is none.
-        accepted: All accepted candidates, best first: the best may have no motion.
+        best: The accepted candidate that is most likely to hold; None if there is none.
+        accepted: The accepted candidates that are most likely to hold, best first: the best may
+            have no motion.
         fallbacks: The best few free candidates that are unlikely to hold, used if none is accepted.
-        rejected: All candidates that were not accepted.
+        rejected: All other candidates.
         reason: Reason code if there is no plan; else empty.
         sentence: The reason in words.
         seeds_tried: Number of starts given to the solver.
@@ -101,10 +110,6 @@ class Synthesis:
     sentence: str
     seeds_tried: int
     timings: dict[str, float]
-
-
-StopCondition = Callable[[list[Candidate]], bool]
-"""Function from the candidates that a round has added to whether to stop the search."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +146,6 @@ def synthesise(
     solver: Solver,
     rng: np.random.Generator,
     config: SynthesisConfig | None = None,
-    stop: StopCondition | None = None,
     closing: ClosingCheck | None = None,
     unsolved: Sequence[UnsolvedGrasps] = (),
 ) -> Synthesis:
@@ -152,8 +156,6 @@ def synthesise(
         prior, kinematics, solver: Source of the seeds, and their solver.
         rng: Random generator of the seeds.
         config: Effort of the search.
-        stop: Stop condition, evaluated after every round that has added accepted candidates; by
-            default the configuration's.
         closing: Check of the closing motion; none if None.
         unsolved: Sources of grasps judged beside the solutions of each round.
     """
@@ -162,19 +164,19 @@ def synthesise(
     accepted: list[Candidate] = []
     rejected: list[Candidate] = []
     tried, statistics = 0, SeedStatistics()
-    least = whole.exact.clearances.object + SOLVER_MARGIN
+    clearance = whole.exact.clearances.object
     for turn in range(config.rounds):
         stop_if_cancelled()
         kind = config.kinds[turn % len(config.kinds)]
         start = time.perf_counter()
-        problems = whole.in_round(turn, least)
+        problems = whole.in_round(turn, clearance + SOLVER_MARGIN)
         seeds = draw_seeds(problems.quick, prior, kinematics, kind, rng, config.seeds)
         _lap(timings, "seeds", start)
         tried, statistics = tried + len(seeds.x), statistics + seeds.statistics
         stop_if_cancelled()
         candidates = _solved(problems, seeds, accepted, solver, config, timings)
         start = time.perf_counter()
-        for source in unsolved:
+        for source in [*unsolved, *_beside(accepted, whole.exact, kinematics)]:
             candidates += _judged(problems, source, kinematics, kind, rng, config)
         _lap(timings, "check", start)
         if closing is not None:
@@ -186,14 +188,12 @@ def synthesise(
         before = _best_fallback(rejected, config)
         rejected += [c for c in candidates if c.reason]
         after = _best_fallback(rejected, config)
-        if stop is not None:
-            if new and stop(new):
-                break
-        elif accepted and (turn + 1 >= ENOUGH or _any_good(accepted, config)):
+        if any(probability_to_hold(one, clearance) >= ENOUGH for one in new):
             break
-        if not accepted and turn + 1 >= ENOUGH and after > STALLED * before:
+        if not accepted and turn + 1 >= LEAST_ROUNDS and after > STALLED * before:
             break
-    return _outcome(accepted, rejected, tried, statistics, config, timings)
+    best_first = likeliest_first(accepted, clearance)
+    return _outcome(best_first, rejected, tried, statistics, config, timings)
 
 
 def _solved(
@@ -225,6 +225,16 @@ def _solved(
     best = min((c.objective for c in [*accepted, *candidates] if not c.reason), default=np.inf)
     _polish(problems, candidates, kinds, best, solver, config, timings)
     return candidates
+
+
+def _beside(
+    accepted: list[Candidate], problem: GraspProblem, kinematics: InverseKinematics
+) -> list[UnsolvedGrasps]:
+    """Source of grasps beside the accepted ones that are most likely to hold."""
+    if not accepted:
+        return []
+    best = likeliest_first(accepted, problem.clearances.object)[:NEARBY]
+    return [UnsolvedGrasps(NearbySampler(best, kinematics.chain), problem.objective.score)]
 
 
 def _judged(
@@ -282,8 +292,7 @@ def _outcome(
     config: SynthesisConfig,
     timings: dict[str, float],
 ) -> Synthesis:
-    """Candidates of all rounds in order, with the reason where none was accepted."""
-    accepted = sorted(accepted, key=lambda c: (c.objective, -c.success))
+    """Candidates of all rounds, best first, with the reason where none was accepted."""
     reason = sentence = ""
     if not accepted:
         reason, sentence = why_none(statistics, rejected, tried, config.acceptance)
@@ -292,20 +301,17 @@ def _outcome(
     fallbacks.sort(key=lambda c: (np.ceil(max(-c.closing_slack, 0.0) / NEARER), c.objective))
     if is_hemmed_in(statistics):  # what is free there stands beside the object
         fallbacks = []
+    left = [replace(c, reason="not_tried") for c in accepted[MOST_MOTIONS:]]
     return Synthesis(
         best=accepted[0] if accepted else None,
-        accepted=accepted,
-        rejected=rejected,
+        accepted=accepted[:MOST_MOTIONS],
+        rejected=rejected + left,
         fallbacks=fallbacks[:FALLBACKS],
         reason=reason,
         sentence=sentence,
         seeds_tried=tried,
         timings=timings,
     )
-
-
-def _any_good(candidates: list[Candidate], config: SynthesisConfig) -> bool:
-    return any(c.success > config.acceptance.success for c in candidates)
 
 
 def _best_fallback(candidates: list[Candidate], config: SynthesisConfig) -> float:

@@ -184,20 +184,6 @@ def _near(shape: ObjectField) -> ObjectField:
     return replace(shape, field=NearField(shape.field, shape.low, shape.high))
 
 
-def completed_field(reconstructions: Sequence[Reconstruction]) -> Field:
-    """The field of `reconstructed_object` without the grid; `NoField` if nothing is solid.
-
-    Args:
-        reconstructions: Reconstructions, one for each view.
-    """
-    field = _mean_field(reconstructions)
-    try:
-        low, high = surface_box(field, *_network_box(reconstructions))
-    except InputError:
-        return NoField()
-    return NearField(field, low - BOX_MARGIN, high + BOX_MARGIN)
-
-
 def _network_box(reconstructions: Sequence[Reconstruction]) -> tuple[Array, Array, float]:
     """Search box of the networks' surface, corners [3] and [3] in m, and its cell size [m]."""
     # The network was trained in a box of ±0.6 (`sdf_sampling.py`), its meshes reach to ±0.8.

@@ -102,7 +102,6 @@ class PlanBody(SceneBody):
     clearance: float | None = None
     margin: float = 0.004
     speed: float = 0.5
-    rehearse: int = Field(0, le=100)
     min_success: float | None = None
     ignore_others: bool = False
     obstacles: str = Field("reconstruction", description="Other objects: reconstruction or hull")

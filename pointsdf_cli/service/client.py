@@ -19,7 +19,7 @@ from pointsdf_cli.service.results import obstacle_tree, result_of
 
 NPZ = "application/x-npz"
 LONGEST = 600.0
-"""Seconds to wait for an answer: a plan takes about one, rehearsals in a full queue minutes."""
+"""Seconds to wait for an answer: a plan takes about one, in a full queue minutes."""
 
 
 def plan_at(url: str, request: PlanRequest, files: PlannerFiles) -> PlanResult:

@@ -175,11 +175,7 @@ class Resident:
                 motion=MotionConfig(speed=choices.speed),
             ),
         )
-        if not choices.rehearse:
-            return GraspPlanner(options)
-        from pointsdf_cli.planning.rehearsed import rehearsed_planner
-
-        return rehearsed_planner(options, count=choices.rehearse)
+        return GraspPlanner(options)
 
 
 @lru_cache(maxsize=1)

@@ -55,7 +55,6 @@ class ExecutorConfig:
     Attributes:
         closing_effort: Fraction of a joint's effort while it closes.
         grip_effort: Fraction of a joint's effort while it holds.
-        longest_settling: Largest time to wait for a moving object to rest in the hand or fall [s].
         shake: Amplitude of a lateral shake after the lift [m/s²]; 0 for none.
         hold: Time that a lifted object is then held [s]; 0 for none.
         push: Force on a held object's centre of mass [N], in each direction of `PUSHES` in turn; 0
@@ -64,7 +63,6 @@ class ExecutorConfig:
 
     closing_effort: float = 0.3
     grip_effort: float = 1.0
-    longest_settling: float = 2.0
     shake: float = 0.0
     hold: float = 0.0
     push: float = 0.0
@@ -77,11 +75,9 @@ class ExecutorConfig:
         if not 0 <= self.push <= 1000:
             raise InputError(f"{self.push:g} N", where="--push", allowed="0 to 1000 N")
 
-    def without_hold_and_push(self) -> ExecutorConfig:
-        """Settings without hold and pushes; a shake stays."""
-        return replace(self, hold=0.0, push=0.0)
 
-
+LONGEST_SETTLING = 2.0
+"""Largest time to wait for a moving object to rest in the hand or fall [s]."""
 LOOK = 1 / 60
 """Interval [s] of checks of the object: speed, whether it is left behind or lost."""
 STEADY_SPEED = 0.03
@@ -264,10 +260,10 @@ class Executor:
 
     def _settle(self) -> None:
         """Hold still until the object rests in the hand or has left it."""
-        world, config = self._world, self._config
+        world = self._world
         began = world.time
         self._wait(SETTLE_TIME, "settle")
-        while world.time - began < config.longest_settling:
+        while world.time - began < LONGEST_SETTLING:
             if self._at_rest() or not world.robot_contact().links:
                 return
             self._wait(0.1, "settle")

@@ -15,7 +15,7 @@ from pointsdf_cli.geometry.stable_poses import StablePose, stable_poses
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.simulation.decomposition import Pieces, convex_pieces
 from pointsdf_cli.simulation.mass import mass_of
-from pointsdf_cli.simulation.quick_pieces import QuickCutConfig, quick_pieces
+from pointsdf_cli.simulation.quick_pieces import quick_pieces
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,13 @@ class SimObject:
     poses: list[StablePose]
 
 
-def prepare_object(
-    mesh: LoadedMesh, cache: Path | None = None, cut: QuickCutConfig | None = None
-) -> SimObject:
+def prepare_object(mesh: LoadedMesh, cache: Path | None = None, fine: bool = False) -> SimObject:
     """Prepare a mesh for simulation.
 
     Args:
         mesh: A closed mesh.
         cache: Cache folder of CoACD's pieces; see `convex_pieces`.
-        cut: Settings of `quick_pieces`, which then replaces CoACD.
+        fine: Cut by `quick_pieces`, finer than CoACD's sixteen pieces.
 
     Raises:
         InputError: It encloses no volume or has no resting pose.
@@ -69,10 +67,10 @@ def prepare_object(
         poses = stable_poses(mesh.vertices, centre)
     except InputError as error:
         raise InputError.of(error, mesh.name) from error
-    if cut is None:
+    if not fine:
         pieces = convex_pieces(mesh, cache=cache)
     else:
-        pieces = quick_pieces(mesh.vertices, mesh.faces, cut)
+        pieces = quick_pieces(mesh.vertices, mesh.faces)
     # Bounded below: contact solvers fail at moments near 0, as flat objects have about one axis.
     moments = np.maximum(moments, 1e-6)
     body = [((corners - centre) @ axes, faces) for corners, faces in pieces]

@@ -34,7 +34,7 @@ def make_tasks(
             written.
     """
     for variant in dict.fromkeys(trial.variant for trial in trials):
-        check_variant(variant, config.variants)
+        check_variant(variant, config.planning)
     folder = require_folder(require_folder(out) / "trials")
     filmed = {round(i * len(trials) / films) for i in range(films)}
     tasks = {
@@ -47,7 +47,7 @@ def make_tasks(
         )
         for i, one in enumerate(trials)
     }
-    used = config.variants.plan
+    used = config.planning
     require_apart(
         [*(task.out for task in tasks.values()), out / "trials.h5"],
         [*{t.object.mesh for t in trials}, used.checkpoint, used.grasp_checkpoint, used.robot],
@@ -131,7 +131,7 @@ def _failures(tasks: Sequence[TrialTask], most: int) -> list[tuple[str, bytes]]:
     robot = None
     strips = []
     for _, task, row, evidence in failed[:most]:
-        robot = robot or RobotMeshes(load_robot(task.config.variants.plan.robot), sections=20)
+        robot = robot or RobotMeshes(load_robot(task.config.planning.robot), sections=20)
         mesh, *others = (object_mesh(o) for o in (task.trial.object, *task.trial.others))
         strip = trial_strip(robot, mesh, evidence, others)
         strips.append((caption(row), png_bytes(strip)))

@@ -86,8 +86,6 @@ def caption(row: TrialRow) -> str:
     facts = [f"{end}, rose {100 * row.final_height:.1f} cm", f"{row.kind} grasp"]
     if np.isfinite(row.success_probability):
         facts.append(f"predicted {row.success_probability:.2f}")
-    if np.isfinite(row.rehearsed):
-        facts.append(f"held in {row.rehearsed:.0%} of rehearsals")
     if row.clutter:
         facts.append(f"{row.clutter} others, moved up to {1000 * row.largest_move:.0f} mm")
     if row.contact:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -29,38 +29,25 @@ from pointsdf_cli.planning.grasp_planner import (
     GraspPlanner,
     PlanOptions,
 )
-from pointsdf_cli.planning.partial_view import partial_mesh
-from pointsdf_cli.planning.rehearsed import believed_surface, rehearsed_planner
 from pointsdf_cli.planning.seen_obstacles import seen_obstacles
 from pointsdf_cli.planning.success_model import ObjectGrasps, SuccessModel
 from pointsdf_cli.planning.table_top import TableTop
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.trials import protocol
 from pointsdf_cli.trials.protocol import PlannerVariant
 
 
-@dataclass(frozen=True)
-class VariantOptions:
-    """Options shared by all variants.
-
-    Attributes:
-        plan: Planning options; networks are those of the method "reconstruction".
-        rehearse: Number of grasps of the first round to rehearse; 0 for none.
-    """
-
-    plan: PlanOptions = field(default_factory=PlanOptions)
-    rehearse: int = 12
-
-
-def plan_options(variant: PlannerVariant, options: VariantOptions) -> PlanOptions:
+def plan_options(variant: PlannerVariant, plan: PlanOptions) -> PlanOptions:
     """Planning options of a variant.
+
+    Args:
+        variant: The variant.
+        plan: Options shared by all variants; networks are those of the method "reconstruction".
 
     Raises:
         InputError: An option is invalid.
     """
-    plan = options.plan
     checkpoint = plan.checkpoint
     if variant.ablation.startswith(protocol.CHECKPOINT):
         checkpoint = Path(variant.ablation.removeprefix(protocol.CHECKPOINT))
@@ -77,10 +64,10 @@ def plan_options(variant: PlannerVariant, options: VariantOptions) -> PlanOption
 
 
 @functools.cache
-def weights_of(variant: PlannerVariant, options: VariantOptions) -> str:
+def weights_of(variant: PlannerVariant, plan: PlanOptions) -> str:
     """Checksum of all checkpoints that affect a trial."""
     total = hashlib.sha256()
-    asked = plan_options(variant, options)
+    asked = plan_options(variant, plan)
     folders = [asked.checkpoint, asked.grasp_checkpoint, *sorted(asset_path("weights").iterdir())]
     for folder in folders:
         files = [] if folder is None else [folder / WEIGHTS, folder / CONFIG]
@@ -90,23 +77,17 @@ def weights_of(variant: PlannerVariant, options: VariantOptions) -> str:
     return total.hexdigest()[:16]
 
 
-def check_variant(variant: PlannerVariant, options: VariantOptions) -> None:
+def check_variant(variant: PlannerVariant, plan: PlanOptions) -> None:
     """Refuse unusable variants before the first trial.
 
     Raises:
         InputError: A checkpoint cannot be read.
     """
-    asked = plan_options(variant, options)
+    asked = plan_options(variant, plan)
     if asked.checkpoint is not None:
         read_checkpoint(asked.checkpoint)
     if asked.grasp_checkpoint is not None or asked.robot is not None:
         read_grasp_checkpoint(asked.grasp_checkpoint, None, load_robot(asked.robot))
-
-
-def rehearsals_of(variant: PlannerVariant, options: VariantOptions) -> int:
-    """Number of grasps of the first round that a variant rehearses."""
-    reconstructs = variant.method == protocol.RECONSTRUCTION
-    return options.rehearse if reconstructs and variant.ablation != protocol.NO_REHEARSAL else 0
 
 
 class TrialPlanner:
@@ -114,30 +95,18 @@ class TrialPlanner:
 
     Args:
         variant: The variant.
-        options: Options shared by all variants.
-        execution: Execution of its grasps, for rehearsals.
+        plan: Options shared by all variants.
     """
 
-    def __init__(
-        self,
-        variant: PlannerVariant,
-        options: VariantOptions,
-        execution: ExecutorConfig | None = None,
-    ) -> None:
+    def __init__(self, variant: PlannerVariant, plan: PlanOptions) -> None:
         self.variant = variant
         grasps: SuccessModel | None = None
         if variant.ablation == protocol.NO_SUCCESS:
-            plan = options.plan
             robot = load_robot(plan.robot)
             grasps = ConstantSuccess(
                 load_grasp_model(plan.grasp_checkpoint, None, plan.device, robot)
             )
-        asked = plan_options(variant, options)
-        count = rehearsals_of(variant, options)
-        if count:
-            self._planner = rehearsed_planner(asked, grasps, count, execution)
-        else:
-            self._planner = GraspPlanner(asked, grasps)
+        self._planner = GraspPlanner(plan_options(variant, plan), grasps)
 
     def plan(
         self,
@@ -155,19 +124,17 @@ class TrialPlanner:
             environment: Result of `surroundings`; the table alone if None.
         """
         field: Field | Literal["none"] | None = None
-        surface: Surface | None = None
         if self.variant.ablation == protocol.NO_CONSTRAINT:
             field = "none"
         elif self.variant.ablation == protocol.ORACLE:
-            surface = truth()
-            field = MeshField(*surface)
+            field = MeshField(*truth())
         planner = self._planner
         view = replace(view, evidence=_remaining(view.evidence, self.variant.ablation))
         try:
             perceived = planner.see([view], seed, field)
         except EmptyFieldError as error:
             return planner.nothing(error.what)
-        return planner.plan_seen(perceived, environment, seed=seed, surface=surface)
+        return planner.plan_seen(perceived, environment, seed=seed)
 
     def surroundings(self, seen: TableTop, seed: int) -> Environment:
         """The table and the other observed objects: reconstructions, or hulls for a variant without
@@ -175,18 +142,6 @@ class TrialPlanner:
         cleaned = self.variant.ablation != protocol.NO_CLEANING
         found, _ = seen_obstacles(seen, self._planner.shape, seed=seed, cleaned=cleaned)
         return Environment(found)
-
-    def believed(self, answer: Answer, points: Array) -> Surface | None:
-        """Surface of the object in the variant's model, for pictures; points [N, 3] in the
-        world."""
-        if answer.surface is not None:
-            return answer.surface
-        if self.variant.method == protocol.PARTIAL_VIEW:
-            return partial_mesh(points)
-        reconstruction = answer.reconstruction
-        if reconstruction is None:
-            return None
-        return believed_surface(reconstruction)
 
 
 def _remaining(evidence: ViewEvidence | None, ablation: str) -> ViewEvidence | None:

@@ -90,13 +90,12 @@ class PlannerVariant:
 
 
 ORACLE, NO_CONSTRAINT, NO_SUCCESS = "oracle", "no-object-constraint", "no-success-network"
-NO_REHEARSAL, NO_CLEANING = "no-rehearsal", "no-cleaning"
+NO_CLEANING = "no-cleaning"
 NO_FREE_SPACE, NO_SUPPORT_PLANE = "no-free-space", "no-support-plane"
 ABLATIONS = (
     ORACLE,
     NO_CONSTRAINT,
     NO_SUCCESS,
-    NO_REHEARSAL,
     NO_CLEANING,
     NO_FREE_SPACE,
     NO_SUPPORT_PLANE,

@@ -25,12 +25,13 @@ from pointsdf_cli.io.trials import (
     read_trial,
     write_trial,
 )
-from pointsdf_cli.planning.answer import Answer
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
+from pointsdf_cli.planning.grasp_planner import PlanOptions
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
+from pointsdf_cli.planning.target import surface_of
 from pointsdf_cli.robot.description import load_robot, robot_digest
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.simulation.executor import ExecutorConfig
@@ -50,8 +51,6 @@ from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
 from pointsdf_cli.trials.pictures import write_film
 from pointsdf_cli.trials.planner_variants import (
     TrialPlanner,
-    VariantOptions,
-    rehearsals_of,
     weights_of,
 )
 from pointsdf_cli.trials.protocol import NO_CLEANING, PlannerVariant, Trial, TrialObject
@@ -71,11 +70,11 @@ class TrialConfig:
     """Settings of all trials of an experiment.
 
     Attributes:
-        variants, physics, execution: Settings of planners, simulation and execution.
+        planning, physics, execution: Settings of all planners, simulation and execution.
         sensor: Name of the depth sensor in `SENSORS`.
     """
 
-    variants: VariantOptions = field(default_factory=VariantOptions)
+    planning: PlanOptions = field(default_factory=PlanOptions)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     execution: ExecutorConfig = field(default_factory=ExecutorConfig)
     sensor: str = "ideal"
@@ -86,7 +85,7 @@ class TrialConfig:
     def as_dict(self) -> dict[str, Any]:
         """Settings for `config_json`; defaults that earlier versions lacked are omitted."""
         plain: dict[str, Any] = without_ideal(asdict(self))
-        options = plain["variants"]["plan"]
+        options = plain["planning"]
         for name in ("robot", "checkpoint", "grasp_checkpoint"):
             options[name] = None if options[name] is None else str(options[name])
         return plain
@@ -120,7 +119,7 @@ class TrialRunner:
 
     def __init__(self, config: TrialConfig) -> None:
         self.config = config
-        self.robot = load_robot(config.variants.plan.robot)
+        self.robot = load_robot(config.planning.robot)
         self._world = World(self.robot, config.physics)
         self._kinematics = Kinematics(self.robot)
         self._geometry = RobotGeometry(self._kinematics)
@@ -170,14 +169,14 @@ class TrialRunner:
                 others,
                 plan.lift,
             )
-        row = self._row(trial, yaw, plan, answer, executed, spent, truth)
+        row = self._row(trial, yaw, plan, executed, spent, truth)
         if others:
             ends = [] if executed is None else [one.pose() for one in self._world.others]
             row = with_others(row, others, ends)
         world_cloud = view.in_world
         believed = None
         if answer is not None and answer.target is not None:
-            believed = planner.believed(answer, world_cloud)
+            believed = surface_of(answer.target)
         evidence = evidence_of(
             world_cloud,
             T_world_camera,
@@ -206,9 +205,7 @@ class TrialRunner:
 
     def _planner(self, variant: PlannerVariant) -> TrialPlanner:
         if variant not in self._planners:
-            self._planners[variant] = TrialPlanner(
-                variant, self.config.variants, self.config.execution
-            )
+            self._planners[variant] = TrialPlanner(variant, self.config.planning)
         return self._planners[variant]
 
     def _row(
@@ -216,7 +213,6 @@ class TrialRunner:
         trial: Trial,
         yaw: float,
         plan: Plan | None,
-        answer: Answer | None,
         executed: Executed | None,
         spent: tuple[float, float],
         truth: Surface,
@@ -225,9 +221,6 @@ class TrialRunner:
         cause = NO_PLAN
         if executed is not None:
             cause = NO_LIFT if outcome is None else outcome.cause
-        rehearsed = float("nan")
-        if answer is not None and answer.rehearsed and answer.rehearsed.tries:
-            rehearsed = answer.rehearsed.share
         planned = plan is not None and plan.status == OK
         pushed = self.config.execution.push > 0
         return TrialRow(
@@ -245,7 +238,6 @@ class TrialRunner:
             planning_time=spent[0],
             planning_cpu=spent[1],
             success_probability=float("nan") if plan is None else plan.success_probability,
-            rehearsed=rehearsed,
             contact=executed is not None and bool(executed.contact),
             moved=0.0 if executed is None else executed.moved,
             penetration=self.penetration(plan.q, truth) if plan is not None and planned else 0.0,
@@ -298,15 +290,14 @@ def _options_of(task: TrialTask) -> dict[str, Any]:
     """All settings that determine a trial's outcome."""
     trial = task.trial
     config = task.config.as_dict() | {"seed": trial.seed, "yaws": trial.yaws, "trial": trial.name}
-    config["weights"] = weights_of(trial.variant, task.config.variants)
-    config["rehearsals"] = rehearsals_of(trial.variant, task.config.variants)
+    config["weights"] = weights_of(trial.variant, task.config.planning)
     config["mesh"] = "" if trial.object.mesh is None else file_sha256(trial.object.mesh)
     config |= {} if trial.object.unit == "m" else {"unit": trial.object.unit}
     if trial.others:
         config["others"] = {
             one.name: "" if one.mesh is None else file_sha256(one.mesh) for one in trial.others
         }
-    config["variants"]["plan"]["robot"] = robot_digest(task.config.variants.plan.robot)
+    config["planning"]["robot"] = robot_digest(task.config.planning.robot)
     return config
 
 

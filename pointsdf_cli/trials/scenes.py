@@ -19,7 +19,6 @@ from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
 from pointsdf_cli.objects.stand_ins import make_stand_in
 from pointsdf_cli.simulation.feet import on_its_foot
 from pointsdf_cli.simulation.places import placed
-from pointsdf_cli.simulation.quick_pieces import QuickCutConfig
 from pointsdf_cli.simulation.settle import settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.world import World
@@ -29,20 +28,6 @@ from pointsdf_cli.viz.shading import look_at
 POSE_TRIES = 12
 NEARLY_UPRIGHT = 0.09
 """Largest tilt [rad] of the model's z axis in an upright resting pose."""
-TRUE_CUT = QuickCutConfig(
-    most_pieces=64,
-    close_enough=0.03,
-    worth=0.005,
-    places=(0.5, 0.25, 0.75, 0.125, 0.875),
-    most_corners=64,
-    most_faces=3000,
-)
-"""Decomposition of the true object for contacts: nine tenths of the hulls' surface are less than 2
-mm outside the mesh. With the sixteen pieces of the collection a biplane's wings are one block
-(docs/notebook.md). Shapes that are convex apart from scanner noise stay one piece: cut in twenty, a
-can slid out of every grasp, since each seam adds two contacts for a solver of few iterations."""
-
-
 PLACE = (0.60, 0.0)
 """Mean position of the object [m]."""
 PLACE_SPREAD = 0.02
@@ -66,7 +51,7 @@ def load_object(item: TrialObject) -> SimObject:
     Raises:
         InputError: Its mesh cannot be used.
     """
-    return prepare_object(object_mesh(item), cut=TRUE_CUT)
+    return prepare_object(object_mesh(item), fine=True)
 
 
 def object_mesh(item: TrialObject) -> LoadedMesh:
