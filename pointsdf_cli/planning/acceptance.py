@@ -22,7 +22,7 @@ class AcceptanceConfig:
 
     Attributes:
         success: Success probability of a good grasp: with one, `--target any` tries no further
-            object. It also ends a search without a stop condition.
+            object.
         least: Least success probability of an accepted grasp.
         objective: Largest objective of an accepted grasp.
         floor: Least success probability of a fallback, a collision-free grasp that is not accepted.
