@@ -71,10 +71,10 @@ def test_the_oracle_plans_clear_of_the_truth_and_says_what_it_saw(
     assert camera[0] > stands[0, 3] + 0.8
     radial = np.linalg.norm(evidence.cloud[:, :2] - stands[:2, 3], axis=1)
     assert np.percentile(np.abs(radial - 0.03), 70) < 0.006
-    # It believed in the truth.
+    # It believed in the truth, drawn from a grid.
     true = apply_transform(stands, trimesh.creation.cylinder(0.03, 0.15).vertices)
     np.testing.assert_allclose(
-        np.sort(evidence.vertices.max(axis=0)), np.sort(true.max(axis=0)), atol=1e-4
+        np.sort(evidence.vertices.max(axis=0)), np.sort(true.max(axis=0)), atol=2e-3
     )
     assert len(evidence.q) == len(evidence.T_world_object) == len(evidence.phases)
     robot = load_robot()
