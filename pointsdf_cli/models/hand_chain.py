@@ -33,14 +33,12 @@ class HandChain:
     """
 
     def __init__(self, robot: RobotDescription, wanted: Collection[str]) -> None:
-        parent = {joint.child: joint.parent for joint in robot.tree.joints}
-        kept = {robot.palm_link}
-        for link in wanted:
-            while link in robot.hand_links and link not in kept:
-                kept.add(link)
-                link = parent[link]
-        self.links = tuple(link for link in robot.hand_links if link in kept)
-        joints = [joint for joint in robot.tree.joints if joint.child in kept - {self.links[0]}]
+        self.links = tuple(
+            link
+            for link in robot.hand_links
+            if link == robot.palm_link or not {*wanted}.isdisjoint(robot.tree.carried([link]))
+        )
+        joints = [robot.tree.above[link] for link in self.links[1:]]
         columns = {name: i for i, name in enumerate(robot.hand_joints)}
 
         def constant(arrays: list[np.ndarray]) -> Tensor:
@@ -108,21 +106,13 @@ class HandChain:
         )
 
     def _describe_joints(self, robot: RobotDescription) -> None:
-        by_name = {joint.name: joint for joint in robot.tree.joints}
-        joints = [by_name[name] for name in robot.hand_joints]
-        parent = {joint.child: joint.parent for joint in robot.tree.joints}
-
-        def above(link: str) -> list[str]:
-            return [link, *above(parent[link])] if link in parent else [link]
-
+        joints = robot.joints[len(robot.arm_joints) :]
         number = {link: k for k, link in enumerate(self.links)}
         self.moved_link = torch.tensor([number.get(joint.child, 0) for joint in joints])
         self.axes = torch.tensor(np.array([joint.axis for joint in joints]), dtype=torch.float32)
-        self.slides = torch.tensor([joint.kind == "prismatic" for joint in joints])
-        chains = [above(link) for link in self.links]
-        self.below = torch.tensor(
-            [[float(joint.child in chain) for chain in chains] for joint in joints]
-        )
+        self.slides = torch.tensor(robot.slides[len(robot.arm_joints) :])
+        moved = [robot.tree.carried([joint.child]) for joint in joints]
+        self.below = torch.tensor([[float(link in one) for link in self.links] for one in moved])
 
 
 def _cross(axis: np.ndarray) -> np.ndarray:

@@ -21,7 +21,6 @@ from pointsdf_cli.planning.bodies import BodyDistances
 from pointsdf_cli.planning.contacts import WORLD, link_poses
 from pointsdf_cli.planning.object_distance import ObjectDistances
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
-from pointsdf_cli.robot.closing import beyond
 from pointsdf_cli.robot.description import RobotDescription
 
 STEPS = 20
@@ -47,7 +46,8 @@ class ClosingCheck:
         robot = self._robot = kinematics.robot
         self._object, self._bodies = ObjectDistances(geometry, field), bodies
         self._clearance = clearance
-        moved = [{kinematics.index(x) for x in beyond(robot, j)} for j in robot.closing_joints]
+        beyond = [robot.tree.beyond([joint]) for joint in robot.closing_joints]
+        moved = [set(map(kinematics.index, links)) for links in beyond]
         links = sorted(set().union(*moved))
         self._patches = np.flatnonzero(np.isin(self._object.link, links))
         # [P, C], the closing joints that a touching patch stops.

@@ -76,21 +76,14 @@ class ContactJacobian:
 
     def __init__(self, kinematics: Kinematics) -> None:
         tree, robot = kinematics.robot.tree, kinematics.robot
-        by_name = {joint.name: joint for joint in tree.joints}
-        joints = [by_name[name] for name in robot.joint_names]
-        self._child = np.array([kinematics.index(joint.child) for joint in joints])
-        self._axis = np.array([joint.axis for joint in joints])
-        self._slides = np.array([joint.kind == "prismatic" for joint in joints])
+        self._child = np.array([kinematics.index(joint.child) for joint in robot.joints])
+        self._axis = np.array([joint.axis for joint in robot.joints])
+        self._slides = robot.slides
         # moved[l, j]: joint j moves link l. The last row, index WORLD, is moved by none.
-        self.moved = np.zeros((len(tree.links) + 1, len(joints)), dtype=bool)
-        parent = {joint.child: joint for joint in tree.joints}
-        columns = {name: j for j, name in enumerate(robot.joint_names)}
-        for link in tree.links:
-            at = link
-            while at in parent:
-                if parent[at].name in columns:
-                    self.moved[kinematics.index(link), columns[parent[at].name]] = True
-                at = parent[at].parent
+        self.moved = np.zeros((len(tree.links) + 1, len(robot.joints)), dtype=bool)
+        for column, joint in enumerate(robot.joints):
+            for link in tree.carried([joint.child]):
+                self.moved[kinematics.index(link), column] = True
 
     def __call__(self, poses: Poses, contacts: Contacts, chosen: Indices) -> Array:
         """∂d/∂q [B, K, J] of the contacts `chosen` [B, K] (columns of `contacts`)."""

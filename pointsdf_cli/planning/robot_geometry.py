@@ -105,22 +105,18 @@ def link_reach(kinematics: Kinematics) -> Array:
     robot = kinematics.robot
     tree = robot.tree
     columns = {name: j for j, name in enumerate(robot.joint_names)}
-    parent = {joint.child: joint for joint in tree.joints}
     reach = np.zeros((len(tree.links) + 1, len(columns)))
     for link, shapes in tree.shapes.items():
         if not shapes:
             continue
         low, high = bounding_box(shapes)
         farthest = float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))))
-        at = link
-        while at in parent:
-            joint = parent[at]
+        for joint in tree.way_up(link):
             if joint.name in columns:
                 slides = joint.kind == "prismatic"
                 reach[kinematics.index(link), columns[joint.name]] = 1.0 if slides else farthest
                 farthest += max(abs(joint.lower), abs(joint.upper)) if slides else 0.0
             farthest += float(np.linalg.norm(joint.T_parent_joint[:3, 3]))
-            at = joint.parent
     return reach
 
 

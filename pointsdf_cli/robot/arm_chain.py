@@ -15,7 +15,6 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import rotation_vector
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.robot.urdf import Joint
 
 CHUNK = 1024
 """Configurations per batch: small enough for intermediate arrays to stay in the processor's
@@ -122,12 +121,7 @@ class _MovingJoint:
 
 def _moving_joints(robot: RobotDescription) -> tuple[list[_MovingJoint], Array]:
     """The arm's joints from the base on, and the palm [4, 4] behind the last of them."""
-    by_child = {joint.child: joint for joint in robot.tree.joints}
-    chain: list[Joint] = []
-    link = robot.palm_link
-    while link in by_child:
-        chain.append(by_child[link])
-        link = by_child[link].parent
+    chain = robot.tree.way_up(robot.palm_link)
     unused = set(robot.arm_joints) - {joint.name for joint in chain}
     if unused:
         raise InputError(

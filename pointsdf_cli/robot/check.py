@@ -145,12 +145,8 @@ def _left_home(robot: RobotDescription) -> list[Finding]:
 
 def _carried(robot: RobotDescription) -> bool:
     """Whether every arm joint lies on the way from the root to the palm."""
-    above = {joint.child: joint for joint in robot.tree.joints}
-    at, way = robot.palm_link, set()
-    while at in above:
-        way.add(above[at].name)
-        at = above[at].parent
-    return set(robot.arm_joints) <= way
+    way = robot.tree.way_up(robot.palm_link)
+    return set(robot.arm_joints) <= {joint.name for joint in way}
 
 
 def _self_collisions(

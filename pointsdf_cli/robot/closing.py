@@ -74,7 +74,7 @@ def closing_of(robot: RobotDescription, steps: int = 25) -> Closing:
     for joint, column, end in zip(robot.closing_joints, robot.closing_columns, ends, strict=True):
         alone = np.repeat(start[None], steps, axis=0)
         alone[:, column] = (1 - share[:, 0]) * start[column] + share[:, 0] * end
-        moved = [k for k, tip in enumerate(tips) if tip in beyond(robot, joint)]
+        moved = [k for k, tip in enumerate(tips) if tip in robot.tree.beyond([joint])]
         away = to_palm_axis(robot, in_palm(alone)[:, moved])
         nearer[joint] = float((away[0] - away.min(axis=0)).max()) if moved else 0.0
     return Closing(q, tips, in_palm(q), nearer)
@@ -82,24 +82,11 @@ def closing_of(robot: RobotDescription, steps: int = 25) -> Closing:
 
 def fingertips(robot: RobotDescription) -> tuple[str, ...]:
     """Links beyond a hand joint, with a shape, beyond which there is no other such link."""
-    shaped = [link for joint in robot.hand_joints for link in beyond(robot, joint)]
-    shaped = [link for link in dict.fromkeys(shaped) if robot.tree.shapes[link]]
-    parents = {joint.child: joint.parent for joint in robot.tree.joints}
-    inner = set()
-    for link in shaped:
-        while link in parents:
-            link = parents[link]
-            inner.add(link)
+    tree = robot.tree
+    moved = dict.fromkeys(link for joint in robot.hand_joints for link in tree.beyond([joint]))
+    shaped = [link for link in moved if tree.shapes[link]]
+    inner = {joint.parent for link in shaped for joint in tree.way_up(link)}
     return tuple(link for link in shaped if link not in inner)
-
-
-def beyond(robot: RobotDescription, joint: str) -> tuple[str, ...]:
-    """The links that a joint moves."""
-    moved: set[str] = set()
-    for other in robot.tree.joints:  # from the root outwards
-        if other.name == joint or other.parent in moved:
-            moved.add(other.child)
-    return tuple(link for link in robot.tree.links if link in moved)
 
 
 def to_palm_axis(robot: RobotDescription, points: Array) -> Array:

@@ -78,6 +78,17 @@ class RobotDescription:
         """The order of q."""
         return self.arm_joints + self.hand_joints
 
+    @cached_property
+    def joints(self) -> tuple[Joint, ...]:
+        """The joints in the order of q."""
+        by_name = {joint.name: joint for joint in self.tree.joints}
+        return tuple(by_name[name] for name in self.joint_names)
+
+    @cached_property
+    def slides(self) -> NDArray[np.bool_]:
+        """bool [J], prismatic joints."""
+        return np.array([joint.kind == "prismatic" for joint in self.joints])
+
     @property
     def arm(self) -> slice:
         """The arm's part of q."""
@@ -111,11 +122,7 @@ class RobotDescription:
     @cached_property
     def hand_links(self) -> tuple[str, ...]:
         """Hand links: the palm's link, all links fixed to it and all links beyond."""
-        inside = {self.palm_link}
-        for joint in self.tree.joints:
-            if joint.parent in inside:
-                inside.add(joint.child)
-        return tuple(link for link in self.tree.links if link in inside)
+        return self.tree.carried([self.palm_link])
 
     @cached_property
     def checked_pairs(self) -> tuple[tuple[str, str], ...]:
@@ -267,7 +274,7 @@ def _palm(keys: RobotKeys, tree: Tree, hand: tuple[str, ...]) -> tuple[str, Arra
     palm = keys.data["palm"]
     if not isinstance(palm, Mapping) or palm.get("link") not in tree.links:
         raise keys.wrong("palm", "has no such `link`", ", ".join(tree.links))
-    if not {link for link in tree.links if tree.shapes[link]} & tree.beyond(hand):
+    if not any(tree.shapes[link] for link in tree.beyond(hand)):
         raise keys.wrong(
             "hand_joints",
             "move no link with a <collision> shape",
@@ -276,9 +283,8 @@ def _palm(keys: RobotKeys, tree: Tree, hand: tuple[str, ...]) -> tuple[str, Arra
     link, T_link_palm = _carrier(
         tree, hand, str(palm["link"]), keys.pose("palm", palm, ("link", "reach"))
     )
-    above = tree.way_up(link)
-    for joint in tree.joints:
-        if joint.name in hand and joint.child in above:
+    for joint in reversed(tree.way_up(link)):
+        if joint.name in hand:
             raise keys.wrong(
                 "hand_joints",
                 f"holds {joint.name!r}, which moves the palm's link {link!r}",
@@ -314,12 +320,10 @@ def _carrier(tree: Tree, hand: tuple[str, ...], link: str, pose: Array) -> tuple
     Many descriptions end in a link without shape between the fingertips: a palm frame that is
     given there is the same frame, but the fingers are not beyond that link.
     """
-    above = {joint.child: joint for joint in tree.joints}
     first = {joint.parent for joint in tree.joints if joint.name in hand}
-    shared = set.intersection(*(set(tree.way_up(parent)) for parent in first | {link}))
     carrier, T_carrier_palm = link, pose
-    while carrier not in shared:
-        joint = above[carrier]
+    while not first <= set(tree.carried([carrier])):
+        joint = tree.above[carrier]
         if joint.kind != "fixed":
             return link, pose
         carrier, T_carrier_palm = joint.parent, joint.T_parent_joint @ T_carrier_palm

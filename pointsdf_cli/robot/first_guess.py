@@ -90,33 +90,23 @@ def first_guess(urdf: Path, beside: Path, palm: str | None = None) -> dict[str, 
 
 def _split(tree: Tree, urdf: Path, palm: str | None) -> tuple[str, list[str], list[str]]:
     """The palm's link, the arm's joints from the root to it, and the joints beyond it."""
-    moving = {joint.child: joint for joint in tree.joints if joint.kind in MOVING}
-    parent = {joint.child: joint.parent for joint in tree.joints}
 
     def moved_below(link: str) -> list[str]:
-        found, inside = [], {link}
-        for joint in tree.joints:  # parents first
-            if joint.parent in inside:
-                inside.add(joint.child)
-                if joint.child in moving:
-                    found.append(joint.name)
-        return found
+        inside = set(tree.carried([link]))
+        return [j.name for j in tree.joints if j.parent in inside and j.kind in MOVING]
 
     if palm is None:
         palm = tree.links[0]
         while True:
-            ways = [j.child for j in tree.joints if j.parent == palm]
-            ways = [link for link in ways if link in moving or moved_below(link)]
+            ways = [j for j in tree.joints if j.parent == palm]
+            ways = [j for j in ways if j.kind in MOVING or moved_below(j.child)]
             if len(ways) != 1:
                 break
-            palm = ways[0]
+            palm = ways[0].child
     elif palm not in tree.links:
         raise InputError(f"no link {palm!r}", where=urdf, allowed=", ".join(tree.links))
     hand = moved_below(palm)
-    way, at = [], palm
-    while at in parent:
-        way += [moving[at].name] if at in moving else []
-        at = parent[at]
+    way = [joint.name for joint in reversed(tree.way_up(palm)) if joint.kind in MOVING]
     if not hand or not way:
         what = "no fingers branch off" if not hand else f"no joint leads to {palm!r}"
         raise InputError(
@@ -125,7 +115,7 @@ def _split(tree: Tree, urdf: Path, palm: str | None) -> tuple[str, list[str], li
             allowed="a URDF of an arm with a hand",
             hint="--palm LINK, the link that carries the fingers: one of " + ", ".join(tree.links),
         )
-    return palm, way[::-1], hand
+    return palm, way, hand
 
 
 def _range(tree: Tree, name: str) -> list[float]:

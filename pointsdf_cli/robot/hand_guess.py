@@ -7,7 +7,7 @@ import torch
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
-from pointsdf_cli.robot.closing import beyond, fingertips
+from pointsdf_cli.robot.closing import fingertips
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
@@ -43,7 +43,7 @@ def closing_speeds(robot: RobotDescription) -> dict[str, float]:
     body = np.zeros(3) if own is None else own.mean(axis=0)
     gains: dict[str, float] = {}
     pair = len({_root(robot, tip) for tip in tips}) == 2
-    fingers = {joint: set(tips) & set(beyond(robot, joint)) for joint in robot.hand_joints}
+    fingers = {joint: set(tips) & set(robot.tree.beyond([joint])) for joint in robot.hand_joints}
     for column, joint in zip(hand, robot.hand_joints, strict=True):
         moved = [k for k, tip in enumerate(tips) if tip in fingers[joint]]
         others = [k for k in range(len(tips)) if k not in moved]
@@ -98,14 +98,10 @@ def _in_palm_link(robot: RobotDescription, points: dict[str, Array], q: Array) -
 
 def preshapes(tree: Tree, closing: dict[str, float]) -> dict[str, list[float]]:
     """For each finger its first closing joint, nearly open."""
-    above = {joint.child: joint for joint in tree.joints}
     found = {}
     for joint in tree.joints:
-        at, first = joint.parent, joint.name in closing
-        while at in above:
-            first = first and above[at].name not in closing
-            at = above[at].parent
-        if first:
+        before = [other.name for other in tree.way_up(joint.parent)]
+        if joint.name in closing and not closing.keys() & before:
             part = OPEN_SHARE * (joint.upper - joint.lower)
             if closing[joint.name] > 0:
                 found[joint.name] = [joint.lower, round(joint.lower + part, 4)]
@@ -165,13 +161,8 @@ def palm_frame(robot: RobotDescription) -> tuple[Array, bool]:
 
 def _root(robot: RobotDescription, link: str) -> str:
     """The link of a finger that is moved by the finger's first joint."""
-    above = {joint.child: joint for joint in robot.tree.joints}
-    root = link
-    while link in above:
-        if above[link].name in robot.hand_joints:
-            root = link
-        link = above[link].parent
-    return root
+    way = reversed(robot.tree.way_up(link))
+    return next((joint.child for joint in way if joint.name in robot.hand_joints), link)
 
 
 def _level(vector: Array, normal: Array) -> Array:

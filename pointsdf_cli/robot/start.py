@@ -40,8 +40,7 @@ def start_configuration(given: str | Array | None, robot: RobotDescription) -> A
     if len(outside):
         j = int(outside[0])
         name = robot.joint_names[j]
-        slides = any(each.name == name and each.kind == "prismatic" for each in robot.tree.joints)
-        unit = "m" if slides else "rad"
+        unit = "m" if robot.slides[j] else "rad"
         raise InputError(
             f"{name} at {q[j]:.4g} {unit} is beyond its limit",
             where="--start",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -66,44 +67,49 @@ class Tree:
     shapes: dict[str, tuple[Shape, ...]]
     without_mass: tuple[str, ...]
 
-    def beyond(self, joints: Collection[str]) -> set[str]:
-        """The links that these joints move."""
-        found: set[str] = set()
-        for joint in self.joints:  # parents come first
-            if joint.name in joints or joint.parent in found:
-                found.add(joint.child)
-        return found
+    @cached_property
+    def above(self) -> dict[str, Joint]:
+        """The joint that leads to each link but the root."""
+        return {joint.child: joint for joint in self.joints}
 
-    def way_up(self, link: str) -> list[str]:
-        """A link and all that carry it, up to the root."""
-        above = {joint.child: joint.parent for joint in self.joints}
-        links = [link]
-        while links[-1] in above:
-            links.append(above[links[-1]])
-        return links
+    def way_up(self, link: str) -> list[Joint]:
+        """The joints from a link up to the root."""
+        way: list[Joint] = []
+        while link in self.above:
+            way.append(self.above[link])
+            link = way[-1].parent
+        return way
+
+    def carried(self, links: Iterable[str]) -> tuple[str, ...]:
+        """Some links and all beyond them, in the order of `links`."""
+        found = set(links)
+        for joint in self.joints:  # parents come first
+            if joint.parent in found:
+                found.add(joint.child)
+        return tuple(link for link in self.links if link in found)
+
+    def beyond(self, joints: Collection[str]) -> tuple[str, ...]:
+        """The links that some joints move, in the order of `links`."""
+        return self.carried(joint.child for joint in self.joints if joint.name in joints)
 
     def fixed_to_root(self) -> tuple[str, ...]:
         """The links that no joint moves, the root first."""
-        still = {self.links[0]}
-        for joint in self.joints:  # parents come first
-            if joint.kind == "fixed" and joint.parent in still:
-                still.add(joint.child)
-        return tuple(link for link in self.links if link in still)
+        moved = set(self.beyond({joint.name for joint in self.joints if joint.kind != "fixed"}))
+        return tuple(link for link in self.links if link not in moved)
 
     def neighbours(self) -> set[frozenset[str]]:
         """Pairs of links that cannot be kept apart by moving: those that one joint connects,
         directly or across links without shape, and those that fixed joints make one body."""
-        above = {joint.child: joint for joint in self.joints}
         body: dict[str, str] = {}
         pairs = set()
         for link in self.links:  # parents first
-            joint = above.get(link)
+            joint = self.above.get(link)
             fixed = joint is not None and joint.kind == "fixed"
             body[link] = body[joint.parent] if joint and fixed else link
             pairs |= {frozenset((link, other)) for other in body if body[other] == body[link]}
             while joint is not None:
                 pairs.add(frozenset((link, joint.parent)))
-                joint = above.get(joint.parent) if not self.shapes[joint.parent] else None
+                joint = self.above.get(joint.parent) if not self.shapes[joint.parent] else None
         return {pair for pair in pairs if len(pair) == 2}
 
 

@@ -75,12 +75,9 @@ def hand_urdfs(robot: RobotDescription, folder: Path, skin: float) -> list[Path]
         palm.append(_fixed(carrier, name, pose))
     files = [_written(palm, folder / "palm.urdf")]
     for number, fingers in enumerate(_coupled(robot, _leading_away(robot, fixed))):
-        inside = list(fingers)
-        for joint in robot.tree.joints:
-            if joint.parent in inside:
-                inside.append(joint.child)
-        inner = [joints[name] for name in inside if name not in fingers]
-        finger = _body([links[name] for name in inside], inner, carrier)
+        inner = [name for name in robot.tree.carried(fingers) if name not in fingers]
+        inside = [links[name] for name in [*fingers, *inner]]
+        finger = _body(inside, [joints[name] for name in inner], carrier)
         # PyBullet treats links fixed to the first link of a fixed base as part of the base, which
         # contacts cannot stop: a fingertip there would pass through the table.
         finger.append(_link_without_shape(base))
@@ -93,12 +90,11 @@ def hand_urdfs(robot: RobotDescription, folder: Path, skin: float) -> list[Path]
 
 def _fixed_to_palm(robot: RobotDescription) -> dict[str, Array]:
     """Poses [4, 4] in the palm link of the links that cannot move in it."""
-    above = {joint.child: joint for joint in robot.tree.joints}
-    fixed, link = {robot.palm_link: np.eye(4)}, robot.palm_link
-    while link in above and above[link].kind not in MOVING:
-        parent = above[link].parent
-        fixed[parent] = fixed[link] @ invert_transform(above[link].T_parent_joint)
-        link = parent
+    fixed = {robot.palm_link: np.eye(4)}
+    for joint in robot.tree.way_up(robot.palm_link):
+        if joint.kind in MOVING:
+            break
+        fixed[joint.parent] = fixed[joint.child] @ invert_transform(joint.T_parent_joint)
     for joint in robot.tree.joints:
         if joint.parent in fixed and joint.child not in fixed and joint.kind not in MOVING:
             fixed[joint.child] = fixed[joint.parent] @ joint.T_parent_joint
@@ -117,15 +113,10 @@ def _leading_away(robot: RobotDescription, fixed: dict[str, Array]) -> dict[str,
 def _coupled(robot: RobotDescription, fingers: dict[str, Array]) -> list[dict[str, Array]]:
     """The fingers, grouped so that joints coupled by <mimic> share a body: gears couple joints of
     one body only."""
-    of_joint = {}
-    for first in fingers:
-        inside = {first}
-        for joint in robot.tree.joints:
-            if joint.child in inside or joint.parent in inside:
-                inside.add(joint.child)
-                of_joint[joint.name] = first
+    tree = robot.tree
+    of_joint = {tree.above[link].name: one for one in fingers for link in tree.carried([one])}
     group = {first: {first} for first in fingers}
-    for joint in robot.tree.joints:
+    for joint in tree.joints:
         if joint.mimic and {joint.name, joint.mimic[0]} <= of_joint.keys():
             both = group[of_joint[joint.name]] | group[of_joint[joint.mimic[0]]]
             group |= dict.fromkeys(both, both)

@@ -115,11 +115,7 @@ class Executor:
         self._hand = np.arange(len(robot.arm_joints), len(robot.joint_names))
         self._closing = robot.closing_columns
         self._still = np.setdiff1d(self._hand, self._closing)
-        slides = {joint.name for joint in robot.tree.joints if joint.kind == "prismatic"}
-        self._turning = np.array(
-            [column for column in self._closing if robot.joint_names[column] not in slides],
-            dtype=int,
-        )
+        self._turning = self._closing[~robot.slides[self._closing]]
         self._fastest = self._start_height = 0.0
         self._touched, self._gripped = False, np.zeros(3)
         self._look_every = max(1, round(LOOK / world.physics.step))

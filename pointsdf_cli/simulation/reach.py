@@ -80,10 +80,7 @@ class Reacher:
         self._world = world
         self._solver = solver
         self._robot = world.robot
-        slides = {joint.name for joint in self._robot.tree.joints if joint.kind == "prismatic"}
-        self._resolution = np.array(
-            [SLIDING if name in slides else RESOLUTION for name in self._robot.joint_names]
-        )
+        self._resolution = np.where(self._robot.slides, SLIDING, RESOLUTION)
 
     def arms(self, T_world_palm: Array) -> Array:
         """Arm configurations [B, A] for the palm pose [4, 4], the nearest to home first.
