@@ -17,36 +17,6 @@ from pointsdf_cli.errors import InputError
 
 Image = NDArray[np.float32]
 
-_RANGES = {
-    "focal": (100.0, 10_000.0),
-    "baseline": (0.0, 0.5),
-    "shadow_left": (0.0, 0.5),
-    "shadow_right": (0.0, 0.5),
-    "displacement": (0.0, 10.0),
-    "displacement_window": (0.5, 50.0),
-    "registration": (0.0, 10.0),
-    "registration_window": (10.0, 1000.0),
-    "fattening": (0.0, 20.0),
-    "matching_window": (0.0, 50.0),
-    "edge_slope": (1.0, 100.0),
-    "missing_at_edge": (0.0, 1.0),
-    "missing_reach": (0.1, 50.0),
-    "missing_patches": (0.0, 1.0),
-    "patch_window": (0.5, 200.0),
-    "missing_grazing": (0.0, 1.0),
-    "missing_angle": (0.0, 1.57),
-    "missing_window": (0.5, 50.0),
-    "flying": (0.0, 1.0),
-    "quantisation": (0.0, 2.0),
-    "axial_floor": (0.0, 0.1),
-    "axial_depth": (0.0, 0.1),
-    "axial_incidence": (0.0, 0.01),
-    "disparity_noise": (0.0, 5.0),
-    "noise_window": (0.5, 50.0),
-    "bias": (0.0, 0.1),
-    "bias_window": (10.0, 1000.0),
-}
-
 _VARIED = (
     *("displacement", "displacement_window", "registration", "registration_window"),
     *("fattening", "matching_window", "missing_at_edge", "missing_reach", "missing_patches"),
@@ -54,6 +24,11 @@ _VARIED = (
     *("disparity_noise", "noise_window", "bias", "bias_window"),
 )
 """Errors that `varied` scales; geometry stays."""
+
+
+def _parameter(default: float, low: float, high: float) -> Any:
+    """A field with its smallest and largest value."""
+    return field(default=default, metadata={"range": (low, high)})
 
 
 @dataclass(frozen=True)
@@ -101,33 +76,33 @@ class DepthSensor:
 
     name: str
     noise: DepthNoise = field(default_factory=lambda: DepthNoise(0.0))
-    focal: float = 575.0
-    baseline: float = 0.0
-    shadow_left: float = 0.0
-    shadow_right: float = 0.0
-    displacement: float = 0.0
-    displacement_window: float = 3.0
-    registration: float = 0.0
-    registration_window: float = 50.0
-    fattening: float = 0.0
-    matching_window: float = 0.0
-    edge_slope: float = 6.0
-    missing_at_edge: float = 0.0
-    missing_reach: float = 2.0
-    missing_patches: float = 0.0
-    patch_window: float = 20.0
-    missing_grazing: float = 0.0
-    missing_angle: float = 1.0
-    missing_window: float = 2.0
-    flying: float = 0.0
-    quantisation: float = 0.0
-    axial_floor: float = 0.0
-    axial_depth: float = 0.0
-    axial_incidence: float = 0.0
-    disparity_noise: float = 0.0
-    noise_window: float = 1.0
-    bias: float = 0.0
-    bias_window: float = 100.0
+    focal: float = _parameter(575.0, 100.0, 10_000.0)
+    baseline: float = _parameter(0.0, 0.0, 0.5)
+    shadow_left: float = _parameter(0.0, 0.0, 0.5)
+    shadow_right: float = _parameter(0.0, 0.0, 0.5)
+    displacement: float = _parameter(0.0, 0.0, 10.0)
+    displacement_window: float = _parameter(3.0, 0.5, 50.0)
+    registration: float = _parameter(0.0, 0.0, 10.0)
+    registration_window: float = _parameter(50.0, 10.0, 1000.0)
+    fattening: float = _parameter(0.0, 0.0, 20.0)
+    matching_window: float = _parameter(0.0, 0.0, 50.0)
+    edge_slope: float = _parameter(6.0, 1.0, 100.0)
+    missing_at_edge: float = _parameter(0.0, 0.0, 1.0)
+    missing_reach: float = _parameter(2.0, 0.1, 50.0)
+    missing_patches: float = _parameter(0.0, 0.0, 1.0)
+    patch_window: float = _parameter(20.0, 0.5, 200.0)
+    missing_grazing: float = _parameter(0.0, 0.0, 1.0)
+    missing_angle: float = _parameter(1.0, 0.0, 1.57)
+    missing_window: float = _parameter(2.0, 0.5, 50.0)
+    flying: float = _parameter(0.0, 0.0, 1.0)
+    quantisation: float = _parameter(0.0, 0.0, 2.0)
+    axial_floor: float = _parameter(0.0, 0.0, 0.1)
+    axial_depth: float = _parameter(0.0, 0.0, 0.1)
+    axial_incidence: float = _parameter(0.0, 0.0, 0.01)
+    disparity_noise: float = _parameter(0.0, 0.0, 5.0)
+    noise_window: float = _parameter(1.0, 0.5, 50.0)
+    bias: float = _parameter(0.0, 0.0, 0.1)
+    bias_window: float = _parameter(100.0, 10.0, 1000.0)
 
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
@@ -145,16 +120,9 @@ class DepthSensor:
 
     @property
     def is_ideal(self) -> bool:
-        """Whether Gaussian noise is the only error."""
-        return not any(
-            getattr(self, name)
-            for name in (
-                *("displacement", "registration", "fattening", "matching_window", "flying"),
-                *("missing_at_edge", "missing_patches", "missing_grazing"),
-                *("quantisation", "bias", "disparity_noise"),
-                *("axial_floor", "axial_depth", "axial_incidence", "shadow_left", "shadow_right"),
-            )
-        )
+        """Whether Gaussian noise is the only error; the others are 0 by default."""
+        errors = (f.name for f in fields(self) if f.default == 0 and f.name != "baseline")
+        return not any(getattr(self, name) for name in errors)
 
     def with_noise(self, noise: DepthNoise) -> DepthSensor:
         """The ideal camera with another noise; other sensors keep their own."""
@@ -321,3 +289,6 @@ class DepthSensor:
             depth = effects.quantised(depth, factor, self.quantisation)
         measured: Image = np.where(seen & (depth > 0), depth, np.float32(0))
         return measured
+
+
+_RANGES = {f.name: f.metadata["range"] for f in fields(DepthSensor) if f.metadata}
