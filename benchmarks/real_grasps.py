@@ -97,7 +97,7 @@ def tilt_alone(case: Case, world: World) -> float:
     """Rotation [rad] of the scan in a second by itself."""
     world.reset(prepare_object(case.mesh), case.T_world_mesh, robot="none")
     world.step(round(1.0 / world.physics.step))
-    turn = world.object_pose()[:3, :3] @ case.T_world_mesh[:3, :3].T
+    turn = world.object.pose()[:3, :3] @ case.T_world_mesh[:3, :3].T
     return float(np.linalg.norm(rotation_vector(turn)))
 
 

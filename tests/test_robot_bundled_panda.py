@@ -152,9 +152,9 @@ def test_one_jaw_takes_the_other_along(panda: RobotDescription, there: str) -> N
     with World(panda) as world:
         world.reset(None, None, panda.configuration(panda.home[:7], np.full(2, 0.04)), there)
         columns = panda.closing_columns
-        world.drive_at([-0.1, 0.1], columns, [20.0, 5.0])  # the second pulls the other way
+        world.joints.drive_at([-0.1, 0.1], columns, [20.0, 5.0])  # the second pulls the other way
         world.step(48)
-        first, second = world.joint_state()[0][columns]
+        first, second = world.joints.state()[0][columns]
         assert first < 0.036
         assert first == pytest.approx(second, abs=5e-4)
 
@@ -211,20 +211,20 @@ def test_rubber_pads_resist_torsion(panda: RobotDescription, torque: float, turn
         world.reset(ball, between, panda.home)
         world.set_gravity([0, 0, 0])
         closing = panda.closing_columns
-        world.drive_at(panda.closing_speeds, closing, panda.effort[closing])
+        world.joints.drive_at(panda.closing_speeds, closing, panda.effort[closing])
         for _ in range(round(1.5 / world.physics.step)):
             world.step()
-        before = world.object_pose()
+        before = world.object.pose()
         for _ in range(round(0.5 / world.physics.step)):
             world._bullet.applyExternalTorque(
-                world._there.body,
+                world.object.body,
                 -1,
                 (torque * rotation[:, 1]).tolist(),
                 world._bullet.WORLD_FRAME,
                 physicsClientId=world._client,
             )
             world.step()
-        after = world.object_pose()
+        after = world.object.pose()
     angle = float(np.linalg.norm(rotation_vector((after @ before.T)[None, :3, :3])))
     assert angle > 0.5 if turns else angle < 0.01
 

@@ -183,7 +183,7 @@ def test_a_stalled_finger_closes_on_when_its_way_is_free(
 
         def watch(world: World, phase: str) -> None:
             if phase == "close":
-                world._there.place(place if world.time < blocked else away)
+                world.object.place(place if world.time < blocked else away)
                 courses.append((world.time, world.configuration()[columns]))
 
         attempter.execute(item, away, grip.q, grip.lift, watch)
@@ -301,7 +301,9 @@ def test_what_slides_out_in_the_hold_was_lifted_and_is_not_held(
         if phase == "hold":
             robot = world.robot
             speeds = -robot.closing_speeds * 8
-            world.drive_at(speeds, robot.closing_columns, robot.effort[robot.closing_columns])
+            world.joints.drive_at(
+                speeds, robot.closing_columns, robot.effort[robot.closing_columns]
+            )
 
     place = beside_the_palm(can, 0.03 + SHAPES["can 6.4 cm"][1])
     kept = attempter.config
@@ -344,7 +346,7 @@ def test_fingers_do_not_push_an_object_through_the_hand(
         if phase in joints:
             joints[phase].append(world.configuration()[world.robot.closing_columns])
         if phase == "hold":
-            places.append(world.object_centre())
+            places.append(world.object.centre())
 
     place = beside_the_palm(item, 0.03 + depth)
     kept = attempter.config

@@ -38,7 +38,7 @@ def hand_in_bullet(world: World) -> dict[str, tuple[np.ndarray, float]]:
     bullet, client = world._bullet, world._client
     found = {}
     for name in world.robot.hand_links:
-        body, link = world._robot.links[name]
+        body, link = world.joints.links[name]
         state = bullet.getLinkState(
             body, link, computeForwardKinematics=True, physicsClientId=client
         )
@@ -64,7 +64,7 @@ def test_of_the_arm_only_the_flange_is_there(world: World) -> None:
     world.reset(robot="hand")
     robot = world.robot
     flange = {"lbr4_link_7"} if "lbr4_link_7" in robot.tree.links else set()
-    here = set(robot.tree.links) & set(world._robot.links)
+    here = set(robot.tree.links) & set(world.joints.links)
     assert here == set(robot.hand_links) | flange
 
 
@@ -73,7 +73,7 @@ def test_it_is_placed_as_the_whole_arm_is(world: World) -> None:
     world.reset(q=there, robot="hand")
     expected = hand_in_bullet(world)
     world.reset(q=start, robot="hand")
-    world.place(there)
+    world.joints.place(there)
     for name, (pose, _) in hand_in_bullet(world).items():
         assert pose == pytest.approx(expected[name][0], abs=1e-9), name
 
@@ -99,7 +99,7 @@ def test_a_hand_that_is_not_driven_stays(world: World) -> None:
     world.reset(q=q, robot="hand")
     world.step(240)
     assert world.configuration() == pytest.approx(q, abs=2e-3)
-    assert np.abs(world.joint_state()[1]).max() < 2e-3
+    assert np.abs(world.joints.state()[1]).max() < 2e-3
 
 
 def palm_height(world: World) -> float:
@@ -121,7 +121,7 @@ def test_it_follows_the_arms_path_and_stands_at_its_end(world: World) -> None:
         poses = Kinematics(robot).palm(torch.from_numpy(q)).numpy()
     palms = poses @ np.linalg.inv(robot.T_link_palm)
     world.reset(q=robot.home, robot="hand")
-    for k, _ in enumerate(world.follow(arm)):
+    for k, _ in enumerate(world.joints.follow(arm)):
         world.step()
         if k % 40 == 39:
             found = hand_in_bullet(world)[robot.palm_link][0]
@@ -140,7 +140,7 @@ def test_it_follows_the_arms_path_and_stands_at_its_end(world: World) -> None:
 def test_a_path_that_is_left_early_leaves_the_hand_at_rest(world: World) -> None:
     robot = world.robot
     world.reset(q=robot.home, robot="hand")
-    steps = world.follow(path_of(robot, 120))
+    steps = world.joints.follow(path_of(robot, 120))
     for _ in range(30):
         next(steps)
         world.step()
@@ -170,11 +170,11 @@ def test_what_lies_on_the_palm_rides_with_it(tmp_path: Path) -> None:
     with World(robot) as world:
         world.reset(item, transform(np.eye(3), [0.55, -0.07, 0.53]), q, "hand")
         world.step(240)
-        before = world.object_pose()[:3, 3]
+        before = world.object.pose()[:3, 3]
         assert world.robot_contact().hand_links > 0
-        for _ in world.follow(path[0, 1:]):
+        for _ in world.joints.follow(path[0, 1:]):
             world.step()
-        after = world.object_pose()[:3, 3]
+        after = world.object.pose()[:3, 3]
         assert after - before == pytest.approx([0.0, 0.1, 0.0], abs=0.01)
         assert world.robot_contact().hand_links > 0
 

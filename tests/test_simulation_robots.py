@@ -53,7 +53,7 @@ def test_a_robot_of_meshes_has_a_body(tmp_path: Path, kind: str) -> None:
     robot = gripper(tmp_path, kind)
     with World(robot) as world:
         world.reset()
-        bullet, client, body = world._bullet, world._client, world._robot.bodies[0]
+        bullet, client, body = world._bullet, world._client, world.joints.bodies[0]
         for i in range(bullet.getNumJoints(body, physicsClientId=client)):
             link = bullet.getJointInfo(body, i, physicsClientId=client)[12].decode()
             shapes = bullet.getCollisionShapeData(body, i, physicsClientId=client)
@@ -78,7 +78,7 @@ def test_links_without_a_mass_weigh_what_their_shapes_hold(tmp_path: Path) -> No
     assert any("no <inertial>" in finding.what and "left" in finding.what for finding in found)
     with World(robot) as world:
         world.reset()
-        bullet, client, body = world._bullet, world._client, world._robot.bodies[0]
+        bullet, client, body = world._bullet, world._client, world.joints.bodies[0]
         weighed = {}
         for i in range(bullet.getNumJoints(body, physicsClientId=client)):
             info = bullet.getDynamicsInfo(body, i, physicsClientId=client)
@@ -117,7 +117,7 @@ def test_axes_of_any_length_move_joints_alike(tmp_path: Path) -> None:
     place = Kinematics(robot)(torch.from_numpy(q[None]))[1][0, robot.tree.links.index("left")]
     with World(robot) as world:
         world.reset(q=q)
-        body, number = world._robot.links["left"]
+        body, number = world.joints.links["left"]
         state = world._bullet.getLinkState(body, number, physicsClientId=world._client)
     np.testing.assert_allclose(state[4], place.numpy(), atol=1e-6)
 
@@ -131,7 +131,7 @@ def test_a_link_without_mass_is_given_one(tmp_path: Path) -> None:
     assert "left" in robot.tree.without_mass
     with World(robot) as world:
         world.reset()
-        body, number = world._robot.links["left"]
+        body, number = world.joints.links["left"]
         mass = world._bullet.getDynamicsInfo(body, number, physicsClientId=world._client)[0]
     assert mass == pytest.approx(LINK_DENSITY * 0.06 * 0.01 * 0.02)
 
@@ -176,7 +176,7 @@ def test_what_is_fixed_to_a_finger_meets_resistance(
     with World(robot) as world:
         world.reset(q=robot.home, robot=there)
         columns = robot.closing_columns
-        world.drive_at(robot.closing_speeds, columns, robot.effort[columns] * 0.2)
+        world.joints.drive_at(robot.closing_speeds, columns, robot.effort[columns] * 0.2)
         world.step(round(2.0 / world.physics.step))
         assert world.configuration()[columns].sum() == pytest.approx(0.05, abs=2e-3)
 
@@ -190,7 +190,7 @@ def test_a_hand_of_meshes_is_carried_with_its_body(tmp_path: Path, kind: str) ->
     )
     with World(robot) as world, World(boxes) as plain:
         world.reset()
-        links = world._robot.links
+        links = world.joints.links
         state = world._bullet.getLinkState(
             *links["left"], computeForwardKinematics=True, physicsClientId=world._client
         )
@@ -217,6 +217,6 @@ def test_names_of_links_are_free(tmp_path: Path) -> None:
     assert {"carrier", "base"} <= set(robot.hand_links)
     with World(robot) as world:
         world.reset(robot="hand")
-        assert set(robot.hand_links) <= set(world._robot.links)
+        assert set(robot.hand_links) <= set(world.joints.links)
         world.step(10)
         assert world.configuration() == pytest.approx(robot.home, abs=1e-3)

@@ -221,7 +221,7 @@ def test_links_have_the_size_that_the_planner_takes_them_for(tmp_path: Path, whi
             away = ours > 0.02
             assert away.any()
             places = local[away] @ rotation[0, k].numpy().T + position[0, k].numpy()
-            theirs = near(world, *world._robot.links[link], places)
+            theirs = near(world, *world.joints.links[link], places)
             # Nothing stands out; edges and corners are round, and PyBullet's cylinders have sides.
             assert (theirs - ours[away] > -2e-4).all(), link
             assert (theirs - ours[away] < 9e-4).all(), link

@@ -46,7 +46,7 @@ def test_falling_object_falls_as_galilei_says(world: World, box: SimObject) -> N
     dt = world.physics.step
     steps = round(0.25 / dt)
     world.step(steps)
-    fallen = 1.0 - world.object_pose()[2, 3]
+    fallen = 1.0 - world.object.pose()[2, 3]
     # Bullet steps semi-implicitly, g t (t + dt) / 2, and damps a little.
     t = steps * dt
     assert fallen == pytest.approx(9.81 * t * (t + dt) / 2, rel=0.01)
@@ -59,16 +59,16 @@ def test_a_push_accelerates_the_centre_and_turns_nothing(world: World, box: SimO
     world.set_gravity([0.0, 0.0, 0.0])
     force = np.array([0.0, 0.3, 0.4])
     for _ in range(round(0.1 / world.physics.step)):
-        world.push(force)
+        world.object.push(force)
         world.step()
-    moved = world.object_pose()[:3, 3] - [0.6, 0, 1.0]
-    speed, turning = world.object_speed()
+    moved = world.object.pose()[:3, 3] - [0.6, 0, 1.0]
+    speed, turning = world.object.speed()
     assert speed == pytest.approx(0.5 * 0.1 / box.mass, rel=0.01)
     assert turning < 1e-6
     np.testing.assert_allclose(moved / np.linalg.norm(moved), force / 0.5, atol=1e-6)
     # It acts during the steps it is given for, and no longer.
     world.step(10)
-    assert world.object_speed()[0] == pytest.approx(speed, rel=0.01)
+    assert world.object.speed()[0] == pytest.approx(speed, rel=0.01)
 
 
 def test_standing_box_stays(world: World, box: SimObject) -> None:
@@ -76,8 +76,8 @@ def test_standing_box_stays(world: World, box: SimObject) -> None:
     world.reset(box, start)
     world.step(960)
     assert world.object_on_table()
-    assert np.abs(world.object_pose() - start).max() < 2e-3
-    assert world.object_speed()[0] < 1e-3
+    assert np.abs(world.object.pose() - start).max() < 2e-3
+    assert world.object.speed()[0] < 1e-3
     assert world.robot_contact().links == 0
 
 
@@ -99,7 +99,7 @@ def test_friction_holds_on_a_slope_below_its_angle_and_not_above(
         slope = np.deg2rad(degrees)
         world.set_gravity([0, 9.81 * np.sin(slope), -9.81 * np.cos(slope)])
         world.step(240)
-        assert (world.object_pose()[1, 3] > 0.05) == moves
+        assert (world.object.pose()[1, 3] > 0.05) == moves
 
 
 def test_mesh_frame_away_from_the_centre_of_mass_is_kept(world: World, tmp_path: Path) -> None:
@@ -108,8 +108,8 @@ def test_mesh_frame_away_from_the_centre_of_mass_is_kept(world: World, tmp_path:
     item = item_of("shifted", mesh, tmp_path)
     start = transform(np.eye(3), [0.4, 0.1, -0.25])
     world.reset(item, start)
-    assert world.object_pose() == pytest.approx(start, abs=1e-6)
-    assert world.object_centre() == pytest.approx([0.6, 0.0, 0.05], abs=1e-6)
+    assert world.object.pose() == pytest.approx(start, abs=1e-6)
+    assert world.object.centre() == pytest.approx([0.6, 0.0, 0.05], abs=1e-6)
 
 
 def test_collisions_are_named(world: World, box: SimObject) -> None:
@@ -142,7 +142,7 @@ def test_what_is_shown_again_is_as_if_built_anew(box: SimObject, tmp_path: Path)
                 T_world_object = transform(np.eye(3), place)
                 kept.show(item, T_world_object)
                 fresh.reset(item, T_world_object)
-                assert np.array_equal(kept.object_pose(), fresh.object_pose())
+                assert np.array_equal(kept.object.pose(), fresh.object.pose())
                 assert np.array_equal(kept.configuration(), fresh.configuration())
                 for q in (reach, robot.home):
                     touched = kept.collisions(q)
@@ -165,7 +165,7 @@ def test_a_hand_rises_into_what_is_over_it_and_not_into_what_is_below_or_aside(
     lows, highs = zip(
         *(
             world._bullet.getAABB(body, number, physicsClientId=world._client)
-            for body, number in world._robot.links.values()
+            for body, number in world.joints.links.values()
         ),
         strict=True,
     )
@@ -228,7 +228,7 @@ def test_reset_forgets_everything(box: SimObject) -> None:
             one.step(disturb)
             one.reset(box, start)
             one.step(200)
-            ends.append(one.object_pose())
+            ends.append(one.object.pose())
     assert np.array_equal(ends[0], ends[1])
     assert np.array_equal(ends[0], ends[2])
 
@@ -244,7 +244,7 @@ def test_a_joint_takes_back_its_error_at_a_rate_that_the_step_does_not_change(
         world.reset()
         q = robot.home.copy()
         q[6] += 0.02
-        world.drive_to(q, np.arange(len(q)), robot.effort)
+        world.joints.drive_to(q, np.arange(len(q)), robot.effort)
         world.step(per_second // 80)
         left = (q[6] - world.configuration()[6]) / 0.02
     assert left == pytest.approx((1 - 96 / per_second) ** (per_second // 80), abs=0.02)

@@ -135,11 +135,19 @@ class BulletRobot:
         return values[0], values[1]
 
     def drive_to(
-        self, q: ArrayLike, columns: ArrayLike, forces: ArrayLike, speeds: ArrayLike
+        self, q: ArrayLike, columns: ArrayLike, forces: ArrayLike, speeds: ArrayLike | None = None
     ) -> None:
-        """Set position targets; see `World.drive_to`."""
-        q, forces, speeds = (np.asarray(values, float) for values in (q, forces, speeds))
+        """Set position targets for the joints at `columns` of q, with their largest efforts.
+
+        Args:
+            q: [J], target configuration.
+            columns: [K], indices of the joints. Joints of an arm that is not simulated stay.
+            forces: [K], largest efforts.
+            speeds: [K], speeds of moving targets, so that joints do not lag behind; 0 if None.
+        """
         columns = np.asarray(columns)
+        speeds = np.zeros(len(columns)) if speeds is None else speeds
+        q, forces, speeds = (np.asarray(values, float) for values in (q, forces, speeds))
         for body, places, numbers in self._by_body(columns.tolist()):
             self._bullet.setJointMotorControlArray(
                 body,
@@ -154,7 +162,7 @@ class BulletRobot:
             )
 
     def drive_at(self, speeds: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
-        """Set speed targets; see `World.drive_at`."""
+        """Set speed targets for the joints at `columns` of q, with their largest efforts."""
         forces, speeds = np.asarray(forces, float), np.asarray(speeds, float)
         for body, places, numbers in self._by_body(np.asarray(columns).tolist()):
             self._bullet.setJointMotorControlArray(
@@ -172,7 +180,7 @@ class BulletRobot:
         q = np.zeros(len(self._joints))
         for target in arm:
             q[columns] = target
-            self.drive_to(q, columns, self.robot.effort[columns], np.zeros(len(columns)))
+            self.drive_to(q, columns, self.robot.effort[columns])
             yield
 
     def _by_body(self, columns: Sequence[int]) -> list[tuple[int, list[int], list[int]]]:

@@ -131,8 +131,8 @@ class Executor:
         q = np.asarray(q, dtype=float)
         self._start_height = self._object_height()
         self._fastest = 0.0
-        world.drive_to(q, self._arm, world.robot.effort[self._arm])
-        world.drive_to(q, self._still, world.robot.effort[self._still])
+        world.joints.drive_to(q, self._arm, world.robot.effort[self._arm])
+        world.joints.drive_to(q, self._still, world.robot.effort[self._still])
         self._close()
         self._grip()
         self._touched = world.robot_contact().hand_links > 0
@@ -198,12 +198,12 @@ class Executor:
         longest = max(LONGEST_CLOSING, 1.25 * float((travel / np.abs(speeds)).max()))
         slow = np.zeros(len(speeds))
         check = max(1, round(0.0125 / world.physics.step))
-        world.drive_at(speeds, self._closing, efforts)
+        world.joints.drive_at(speeds, self._closing, efforts)
         began = world.time
         self._wait(0.05, "close")  # let the joints get going before judging that they stall
         while (slow < STALL_TIME).any() and world.time - began < longest:
             self._advance(check, "close")
-            position, velocity = (values[self._closing] for values in world.joint_state())
+            position, velocity = (values[self._closing] for values in world.joints.state())
             stalled = velocity * np.sign(speeds) < STALL_SPEED * np.abs(speeds)
             stalled |= np.abs(position - ends) < at_end
             slow = np.where(stalled, slow + check * world.physics.step, 0.0)
@@ -217,13 +217,13 @@ class Executor:
         world, config, robot = self._world, self._config, self._world.robot
         speeds = robot.closing_speeds * SPEED_UP * 0.25
         efforts = robot.effort[self._closing] * config.grip_effort
-        world.drive_at(speeds, self._closing, efforts)
+        world.joints.drive_at(speeds, self._closing, efforts)
         self._wait(GRIP_TIME, "grip")
-        target, _ = world.joint_state()
+        target, _ = world.joints.state()
         target[self._closing] += np.sign(robot.closing_speeds) * SQUEEZE
         target = np.clip(target, robot.hard_lower, robot.hard_upper)
         efforts = robot.effort[self._turning] * config.grip_effort
-        world.drive_to(target, self._turning, efforts)
+        world.joints.drive_to(target, self._turning, efforts)
 
     def _lift(self, path: Array) -> None:
         """Move the arm along a path in joint space, slowly at both ends.
@@ -237,7 +237,7 @@ class Executor:
         knots = np.linspace(0.0, 1.0, len(path))
         arm = np.stack([np.interp(s, knots, column) for column in path.T], axis=1)
         aside = CLEAR_ASIDE + _sideways(world.chain, path)
-        for k, _ in enumerate(world.follow(arm)):
+        for k, _ in enumerate(world.joints.follow(arm)):
             if k % self._look_every == 0 and self._left_behind():
                 risen = s[k] * LIFT_HEIGHT >= CLEAR_HEIGHT
                 if risen or (self._at_rest() and not world.rises_into_object(aside)):
@@ -249,7 +249,7 @@ class Executor:
         return self._world.object_on_table() and not self._world.robot_contact().links
 
     def _at_rest(self) -> bool:
-        return self._world.object_speed()[0] < STEADY_SPEED
+        return self._world.object.speed()[0] < STEADY_SPEED
 
     def _wait(self, duration: float, phase: str) -> None:
         self._advance(round(duration / self._world.physics.step), phase)
@@ -309,24 +309,24 @@ class Executor:
         world = self._world
         for done in range(1, steps + 1):
             if force is not None:
-                world.push(force)  # it acts during one step
+                world.object.push(force)  # it acts during one step
             world.step()
             # Checked with and without `watch` alike: the checks decide what counts as flung.
             if (
                 done % self._look_every == 0 or done == steps
             ) and self._object_height() > OFF_TABLE:
                 # Below the table it falls freely.
-                self._fastest = max(self._fastest, world.object_speed()[0])
+                self._fastest = max(self._fastest, world.object.speed()[0])
             if self._watch:
                 self._watch(world, phase)
 
     def _object_height(self) -> float:
-        return float(self._world.object_centre()[2])
+        return float(self._world.object.centre()[2])
 
     def _object_in_palm(self) -> Array:
         """The object's centre of mass [3] in the palm's frame."""
         T_palm_world = invert_transform(self._world.palm_pose())
-        return T_palm_world[:3, :3] @ self._world.object_centre() + T_palm_world[:3, 3]
+        return T_palm_world[:3, :3] @ self._world.object.centre() + T_palm_world[:3, 3]
 
 
 def _sideways(chain: ArmChain, path: Array) -> float:

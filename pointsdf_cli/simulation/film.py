@@ -33,7 +33,7 @@ class Moment:
 def moment_of(world: World, phase: str) -> Moment:
     """Record the present scene."""
     others = np.array([other.pose() for other in world.others]).reshape(-1, 4, 4)
-    return Moment(phase, world.time, world.configuration(), world.object_pose(), others)
+    return Moment(phase, world.time, world.configuration(), world.object.pose(), others)
 
 
 @dataclass

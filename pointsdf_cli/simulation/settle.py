@@ -31,9 +31,9 @@ def settle(world: World, item: SimObject, pose: StablePose) -> NDArray[np.float6
     quiet = 0.0
     while world.time < LONGEST:
         world.step(check)
-        speed, turning = world.object_speed()
+        speed, turning = world.object.speed()
         still = speed < SPEED and turning < TURN_SPEED
         quiet = quiet + check * world.physics.step if still else 0.0
         if quiet >= REST_TIME and world.object_on_table():
-            return world.object_pose()
+            return world.object.pose()
     return None

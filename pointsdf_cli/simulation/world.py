@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -44,6 +44,7 @@ class World:
 
     Attributes:
         chain: Kinematics of the robot's arm.
+        joints: The simulated part of the robot, from a reset on.
         table_height: Height of the table from the next reset on [m].
         others: Free objects beside the one to be grasped.
 
@@ -135,7 +136,7 @@ class World:
             self.reset(item, T_world_object)
             self._shown = item.pieces
         else:
-            self._there.place(T_world_object)
+            self.object.place(T_world_object)
         # Clear PyBullet's cached contacts of the former poses.
         self.collisions(self.robot.home)
 
@@ -152,47 +153,13 @@ class World:
 
     # --- the robot ---
 
-    def place(self, q: ArrayLike) -> None:
-        """Put the robot at a configuration [J] at rest, without physics."""
-        self._robot.place(q)
-
     def configuration(self) -> Array:
         """Joint positions, [J]."""
-        return self._robot.state()[0]
-
-    def joint_state(self) -> tuple[Array, Array]:
-        """Joint positions and velocities, [J] each."""
-        return self._robot.state()
+        return self.joints.state()[0]
 
     def palm_pose(self) -> Array:
         """T_world_palm [4, 4] by the arm's joints."""
         return self.chain.palm(self.configuration())
-
-    def drive_to(
-        self,
-        q: ArrayLike,
-        columns: ArrayLike,
-        forces: ArrayLike,
-        speeds: ArrayLike | None = None,
-    ) -> None:
-        """Set position targets for the joints at `columns` of q, with their largest efforts.
-
-        Args:
-            q: [J], target configuration.
-            columns: [K], indices of the joints. Joints of an arm that is not simulated stay.
-            forces: [K], largest efforts.
-            speeds: [K], speeds of moving targets, so that joints do not lag behind; 0 if None.
-        """
-        speeds = np.zeros(len(np.asarray(columns))) if speeds is None else speeds
-        self._robot.drive_to(q, columns, forces, speeds)
-
-    def drive_at(self, speeds: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
-        """Set speed targets for the joints at `columns` of q, with their largest efforts."""
-        self._robot.drive_at(speeds, columns, forces)
-
-    def follow(self, arm: Array) -> Iterator[None]:
-        """Move the arm through configurations [K, A]; yields when the next step may be made."""
-        yield from self._robot.follow(arm)
 
     def collisions(self, q: ArrayLike, clearance: float = 0.0) -> set[str]:
         """Contacts of the robot at a configuration: any of "table", "object", "self".
@@ -202,10 +169,10 @@ class World:
             clearance: Distances below this [m] count as contact.
         """
         b, c = self._bullet, self._client
-        self.place(q)
+        self.joints.place(q)
         b.performCollisionDetection(physicsClientId=c)
         touched = set()
-        for body in self._robot.bodies:
+        for body in self.joints.bodies:
             for contact in b.getContactPoints(bodyA=body, physicsClientId=c):
                 if contact[8] >= clearance:
                     continue
@@ -214,14 +181,15 @@ class World:
                     touched.add("object")
                 elif other == self._table:
                     touched.add("table")
-                elif other in self._robot.bodies:
+                elif other in self.joints.bodies:
                     touched.add("self")
         return touched
 
     # --- the object ---
 
     @property
-    def _there(self) -> BulletObject:
+    def object(self) -> BulletObject:
+        """The object to be grasped."""
         if self._object is None:
             raise RuntimeError("there is no object in the scene")
         return self._object
@@ -230,22 +198,10 @@ class World:
     def _object_body(self) -> int:
         return -1 if self._object is None else self._object.body
 
-    def object_pose(self) -> Array:
-        """T_world_object [4, 4], the mesh frame in the world."""
-        return self._there.pose()
-
-    def object_centre(self) -> Array:
-        """The object's centre of mass [3] in the world."""
-        return self._there.centre()
-
-    def object_speed(self) -> tuple[float, float]:
-        """Speed of the object's centre of mass [m/s] and its angular speed [rad/s]."""
-        return self._there.speed()
-
     def robot_contact(self) -> RobotContact:
         """Present contacts of the robot with the object."""
         return contact_of(
-            self._bullet, self._client, self._robot.bodies, self._object_body, self._hand_links
+            self._bullet, self._client, self.joints.bodies, self._object_body, self._hand_links
         )
 
     def rises_into_object(self, aside: float) -> bool:
@@ -257,9 +213,9 @@ class World:
             aside: Lateral distance [m] below which they meet.
         """
         links = [
-            place for link, place in self._robot.links.items() if self.robot.tree.shapes.get(link)
+            place for link, place in self.joints.links.items() if self.robot.tree.shapes.get(link)
         ]
-        return any_below(self._bullet, self._client, links, self._there.body, aside)
+        return any_below(self._bullet, self._client, links, self.object.body, aside)
 
     def object_on_table(self) -> bool:
         """Whether the object touches the table."""
@@ -271,10 +227,6 @@ class World:
     def set_gravity(self, gravity: ArrayLike) -> None:
         """Change gravity [3] [m/s²]; shaking a frame is the same as shaking gravity in it."""
         self._bullet.setGravity(*np.asarray(gravity, float), physicsClientId=self._client)
-
-    def push(self, force: Array) -> None:
-        """Apply a force [3] [N] at the object's centre of mass during the next step."""
-        self._there.push(force)
 
     # --- building ---
 
@@ -295,23 +247,23 @@ class World:
     def _add_robot(self, q: Array, hand_alone: bool) -> None:
         b, c, robot = self._bullet, self._client, self.robot
         recovery = JOINT_RECOVERY * self.physics.step
-        self._robot: BulletRobot
+        self.joints: BulletRobot
         if hand_alone:
             step = self.physics.step
-            self._robot = CarriedHand(b, c, robot, self._hand, recovery, self.chain, q, step)
+            self.joints = CarriedHand(b, c, robot, self._hand, recovery, self.chain, q, step)
         else:
-            self._robot = BulletRobot(b, c, robot, self._whole, robot.T_world_base, recovery)
-        links = self._robot.links
+            self.joints = BulletRobot(b, c, robot, self._whole, robot.T_world_base, recovery)
+        links = self.joints.links
         for link in sorted(robot.links_on_table & set(links)):
             body, number = links[link]
             b.setCollisionFilterPair(body, self._table, number, -1, 0, physicsClientId=c)
         # In a fixed order: it determines the order of PyBullet's pairs, and so of contacts.
-        self._robot.ignore_contacts(sorted(map(sorted, robot.may_touch | robot.tree.neighbours())))
+        self.joints.ignore_contacts(sorted(map(sorted, robot.may_touch | robot.tree.neighbours())))
         self._hand_links = {links[link] for link in robot.hand_links}
         for body, number in sorted(self._hand_links):
             b.changeDynamics(body, number, lateralFriction=HAND_FRICTION, physicsClientId=c)
-        self.place(q)
-        self.drive_to(q, np.arange(len(robot.joint_names)), robot.effort)
+        self.joints.place(q)
+        self.joints.drive_to(q, np.arange(len(robot.joint_names)), robot.effort)
 
     def _add_object(self, item: SimObject, T_world_object: Array) -> None:
         # Compared by identity: changed pieces are another list.

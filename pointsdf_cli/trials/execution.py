@@ -82,9 +82,9 @@ def execute_plan(
     else:
         arm = lift[:, world.robot.arm] if len(lift) else None
     world.reset(item, T_world_object, trajectory[0], others=others)
-    stood = world.object_centre()
+    stood = world.object.centre()
     contact, lag = _follow(world, trajectory, times, last)
-    moved = float(np.linalg.norm(world.object_centre() - stood))
+    moved = float(np.linalg.norm(world.object.centre() - stood))
     if arm is None:
         return Executed(None, contact, moved, lag, last.moments)
     outcome = Executor(world, config, last).run(q, arm)
@@ -102,7 +102,7 @@ def _follow(world: World, trajectory: Array, times: Array, last: _Last) -> tuple
     for k in range(steps + round(REST / world.physics.step)):
         at = times[0] + min(k + 1, steps) * world.physics.step
         q = np.array([np.interp(at, times, column) for column in trajectory.T])
-        world.drive_to(q, columns, robot.effort, (q - before) / world.physics.step)
+        world.joints.drive_to(q, columns, robot.effort, (q - before) / world.physics.step)
         before = q
         world.step()
         touched = touched or world.robot_contact().links > 0
