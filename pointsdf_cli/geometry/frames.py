@@ -125,6 +125,14 @@ def rotation_vector(rotation: ArrayLike) -> Array:
     return np.asarray(axis * scale[..., None])
 
 
+def cross_matrix(axis: ArrayLike) -> Array:
+    """Matrices K [..., 3, 3] with K v = axis × v, of axes [..., 3]."""
+    x, y, z = np.moveaxis(np.asarray(axis, dtype=np.float64), -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
 def random_rotation(rng: np.random.Generator, count: int | None = None) -> Array:
     """Rotations [count, 3, 3] (one [3, 3] without a count), uniform over SO(3).
 

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pointsdf_cli.geometry.frames import invert_transform
+from pointsdf_cli.geometry.frames import cross_matrix, invert_transform
 from pointsdf_cli.robot.description import RobotDescription
 
 
@@ -51,7 +51,7 @@ class HandChain:
         above, order = [self.links[0]], [self.links[0]]
         spare = len(columns)  # of a row of zeros, for joints that are fixed or rest
         while level := [joint for joint in joints if joint.parent in above]:
-            crosses = [_cross(joint.axis) for joint in level]
+            crosses = [cross_matrix(joint.axis) for joint in level]
             fixed = [joint.T_parent_joint[:3, :3] for joint in level]
             turns = [joint.kind in ("revolute", "continuous") for joint in level]
             slides = [joint.kind == "prismatic" for joint in level]
@@ -113,12 +113,6 @@ class HandChain:
         self.slides = torch.tensor(robot.slides[len(robot.arm_joints) :])
         moved = [robot.tree.carried([joint.child]) for joint in joints]
         self.below = torch.tensor([[float(link in one) for link in self.links] for one in moved])
-
-
-def _cross(axis: np.ndarray) -> np.ndarray:
-    """Matrix K [3, 3] with K v = axis × v."""
-    x, y, z = axis
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 def _times_matrix(a: Tensor, b: Tensor) -> Tensor:

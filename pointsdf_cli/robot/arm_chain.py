@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import rotation_vector
+from pointsdf_cli.geometry.frames import cross_matrix, rotation_vector
 from pointsdf_cli.robot.description import RobotDescription
 
 CHUNK = 1024
@@ -44,7 +44,7 @@ class ArmChain:
         # A joint's rotation is a constant, a part with the sine and one with the cosine of its
         # angle (Rodrigues).
         fixed = np.stack([joint.T_before[:3, :3] for joint in self._joints])
-        cross = np.stack([_cross_matrix(joint.axis) for joint in self._joints])
+        cross = cross_matrix(self._axes)
         cross[self._sliding] = 0.0
         turning = (fixed @ (np.eye(3) + cross @ cross), fixed @ cross, -fixed @ cross @ cross)
         self._constant, self._with_sine, self._with_cosine = (m[:, None] for m in turning)
@@ -137,12 +137,6 @@ def _moving_joints(robot: RobotDescription) -> tuple[list[_MovingJoint], Array]:
             joints.append(_MovingJoint(column, T, joint.axis, joint.kind == "prismatic"))
             T = np.eye(4)
     return joints, T @ robot.T_link_palm
-
-
-def _cross_matrix(axis: Array) -> Array:
-    """Matrix [3, 3] of the cross product with the axis."""
-    x, y, z = axis
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 def _cross(a: Array, b: Array) -> Array:

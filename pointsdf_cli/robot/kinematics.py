@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pointsdf_cli.geometry.frames import cross_matrix
 from pointsdf_cli.robot.description import RobotDescription
 
 
@@ -41,9 +42,7 @@ class Kinematics:
         spare = len(columns)
         self._columns = torch.tensor([columns.get(j.name, spare) for j in joints])
         axes = np.array([j.axis for j in joints])
-        cross = np.zeros((len(joints), 3, 3))
-        cross[:, [2, 0, 1], [1, 2, 0]] = axes
-        cross[:, [1, 2, 0], [2, 0, 1]] = -axes
+        cross = cross_matrix(axes)
         turning = np.array([j.kind in ("revolute", "continuous") for j in joints])[:, None, None]
         sliding = np.array([j.kind == "prismatic" for j in joints])[:, None]
         origins = np.array([j.T_parent_joint for j in joints])
