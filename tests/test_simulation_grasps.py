@@ -210,7 +210,8 @@ def test_a_hand_under_the_object_is_lifted_into_it(
     outcome = attempter.execute(item, place, grip.q, grip.lift, recorder)
     assert outcome.valid
     heights = [moment.T_world_object[2, 3] for moment in recorder.moments]
-    assert abs(recorder.last_of("grip").T_world_object[2, 3] - heights[0]) < 1e-3
+    gripped = [moment for moment in recorder.moments if moment.phase == "grip"]
+    assert abs(gripped[-1].T_world_object[2, 3] - heights[0]) < 1e-3
     assert max(heights) > heights[0] + 0.02
 
 

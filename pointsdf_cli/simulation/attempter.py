@@ -114,12 +114,7 @@ class Attempter:
                 allowed=f"one side below {widest:g} m",
             )
 
-    def attempt(
-        self,
-        item: SimObject,
-        index: int,
-        watch: Callable[[World, str], None] | None = None,
-    ) -> Attempt:
+    def attempt(self, item: SimObject, index: int) -> Attempt:
         """Make attempt `index` with an object.
 
         Raises:
@@ -128,7 +123,7 @@ class Attempter:
         scene = self.scene(item, index // SCENE_ATTEMPTS)
         rng = self._rng(item, 2, index)
         if self._propose is not None:
-            return self._planned(item, scene, index, rng, watch)
+            return self._planned(item, scene, index, rng)
         points = apply_transform(scene.T_world_camera, scene.cloud)
         preshape = draw_preshape(
             points,
@@ -145,16 +140,11 @@ class Attempter:
         reach = self._reacher(preshape.T_world_palm, preshape.joints, arms)
         outcome = None
         if reach.label == 0:
-            outcome = self.execute(item, scene.T_world_object, reach.q, reach.lift, watch)
+            outcome = self.execute(item, scene.T_world_object, reach.q, reach.lift)
         return Attempt(index, scene, cloud, preshape.kind, preshape.T_world_palm, reach, outcome)
 
     def _planned(
-        self,
-        item: SimObject,
-        scene: ObservedScene,
-        index: int,
-        rng: np.random.Generator,
-        watch: Callable[[World, str], None] | None,
+        self, item: SimObject, scene: ObservedScene, index: int, rng: np.random.Generator
     ) -> Attempt:
         """Attempt with a preshape from the planner.
 
@@ -186,7 +176,7 @@ class Attempter:
         reach = Reach(label, cause, one.q, one.q[None], lift)
         outcome = None
         if not cause:
-            outcome = self.execute(item, scene.T_world_object, one.q, lift, watch)
+            outcome = self.execute(item, scene.T_world_object, one.q, lift)
         return Attempt(index, scene, cloud, one.kind, one.T_world_palm, reach, outcome)
 
     def _lift(self, q: Array) -> Array:

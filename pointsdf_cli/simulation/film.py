@@ -49,14 +49,3 @@ class Recorder:
         if last is not None and last.phase == phase and world.time - last.time < 1 / self.rate:
             return
         self.moments.append(moment_of(world, phase))
-
-    def last_of(self, phase: str) -> Moment:
-        """The last moment of a phase.
-
-        Raises:
-            KeyError: The attempt had no such phase.
-        """
-        for moment in reversed(self.moments):
-            if moment.phase == phase:
-                return moment
-        raise KeyError(phase)

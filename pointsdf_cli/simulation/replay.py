@@ -66,11 +66,8 @@ def film_of(task: CollectTask, grasps: Grasps, row: int) -> tuple[Film, Film]:
         f"{task.name}, {KINDS[grasps.kind[row]]}: {cause}, rose {100 * outcome.lift_height:.1f} cm"
     )
     start = (grasps.q[row], grasps.T_world_object[row])
-    strip = [start]
-    for phase in SHOWN:
-        if not any(moment.phase == phase for moment in recorder.moments):
-            continue  # nothing settles where nothing was lifted
-        moment = recorder.last_of(phase)
-        strip.append((moment.q, moment.T_world_object))
-    moving = [start] + [(moment.q, moment.T_world_object) for moment in recorder.moments]
-    return Film(title, mesh, strip), Film(title, mesh, moving)
+    moving = [(moment.phase, (moment.q, moment.T_world_object)) for moment in recorder.moments]
+    last = dict(moving)
+    strip = [last[phase] for phase in SHOWN if phase in last]  # the lift may end without settling
+    frames = [frame for _, frame in moving]
+    return Film(title, mesh, [start, *strip]), Film(title, mesh, [start, *frames])
