@@ -40,39 +40,37 @@ def trial_strip(
     (green) from the robot's side; the planned grasp; the moment before the lift; the end. Other
     objects, with the meshes `others`, are drawn at their poses then, and as reconstructed.
     """
-    before = evidence.T_world_object[0]
-    true = Painted(apply_transform(before, mesh.vertices), mesh.faces.astype(int), OBJECT_COLOUR)
+
+    def objects(which: int) -> list[Painted]:
+        """The target and the others at one moment."""
+        target = _placed([mesh], evidence.T_world_object[which, None], OBJECT_COLOUR)
+        return target + (_placed(others, evidence.T_world_others[which]) if others else [])
+
+    true, *around = objects(0)
     middle = (true.vertices.min(axis=0) + true.vertices.max(axis=0)) / 2
     reach = float(np.ptp(true.vertices, axis=0).max())
     eye = evidence.T_world_camera[:3, 3]
     near = middle + (eye - middle) / np.linalg.norm(eye - middle) * max(0.35, 2.2 * reach)
     table = table_mesh()
-    around = _others_at(0, others, evidence)
     first = [table, true, *around, *_points(evidence.cloud)]
     pictures = [shaded_image(first, look_at(near, middle), SIZE)]
     behind = middle + np.array([-0.45, -0.75, 0.45]) * max(0.4, 2.2 * reach)
     pictures.append(_side_by_side(true, evidence, behind, middle, table))
     for which in _shown(evidence.phases):
-        scene = Painted(
-            apply_transform(evidence.T_world_object[which], mesh.vertices),
-            mesh.faces.astype(int),
-            OBJECT_COLOUR,
-        )
         target = np.array([middle[0], middle[1], 0.13])
         camera = look_at(target + (0.42, -0.62, 0.3), target)
-        parts = [*robot.at(evidence.q[which]), table, scene, *_others_at(which, others, evidence)]
+        parts = [*robot.at(evidence.q[which]), table, *objects(which)]
         pictures.append(shaded_image(parts, camera, SIZE, 0.62))
     return np.concatenate(pictures, axis=1)
 
 
-def _others_at(which: int, others: Sequence[LoadedMesh], evidence: Evidence) -> list[Painted]:
-    """The other objects at one moment."""
-    if not others:
-        return []
-    poses = evidence.T_world_others[which]
+def _placed(
+    meshes: Sequence[LoadedMesh], poses: Array, colour: tuple[float, float, float] = OTHER_COLOUR
+) -> list[Painted]:
+    """Meshes at their poses [N, 4, 4]."""
     return [
-        Painted(apply_transform(pose, mesh.vertices), mesh.faces.astype(int), OTHER_COLOUR)
-        for mesh, pose in zip(others, poses, strict=True)
+        Painted(apply_transform(pose, mesh.vertices), mesh.faces.astype(int), colour)
+        for mesh, pose in zip(meshes, poses, strict=True)
     ]
 
 
@@ -104,13 +102,7 @@ def write_film(
 ) -> None:
     """A trial as an animated GIF; `meshes` are the target's and those of the other objects."""
     frames = [(moment.q, moment.T_world_object) for moment in moments]
-    beside = [
-        [
-            Painted(apply_transform(pose, mesh.vertices), mesh.faces.astype(int), OTHER_COLOUR)
-            for mesh, pose in zip(meshes[1:], moment.T_world_others, strict=True)
-        ]
-        for moment in moments
-    ]
+    beside = [_placed(meshes[1:], moment.T_world_others) for moment in moments]
     path.parent.mkdir(parents=True, exist_ok=True)
     write_gif(path, RobotMeshes(robot, sections=16), Film("", meshes[0], frames, beside), rate)
 
@@ -126,22 +118,21 @@ def _side_by_side(
     true: Painted, evidence: Evidence, eye: Array, target: Array, table: Painted
 ) -> Image:
     """Reconstruction and truth in one picture; the reconstruction is half transparent."""
-    width, height = SIZE
     camera = look_at(eye, target)
-    parts = [table, true]
-    beside = []
-    if len(evidence.obstacle_faces):
-        corners = evidence.obstacle_vertices.astype(float)
-        beside.append(Painted(corners, evidence.obstacle_faces.astype(int), OTHER_COLOUR))
-    if len(evidence.faces):
-        believed = Painted(
-            evidence.vertices.astype(float), evidence.faces.astype(int), BELIEVED_COLOUR
+    lower = shaded_image([table, true], camera, SIZE)
+    if not len(evidence.faces):
+        return lower
+    believed = [
+        Painted(vertices.astype(float), faces.astype(int), colour)
+        for vertices, faces, colour in (
+            (evidence.vertices, evidence.faces, BELIEVED_COLOUR),
+            (evidence.obstacle_vertices, evidence.obstacle_faces, OTHER_COLOUR),
         )
-        upper = shaded_image([table, believed, *beside], camera, (width, height))
-        lower = shaded_image([table, true], camera, (width, height))
-        mixed = upper.astype(float) * 0.5 + lower.astype(float) * 0.5
-        return mixed.astype(np.uint8)
-    return shaded_image(parts, camera, (width, height))
+        if len(faces)
+    ]
+    upper = shaded_image([table, *believed], camera, SIZE)
+    mixed = upper.astype(float) * 0.5 + lower.astype(float) * 0.5
+    return mixed.astype(np.uint8)
 
 
 def _points(cloud: NDArray[np.float32]) -> list[Painted]:
