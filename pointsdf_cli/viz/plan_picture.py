@@ -20,7 +20,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.viz.lettering import lettering
 from pointsdf_cli.viz.robot_picture import RobotMeshes
-from pointsdf_cli.viz.shading import Painted, Stage, look_at, shaded_image, table_mesh
+from pointsdf_cli.viz.shading import Painted, Stage, look_at, octahedra, shaded_image, table_mesh
 
 Mesh = tuple[Array, NDArray[np.integer]]
 
@@ -128,12 +128,7 @@ def _close_up(
 
 def dots(points: Array, colour: tuple[float, float, float] = SEEN_COLOUR) -> Painted:
     """Points [N, 3] as small octahedra; of many, every n-th."""
-    points = points[:: max(1, len(points) // MOST_POINTS)]
-    corners = POINT_SIZE * np.concatenate([np.eye(3), -np.eye(3)])
-    faces = np.array([[i, j, k] for i in (0, 3) for j in (1, 4) for k in (2, 5)])
-    vertices = (points[:, None] + corners).reshape(-1, 3)
-    every = (6 * np.arange(len(points))[:, None, None] + faces).reshape(-1, 3)
-    return Painted(vertices, every, colour)
+    return octahedra(points[:: max(1, len(points) // MOST_POINTS)], POINT_SIZE, colour)
 
 
 LETTERS, SMALL_LETTERS, LINE = 14, 13, 17

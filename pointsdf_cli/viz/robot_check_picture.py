@@ -18,7 +18,7 @@ from pointsdf_cli.robot.surface import robot_surface
 from pointsdf_cli.viz.robot_picture import RobotMeshes
 from pointsdf_cli.viz.robot_scene import MovingRobot, table_part
 from pointsdf_cli.viz.scene import Part, Scene, axes
-from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh
+from pointsdf_cli.viz.shading import Painted, look_at, octahedra, shaded_image, table_mesh
 
 AXES = ((0.85, 0.1, 0.1), (0.1, 0.6, 0.1), (0.15, 0.25, 0.9))
 PATH_COLOUR, SAMPLE_COLOUR = (0.95, 0.65, 0.05), (1.0, 0.55, 0.25)
@@ -52,11 +52,12 @@ def check_picture(robot: RobotDescription, size: int = 620) -> NDArray[np.uint8]
     arm = [part for part in drawn if not _inside(part, hand)]
     scale = float(np.linalg.norm(np.ptp(hand, axis=0)))
     only = [part for part in drawn if _inside(part, hand)]
+    samples = octahedra(links, 0.0065 * scale, SAMPLE_COLOUR)
     return np.concatenate(
         [
             shaded_image([*arm, *only, table_mesh(), *frames], whole, (size, size)),
             shaded_image([*only, *_frame(palm, 0.4 * scale), *ways], close, (size, size)),
-            shaded_image([*only, _dots(links, 0.013 * scale)], close, (size, size)),
+            shaded_image([*only, samples], close, (size, size)),
         ],
         axis=1,
     )
@@ -138,14 +139,3 @@ def _ways(closing: Closing, palm: Array) -> list[Painted]:
 def _rod(a: Array, b: Array, radius: float, colour: tuple[float, float, float]) -> Painted:
     mesh = trimesh.creation.cylinder(radius, segment=np.stack([a, b]), sections=10)
     return Painted(np.asarray(mesh.vertices), np.asarray(mesh.faces), colour, unlit=True)
-
-
-def _dots(points: Array, size: float) -> Painted:
-    """All points as little octahedra, one mesh."""
-    corner = size / 2 * np.concatenate([np.eye(3), -np.eye(3)])
-    faces = np.array(
-        [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
-    )
-    vertices = (points[:, None] + corner).reshape(-1, 3)
-    every = (np.arange(len(points))[:, None, None] * 6 + faces).reshape(-1, 3)
-    return Painted(vertices, every, SAMPLE_COLOUR)

@@ -222,6 +222,17 @@ def _differ(one: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.
     return red | green | blue
 
 
+def octahedra(
+    points: NDArray[np.float64], radius: float, colour: tuple[float, float, float]
+) -> Painted:
+    """Points [N, 3] as octahedra, one mesh."""
+    corners = radius * np.concatenate([np.eye(3), -np.eye(3)])
+    faces = np.array([[i, j, k] for i in (0, 3) for j in (1, 4) for k in (2, 5)])
+    vertices = (points[:, None] + corners).reshape(-1, 3)
+    every = (6 * np.arange(len(points))[:, None, None] + faces).reshape(-1, 3)
+    return Painted(vertices, every, colour)
+
+
 def table_mesh(
     low: tuple[float, float] = (-0.35, -0.75), high: tuple[float, float] = (1.25, 0.75)
 ) -> Painted:
