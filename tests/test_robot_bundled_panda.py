@@ -217,11 +217,7 @@ def test_rubber_pads_resist_torsion(panda: RobotDescription, torque: float, turn
         before = world.object.pose()
         for _ in range(round(0.5 / world.physics.step)):
             world._bullet.applyExternalTorque(
-                world.object.body,
-                -1,
-                (torque * rotation[:, 1]).tolist(),
-                world._bullet.WORLD_FRAME,
-                physicsClientId=world._client,
+                world.object.body, -1, (torque * rotation[:, 1]).tolist(), world._bullet.WORLD_FRAME
             )
             world.step()
         after = world.object.pose()

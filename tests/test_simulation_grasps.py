@@ -226,12 +226,10 @@ def test_object_that_is_shot_out_is_invalid(attempter: Attempter, grip: Grip, ca
     def shoot(world: World, phase: str) -> None:
         if phase == "lift" and not shot:
             shot.append(True)
-            body, client = world._object_body, world._client
+            body = world._object_body
             out_of_the_hand = [0.9, 0.0, 0.3]
-            world._bullet.resetBasePositionAndOrientation(
-                body, out_of_the_hand, [0, 0, 0, 1], physicsClientId=client
-            )
-            world._bullet.resetBaseVelocity(body, [4.0, 0.0, 0.0], physicsClientId=client)
+            world._bullet.resetBasePositionAndOrientation(body, out_of_the_hand, [0, 0, 0, 1])
+            world._bullet.resetBaseVelocity(body, [4.0, 0.0, 0.0])
 
     outcome = attempter.execute(item, place, grip.q, grip.lift, shoot)
     assert shot
@@ -251,12 +249,9 @@ def test_object_that_ends_inside_a_link_is_invalid(
         if phase == "settle":
             palm = world.palm_pose()
             world._bullet.resetBasePositionAndOrientation(
-                world._object_body,
-                palm[:3, 3].tolist(),
-                [0, 0, 0, 1],
-                physicsClientId=world._client,
+                world._object_body, palm[:3, 3].tolist(), [0, 0, 0, 1]
             )
-            world._bullet.performCollisionDetection(physicsClientId=world._client)
+            world._bullet.performCollisionDetection()
 
     place = beside_the_palm(item, 0.03 + depth)
     outcome = attempter.execute(item, place, grip.q, grip.lift, press_in)

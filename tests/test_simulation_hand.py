@@ -35,15 +35,13 @@ def anywhere(robot: RobotDescription, count: int) -> np.ndarray:
 
 def hand_in_bullet(world: World) -> dict[str, tuple[np.ndarray, float]]:
     """Place and quaternion [7] and mass of every link of the hand."""
-    bullet, client = world._bullet, world._client
+    bullet = world._bullet
     found = {}
     for name in world.robot.hand_links:
         body, link = world.joints.links[name]
-        state = bullet.getLinkState(
-            body, link, computeForwardKinematics=True, physicsClientId=client
-        )
+        state = bullet.getLinkState(body, link, computeForwardKinematics=True)
         turn = np.array(state[5]) * np.sign(state[5][np.argmax(np.abs(state[5]))])
-        mass = bullet.getDynamicsInfo(body, link, physicsClientId=client)[0]
+        mass = bullet.getDynamicsInfo(body, link)[0]
         found[name] = np.array([*state[4], *turn]), mass
     return found
 

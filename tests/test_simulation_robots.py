@@ -53,12 +53,12 @@ def test_a_robot_of_meshes_has_a_body(tmp_path: Path, kind: str) -> None:
     robot = gripper(tmp_path, kind)
     with World(robot) as world:
         world.reset()
-        bullet, client, body = world._bullet, world._client, world.joints.bodies[0]
-        for i in range(bullet.getNumJoints(body, physicsClientId=client)):
-            link = bullet.getJointInfo(body, i, physicsClientId=client)[12].decode()
-            shapes = bullet.getCollisionShapeData(body, i, physicsClientId=client)
+        bullet, body = world._bullet, world.joints.bodies[0]
+        for i in range(bullet.getNumJoints(body)):
+            link = bullet.getJointInfo(body, i)[12].decode()
+            shapes = bullet.getCollisionShapeData(body, i)
             assert len(shapes) == len(robot.tree.shapes[link]), link
-            low, high = bullet.getAABB(body, i, physicsClientId=client)
+            low, high = bullet.getAABB(body, i)
             if link in ("left", "right"):
                 # 6 × 1 × 2 cm, turned somehow, and the margin that PyBullet adds.
                 assert 0.06 < np.linalg.norm(np.subtract(high, low)) < 0.12
@@ -78,11 +78,11 @@ def test_links_without_a_mass_weigh_what_their_shapes_hold(tmp_path: Path) -> No
     assert any("no <inertial>" in finding.what and "left" in finding.what for finding in found)
     with World(robot) as world:
         world.reset()
-        bullet, client, body = world._bullet, world._client, world.joints.bodies[0]
+        bullet, body = world._bullet, world.joints.bodies[0]
         weighed = {}
-        for i in range(bullet.getNumJoints(body, physicsClientId=client)):
-            info = bullet.getDynamicsInfo(body, i, physicsClientId=client)
-            link = bullet.getJointInfo(body, i, physicsClientId=client)[12].decode()
+        for i in range(bullet.getNumJoints(body)):
+            info = bullet.getDynamicsInfo(body, i)
+            link = bullet.getJointInfo(body, i)[12].decode()
             weighed[link] = (info[0], info[3])
     assert weighed["left"][0] == pytest.approx(LINK_DENSITY * 0.06 * 0.01 * 0.02)
     assert weighed["left"][1] == pytest.approx((0.03, 0, 0))  # the middle of its box
@@ -118,7 +118,7 @@ def test_axes_of_any_length_move_joints_alike(tmp_path: Path) -> None:
     with World(robot) as world:
         world.reset(q=q)
         body, number = world.joints.links["left"]
-        state = world._bullet.getLinkState(body, number, physicsClientId=world._client)
+        state = world._bullet.getLinkState(body, number)
     np.testing.assert_allclose(state[4], place.numpy(), atol=1e-6)
 
 
@@ -132,7 +132,7 @@ def test_a_link_without_mass_is_given_one(tmp_path: Path) -> None:
     with World(robot) as world:
         world.reset()
         body, number = world.joints.links["left"]
-        mass = world._bullet.getDynamicsInfo(body, number, physicsClientId=world._client)[0]
+        mass = world._bullet.getDynamicsInfo(body, number)[0]
     assert mass == pytest.approx(LINK_DENSITY * 0.06 * 0.01 * 0.02)
 
 
@@ -191,9 +191,7 @@ def test_a_hand_of_meshes_is_carried_with_its_body(tmp_path: Path, kind: str) ->
     with World(robot) as world, World(boxes) as plain:
         world.reset()
         links = world.joints.links
-        state = world._bullet.getLinkState(
-            *links["left"], computeForwardKinematics=True, physicsClientId=world._client
-        )
+        state = world._bullet.getLinkState(*links["left"], computeForwardKinematics=True)
         # In the left jaw's box; at home, so that both worlds have it there.
         turn = np.array(world._bullet.getMatrixFromQuaternion(state[5])).reshape(3, 3)
         pose = transform(np.eye(3), np.array(state[4]) + turn @ [0.03, 0.0, 0.0])

@@ -134,15 +134,15 @@ def test_what_is_all_but_flat_stays_as_it_is() -> None:
 
 def near(world: World, body: int, link: int, points: Array) -> Array:
     """Distances [N] of places from one link of a body, as PyBullet has them."""
-    bullet, client = world._bullet, world._client
-    shape = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=BALL, physicsClientId=client)
-    ball = bullet.createMultiBody(0, shape, physicsClientId=client)
+    bullet = world._bullet
+    shape = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=BALL)
+    ball = bullet.createMultiBody(0, shape)
     found = []
     for point in points:
-        bullet.resetBasePositionAndOrientation(ball, point, [0, 0, 0, 1], physicsClientId=client)
-        close = bullet.getClosestPoints(ball, body, 1.0, linkIndexB=link, physicsClientId=client)
+        bullet.resetBasePositionAndOrientation(ball, point, [0, 0, 0, 1])
+        close = bullet.getClosestPoints(ball, body, 1.0, linkIndexB=link)
         found.append(min(one[8] for one in close) + BALL)
-    bullet.removeBody(ball, physicsClientId=client)
+    bullet.removeBody(ball)
     return np.array(found)
 
 

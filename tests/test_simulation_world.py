@@ -163,10 +163,7 @@ def test_a_hand_rises_into_what_is_over_it_and_not_into_what_is_below_or_aside(
     q = can_grasp()
     world.reset(None, None, q, "hand")
     lows, highs = zip(
-        *(
-            world._bullet.getAABB(body, number, physicsClientId=world._client)
-            for body, number in world.joints.links.values()
-        ),
+        *(world._bullet.getAABB(body, number) for body, number in world.joints.links.values()),
         strict=True,
     )
     low, high = np.min(lows, axis=0), np.max(highs, axis=0)
@@ -210,12 +207,12 @@ def test_another_robot_needs_no_code(box: SimObject) -> None:
 def test_a_world_that_nobody_holds_is_disconnected() -> None:
     """A planner that a server drops takes its physics client along."""
     world = World(load_robot())
-    bullet, client, folder = world._bullet, world._client, world._folder
-    assert bullet.getConnectionInfo(client)["isConnected"]
+    bullet, folder = world._bullet, world._folder
+    assert bullet.getConnectionInfo()["isConnected"]
     assert folder.exists()
     del world
     gc.collect()
-    assert not bullet.getConnectionInfo(client)["isConnected"]
+    assert not bullet.getConnectionInfo()["isConnected"]
     assert not folder.exists()
 
 

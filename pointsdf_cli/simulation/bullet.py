@@ -1,8 +1,10 @@
-"""Import of PyBullet, and suppression of the output of its C code on stdout."""
+"""Physics clients of PyBullet, and suppression of the output of its C code on stdout."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
+import inspect
 import os
 import sys
 from collections.abc import Iterator
@@ -27,6 +29,24 @@ def import_bullet() -> Any:
             "(PyBullet has no wheels for newer Pythons)",
         ) from error
     return pybullet
+
+
+class Bullet:
+    """PyBullet's functions and constants, for one physics client of its own.
+
+    Raises:
+        RgraspError: PyBullet is not installed.
+    """
+
+    def __init__(self) -> None:
+        self._module = import_bullet()
+        self._client = self._module.connect(self._module.DIRECT)
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._module, name)
+        if inspect.isbuiltin(found):
+            return functools.partial(found, physicsClientId=self._client)
+        return found
 
 
 @contextlib.contextmanager

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from pointsdf_cli.geometry.frames import (
     wxyz_from_rotation,
 )
 from pointsdf_cli.io.scratch import temporary_files
+from pointsdf_cli.simulation.bullet import Bullet
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.physics import ROLLING_FRICTION, SPINNING_FRICTION, PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
@@ -27,7 +27,7 @@ class BulletObject:
     """One object in one scene of a physics client.
 
     Args:
-        bullet, client: The module and the number of the physics client.
+        bullet: The physics client.
         item: The object.
         file: File of its pieces (`write_pieces`).
         T_world_object: [4, 4], its mesh frame in the world.
@@ -42,30 +42,23 @@ class BulletObject:
 
     def __init__(
         self,
-        bullet: Any,
-        client: int,
+        bullet: Bullet,
         item: SimObject,
         file: Path,
         T_world_object: Array,
         physics: PhysicsConfig,
     ) -> None:
-        self._bullet, self._client = bullet, client
+        self._bullet = bullet
         self._T_mesh_body = item.T_mesh_body
         self._T_body_mesh = invert_transform(item.T_mesh_body)
-        shape = bullet.createCollisionShape(
-            bullet.GEOM_MESH, fileName=str(file), physicsClientId=client
-        )
+        shape = bullet.createCollisionShape(bullet.GEOM_MESH, fileName=str(file))
         if shape < 0:
             raise RgraspError(
                 "PyBullet cannot read the object's convex pieces", where=item.mesh.name
             )
         position, xyzw = self._body_pose(T_world_object)
         self.body: int = bullet.createMultiBody(
-            item.mass,
-            shape,
-            basePosition=position,
-            baseOrientation=xyzw,
-            physicsClientId=client,
+            item.mass, shape, basePosition=position, baseOrientation=xyzw
         )
         bullet.changeDynamics(
             self.body,
@@ -76,45 +69,33 @@ class BulletObject:
             spinningFriction=SPINNING_FRICTION,
             linearDamping=0.02,
             angularDamping=0.02,
-            physicsClientId=client,
         )
 
     def place(self, T_world_object: Array) -> None:
         """Place it at rest, without physics."""
         position, xyzw = self._body_pose(T_world_object)
-        self._bullet.resetBasePositionAndOrientation(
-            self.body, position, xyzw, physicsClientId=self._client
-        )
+        self._bullet.resetBasePositionAndOrientation(self.body, position, xyzw)
 
     def pose(self) -> Array:
         """T_world_object [4, 4], the mesh frame in the world."""
-        position, xyzw = self._bullet.getBasePositionAndOrientation(
-            self.body, physicsClientId=self._client
-        )
+        position, xyzw = self._bullet.getBasePositionAndOrientation(self.body)
         rotation = rotation_from_wxyz(np.array([xyzw[3], *xyzw[:3]]))
         return transform(rotation, np.array(position)) @ self._T_body_mesh
 
     def centre(self) -> Array:
         """The centre of mass [3] in the world."""
-        position, _ = self._bullet.getBasePositionAndOrientation(
-            self.body, physicsClientId=self._client
-        )
+        position, _ = self._bullet.getBasePositionAndOrientation(self.body)
         return np.array(position)
 
     def speed(self) -> tuple[float, float]:
         """Speed of the centre of mass [m/s] and angular speed [rad/s]."""
-        linear, angular = self._bullet.getBaseVelocity(self.body, physicsClientId=self._client)
+        linear, angular = self._bullet.getBaseVelocity(self.body)
         return float(np.linalg.norm(linear)), float(np.linalg.norm(angular))
 
     def push(self, force: Array) -> None:
         """Apply a force [3] [N], world frame, at the centre of mass during the next step."""
         self._bullet.applyExternalForce(
-            self.body,
-            -1,
-            force.tolist(),
-            self.centre().tolist(),
-            self._bullet.WORLD_FRAME,
-            physicsClientId=self._client,
+            self.body, -1, force.tolist(), self.centre().tolist(), self._bullet.WORLD_FRAME
         )
 
     def _body_pose(self, T_world_object: Array) -> tuple[list[float], list[float]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +13,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import invert_transform, rotation_vector, wxyz_from_rotation
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.simulation.bullet import silence
+from pointsdf_cli.simulation.bullet import Bullet, silence
 
 GEAR_FORCE, GEAR_RECOVERY = 1000.0, 1.0
 """Coupling of joints: largest force [N or N m], share of an error that a step takes back."""
@@ -24,7 +23,7 @@ class BulletRobot:
     """The whole robot as one body, in one scene of a physics client.
 
     Args:
-        bullet, client: The module and the number of the physics client.
+        bullet: The physics client.
         robot: The robot.
         files: URDFs of the robot's parts.
         T_world_root: [4, 4], pose of their roots.
@@ -33,14 +32,13 @@ class BulletRobot:
 
     def __init__(
         self,
-        bullet: Any,
-        client: int,
+        bullet: Bullet,
         robot: RobotDescription,
         files: Sequence[Path],
         T_world_root: Array,
         recovery: float,
     ) -> None:
-        self._bullet, self._client, self.robot = bullet, client, robot
+        self._bullet, self.robot = bullet, robot
         self._recovery = recovery
         self.bodies: list[int] = []
         self.links: dict[str, tuple[int, int]] = {}
@@ -48,11 +46,11 @@ class BulletRobot:
         by_name: dict[str, tuple[int, int]] = {}
         for file in files:
             body = self._load(file, T_world_root)
-            for i in range(bullet.getNumJoints(body, physicsClientId=client)):
-                info = bullet.getJointInfo(body, i, physicsClientId=client)
+            for i in range(bullet.getNumJoints(body)):
+                info = bullet.getJointInfo(body, i)
                 by_name[info[1].decode()] = body, i
                 self.links[info[12].decode()] = body, i
-            root = bullet.getBodyInfo(body, physicsClientId=client)[0].decode()
+            root = bullet.getBodyInfo(body)[0].decode()
             self.links.setdefault(root, (body, -1))
             self.bodies.append(body)
         self._joints = [by_name.get(name) for name in robot.joint_names]
@@ -76,14 +74,9 @@ class BulletRobot:
                 jointAxis=[1, 0, 0],
                 parentFramePosition=[0, 0, 0],
                 childFramePosition=[0, 0, 0],
-                physicsClientId=self._client,
             )
             b.changeConstraint(
-                gear,
-                gearRatio=-1 / joint.mimic[1],
-                erp=GEAR_RECOVERY,
-                maxForce=GEAR_FORCE,
-                physicsClientId=self._client,
+                gear, gearRatio=-1 / joint.mimic[1], erp=GEAR_RECOVERY, maxForce=GEAR_FORCE
             )
 
     def _load(self, file: Path, T_world_root: Array) -> int:
@@ -100,7 +93,6 @@ class BulletRobot:
                         baseOrientation=wxyz[[1, 2, 3, 0]].tolist(),
                         useFixedBase=True,
                         flags=flags,
-                        physicsClientId=self._client,
                     )
                 )
         except b.error as error:
@@ -116,21 +108,19 @@ class BulletRobot:
         for first, second in pairs:
             if first in self.links and second in self.links:
                 (a, i), (b, j) = self.links[first], self.links[second]
-                self._bullet.setCollisionFilterPair(a, b, i, j, 0, physicsClientId=self._client)
+                self._bullet.setCollisionFilterPair(a, b, i, j, 0)
 
     def place(self, q: ArrayLike) -> None:
         """Put the robot at a configuration [J] at rest, without physics."""
         for body, columns, numbers in self._by_body(self._all):
             values = [[float(value)] for value in np.asarray(q)[columns]]
-            self._bullet.resetJointStatesMultiDof(
-                body, numbers, values, [[0.0]] * len(values), physicsClientId=self._client
-            )
+            self._bullet.resetJointStatesMultiDof(body, numbers, values, [[0.0]] * len(values))
 
     def state(self) -> tuple[Array, Array]:
         """Joint positions and velocities, [J] each."""
         values = np.zeros((2, len(self._joints)))
         for body, columns, numbers in self._by_body(self._all):
-            states = self._bullet.getJointStates(body, numbers, physicsClientId=self._client)
+            states = self._bullet.getJointStates(body, numbers)
             values[:, columns] = np.array([state[:2] for state in states]).T
         return values[0], values[1]
 
@@ -158,7 +148,6 @@ class BulletRobot:
                 positionGains=[self._recovery] * len(places),
                 velocityGains=[1.0] * len(places),
                 forces=forces[places].tolist(),
-                physicsClientId=self._client,
             )
 
     def drive_at(self, speeds: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
@@ -171,7 +160,6 @@ class BulletRobot:
                 self._bullet.VELOCITY_CONTROL,
                 targetVelocities=speeds[places].tolist(),
                 forces=forces[places].tolist(),
-                physicsClientId=self._client,
             )
 
     def follow(self, arm: Array) -> Iterator[None]:
@@ -214,8 +202,7 @@ class CarriedHand(BulletRobot):
 
     def __init__(
         self,
-        bullet: Any,
-        client: int,
+        bullet: Bullet,
         robot: RobotDescription,
         files: Sequence[Path],
         recovery: float,
@@ -227,7 +214,7 @@ class CarriedHand(BulletRobot):
         self._T_palm_link = invert_transform(robot.T_link_palm)
         self._q = np.array(q, dtype=float)
         T_world_palm_link = self._palm_links(self._q[None])[0]
-        super().__init__(bullet, client, robot, files, T_world_palm_link, recovery)
+        super().__init__(bullet, robot, files, T_world_palm_link, recovery)
         self._absent = [k for k, at in enumerate(self._joints) if at is None]
 
     def place(self, q: ArrayLike) -> None:
@@ -236,9 +223,7 @@ class CarriedHand(BulletRobot):
         pose = self._palm_links(self._q[None])[0]
         place, xyzw = pose[:3, 3].tolist(), wxyz_from_rotation(pose[:3, :3])[[1, 2, 3, 0]].tolist()
         for body in self.bodies:
-            self._bullet.resetBasePositionAndOrientation(
-                body, place, xyzw, physicsClientId=self._client
-            )
+            self._bullet.resetBasePositionAndOrientation(body, place, xyzw)
         super().place(q)
 
     def follow(self, arm: Array) -> Iterator[None]:
@@ -252,9 +237,7 @@ class CarriedHand(BulletRobot):
             for target, pose, turn in zip(arm, poses[1:], turning, strict=True):
                 self._q[self.robot.arm] = target
                 # From its actual pose: a step of a rotating body misses its target slightly.
-                here, _ = self._bullet.getBasePositionAndOrientation(
-                    self.bodies[0], physicsClientId=self._client
-                )
+                here, _ = self._bullet.getBasePositionAndOrientation(self.bodies[0])
                 self._move((pose[:3, 3] - here) / self._step, turn)
                 yield
         finally:
@@ -263,9 +246,7 @@ class CarriedHand(BulletRobot):
     def _move(self, speed: Array, turning: Array) -> None:
         # PyBullet moves a fixed base that has a velocity, and contacts take it into account.
         for body in self.bodies:
-            self._bullet.resetBaseVelocity(
-                body, speed.tolist(), turning.tolist(), physicsClientId=self._client
-            )
+            self._bullet.resetBaseVelocity(body, speed.tolist(), turning.tolist())
 
     def _palm_links(self, q: Array) -> Array:
         """Poses [K, 4, 4] of the palm link at configurations [K, J]."""

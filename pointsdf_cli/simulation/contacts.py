@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+
+from pointsdf_cli.simulation.bullet import Bullet
 
 
 @dataclass(frozen=True)
@@ -23,22 +24,17 @@ class RobotContact:
 
 
 def contact_of(
-    bullet: Any, client: int, bodies: Iterable[int], item: int, hand: set[tuple[int, int]]
+    bullet: Bullet, bodies: Iterable[int], item: int, hand: set[tuple[int, int]]
 ) -> RobotContact:
     """Present contact of a robot with an object.
 
     Args:
-        bullet: PyBullet.
-        client: Its client.
+        bullet: The physics client.
         bodies: Bodies of the robot.
         item: Body of the object.
         hand: Body and number of each link of the hand.
     """
-    points = [
-        point
-        for body in bodies
-        for point in bullet.getContactPoints(bodyA=body, bodyB=item, physicsClientId=client)
-    ]
+    points = [point for body in bodies for point in bullet.getContactPoints(bodyA=body, bodyB=item)]
     touching = [point for point in points if point[9] > 0.0 or point[8] < 0.0]
     links = {(point[1], point[3]) for point in touching}
     return RobotContact(
@@ -48,23 +44,20 @@ def contact_of(
     )
 
 
-def any_below(
-    bullet: Any, client: int, links: Iterable[tuple[int, int]], item: int, aside: float
-) -> bool:
+def any_below(bullet: Bullet, links: Iterable[tuple[int, int]], item: int, aside: float) -> bool:
     """Whether a link is below an object's top and horizontally within `aside` [m] of it.
 
     Uses upright boxes around both.
 
     Args:
-        bullet: PyBullet.
-        client: Its client.
+        bullet: The physics client.
         links: Body and number of each link.
         item: Body of the object.
         aside: Margin on all sides [m], upwards too.
     """
-    low, high = bullet.getAABB(item, -1, physicsClientId=client)
+    low, high = bullet.getAABB(item, -1)
     for body, number in links:
-        at, end = bullet.getAABB(body, number, physicsClientId=client)
+        at, end = bullet.getAABB(body, number)
         if at[2] < high[2] + aside and all(
             at[k] < high[k] + aside and end[k] > low[k] - aside for k in (0, 1)
         ):

@@ -15,7 +15,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.scratch import Scratch
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.simulation.bullet import import_bullet
+from pointsdf_cli.simulation.bullet import Bullet
 from pointsdf_cli.simulation.bullet_object import BulletObject, write_pieces
 from pointsdf_cli.simulation.bullet_robot import BulletRobot, CarriedHand
 from pointsdf_cli.simulation.bullet_urdf import bullet_urdf, hand_urdfs
@@ -58,9 +58,8 @@ class World:
         self._skin = self.physics.skin  # of files, which are written once
         self.chain = ArmChain(robot)
         self.table_height = 0.0
-        self._bullet = import_bullet()
-        self._client = self._bullet.connect(self._bullet.DIRECT)
-        self._end = weakref.finalize(self, self._bullet.disconnect, self._client)
+        self._bullet = Bullet()
+        self._end = weakref.finalize(self, self._bullet.disconnect)
         self._scratch = Scratch()
         self._folder = self._scratch.path
         self._whole = [bullet_urdf(robot, self._folder, self._skin)]
@@ -98,8 +97,8 @@ class World:
                 fast; or nothing.
             others: Further free objects, each with its T_world_object [4, 4].
         """
-        b, c = self._bullet, self._client
-        b.resetSimulation(physicsClientId=c)
+        b = self._bullet
+        b.resetSimulation()
         b.setPhysicsEngineParameter(
             fixedTimeStep=self.physics.step,
             numSolverIterations=self.physics.iterations,
@@ -107,9 +106,8 @@ class World:
             contactERP=CONTACT_RECOVERY * self.physics.step,
             deterministicOverlappingPairs=1,
             enableFileCaching=0,
-            physicsClientId=c,
         )
-        b.setGravity(0, 0, -GRAVITY, physicsClientId=c)
+        b.setGravity(0, 0, -GRAVITY)
         self._steps = 0
         self._shown = None
         self._add_table()
@@ -143,7 +141,7 @@ class World:
     def step(self, count: int = 1) -> None:
         """Advance by `count` steps."""
         for _ in range(count):
-            self._bullet.stepSimulation(physicsClientId=self._client)
+            self._bullet.stepSimulation()
         self._steps += count
 
     @property
@@ -168,12 +166,12 @@ class World:
             q: [J], to which the robot is moved; parts that are not simulated have no contacts.
             clearance: Distances below this [m] count as contact.
         """
-        b, c = self._bullet, self._client
+        b = self._bullet
         self.joints.place(q)
-        b.performCollisionDetection(physicsClientId=c)
+        b.performCollisionDetection()
         touched = set()
         for body in self.joints.bodies:
-            for contact in b.getContactPoints(bodyA=body, physicsClientId=c):
+            for contact in b.getContactPoints(bodyA=body):
                 if contact[8] >= clearance:
                     continue
                 other = contact[2] if contact[1] == body else contact[1]
@@ -200,9 +198,7 @@ class World:
 
     def robot_contact(self) -> RobotContact:
         """Present contacts of the robot with the object."""
-        return contact_of(
-            self._bullet, self._client, self.joints.bodies, self._object_body, self._hand_links
-        )
+        return contact_of(self._bullet, self.joints.bodies, self._object_body, self._hand_links)
 
     def rises_into_object(self, aside: float) -> bool:
         """Whether a link could meet the object on its way straight up.
@@ -215,18 +211,16 @@ class World:
         links = [
             place for link, place in self.joints.links.items() if self.robot.tree.shapes.get(link)
         ]
-        return any_below(self._bullet, self._client, links, self.object.body, aside)
+        return any_below(self._bullet, links, self.object.body, aside)
 
     def object_on_table(self) -> bool:
         """Whether the object touches the table."""
-        points = self._bullet.getContactPoints(
-            bodyA=self._table, bodyB=self._object_body, physicsClientId=self._client
-        )
+        points = self._bullet.getContactPoints(bodyA=self._table, bodyB=self._object_body)
         return any(point[8] < 1e-3 for point in points)
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """Change gravity [3] [m/s²]; shaking a frame is the same as shaking gravity in it."""
-        self._bullet.setGravity(*np.asarray(gravity, float), physicsClientId=self._client)
+        self._bullet.setGravity(*np.asarray(gravity, float))
 
     # --- building ---
 
@@ -235,33 +229,31 @@ class World:
         return hand_urdfs(self.robot, self._folder, self._skin)
 
     def _add_table(self) -> None:
-        b, c = self._bullet, self._client
+        b = self._bullet
         size = np.array([*np.subtract(TABLE_HIGH, TABLE_LOW), 0.1])
-        shape = b.createCollisionShape(
-            b.GEOM_BOX, halfExtents=(size / 2).tolist(), physicsClientId=c
-        )
+        shape = b.createCollisionShape(b.GEOM_BOX, halfExtents=(size / 2).tolist())
         centre = [*(np.add(TABLE_HIGH, TABLE_LOW) / 2), self.table_height - size[2] / 2]
-        self._table = b.createMultiBody(0, shape, basePosition=centre, physicsClientId=c)
-        b.changeDynamics(self._table, -1, lateralFriction=TABLE_FRICTION, physicsClientId=c)
+        self._table = b.createMultiBody(0, shape, basePosition=centre)
+        b.changeDynamics(self._table, -1, lateralFriction=TABLE_FRICTION)
 
     def _add_robot(self, q: Array, hand_alone: bool) -> None:
-        b, c, robot = self._bullet, self._client, self.robot
+        b, robot = self._bullet, self.robot
         recovery = JOINT_RECOVERY * self.physics.step
         self.joints: BulletRobot
         if hand_alone:
             step = self.physics.step
-            self.joints = CarriedHand(b, c, robot, self._hand, recovery, self.chain, q, step)
+            self.joints = CarriedHand(b, robot, self._hand, recovery, self.chain, q, step)
         else:
-            self.joints = BulletRobot(b, c, robot, self._whole, robot.T_world_base, recovery)
+            self.joints = BulletRobot(b, robot, self._whole, robot.T_world_base, recovery)
         links = self.joints.links
         for link in sorted(robot.links_on_table & set(links)):
             body, number = links[link]
-            b.setCollisionFilterPair(body, self._table, number, -1, 0, physicsClientId=c)
+            b.setCollisionFilterPair(body, self._table, number, -1, 0)
         # In a fixed order: it determines the order of PyBullet's pairs, and so of contacts.
         self.joints.ignore_contacts(sorted(map(sorted, robot.may_touch | robot.tree.neighbours())))
         self._hand_links = {links[link] for link in robot.hand_links}
         for body, number in sorted(self._hand_links):
-            b.changeDynamics(body, number, lateralFriction=HAND_FRICTION, physicsClientId=c)
+            b.changeDynamics(body, number, lateralFriction=HAND_FRICTION)
         self.joints.place(q)
         self.joints.drive_to(q, np.arange(len(robot.joint_names)), robot.effort)
 
@@ -272,13 +264,11 @@ class World:
             write_pieces(item.pieces, path, self._skin)
             self._object_file = item.pieces, path
         path = self._object_file[1]
-        self._object = BulletObject(
-            self._bullet, self._client, item, path, T_world_object, self.physics
-        )
+        self._object = BulletObject(self._bullet, item, path, T_world_object, self.physics)
 
     def _added(self, item: SimObject, T_world_object: Array, path: Path) -> BulletObject:
         write_pieces(item.pieces, path, self._skin)
-        return BulletObject(self._bullet, self._client, item, path, T_world_object, self.physics)
+        return BulletObject(self._bullet, item, path, T_world_object, self.physics)
 
 
 def try_robot(robot: RobotDescription) -> None:
