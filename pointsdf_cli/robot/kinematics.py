@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -13,6 +12,8 @@ from torch import Tensor
 
 from pointsdf_cli.geometry.frames import cross_matrix
 from pointsdf_cli.robot.description import RobotDescription
+
+Values = TypeVar("Values", NDArray[Any], Tensor)
 
 
 class Kinematics:
@@ -29,41 +30,39 @@ class Kinematics:
         self.robot = robot
         self.links = robot.tree.links
         self._index = {link: i for i, link in enumerate(self.links)}
-
-        def tensor(array: NDArray[np.float64]) -> Tensor:
-            # float64 agrees with a physics engine to rounding.
-            return torch.tensor(np.array(array), dtype=torch.float64)
-
         # Level by level, so that a level's joints are a slice.
         levels = self._tree_levels()
         joints = [robot.tree.joints[i] for here, _ in levels for i in here]
         columns = {name: i for i, name in enumerate(robot.joint_names)}
         # Joints that are not part of q rest at 0, through a column that is always zero.
         spare = len(columns)
-        self._columns = torch.tensor([columns.get(j.name, spare) for j in joints])
         axes = np.array([j.axis for j in joints])
         cross = cross_matrix(axes)
         turning = np.array([j.kind in ("revolute", "continuous") for j in joints])[:, None, None]
         sliding = np.array([j.kind == "prismatic" for j in joints])[:, None]
         origins = np.array([j.T_parent_joint for j in joints])
         fixed = origins[:, :3, :3]
+        by_level = [self.links[0], *(joint.child for joint in joints)]
         # Rodrigues: R(q) = R0 + sin q R0 K + (1 - cos q) R0 K²; p(q) = p0 + q R0 a if it slides.
-        self._rotation = tensor(fixed)
-        self._sine = tensor(fixed @ cross * turning)
-        self._versine = tensor(fixed @ cross @ cross * turning)
-        self._offset = tensor(origins[:, :3, 3])
-        self._slide = tensor(np.einsum("jab,jb->ja", fixed, axes) * sliding)
+        self._arrays = _Constants(
+            rotation=fixed.copy(),
+            sine=fixed @ cross * turning,
+            versine=fixed @ cross @ cross * turning,
+            offset=origins[:, :3, 3].copy(),
+            slide=np.einsum("jab,jb->ja", fixed, axes) * sliding,
+            base=np.array(robot.T_world_base[:3]),
+            columns=np.array([columns.get(j.name, spare) for j in joints]),
+            order=np.array([by_level.index(link) for link in self.links]),
+        )
+        # float64 agrees with a physics engine to rounding.
+        self._tensors = _Constants(*map(torch.from_numpy, self._arrays))
         ends = np.cumsum([0, *(len(here) for here, _ in levels)])
         self._levels = [
             (slice(int(begin), int(end)), None if above is None else torch.tensor(above))
             for begin, end, (_, above) in zip(ends, ends[1:], levels, strict=False)
         ]
-        by_level = [self.links[0], *(joint.child for joint in joints)]
-        self._order = torch.tensor([by_level.index(link) for link in self.links])
-        base = tensor(robot.T_world_base)
-        self._base_rotation, self._base_position = base[:3, :3], base[:3, 3]
         self._palm = self._index[robot.palm_link]
-        self._palm_offset = tensor(robot.T_link_palm)
+        self._palm_offset = torch.from_numpy(np.array(robot.T_link_palm))
 
     def __call__(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Poses of all links in the world.
@@ -74,17 +73,17 @@ class Kinematics:
         Returns:
             Rotations [..., L, 3, 3] and positions [..., L, 3] in the order of `links`.
         """
-        batch = q.shape[:-1]
+        fixed, batch = self._tensors, q.shape[:-1]
         flat = q.reshape(-1, q.shape[-1])
-        angle = torch.cat([flat, flat.new_zeros(len(flat), 1)], dim=1)[:, self._columns]
+        angle = torch.cat([flat, flat.new_zeros(len(flat), 1)], dim=1)[:, fixed.columns]
         sine = torch.sin(angle)[..., None, None]
         versine = (1 - torch.cos(angle))[..., None, None]
-        local_rotation = self._rotation + sine * self._sine + versine * self._versine
-        local_position = self._offset + angle[..., None] * self._slide
+        local_rotation = fixed.rotation + sine * fixed.sine + versine * fixed.versine
+        local_position = fixed.offset + angle[..., None] * fixed.slide
         count = len(flat)
         # One entry a level; a level's links are found through (level, place) of their parents.
-        rotations = [self._base_rotation.expand(count, 1, 3, 3)]
-        positions = [self._base_position.expand(count, 1, 3)]
+        rotations = [fixed.base[:, :3].expand(count, 1, 3, 3)]
+        positions = [fixed.base[:, 3].expand(count, 1, 3)]
         for joints, parents in self._levels:
             rotation, position = rotations[-1], positions[-1]
             if parents is not None:
@@ -92,8 +91,8 @@ class Kinematics:
             turned = (rotation @ local_position[:, joints, :, None]).squeeze(-1)
             rotations.append(rotation @ local_rotation[:, joints])
             positions.append(position + turned)
-        all_rotations = torch.cat(rotations, dim=1)[:, self._order]
-        all_positions = torch.cat(positions, dim=1)[:, self._order]
+        all_rotations = torch.cat(rotations, dim=1)[:, fixed.order]
+        all_positions = torch.cat(positions, dim=1)[:, fixed.order]
         return (
             all_rotations.reshape(*batch, -1, 3, 3),
             all_positions.reshape(*batch, -1, 3),
@@ -109,7 +108,7 @@ class Kinematics:
             Rotations [B, L, 3, 3] and positions [B, L, 3] in the order of `links`, equal to a
             call's but for rounding.
         """
-        fixed = self._fixed
+        fixed = self._arrays
         count, links = len(q), len(fixed.offset)
         angle = np.concatenate([q, np.zeros((count, 1))], axis=1)[:, fixed.columns]
         sine, versine = np.sin(angle)[..., None, None], 1 - np.cos(angle)[..., None, None]
@@ -127,14 +126,6 @@ class Kinematics:
             above = here
         world = world[:, fixed.order]
         return world[..., :3], world[..., 3]
-
-    @cached_property
-    def _fixed(self) -> _Fixed:
-        """Constants of the chain, in numpy."""
-        parts = (self._rotation, self._sine, self._versine, self._offset, self._slide)
-        base = torch.cat([self._base_rotation, self._base_position[:, None]], dim=1)
-        whole = (*parts, base, self._columns, self._order)
-        return _Fixed(*(part.cpu().numpy() for part in whole))
 
     def palm(self, q: Tensor) -> Tensor:
         """T_world_palm [..., 4, 4] of configurations [..., J]."""
@@ -177,7 +168,7 @@ class Kinematics:
             above = [joints[i].child for i in here]
 
 
-class _Fixed(NamedTuple):
+class _Constants(NamedTuple, Generic[Values]):
     """Constants of forward kinematics, level by level: of L - 1 joints, by their links.
 
     Attributes:
@@ -188,14 +179,14 @@ class _Fixed(NamedTuple):
         order: [L], places of `links`.
     """
 
-    rotation: NDArray[np.float64]
-    sine: NDArray[np.float64]
-    versine: NDArray[np.float64]
-    offset: NDArray[np.float64]
-    slide: NDArray[np.float64]
-    base: NDArray[np.float64]
-    columns: NDArray[np.int64]
-    order: NDArray[np.int64]
+    rotation: Values
+    sine: Values
+    versine: Values
+    offset: Values
+    slide: Values
+    base: Values
+    columns: Values
+    order: Values
 
 
 def homogeneous(rotation: Tensor, position: Tensor) -> Tensor:
