@@ -98,7 +98,6 @@ def calibrate_hand_eye(
     corners: Array,
     camera: Camera,
     eye_in_hand: bool,
-    seed: int = 0,
 ) -> HandEye:
     """Compute the camera's pose from views of a board and the robot's poses.
 
@@ -108,7 +107,6 @@ def calibrate_hand_eye(
         corners: [M, 3] of the board, m.
         camera: Intrinsics.
         eye_in_hand: Camera on the gripper and board fixed; else camera fixed, board on the gripper.
-        seed: Random seed of the subsets of images that are tried first.
 
     Raises:
         InputError: Too few images, too little rotation, or images and poses do not fit together.
@@ -119,7 +117,7 @@ def calibrate_hand_eye(
     seen = _Observations(
         fixed_moving, camera, [corners[view.ids] for view in views], [v.pixels for v in views]
     )
-    poses, used = _fit(seen, np.stack(alone), np.random.default_rng(seed))
+    poses, used = _fit(seen, np.stack(alone), np.random.default_rng(0))
     rms = seen.rms(poses)
     if np.median(rms) > LARGEST_ERROR or used.sum() < FEWEST_IMAGES:
         raise _does_not_fit(seen, np.stack(alone), float(np.median(rms)), int(used.sum()))

@@ -60,19 +60,16 @@ class InverseKinematics:
     Args:
         robot: The robot; its planning limits are kept.
         config: Effort of the search.
-        seed: Random seed of the pool.
 
     Attributes:
         chain: The arm.
     """
 
-    def __init__(
-        self, robot: RobotDescription, config: IkConfig | None = None, seed: int = 0
-    ) -> None:
+    def __init__(self, robot: RobotDescription, config: IkConfig | None = None) -> None:
         self.config = config or IkConfig()
         self._lower, self._upper = robot.lower[robot.arm], robot.upper[robot.arm]
         self.chain = ArmChain(robot)
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(0)
         self._pool = rng.uniform(
             self._lower, self._upper, (self.config.pool, len(robot.arm_joints))
         )

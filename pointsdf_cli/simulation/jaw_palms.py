@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import transform
+from pointsdf_cli.geometry.frames import cross_matrix, transform
 from pointsdf_cli.robot.jaws import Jaws
 from pointsdf_cli.simulation.faces import TOP, Box, Face, box_along
 
@@ -94,7 +94,6 @@ def small_rotation(vector: Array) -> Array:
     angle = float(np.linalg.norm(vector))
     if angle < 1e-12:
         return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    cross = cross_matrix(vector / angle)
     turned: Array = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
     return turned
