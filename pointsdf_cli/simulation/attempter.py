@@ -168,27 +168,15 @@ class Attempter:
             touched = next(kind for kind in ("object", "table", "self") if kind in hits)
             label = LOST if touched == "object" else NO_CONFIGURATION
             cause = f"start_in_{touched}"
+        elif (path := lift_path(self._reacher.chain, one.q)) is None:
+            label, cause = NO_MOTION, "no_lift"
         else:
-            try:
-                lift = self._lift(one.q)
-            except InputError:
-                label, cause = NO_MOTION, "no_lift"
+            lift = path
         reach = Reach(label, cause, one.q, one.q[None], lift)
         outcome = None
         if not cause:
             outcome = self.execute(item, scene.T_world_object, one.q, lift)
         return Attempt(index, scene, cloud, one.kind, one.T_world_palm, reach, outcome)
-
-    def _lift(self, q: Array) -> Array:
-        """Arm joints [K, A] of the lift that `plan` would take from configuration q [J].
-
-        Raises:
-            InputError: There is none.
-        """
-        path = lift_path(self._reacher.chain, q)
-        if path is None:
-            raise InputError("the arm has no room to lift from this configuration")
-        return path
 
     def _proposals(
         self, item: SimObject, scene: ObservedScene, index: int
@@ -239,7 +227,12 @@ class Attempter:
                 allowed="attempts that ended as " + ", ".join(SIMULATED),
             )
         q = grasps.q[row]
-        lift = self._lift(q) if planned else self._reacher.lift(q, grasps.T_world_palm[row])
+        if planned:  # the lift that `plan` would take
+            lift = lift_path(self._reacher.chain, q)
+        else:
+            lift = self._reacher.lift(q, grasps.T_world_palm[row])
+        if lift is None:
+            raise InputError("the arm has no room to lift from this configuration")
         return self.execute(item, grasps.T_world_object[row], q, lift, watch)
 
     def scene(self, item: SimObject, index: int) -> ObservedScene:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.grasps import NO_CONFIGURATION, NO_MOTION
 from pointsdf_cli.robot.arm_chain import ArmChain
@@ -123,17 +122,12 @@ class Reacher:
         """Kinematics of the arm."""
         return self._solver.chain
 
-    def lift(self, q: Array, T_world_palm: Array) -> Array:
-        """Arm joints [K, A] that lift the palm straight up from configuration q [J].
-
-        Raises:
-            InputError: The arm has no room to lift.
-        """
+    def lift(self, q: Array, T_world_palm: Array) -> Array | None:
+        """Arm joints [K, A] that lift the palm straight up from configuration q [J]; None if the
+        arm has no room to."""
         arm = q[None, self._robot.arm]
         paths, fine = self._straight(arm, T_world_palm, [[0, 0, LIFT_HEIGHT]])
-        if not fine[0]:
-            raise InputError("the arm has no room to lift from this configuration")
-        return paths[0]
+        return paths[0] if fine[0] else None
 
     def _way(self, T_world_palm: Array, arms: Array, joints: Array) -> Reach:
         """Path to the first of the arm configurations [B, A] that is reachable and can lift."""
