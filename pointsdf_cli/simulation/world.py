@@ -63,7 +63,7 @@ class World:
         self._scratch = Scratch()
         self._folder = self._scratch.path
         self._whole = [bullet_urdf(robot, self._folder, self._skin)]
-        self._object_file: tuple[Pieces, Path] | None = None
+        self._written: dict[Path, Pieces] = {}
         self._shown: Pieces | None = None
         self._steps = 0
         self.others: tuple[BulletObject, ...] = ()
@@ -115,7 +115,8 @@ class World:
         if robot != "none":
             self._add_robot(self.robot.home if q is None else np.asarray(q), robot == "hand")
         if item is not None:
-            self._add_object(item, np.eye(4) if T_world_object is None else T_world_object)
+            place = np.eye(4) if T_world_object is None else T_world_object
+            self._object = self._added(item, place, self._folder / "object.obj")
         self.others = tuple(
             self._added(other, place, self._folder / f"other{k}.obj")
             for k, (other, place) in enumerate(others)
@@ -257,17 +258,11 @@ class World:
         self.joints.place(q)
         self.joints.drive_to(q, np.arange(len(robot.joint_names)), robot.effort)
 
-    def _add_object(self, item: SimObject, T_world_object: Array) -> None:
-        # Compared by identity: changed pieces are another list.
-        if self._object_file is None or self._object_file[0] is not item.pieces:
-            path = self._folder / "object.obj"
-            write_pieces(item.pieces, path, self._skin)
-            self._object_file = item.pieces, path
-        path = self._object_file[1]
-        self._object = BulletObject(self._bullet, item, path, T_world_object, self.physics)
-
     def _added(self, item: SimObject, T_world_object: Array, path: Path) -> BulletObject:
-        write_pieces(item.pieces, path, self._skin)
+        # Compared by identity: changed pieces are another list.
+        if self._written.get(path) is not item.pieces:
+            write_pieces(item.pieces, path, self._skin)
+            self._written[path] = item.pieces
         return BulletObject(self._bullet, item, path, T_world_object, self.physics)
 
 
