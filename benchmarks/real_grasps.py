@@ -112,7 +112,7 @@ def verdict(case: Case, planner: GraspPlanner, world: World, seed: int) -> tuple
     item = prepare_object(case.mesh)
     config = ExecutorConfig(hold=5.0, push=2.5)
     done = execute_plan(
-        world, item, case.T_world_mesh, plan.trajectory, plan.times, config, lift=plan.lift
+        world, item, case.T_world_mesh, plan.trajectory, plan.times, plan.lift, config
     )
     if done.outcome is None:
         return "no lift", [True, False, False, False, not done.contact]

@@ -19,6 +19,7 @@ from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.trials import read_trial, read_trials
 from pointsdf_cli.planning.table_top import label_table
 from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.observe import Observer
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
@@ -176,7 +177,10 @@ def test_a_neighbour_in_the_way_is_disturbed_and_one_aside_is_not(
     in_the_way = can, transform(np.eye(3), [CAN_AT[0] - 0.02, -0.1, 0.0752])
     found = []
     for other in (aside, in_the_way):
-        done = execute_plan(world, can, there, path, np.linspace(0.0, 1.0, 3), others=[other])
+        lift = lift_path(world.chain, path[-1])
+        assert lift is not None
+        times = np.linspace(0.0, 1.0, 3)
+        done = execute_plan(world, can, there, path, times, lift, others=[other])
         found.append(disturbance([other], [one.pose() for one in world.others]))
         assert done.moments[-1].T_world_others.shape == (1, 4, 4)
     assert not found[0].disturbed

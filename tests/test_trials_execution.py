@@ -14,6 +14,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
+from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.execution import Executed, execute_plan
@@ -40,7 +41,9 @@ def can(tmp_path_factory: pytest.TempPathFactory) -> SimObject:
 def execute(world: World, can: SimObject, trajectory: Array, seconds: float) -> Executed:
     pose = transform(np.eye(3), [*CAN_AT, 0.0752])
     times = np.linspace(0.0, seconds, len(trajectory))
-    return execute_plan(world, can, pose, trajectory, times)
+    lift = lift_path(world.chain, trajectory[-1]) if len(trajectory) else trajectory
+    assert lift is not None
+    return execute_plan(world, can, pose, trajectory, times, lift)
 
 
 def approach(*shifts: tuple[float, float, float]) -> Array:
@@ -74,11 +77,11 @@ def test_the_lift_is_the_plans_own(world: World, can: SimObject) -> None:
     path = approach((0, -0.06, 0), (0, -0.03, 0), (0, 0, 0))
     pose = transform(np.eye(3), [*CAN_AT, 0.0752])
     times = np.linspace(0.0, 1.0, len(path))
-    stays = execute_plan(world, can, pose, path, times, lift=np.repeat(path[-1:], 3, axis=0))
+    stays = execute_plan(world, can, pose, path, times, np.repeat(path[-1:], 3, axis=0))
     assert stays.outcome is not None
     assert stays.outcome.lift_height == pytest.approx(0.0, abs=0.01)
     assert not stays.outcome.lifted
-    none = execute_plan(world, can, pose, path, times, lift=np.zeros((0, path.shape[1])))
+    none = execute_plan(world, can, pose, path, times, np.zeros((0, path.shape[1])))
     assert none.outcome is None
 
 

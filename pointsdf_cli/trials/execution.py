@@ -9,7 +9,6 @@ import numpy as np
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.robot.lift import lift_path
 from pointsdf_cli.simulation.executor import Executor, ExecutorConfig
 from pointsdf_cli.simulation.film import Moment, moment_of
 from pointsdf_cli.simulation.sim_object import SimObject
@@ -49,10 +48,10 @@ def execute_plan(
     T_world_object: Array,
     trajectory: Array,
     times: Array,
+    lift: Array,
     config: ExecutorConfig | None = None,
     watch: Watch | None = None,
     others: Sequence[tuple[SimObject, Array]] = (),
-    lift: Array | None = None,
 ) -> Executed:
     """Follow a timed trajectory to a grasp, then close, grip, lift, hold, push and judge.
 
@@ -63,11 +62,10 @@ def execute_plan(
         item, T_world_object: The true object and its pose [4, 4].
         trajectory: [T, J], from home to the grasp.
         times: [T], time of each configuration, s.
+        lift: [K, J], the plan's lift, empty if the plan has none.
         config: As in the collection of grasps.
         watch: Called after every step.
         others: Further free objects, each with its T_world_object [4, 4].
-        lift: [K, J], the plan's lift, empty if the plan has none. None: one is computed without
-            obstacles.
 
     Raises:
         InputError: There is no trajectory.
@@ -77,17 +75,13 @@ def execute_plan(
         raise InputError(f"a trajectory of {len(trajectory)} points", allowed="one or more")
     q = trajectory[-1]
     last = _Last(watch)
-    if lift is None:
-        arm = lift_path(world.chain, q)
-    else:
-        arm = lift[:, world.robot.arm] if len(lift) else None
     world.reset(item, T_world_object, trajectory[0], others=others)
     stood = world.object.centre()
     contact, lag = _follow(world, trajectory, times, last)
     moved = float(np.linalg.norm(world.object.centre() - stood))
-    if arm is None:
+    if not len(lift):
         return Executed(None, contact, moved, lag, last.moments)
-    outcome = Executor(world, config, last).run(q, arm)
+    outcome = Executor(world, config, last).run(q, lift[:, world.robot.arm])
     return Executed(outcome, contact, moved, lag, last.moments)
 
 

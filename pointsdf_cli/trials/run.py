@@ -164,10 +164,10 @@ class TrialRunner:
                 T_world_object,
                 plan.trajectory,
                 plan.times,
+                plan.lift,
                 self.config.execution,
                 recorder,
                 others,
-                plan.lift,
             )
         row = self._row(trial, yaw, plan, executed, spent, truth)
         if others:
