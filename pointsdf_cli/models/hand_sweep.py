@@ -202,23 +202,20 @@ class HandSweep:
     def _place_points(
         self, robot: RobotDescription, surface: Mapping[str, NDArray[np.float64]]
     ) -> None:
-        closes = set(robot.closing_joints)
-        moves = {robot.palm_link: False}
-        for joint in robot.tree.joints:
-            if joint.parent in moves:
-                moves[joint.child] = moves[joint.parent] or joint.name in closes
+        moved = set(robot.tree.beyond(robot.closing_joints))
         ahead = self._link_motion(robot)
         points: dict[bool, list[NDArray[np.float64]]] = {True: [], False: []}
         links: dict[bool, list[int]] = {True: [], False: []}
         for number, link in enumerate(self._chain.links):
             if link not in surface:
                 continue
-            if moves[link]:
+            moves = link in moved
+            if moves:
                 chosen = _pad(surface[link], ahead(number))
             else:
                 chosen = _middles(surface[link], self.config.points_per_link)
-            points[moves[link]].append(chosen)
-            links[moves[link]] += [number] * len(chosen)
+            points[moves].append(chosen)
+            links[moves] += [number] * len(chosen)
         if not points[True]:
             raise InputError(
                 "no link with a shape moves when the hand closes",
