@@ -6,8 +6,6 @@ configurations, this takes a tenth of the time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -37,13 +35,12 @@ class ArmChain:
     def __init__(self, robot: RobotDescription) -> None:
         self.robot = robot
         self._base = robot.T_world_base
-        self._joints, self._palm = _moving_joints(robot)
-        self._columns = [joint.column for joint in self._joints]
-        self._sliding = np.array([joint.slides for joint in self._joints])
-        self._axes = np.stack([joint.axis for joint in self._joints])
+        self._columns, (*self._before, self._palm) = _moving_joints(robot)
+        self._sliding = robot.slides[self._columns]
+        self._axes = np.stack([robot.joints[column].axis for column in self._columns])
         # A joint's rotation is a constant, a part with the sine and one with the cosine of its
         # angle (Rodrigues).
-        fixed = np.stack([joint.T_before[:3, :3] for joint in self._joints])
+        fixed = np.stack([pose[:3, :3] for pose in self._before])
         cross = cross_matrix(self._axes)
         cross[self._sliding] = 0.0
         turning = (fixed @ (np.eye(3) + cross @ cross), fixed @ cross, -fixed @ cross @ cross)
@@ -93,34 +90,25 @@ class ArmChain:
         count = len(arm)
         rotation = np.broadcast_to(self._base[:3, :3], (count, 3, 3))
         position = np.broadcast_to(self._base[:3, 3], (count, 3))
-        rotations = np.empty((len(self._joints), count, 3, 3))
-        origins = np.empty((len(self._joints), count, 3))
+        rotations = np.empty((len(self._before), count, 3, 3))
+        origins = np.empty((len(self._before), count, 3))
         angles = arm.T[self._columns, :, None, None]
         turns = (
             self._constant + np.sin(angles) * self._with_sine + np.cos(angles) * self._with_cosine
         )
-        for k, joint in enumerate(self._joints):
-            position = position + rotation @ joint.T_before[:3, 3]
+        for k, before in enumerate(self._before):
+            position = position + rotation @ before[:3, 3]
             origins[k] = position
             rotation = np.matmul(rotation, turns[k], out=rotations[k])
-            if joint.slides:
-                position = position + rotation @ joint.axis * arm[:, joint.column, None]
+            if self._sliding[k]:
+                position = position + rotation @ self._axes[k] * arm[:, self._columns[k], None]
         position = position + rotation @ self._palm[:3, 3]
         return rotation @ self._palm[:3, :3], position, rotations, origins
 
 
-@dataclass(frozen=True)
-class _MovingJoint:
-    """A joint of the arm: its column in q, how it lies behind the one before, its axis."""
-
-    column: int
-    T_before: Array
-    axis: Array
-    slides: bool
-
-
-def _moving_joints(robot: RobotDescription) -> tuple[list[_MovingJoint], Array]:
-    """The arm's joints from the base on, and the palm [4, 4] behind the last of them."""
+def _moving_joints(robot: RobotDescription) -> tuple[list[int], list[Array]]:
+    """Columns in q of the arm's joints from the base on, and how each of them, and at last the
+    palm, lies [4, 4] behind the one before."""
     chain = robot.tree.way_up(robot.palm_link)
     unused = set(robot.arm_joints) - {joint.name for joint in chain}
     if unused:
@@ -129,14 +117,14 @@ def _moving_joints(robot: RobotDescription) -> tuple[list[_MovingJoint], Array]:
             where=robot.name,
             allowed="arm joints between the root and the palm's link",
         )
-    joints, T = [], np.eye(4)
+    columns, poses = [], [np.eye(4)]
     for joint in reversed(chain):
-        T = T @ joint.T_parent_joint
+        poses[-1] = poses[-1] @ joint.T_parent_joint
         if joint.name in robot.arm_joints:
-            column = robot.arm_joints.index(joint.name)
-            joints.append(_MovingJoint(column, T, joint.axis, joint.kind == "prismatic"))
-            T = np.eye(4)
-    return joints, T @ robot.T_link_palm
+            columns.append(robot.arm_joints.index(joint.name))
+            poses.append(np.eye(4))
+    poses[-1] = poses[-1] @ robot.T_link_palm
+    return columns, poses
 
 
 def _cross(a: Array, b: Array) -> Array:
