@@ -1,4 +1,4 @@
-"""Pictures of training data: views with their clouds, slices of signed distance, depth noise."""
+"""Pictures of training data: views with their clouds, slices of signed distance."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from pointsdf_cli.camera.noise import DepthNoise
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster, depth_image
 from pointsdf_cli.geometry.signed_distance import SignedDistance
@@ -110,24 +108,4 @@ def sdf_slices(items: Sequence[tuple[LoadedMesh, Labels]], resolution: int = 160
         right.set_ylim(*extent[2:])
         right.set_aspect("equal")
         right.set_title(f"labels in the slab, {inside}", fontsize=8)
-    return figure
-
-
-def noise_picture(noise: DepthNoise, seed: int = 0) -> Figure:
-    """Deviation against depth, and a tilted plane at 1.5 m measured with it, seen from the side."""
-    figure, (law, side) = plt.subplots(1, 2, figsize=(10, 3.4))
-    depth = np.linspace(0.5, 4.0, 200, dtype=np.float32)
-    law.plot(depth, 1e3 * noise.deviation(depth), label="σ(z) = σ₀·(z / 1.5 m)²")
-    law.plot(1.5, 1e3 * noise.sigma, "o", label=f"σ₀ = {1e3 * noise.sigma:g} mm at 1.5 m")
-    law.set_xlabel("depth z [m]")
-    law.set_ylabel("deviation [mm]")
-    law.legend(fontsize=8)
-    rng = np.random.default_rng(seed)
-    across = np.linspace(-0.05, 0.05, 400, dtype=np.float32)
-    true: NDArray[np.float32] = (1.5 + 0.3 * across).astype(np.float32)
-    side.plot(100 * across, 1e3 * (true - 1.5), "k", lw=1, label="true plane")
-    side.plot(100 * across, 1e3 * (noise.apply(true, rng) - 1.5), ".", ms=2, label="measured")
-    side.set_xlabel("across the image [cm]")
-    side.set_ylabel("depth − 1.5 m [mm]")
-    side.legend(fontsize=8)
     return figure
