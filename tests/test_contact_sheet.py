@@ -12,8 +12,8 @@ from PIL import Image
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.viz.contact_sheet import (
     BACKGROUND,
+    COLUMNS,
     SheetItem,
-    SheetStyle,
     draw_sheet,
     items_from_files,
     shaded_view,
@@ -61,11 +61,10 @@ def test_inside_of_an_open_surface_is_red() -> None:
 
 def test_sheet_has_the_rows_it_needs(tmp_path: Path) -> None:
     box = item(trimesh.creation.box((0.1, 0.1, 0.1)))
-    style = SheetStyle(columns=3, tile=64)
-    one, two = draw_sheet([box] * 3, style).size, draw_sheet([box] * 4, style).size
+    one, two = draw_sheet([box] * COLUMNS).size, draw_sheet([box] * (COLUMNS + 1)).size
     assert one[0] == two[0]
     assert two[1] > 1.7 * one[1]
-    write_sheet(tmp_path / "sheet.png", [box] * 4, style)
+    write_sheet(tmp_path / "sheet.png", [box] * (COLUMNS + 1))
     with Image.open(tmp_path / "sheet.png") as picture:
         assert picture.size == two
 
@@ -84,7 +83,3 @@ def test_caption_is_in_centimetres() -> None:
 def test_nothing_to_draw_is_refused() -> None:
     with pytest.raises(InputError, match="no mesh"):
         draw_sheet([])
-    with pytest.raises(InputError):
-        SheetStyle(columns=0)
-    with pytest.raises(InputError):
-        SheetStyle(tile=3)

@@ -28,6 +28,9 @@ FAINT_INK = (120, 120, 126)
 SUPERSAMPLING = 2
 # Few hues, so that a palette of 256 colours has many shades of each.
 HUES, SHADES = 10, 24
+COLUMNS, TILE = 6, 200
+"""Tiles per row, and the sides of a tile [pixels]."""
+AZIMUTH, ELEVATION = np.deg2rad(-55.0), np.deg2rad(28.0)
 
 
 @dataclass(frozen=True)
@@ -37,32 +40,12 @@ class SheetItem:
     Attributes:
         vertices: [V, 3] m, +z up.
         faces: [F, 3] vertex indices, counter-clockwise seen from outside.
-        label: The line in bold under the tile; tiles with equal `group` share a colour.
-        caption: A fainter second line; the size in centimetres when empty.
-        group: Group that decides the colour; the label if empty.
+        label: The line in bold under the tile, above the size; equal labels share a colour.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     label: str
-    caption: str = ""
-    group: str = ""
-
-
-@dataclass(frozen=True)
-class SheetStyle:
-    """Layout of a sheet: tiles per row, tile size in pixels and the camera's direction."""
-
-    columns: int = 6
-    tile: int = 200
-    azimuth: float = np.deg2rad(-55.0)
-    elevation: float = np.deg2rad(28.0)
-
-    def __post_init__(self) -> None:
-        if self.columns < 1:
-            raise InputError(f"{self.columns} columns", where="columns", allowed="1 or more")
-        if not 32 <= self.tile <= 2048:
-            raise InputError(f"{self.tile} pixels", where="tile", allowed="32 to 2048")
 
 
 def shaded_view(
@@ -70,8 +53,8 @@ def shaded_view(
     faces: np.ndarray,
     size: int,
     colour: tuple[float, float, float] = (0.55, 0.65, 0.8),
-    azimuth: float = SheetStyle.azimuth,
-    elevation: float = SheetStyle.elevation,
+    azimuth: float = AZIMUTH,
+    elevation: float = ELEVATION,
     framing: np.ndarray | None = None,
 ) -> np.ndarray:
     """Orthographic picture of a mesh, lit by its face normals, filling the tile.
@@ -139,43 +122,32 @@ def _cast(
     return hits["primitive_normals"].numpy(), hits["t_hit"].numpy()
 
 
-def draw_sheet(items: Sequence[SheetItem], style: SheetStyle | None = None) -> Image.Image:
-    """All items in rows, each with its label and caption below.
+def draw_sheet(items: Sequence[SheetItem]) -> Image.Image:
+    """All items in rows, each with its label and size below.
 
     Raises:
         InputError: No item.
     """
     if not items:
         raise InputError("there is no mesh to draw", where="contact sheet")
-    style = style or SheetStyle()
-    columns = min(style.columns, len(items))
+    columns = min(COLUMNS, len(items))
     rows = -(-len(items) // columns)
-    text = max(10, style.tile // 16)
+    text = max(10, TILE // 16)
     font_bold, font = _font(text, bold=True), _font(text, bold=False)
-    pitch = style.tile + 2 * text + text
-    gap = style.tile // 20
-    sheet = Image.new(
-        "RGB", (columns * (style.tile + gap) + gap, rows * pitch + gap), color=BACKGROUND
-    )
+    pitch = TILE + 2 * text + text
+    gap = TILE // 20
+    sheet = Image.new("RGB", (columns * (TILE + gap) + gap, rows * pitch + gap), color=BACKGROUND)
     pen = ImageDraw.Draw(sheet)
     for index, item in enumerate(items):
-        left = gap + (index % columns) * (style.tile + gap)
+        left = gap + (index % columns) * (TILE + gap)
         top = gap + (index // columns) * pitch
-        tile = shaded_view(
-            item.vertices,
-            item.faces,
-            style.tile,
-            colour=_group_colour(item.group or item.label),
-            azimuth=style.azimuth,
-            elevation=style.elevation,
-        )
+        tile = shaded_view(item.vertices, item.faces, TILE, _label_colour(item.label))
         sheet.paste(Image.fromarray(tile), (left, top))
-        middle = left + style.tile // 2
-        caption = item.caption or size_caption(item.vertices)
-        pen.text((middle, top + style.tile), item.label, fill=INK, font=font_bold, anchor="mt")
+        middle = left + TILE // 2
+        pen.text((middle, top + TILE), item.label, fill=INK, font=font_bold, anchor="mt")
         pen.text(
-            (middle, top + style.tile + int(1.25 * text)),
-            caption,
+            (middle, top + TILE + int(1.25 * text)),
+            size_caption(item.vertices),
             fill=FAINT_INK,
             font=font,
             anchor="mt",
@@ -183,9 +155,9 @@ def draw_sheet(items: Sequence[SheetItem], style: SheetStyle | None = None) -> I
     return sheet
 
 
-def write_sheet(path: Path, items: Sequence[SheetItem], style: SheetStyle | None = None) -> None:
+def write_sheet(path: Path, items: Sequence[SheetItem]) -> None:
     """Draw a sheet and write it as a palette PNG (small enough to keep in a repository)."""
-    sheet = draw_sheet(items, style).quantize(palette=_palette(), dither=Image.Dither.NONE)
+    sheet = draw_sheet(items).quantize(palette=_palette(), dither=Image.Dither.NONE)
     with atomic_path(Path(path)) as temporary:
         sheet.save(temporary, format="PNG", optimize=True)
 
@@ -224,9 +196,9 @@ def _depth_jump(depth: np.ndarray) -> np.ndarray:
     return jump
 
 
-def _group_colour(group: str) -> tuple[float, float, float]:
+def _label_colour(label: str) -> tuple[float, float, float]:
     """A calm colour that depends on the text alone (`hash` is salted per process)."""
-    return _hue_colour(zlib.crc32(group.encode()) % HUES)
+    return _hue_colour(zlib.crc32(label.encode()) % HUES)
 
 
 def _hue_colour(index: int) -> tuple[float, float, float]:
