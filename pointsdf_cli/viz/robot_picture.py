@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -17,6 +17,20 @@ ARM_COLOURS = ((0.93, 0.53, 0.20), (0.72, 0.74, 0.76))
 HAND_COLOUR = (0.30, 0.33, 0.40)
 TIP_COLOUR = (0.95, 0.93, 0.86)
 
+ColouredShape = tuple[int, NDArray[np.float64], NDArray[np.int64], tuple[float, float, float]]
+
+
+def coloured_shapes(robot: RobotDescription, sections: int) -> Iterator[ColouredShape]:
+    """Shapes of all links: index of the link, vertices [V, 3], faces [F, 3] and colour; cylinders
+    have `sections` facets."""
+    hand = set(robot.hand_links)
+    for i, link in enumerate(robot.tree.links):
+        for shape in robot.tree.shapes[link]:
+            colour = ARM_COLOURS[i % 2]
+            if link in hand:
+                colour = TIP_COLOUR if shape.kind == "sphere" else HAND_COLOUR
+            yield i, *shape.triangulated(sections), colour
+
 
 class RobotMeshes:
     """The robot's shapes as meshes, to be painted at any configuration.
@@ -28,17 +42,8 @@ class RobotMeshes:
 
     def __init__(self, robot: RobotDescription, sections: int = 40) -> None:
         self._kinematics = Kinematics(robot)
-        self._parts: list[tuple[int, NDArray[np.float64], NDArray[np.int64], tuple]] = []
-        hand = self._hand = set(robot.hand_links)
-        self._names = robot.tree.links
-        for i, link in enumerate(robot.tree.links):
-            for shape in robot.tree.shapes[link]:
-                vertices, faces = shape.triangulated(sections)
-                if link in hand:
-                    colour = TIP_COLOUR if shape.kind == "sphere" else HAND_COLOUR
-                else:
-                    colour = ARM_COLOURS[i % 2]
-                self._parts.append((i, vertices, faces, colour))
+        self._parts = list(coloured_shapes(robot, sections))
+        self._hand = {i for i, link in enumerate(robot.tree.links) if link in robot.hand_links}
 
     def at(self, q: NDArray[np.float64], hand_only: bool = False) -> list[Painted]:
         """The robot, or its hand alone, at one configuration [J], in the world."""
@@ -47,7 +52,7 @@ class RobotMeshes:
         return [
             Painted(apply_transform(poses[link], vertices), faces, colour)
             for link, vertices, faces, colour in self._parts
-            if not hand_only or self._names[link] in self._hand
+            if not hand_only or link in self._hand
         ]
 
 

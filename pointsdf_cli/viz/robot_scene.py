@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics, homogeneous
-from pointsdf_cli.viz.robot_picture import ARM_COLOURS, HAND_COLOUR, TIP_COLOUR
+from pointsdf_cli.viz.robot_picture import coloured_shapes
 from pointsdf_cli.viz.scene import Part
 from pointsdf_cli.viz.shading import table_mesh
 
@@ -18,36 +18,19 @@ class MovingRobot:
 
     Args:
         robot: The robot.
-        sections: Facets of a cylinder.
 
     Attributes:
         bodies: Names of all links.
         parts: Their shapes.
     """
 
-    def __init__(self, robot: RobotDescription, sections: int = 24) -> None:
+    def __init__(self, robot: RobotDescription) -> None:
         self._kinematics = Kinematics(robot)
         self.bodies = robot.tree.links
-        hand = set(robot.hand_links)
-        parts = []
-        for i, link in enumerate(robot.tree.links):
-            for shape in robot.tree.shapes[link]:
-                vertices, faces = shape.triangulated(sections)
-                colour = ARM_COLOURS[i % 2]
-                if link in hand:
-                    colour = TIP_COLOUR if shape.kind == "sphere" else HAND_COLOUR
-                parts.append(
-                    Part(
-                        link,
-                        "robot",
-                        "mesh",
-                        vertices.astype(np.float32),
-                        faces.astype(np.int32),
-                        colour,
-                        i,
-                    )
-                )
-        self.parts = tuple(parts)
+        self.parts = tuple(
+            Part(self.bodies[i], "robot", "mesh", v.astype(np.float32), f.astype(np.int32), c, i)
+            for i, v, f, c in coloured_shapes(robot, sections=24)
+        )
 
     def poses(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses [F, L, 4, 4] of all links in the world at configurations [F, J]; NaN where q is."""
@@ -62,11 +45,5 @@ class MovingRobot:
 def table_part() -> Part:
     """The table top."""
     table = table_mesh()
-    return Part(
-        "table",
-        "table",
-        "mesh",
-        table.vertices.astype(np.float32),
-        table.faces.astype(np.int32),
-        table.colour,
-    )
+    vertices, faces = table.vertices.astype(np.float32), table.faces.astype(np.int32)
+    return Part("table", "table", "mesh", vertices, faces, table.colour)
