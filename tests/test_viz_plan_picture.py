@@ -10,8 +10,9 @@ import trimesh
 from PIL import Image
 
 from pointsdf_cli.robot.description import load_robot
-from pointsdf_cli.viz.plan_picture import PlanScene, close_ups, dots, plan_picture
+from pointsdf_cli.viz.plan_picture import PlanScene, close_ups, plan_picture
 from pointsdf_cli.viz.robot_picture import RobotMeshes
+from pointsdf_cli.viz.shading import dots
 
 ROBOT = load_robot()
 
@@ -31,12 +32,13 @@ def ball() -> PlanScene:
 
 def test_points_are_drawn_where_they_are() -> None:
     points = np.random.default_rng(0).uniform(size=(40, 3))
-    drawn = dots(points)
+    drawn = dots(points, 0.001, (0.0, 0.0, 1.0))
     np.testing.assert_allclose(drawn.vertices.reshape(40, 6, 3).mean(axis=1), points)
     assert drawn.faces.max() == len(drawn.vertices) - 1
     closed = trimesh.Trimesh(drawn.vertices[:6], drawn.faces[:8])
     assert closed.is_watertight
-    assert len(dots(np.zeros((100_000, 3))).vertices) < 6 * 3100
+    many = PlanScene(np.zeros((100_000, 3)), np.ones(3), None).painted()
+    assert 6 * 700 < max(len(part.vertices) for part in many) < 6 * 3100
 
 
 def test_the_hand_alone_is_a_part_of_the_robot(meshes: RobotMeshes) -> None:
@@ -49,9 +51,9 @@ def test_the_hand_alone_is_a_part_of_the_robot(meshes: RobotMeshes) -> None:
 def test_the_seen_points_are_seen_from_the_camera_only(meshes: RobotMeshes) -> None:
     """Blue points lie on the camera's side of the ball; from behind there are hardly any."""
     scene, blue = ball(), []
-    for made in close_ups(meshes, ROBOT.home, scene, (120, 110)):
+    for made in close_ups(meshes, ROBOT.home, scene):
         picture = made.astype(int)
-        assert picture.shape == (110, 120, 3)
+        assert picture.shape == (440, 480, 3)
         blue.append(int((picture[..., 2] > picture[..., 0] + 60).sum()))
     assert blue[0] > 3 * max(1, blue[1])
 

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.io.trials import Evidence, TrialRow
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.simulation.film import Moment
-from pointsdf_cli.viz.grasp_report import OBJECT_COLOUR, Film, write_gif
+from pointsdf_cli.viz.grasp_report import OBJECT_COLOUR, Film, placed, write_gif
 from pointsdf_cli.viz.robot_picture import RobotMeshes
-from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh
+from pointsdf_cli.viz.shading import Painted, dots, look_at, shaded_image, table_mesh
 
 BELIEVED_COLOUR = (0.86, 0.45, 0.20)
 OTHER_COLOUR = (0.72, 0.55, 0.55)
 CLOUD_COLOUR = (0.15, 0.35, 0.80)
 SIZE = (260, 230)
-POINT = 0.0022
-"""Half the side of the cubes that represent points [m]."""
+POINT = 0.004
+"""Radius of the dots that represent points [m]."""
 
 Image = NDArray[np.uint8]
 
@@ -40,38 +39,31 @@ def trial_strip(
     (green) from the robot's side; the planned grasp; the moment before the lift; the end. Other
     objects, with the meshes `others`, are drawn at their poses then, and as reconstructed.
     """
-
-    def objects(which: int) -> list[Painted]:
-        """The target and the others at one moment."""
-        target = _placed([mesh], evidence.T_world_object[which, None], OBJECT_COLOUR)
-        return target + (_placed(others, evidence.T_world_others[which]) if others else [])
-
-    true, *around = objects(0)
+    true = placed(mesh, evidence.T_world_object[0], OBJECT_COLOUR)
     middle = (true.vertices.min(axis=0) + true.vertices.max(axis=0)) / 2
     reach = float(np.ptp(true.vertices, axis=0).max())
     eye = evidence.T_world_camera[:3, 3]
     near = middle + (eye - middle) / np.linalg.norm(eye - middle) * max(0.35, 2.2 * reach)
     table = table_mesh()
-    first = [table, true, *around, *_points(evidence.cloud)]
+    every = evidence.T_world_others if others else [()] * len(evidence.q)
+    around = [_others(others, poses) for poses in every]
+    points = evidence.cloud[:: max(1, len(evidence.cloud) // 500)]
+    first = [table, true, *around[0], dots(points, POINT, CLOUD_COLOUR)]
     pictures = [shaded_image(first, look_at(near, middle), SIZE)]
     behind = middle + np.array([-0.45, -0.75, 0.45]) * max(0.4, 2.2 * reach)
-    pictures.append(_side_by_side(true, evidence, behind, middle, table))
+    pictures.append(_side_by_side(true, evidence, look_at(behind, middle), table))
     for which in _shown(evidence.phases):
+        thing = placed(mesh, evidence.T_world_object[which], OBJECT_COLOUR)
         target = np.array([middle[0], middle[1], 0.13])
         camera = look_at(target + (0.42, -0.62, 0.3), target)
-        parts = [*robot.at(evidence.q[which]), table, *objects(which)]
+        parts = [*robot.at(evidence.q[which]), table, thing, *around[which]]
         pictures.append(shaded_image(parts, camera, SIZE, 0.62))
     return np.concatenate(pictures, axis=1)
 
 
-def _placed(
-    meshes: Sequence[LoadedMesh], poses: Array, colour: tuple[float, float, float] = OTHER_COLOUR
-) -> list[Painted]:
-    """Meshes at their poses [N, 4, 4]."""
-    return [
-        Painted(apply_transform(pose, mesh.vertices), mesh.faces.astype(int), colour)
-        for mesh, pose in zip(meshes, poses, strict=True)
-    ]
+def _others(meshes: Sequence[LoadedMesh], poses: Iterable[Array]) -> list[Painted]:
+    """The other objects at their poses [4, 4]."""
+    return [placed(mesh, T, OTHER_COLOUR) for mesh, T in zip(meshes, poses, strict=True)]
 
 
 def caption(row: TrialRow) -> str:
@@ -102,7 +94,7 @@ def write_film(
 ) -> None:
     """A trial as an animated GIF; `meshes` are the target's and those of the other objects."""
     frames = [(moment.q, moment.T_world_object) for moment in moments]
-    beside = [_placed(meshes[1:], moment.T_world_others) for moment in moments]
+    beside = [_others(meshes[1:], moment.T_world_others) for moment in moments]
     path.parent.mkdir(parents=True, exist_ok=True)
     write_gif(path, RobotMeshes(robot, sections=16), Film("", meshes[0], frames, beside), rate)
 
@@ -114,37 +106,15 @@ def _shown(phases: tuple[str, ...]) -> list[int]:
     return chosen if len(phases) > 1 else [0]
 
 
-def _side_by_side(
-    true: Painted, evidence: Evidence, eye: Array, target: Array, table: Painted
-) -> Image:
+def _side_by_side(true: Painted, evidence: Evidence, camera: Array, table: Painted) -> Image:
     """Reconstruction and truth in one picture; the reconstruction is half transparent."""
-    camera = look_at(eye, target)
     lower = shaded_image([table, true], camera, SIZE)
     if not len(evidence.faces):
         return lower
-    believed = [
-        Painted(vertices.astype(float), faces.astype(int), colour)
-        for vertices, faces, colour in (
-            (evidence.vertices, evidence.faces, BELIEVED_COLOUR),
-            (evidence.obstacle_vertices, evidence.obstacle_faces, OTHER_COLOUR),
-        )
-        if len(faces)
-    ]
-    upper = shaded_image([table, *believed], camera, SIZE)
+    surfaces = [(evidence.vertices, evidence.faces, BELIEVED_COLOUR)]
+    if len(evidence.obstacle_faces):
+        surfaces.append((evidence.obstacle_vertices, evidence.obstacle_faces, OTHER_COLOUR))
+    seen = [Painted(v.astype(float), f.astype(int), colour) for v, f, colour in surfaces]
+    upper = shaded_image([table, *seen], camera, SIZE)
     mixed = upper.astype(float) * 0.5 + lower.astype(float) * 0.5
     return mixed.astype(np.uint8)
-
-
-def _points(cloud: NDArray[np.float32]) -> list[Painted]:
-    """Points as little cubes in one mesh."""
-    if not len(cloud):
-        return []
-    points = cloud[:: max(1, len(cloud) // 500)].astype(float)
-    corners = POINT * np.array(
-        [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float
-    )
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
-    vertices = (points[:, None] + corners).reshape(-1, 3)
-    every = (faces[None] + 8 * np.arange(len(points))[:, None, None]).reshape(-1, 3)
-    return [Painted(vertices, every, CLOUD_COLOUR)]

@@ -41,6 +41,13 @@ class Film:
     beside: Sequence[Sequence[Painted]] = ()
 
 
+def placed(
+    mesh: LoadedMesh, pose: NDArray[np.float64], colour: tuple[float, float, float]
+) -> Painted:
+    """A mesh at a pose [4, 4] in the world."""
+    return Painted(apply_transform(pose, mesh.vertices), mesh.faces.astype(int), colour)
+
+
 def draw_frame(
     robot: RobotMeshes,
     mesh: LoadedMesh,
@@ -53,8 +60,7 @@ def draw_frame(
 ) -> NDArray[np.uint8]:
     """One moment [height, width, 3], seen from `eye` [3] towards `target` [3]."""
     q, pose = frame
-    thing = Painted(apply_transform(pose, mesh.vertices), mesh.faces.astype(int), OBJECT_COLOUR)
-    scene = [*robot.at(q), table_mesh(), thing, *beside]
+    scene = [*robot.at(q), table_mesh(), placed(mesh, pose, OBJECT_COLOUR), *beside]
     return shaded_image(scene, look_at(eye, target), size, 0.62, oversampling)
 
 

@@ -20,16 +20,17 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.viz.lettering import lettering
 from pointsdf_cli.viz.robot_picture import RobotMeshes
-from pointsdf_cli.viz.shading import Painted, Stage, look_at, octahedra, shaded_image, table_mesh
+from pointsdf_cli.viz.shading import Painted, Stage, dots, look_at, shaded_image, table_mesh
 
 Mesh = tuple[Array, NDArray[np.integer]]
 
 SEEN_COLOUR = (0.10, 0.35, 0.85)
 BELIEVED_COLOUR = (0.62, 0.80, 0.66)
-TRUE_COLOUR = (0.93, 0.72, 0.45)
 OBSTACLE_COLOUR = (0.72, 0.55, 0.55)
 POINT_SIZE = 0.0014
 MOST_POINTS = 1500
+SIZE, FIELD_OF_VIEW = (480, 440), 0.62
+"""Width and height of each picture [pixels], and its vertical field of view [rad]."""
 TRANSLUCENT = 0.62
 """Opacity of the robot over the objects behind it, in the close-ups."""
 
@@ -43,32 +44,29 @@ class PlanScene:
         camera: [3], where the (first) camera stood.
         believed: The object's surface as planning took it, None if it took none.
         obstacles: Everything else that stands around.
-        true: The true object, where it is known; drawn instead of the believed one.
     """
 
     points: Array
     camera: Array
     believed: Mesh | None
     obstacles: Sequence[Mesh] = ()
-    true: Mesh | None = None
 
     @property
     def centre(self) -> Array:
         """[3], the middle of the object's box."""
-        shape = self.believed or self.true
-        around = self.points if shape is None else np.concatenate([self.points, shape[0]])
+        known = [self.points] if self.believed is None else [self.points, self.believed[0]]
+        around = np.concatenate(known)
         return np.asarray((around.min(axis=0) + around.max(axis=0)) / 2)
 
     def painted(self) -> list[Painted]:
         """Object, seen points, obstacles and table."""
-        meshes = [table_mesh()]
-        for shape, colour in ((self.true, TRUE_COLOUR), (self.believed, BELIEVED_COLOUR)):
-            if shape is not None:
-                meshes.append(Painted(shape[0], np.asarray(shape[1], dtype=np.int64), colour))
-                break
-        meshes.append(dots(self.points))
-        for vertices, faces in self.obstacles:
-            meshes.append(Painted(vertices, np.asarray(faces, dtype=np.int64), OBSTACLE_COLOUR))
+        points = self.points[:: max(1, len(self.points) // MOST_POINTS)]
+        meshes = [table_mesh(), dots(points, POINT_SIZE, SEEN_COLOUR)]
+        coloured = [(mesh, OBSTACLE_COLOUR) for mesh in self.obstacles]
+        if self.believed is not None:
+            coloured.append((self.believed, BELIEVED_COLOUR))
+        for (vertices, faces), colour in coloured:
+            meshes.append(Painted(vertices, np.asarray(faces, dtype=np.int64), colour))
         return meshes
 
 
@@ -90,45 +88,28 @@ def plan_picture(
         _page(pictures, title, captions, below).save(temporary, format="png", compress_level=3)
 
 
-def overview(
-    robot: RobotMeshes, q: Array, scene: PlanScene, size: tuple[int, int] = (480, 440)
-) -> NDArray[np.uint8]:
+def overview(robot: RobotMeshes, q: Array, scene: PlanScene) -> NDArray[np.uint8]:
     """The whole robot with the table, from the side where the hand is."""
     hand = robot.at(q)[-1].vertices.mean(axis=0)
     side = 1.0 if hand[1] > scene.centre[1] else -1.0
     camera = look_at((1.75, 1.75 * side, 1.15), (0.3, 0.0, 0.45))
-    return shaded_image([*robot.at(q), *scene.painted()], camera, size, 0.62)
+    return shaded_image([*robot.at(q), *scene.painted()], camera, SIZE, FIELD_OF_VIEW)
 
 
-def close_ups(
-    robot: RobotMeshes, q: Array, scene: PlanScene, size: tuple[int, int] = (480, 440)
-) -> list[NDArray[np.uint8]]:
+def close_ups(robot: RobotMeshes, q: Array, scene: PlanScene) -> list[NDArray[np.uint8]]:
     """The object with the translucent hand, from where the camera stood and from behind.
 
     The arm is left out: it reaches over from behind, and would stand before everything.
     """
-    stage = _translucent_hand(robot, q, scene)
-    return [_close_up(stage, scene, behind, size) for behind in (False, True)]
-
-
-def _translucent_hand(robot: RobotMeshes, q: Array, scene: PlanScene) -> Stage:
     hand = robot.at(q, hand_only=True)
-    return Stage([*hand, *scene.painted()], translucent=len(hand), opacity=TRANSLUCENT)
-
-
-def _close_up(
-    stage: Stage, scene: PlanScene, behind: bool, size: tuple[int, int]
-) -> NDArray[np.uint8]:
-    toward = scene.camera - scene.centre
-    heading = float(np.arctan2(toward[1], toward[0])) + (np.pi if behind else 0.0)
-    way = np.array([np.cos(heading), np.sin(heading), 0.45])
-    camera = look_at(scene.centre + 0.62 * way, scene.centre)
-    return stage.image(camera, size, 0.62)
-
-
-def dots(points: Array, colour: tuple[float, float, float] = SEEN_COLOUR) -> Painted:
-    """Points [N, 3] as small octahedra; of many, every n-th."""
-    return octahedra(points[:: max(1, len(points) // MOST_POINTS)], POINT_SIZE, colour)
+    stage = Stage([*hand, *scene.painted()], translucent=len(hand), opacity=TRANSLUCENT)
+    toward, pictures = scene.camera - scene.centre, []
+    for turn in (0.0, np.pi):
+        heading = float(np.arctan2(toward[1], toward[0])) + turn
+        way = np.array([np.cos(heading), np.sin(heading), 0.45])
+        camera = look_at(scene.centre + 0.62 * way, scene.centre)
+        pictures.append(stage.image(camera, SIZE, FIELD_OF_VIEW))
+    return pictures
 
 
 LETTERS, SMALL_LETTERS, LINE = 14, 13, 17

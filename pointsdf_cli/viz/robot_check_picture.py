@@ -18,7 +18,7 @@ from pointsdf_cli.robot.surface import robot_surface
 from pointsdf_cli.viz.robot_picture import RobotMeshes
 from pointsdf_cli.viz.robot_scene import MovingRobot, table_part
 from pointsdf_cli.viz.scene import Part, Scene, axes
-from pointsdf_cli.viz.shading import Painted, look_at, octahedra, shaded_image, table_mesh
+from pointsdf_cli.viz.shading import Painted, dots, look_at, shaded_image, table_mesh
 
 AXES = ((0.85, 0.1, 0.1), (0.1, 0.6, 0.1), (0.15, 0.25, 0.9))
 PATH_COLOUR, SAMPLE_COLOUR = (0.95, 0.65, 0.05), (1.0, 0.55, 0.25)
@@ -52,12 +52,11 @@ def check_picture(robot: RobotDescription, size: int = 620) -> NDArray[np.uint8]
     arm = [part for part in drawn if not _inside(part, hand)]
     scale = float(np.linalg.norm(np.ptp(hand, axis=0)))
     only = [part for part in drawn if _inside(part, hand)]
-    samples = octahedra(links, 0.0065 * scale, SAMPLE_COLOUR)
     return np.concatenate(
         [
             shaded_image([*arm, *only, table_mesh(), *frames], whole, (size, size)),
             shaded_image([*only, *_frame(palm, 0.4 * scale), *ways], close, (size, size)),
-            shaded_image([*only, samples], close, (size, size)),
+            shaded_image([*only, dots(links, 0.0065 * scale, SAMPLE_COLOUR)], close, (size, size)),
         ],
         axis=1,
     )

@@ -222,25 +222,19 @@ def _differ(one: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.
     return red | green | blue
 
 
-def octahedra(
-    points: NDArray[np.float64], radius: float, colour: tuple[float, float, float]
-) -> Painted:
-    """Points [N, 3] as octahedra, one mesh."""
+def table_mesh() -> Painted:
+    """The table top, a thin slab below z = 0."""
+    vertices, faces = box((1.6, 1.5, 0.02))
+    return Painted(vertices + (0.45, 0.0, -0.01), faces, (0.86, 0.82, 0.76))
+
+
+def dots(points: ArrayLike, radius: float, colour: tuple[float, float, float]) -> Painted:
+    """Points [N, 3] as octahedra of one radius [m]."""
     corners = radius * np.concatenate([np.eye(3), -np.eye(3)])
     faces = np.array([[i, j, k] for i in (0, 3) for j in (1, 4) for k in (2, 5)])
-    vertices = (points[:, None] + corners).reshape(-1, 3)
-    every = (6 * np.arange(len(points))[:, None, None] + faces).reshape(-1, 3)
+    vertices = (np.asarray(points, dtype=float)[:, None] + corners).reshape(-1, 3)
+    every = (6 * np.arange(len(vertices) // 6)[:, None, None] + faces).reshape(-1, 3)
     return Painted(vertices, every, colour)
-
-
-def table_mesh(
-    low: tuple[float, float] = (-0.35, -0.75), high: tuple[float, float] = (1.25, 0.75)
-) -> Painted:
-    """The table top, a thin slab below z = 0."""
-    size = (high[0] - low[0], high[1] - low[1], 0.02)
-    vertices, faces = box(size)
-    middle = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, -0.01)
-    return Painted(vertices + middle, faces, (0.86, 0.82, 0.76))
 
 
 def _cast(
