@@ -17,7 +17,14 @@ from pointsdf_cli.io.grasps import Grasps, GraspsMeta, collection_of, read_grasp
 from pointsdf_cli.io.hdf5 import is_complete, open_hdf5, options_of
 from pointsdf_cli.io.labels import Labels, read_labels, write_labels
 from pointsdf_cli.io.plans import plan_as_json, read_plan, write_plan
-from pointsdf_cli.io.trials import Evidence, read_trial, read_trials, write_trial, write_trials
+from pointsdf_cli.io.trials import (
+    TRIAL_VERSION,
+    Evidence,
+    read_trial,
+    read_trials,
+    write_trial,
+    write_trials,
+)
 from pointsdf_cli.io.views import Views, read_views, read_views_header, write_views
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.trials.pictures import caption
@@ -69,7 +76,7 @@ def _plan(path: Path) -> object:
 
 
 def _trial(path: Path) -> object:
-    is_complete(path, schema="trial", version=2, config=_options(path))
+    is_complete(path, schema="trial", version=TRIAL_VERSION, config=_options(path))
     row, evidence = read_trial(path)
     return _shown(path), caption(row), evidence.T_world_object[-1] @ np.eye(4)
 
