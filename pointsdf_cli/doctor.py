@@ -122,13 +122,15 @@ def _sphere_depth() -> tuple[bool, str]:
 
 
 def _round_trip() -> tuple[bool, str]:
-    from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+    from pointsdf_cli.io.hdf5 import read_artifact, write_artifact
+    from pointsdf_cli.io.layout import Column
     from pointsdf_cli.io.scratch import Scratch
 
     array = np.arange(6.0).reshape(2, 3)
     with Scratch() as folder:
         path = folder / "check.h5"
-        write_artifact(path, schema="check", version=1, datasets={"a": Dataset(array, "m")})
+        layout = {"a": Column("f8 [2, 3]", "m")}
+        write_artifact(path, schema="check", version=1, layout=layout, arrays={"a": array})
         same = np.array_equal(read_artifact(path, schema="check", version=1).datasets["a"], array)
     return same, "written and read back"
 

@@ -19,7 +19,8 @@ from test_cli_main import MUG, in_shell
 from pointsdf_cli.cli.main import _told
 from pointsdf_cli.cli.memory import is_lack_of_memory
 from pointsdf_cli.cli.printable import on_one_line, printable, printable_json
-from pointsdf_cli.io.hdf5 import Dataset, write_artifact
+from pointsdf_cli.io.hdf5 import write_artifact
+from pointsdf_cli.io.layout import Column
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="limits address space as Linux does")
 
@@ -109,7 +110,8 @@ def test_what_may_not_be_read_is_no_place_to_write() -> None:
 
 def test_escape_sequences_are_shown_and_not_obeyed(cli: Callable[..., Any], tmp_path: Path) -> None:
     path = tmp_path / "a.h5"
-    write_artifact(path, schema="s", version=1, datasets={"x": Dataset(np.zeros(1))})
+    layout = {"x": Column("f8 [1]")}
+    write_artifact(path, schema="s", version=1, layout=layout, arrays={"x": np.zeros(1)})
     with h5py.File(path, "a") as file:
         file.attrs["\x1b[2Jname\n  forged: line"] = "\x1b]0;title\x07 \x9b31m \u202egnp.exe"
         file["x"].attrs["units"] = "\x1b[31mm"

@@ -23,7 +23,6 @@ from pointsdf_cli.io.atomic import (
 )
 from pointsdf_cli.io.grasps import collection_of
 from pointsdf_cli.io.hdf5 import (
-    Dataset,
     OptionsDifferError,
     artifacts_below,
     is_complete,
@@ -31,6 +30,7 @@ from pointsdf_cli.io.hdf5 import (
     read_artifact,
     write_artifact,
 )
+from pointsdf_cli.io.layout import Column
 
 NUMBERS = np.arange(12, dtype=np.float32).reshape(4, 3)
 
@@ -42,7 +42,8 @@ def artifact(tmp_path: Path) -> Path:
         path,
         schema="views",
         version=1,
-        datasets={"cloud": Dataset(NUMBERS, "m", "camera")},
+        layout={"cloud": Column("f4 [*, 3]", "m", "camera")},
+        arrays={"cloud": NUMBERS},
         attributes={"noise": 0.001},
         seed=7,
         config={"views": 4},
@@ -77,7 +78,11 @@ def test_reading_gives_back_what_was_written(artifact: Path) -> None:
 def test_equal_contents_make_equal_files(tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_artifact(
-            tmp_path / f"{name}.h5", schema="s", version=1, datasets={"x": Dataset(NUMBERS)}
+            tmp_path / f"{name}.h5",
+            schema="s",
+            version=1,
+            layout={"x": Column("f4 [*]")},
+            arrays={"x": NUMBERS},
         )
     assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
 
@@ -94,7 +99,7 @@ def test_an_older_version_is_named(artifact: Path) -> None:
 
 def test_a_missing_dataset_is_named(artifact: Path) -> None:
     with pytest.raises(InputError, match="lacks the dataset depth"):
-        read_artifact(artifact, schema="views", version=1, names={"depth": "f4 [*]"})
+        read_artifact(artifact, schema="views", version=1, names={"depth": Column("f4 [*]")})
 
 
 @pytest.mark.parametrize("keep", [0, 10, 500, 1500])

@@ -27,13 +27,16 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io import input_files
 from pointsdf_cli.io.checkpoints import read_train_state
 from pointsdf_cli.io.describe import describe
-from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+from pointsdf_cli.io.hdf5 import read_artifact, write_artifact
 from pointsdf_cli.io.labels import Labels, read_labels, write_labels
+from pointsdf_cli.io.layout import Column
 from pointsdf_cli.io.poses import camera_pose
 from pointsdf_cli.io.trials import read_trial
 from pointsdf_cli.io.untrusted import read_json, read_npy_array, read_xml, read_yaml
 from pointsdf_cli.objects.archive import extract_mesh
 from pointsdf_cli.robot.urdf import read_urdf
+
+SQUEEZED = {"depth": Column("f4 [*, *, *]", "m", compress=True)}
 
 
 @pytest.fixture(autouse=True)
@@ -200,7 +203,8 @@ def packed_file(
 def test_a_heap_of_strings_that_never_ends(tmp_path: Path) -> None:
     # libhdf5 walks from string to string; one of index 0 and size 0 would hold it for ever.
     path = tmp_path / "a.h5"
-    write_artifact(path, schema="s", version=1, datasets={"x": Dataset(np.zeros(3))})
+    layout = {"x": Column("f8 [3]")}
+    write_artifact(path, schema="s", version=1, layout=layout, arrays={"x": np.zeros(3)})
     data = bytearray(path.read_bytes())
     at = data.index(b"GCOL") + 16
     while int.from_bytes(data[at : at + 2], "little"):
@@ -212,8 +216,8 @@ def test_a_heap_of_strings_that_never_ends(tmp_path: Path) -> None:
 
 
 def test_a_well_squeezed_dataset_is_read(tmp_path: Path) -> None:
-    zeros = Dataset(np.zeros((4, 500, 500), np.float32), "m", compress=True)
-    write_artifact(tmp_path / "a.h5", schema="s", version=1, datasets={"depth": zeros})
+    zeros = {"depth": np.zeros((4, 500, 500), np.float32)}
+    write_artifact(tmp_path / "a.h5", schema="s", version=1, layout=SQUEEZED, arrays=zeros)
     assert (tmp_path / "a.h5").stat().st_size < 100_000
     assert read_artifact(tmp_path / "a.h5", schema="s", version=1).datasets["depth"].size == 10**6
 
@@ -221,27 +225,25 @@ def test_a_well_squeezed_dataset_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("layout", "told"),
     [
-        ({"points": "f4 [N, 4]"}, "points is float32"),
-        ({"points": "i4 [N, 3]"}, "points is float32"),
-        ({"points": "f4 [N, 3]", "sdf": "f4 [N]"}, "sdf is float32.*\n.*N = 5"),
-        ({"group": "f4 [N]"}, "is a group"),
+        ({"points": Column("f4 [N, 4]")}, "points is float32"),
+        ({"points": Column("i4 [N, 3]")}, "points is float32"),
+        ({"points": Column("f4 [N, 3]"), "sdf": Column("f4 [N]")}, "sdf is float32.*\n.*N = 5"),
+        ({"group": Column("f4 [N]")}, "is a group"),
     ],
 )
 def test_what_is_not_of_its_layout_is_named(
-    tmp_path: Path, layout: dict[str, str], told: str
+    tmp_path: Path, layout: dict[str, Column], told: str
 ) -> None:
     write_artifact(
         tmp_path / "a.h5", schema="s", version=1,
-        datasets={
-            "points": Dataset(np.zeros((5, 3), np.float32)),
-            "sdf": Dataset(np.zeros(4, np.float32)),
-        },
+        layout={"points": Column("f4 [5, 3]"), "sdf": Column("f4 [4]")},
+        arrays={"points": np.zeros((5, 3), np.float32), "sdf": np.zeros(4, np.float32)},
     )  # fmt: skip
     with h5py.File(tmp_path / "a.h5", "a") as file:
         file.create_group("group")
     with pytest.raises(InputError, match=told):
         read_artifact(tmp_path / "a.h5", schema="s", version=1, names=layout)
-    good = {"points": "f4 [N, 3]", "sdf": "f4 [*]"}
+    good = {"points": Column("f4 [N, 3]"), "sdf": Column("f4 [*]")}
     assert set(read_artifact(tmp_path / "a.h5", schema="s", version=1, names=good).datasets) == set(
         good
     )
@@ -464,8 +466,8 @@ def test_a_little_gzip_that_unpacks_to_much_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # A megabyte of zeros is a kilobyte; what is stored bounds what is read by a thousand only.
-    zeros = Dataset(np.zeros((4, 1000, 500), np.float32), "m", compress=True)
-    write_artifact(tmp_path / "a.h5", schema="s", version=1, datasets={"depth": zeros})
+    zeros = {"depth": np.zeros((4, 1000, 500), np.float32)}
+    write_artifact(tmp_path / "a.h5", schema="s", version=1, layout=SQUEEZED, arrays=zeros)
     monkeypatch.setitem(input_files.LARGEST, "artifact", 1 << 20)  # type: ignore[misc]
     with pytest.raises(InputError, match="unpacks to 7 MB"):
         read_artifact(tmp_path / "a.h5", schema="s", version=1)

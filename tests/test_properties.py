@@ -24,7 +24,8 @@ from pointsdf_cli.geometry.frames import (
     wxyz_from_rotation,
 )
 from pointsdf_cli.io.clouds import Cloud, read_cloud, write_cloud
-from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+from pointsdf_cli.io.hdf5 import read_artifact, write_artifact
+from pointsdf_cli.io.layout import Column
 from pointsdf_cli.io.poses import camera_pose
 
 FEW = settings(max_examples=30, deadline=None)
@@ -146,8 +147,16 @@ tables = kinds.flatmap(
 def test_an_artifact_is_read_as_it_was(datasets: dict[str, NDArray], seed: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.h5"
-        made = {name: Dataset(array, "m") for name, array in datasets.items()}
-        write_artifact(path, schema="s", version=3, datasets=made, seed=seed, config={"n": seed})
+        layout = {name: Column("f4", "m") for name in datasets}
+        write_artifact(
+            path,
+            schema="s",
+            version=3,
+            layout=layout,
+            arrays=datasets,
+            seed=seed,
+            config={"n": seed},
+        )
         read = read_artifact(path, schema="s", version=3)
     assert read.attributes["seed"] == seed
     assert read.config == {"n": seed}

@@ -3,23 +3,24 @@ compute."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pointsdf_cli.io.hdf5 import Dataset, read_artifact, write_artifact
+from pointsdf_cli.io.hdf5 import read_artifact, write_artifact
+from pointsdf_cli.io.layout import Column
 
 SCHEMA, VERSION = "grasp-evidence", 1
 
 LAYOUT = {
-    "embedding": "f4 [G, E]",
-    "centre": "f8 [G, 3]",
-    "scale": "f8 [G]",
-    "size": "f4 [G, 3]",
-    "distance": "f4 [G, P]",
-    "body": "f4 [G, S]",
+    "embedding": Column("f4 [G, E]"),
+    "centre": Column("f8 [G, 3]", "m", "world"),
+    "scale": Column("f8 [G]", "1/m"),
+    "size": Column("f4 [G, 3]", "m", "camera"),
+    "distance": Column("f4 [G, P]", "m", "world"),
+    "body": Column("f4 [G, S]", "m", "world"),
 }
 
 
@@ -44,15 +45,6 @@ class Evidence:
     body: NDArray[np.float32]
 
 
-_UNITS = {
-    "centre": ("m", "world"),
-    "scale": ("1/m", ""),
-    "size": ("m", "camera"),
-    "distance": ("m", "world"),
-    "body": ("m", "world"),
-}
-
-
 def write_evidence(path: Path | str, evidence: Evidence, key: str) -> None:
     """Write one file's evidence.
 
@@ -65,10 +57,8 @@ def write_evidence(path: Path | str, evidence: Evidence, key: str) -> None:
         path,
         schema=SCHEMA,
         version=VERSION,
-        datasets={
-            field.name: Dataset(getattr(evidence, field.name), *_UNITS.get(field.name, ("", "")))
-            for field in fields(evidence)
-        },
+        layout=LAYOUT,
+        arrays=vars(evidence),
         attributes={"key": key},
     )
 
@@ -85,8 +75,5 @@ def read_evidence(path: Path | str) -> Evidence:
 def join_evidence(parts: list[Evidence]) -> Evidence:
     """Several files' evidence as one."""
     return Evidence(
-        **{
-            field.name: np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(Evidence)
-        }
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in LAYOUT}
     )

@@ -14,34 +14,34 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.hdf5 import (
-    Dataset,
     attributes_as_input_error,
     open_hdf5,
     options_of,
     read_artifact,
     write_artifact,
 )
+from pointsdf_cli.io.layout import Column
 from pointsdf_cli.io.view_evidence import (
-    evidence_datasets,
+    evidence_arrays,
     evidence_layout,
     read_view_evidence,
 )
 
 SCHEMA, VERSION = "grasps", 2
 LAYOUT = {
-    "cloud": "f4 [G, P, 3]",
-    "T_world_camera": "f8 [G, 4, 4]",
-    "T_world_object": "f8 [G, 4, 4]",
-    "T_world_palm": "f8 [G, 4, 4]",
-    "q": "f8 [G, J]",
-    "label": "i1 [G]",
-    "kind": "i1 [G]",
-    "cause": "i1 [G]",
-    "lift_height": "f4 [G]",
-    "slip": "f4 [G]",
-    "attempt": "i4 [G]",
-    "scene": "i4 [G]",
-    "unshaken": "i1 [G]",
+    "cloud": Column("f4 [G, P, 3]", "m", "camera"),
+    "T_world_camera": Column("f8 [G, 4, 4]", "m", "world"),
+    "T_world_object": Column("f8 [G, 4, 4]", "m", "world"),
+    "T_world_palm": Column("f8 [G, 4, 4]", "m", "world"),
+    "q": Column("f8 [G, J]", "rad", "joints"),
+    "label": Column("i1 [G]"),
+    "kind": Column("i1 [G]"),
+    "cause": Column("i1 [G]"),
+    "lift_height": Column("f4 [G]", "m", "world"),
+    "slip": Column("f4 [G]", "m", "palm"),
+    "attempt": Column("i4 [G]"),
+    "scene": Column("i4 [G]"),
+    "unshaken": Column("i1 [G]"),
 }
 EVIDENCE = evidence_layout("G")
 
@@ -146,17 +146,6 @@ class GraspsMeta:
     complete: bool = True
 
 
-_UNITS = {
-    "cloud": ("m", "camera"),
-    "T_world_camera": ("m", "world"),
-    "T_world_object": ("m", "world"),
-    "T_world_palm": ("m", "world"),
-    "q": ("rad", "joints"),
-    "lift_height": ("m", "world"),
-    "slip": ("m", "palm"),
-}
-
-
 def write_grasps(
     path: Path | str,
     grasps: Grasps,
@@ -166,27 +155,15 @@ def write_grasps(
     config: Mapping[str, Any] | None = None,
 ) -> None:
     """Write all attempts with one object as one HDF5 file."""
-    attributes: dict[str, Any] = {
-        "mesh_file": meta.mesh_file,
-        "mesh_hash": meta.mesh_hash,
-        "split": meta.split,
-        "robot": meta.robot,
-        "joint_names": list(meta.joint_names),
-        "preshape_joints": list(meta.preshape_joints),
-        "complete": meta.complete,
-        "kinds": list(KINDS),
-        "causes": list(CAUSES),
-    }
-    datasets = {
-        name: Dataset(getattr(grasps, name), *_UNITS.get(name, ("", ""))) for name in LAYOUT
-    }
-    datasets |= evidence_datasets(grasps.evidence or (ViewEvidence(),) * len(grasps))
+    names = {"joint_names": list(meta.joint_names), "preshape_joints": list(meta.preshape_joints)}
+    known = grasps.evidence or (ViewEvidence(),) * len(grasps)
     write_artifact(
         path,
         schema=SCHEMA,
         version=VERSION,
-        datasets=datasets,
-        attributes=attributes,
+        layout=LAYOUT | EVIDENCE,
+        arrays=vars(grasps) | evidence_arrays(known),
+        attributes=vars(meta) | names | {"kinds": list(KINDS), "causes": list(CAUSES)},
         seed=seed,
         config=config,
     )

@@ -35,24 +35,6 @@ NO_SEED = -1
 
 
 @dataclass(frozen=True)
-class Dataset:
-    """An array with its unit and frame.
-
-    Attributes:
-        array: The numbers.
-        units: Unit of the numbers, such as "m".
-        frame: Frame of the numbers, such as "camera".
-        compress: Worth it for images and integers; noisy floats shrink by a tenth and cost more
-            time to squeeze than to compute.
-    """
-
-    array: np.ndarray
-    units: str = ""
-    frame: str = ""
-    compress: bool = False
-
-
-@dataclass(frozen=True)
 class Artifact:
     """The contents of one file: root attributes and datasets by name."""
 
@@ -65,13 +47,24 @@ class Artifact:
         """The options that the file was made with."""
         return dict(json.loads(self.attributes.get("config_json", "{}")))
 
+    @property
+    def values(self) -> dict[str, Any]:
+        """The datasets by name, those of text as tuples of strings."""
+        return {
+            name: tuple(text.decode() for text in array.tolist())
+            if array.dtype.kind == "S"
+            else array
+            for name, array in self.datasets.items()
+        }
+
 
 def write_artifact(
     path: Path | str,
     *,
     schema: str,
     version: int,
-    datasets: Mapping[str, Dataset],
+    layout: Layout,
+    arrays: Mapping[str, Any],
     attributes: Mapping[str, Any] | None = None,
     seed: int | None = None,
     config: Mapping[str, Any] | None = None,
@@ -79,6 +72,15 @@ def write_artifact(
     """Write one artifact as a whole or not at all.
 
     Datasets hold no time stamps, so equal contents give equal files.
+
+    Args:
+        path: The file.
+        schema, version: Schema and version of the artifact.
+        layout: The datasets to write.
+        arrays: Their arrays, or lists of numbers or strings, by name; others are left out.
+        attributes: Further attributes.
+        seed: Random seed; None if nothing was drawn.
+        config: Options that the file was made with.
 
     Raises:
         InputError: The place cannot be written, or the disk is full.
@@ -95,16 +97,17 @@ def write_artifact(
         file.attrs["length_unit"] = "m"
         for name, value in (attributes or {}).items():
             file.attrs[name] = value
-        for name, dataset in datasets.items():
-            squeeze = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-            stored = file.create_dataset(
-                name,
-                data=dataset.array,
-                track_times=False,
-                **(squeeze if dataset.compress and np.ndim(dataset.array) else {}),
-            )
-            stored.attrs["units"] = dataset.units
-            stored.attrs["frame"] = dataset.frame
+        for name, column in layout.items():
+            array, squeeze = arrays[name], {}
+            if column.kind == "S":
+                array = np.array([text.encode() for text in array], dtype="S")
+            elif isinstance(array, list):
+                array = np.array(array, dtype=column.kind)
+            if column.compress:
+                squeeze = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+            stored = file.create_dataset(name, data=array, track_times=False, **squeeze)
+            stored.attrs["units"] = column.units
+            stored.attrs["frame"] = column.frame
     with atomic_path(path) as temporary:
         temporary.write_bytes(image.getbuffer())
 
@@ -123,7 +126,7 @@ def read_artifact(
     Args:
         path: The file.
         schema, version: Required schema and version.
-        names: The layout (`layout.py`) of the datasets to read; None for all, whatever they are.
+        names: The layout of the datasets to read; None for all, whatever they are.
         oldest: The oldest version that is read too; `version` alone if None.
         optional: Datasets that are read and checked too where they are there.
 
@@ -143,7 +146,7 @@ def read_artifact(
                 allowed=f"a {schema} file (version {version}); this one holds "
                 + (", ".join(sorted(file)) or "nothing"),
             )
-        there = {name: text for name, text in (optional or {}).items() if name in file}
+        there = {name: column for name, column in (optional or {}).items() if name in file}
         wanted += [name for name in there if name not in wanted]
         check_layout(path, file, {**(names or {}), **there})
         for name in wanted:

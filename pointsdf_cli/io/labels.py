@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.hdf5 import Dataset, attributes_as_input_error, read_artifact, write_artifact
+from pointsdf_cli.io.hdf5 import attributes_as_input_error, read_artifact, write_artifact
+from pointsdf_cli.io.layout import Column
 
 SCHEMA, VERSION = "labels", 1
-LAYOUT = {"points": "f4 [N, 3]", "sdf": "f4 [N]"}
+LAYOUT = {"points": Column("f4 [N, 3]", "m", "mesh"), "sdf": Column("f4 [N]", "m", "mesh")}
 
 
 @dataclass(frozen=True)
@@ -44,10 +45,8 @@ def write_labels(
         path,
         schema=SCHEMA,
         version=VERSION,
-        datasets={
-            "points": Dataset(labels.points, "m", "mesh"),
-            "sdf": Dataset(labels.sdf, "m", "mesh"),
-        },
+        layout=LAYOUT,
+        arrays=vars(labels),
         attributes={"mesh_file": labels.mesh_file, "mesh_hash": labels.mesh_hash},
         seed=seed,
         config=config,

@@ -1,20 +1,44 @@
 """Layout of an artifact's datasets, and the check of a file against it.
 
-A layout is a mapping from name to a text such as `"f4 [V, 1000, 3]"`: a kind of number and a shape.
-Letters stand for lengths that must agree wherever the same letter stands in one file; `*` for any.
+A layout is a mapping from name to `Column`. In the shapes letters stand for lengths that must agree
+wherever the same letter stands in one file; `*` for any.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.input_files import largest_input
 
-Layout = Mapping[str, str]
+
+class Column(NamedTuple):
+    """Description of a dataset.
+
+    Attributes:
+        form: Kind of number and shape, such as `"f4 [V, 1000, 3]"`; "S" for text.
+        units: Unit of the numbers, such as "m".
+        frame: Frame of the numbers, such as "camera".
+        compress: Worth it for images and integers; noisy floats shrink by a tenth and cost more
+            time to squeeze than to compute.
+    """
+
+    form: str
+    units: str = ""
+    frame: str = ""
+    compress: bool = False
+
+    @property
+    def kind(self) -> str:
+        """Kind of number, such as "f4"."""
+        return self.form.partition(" ")[0]
+
+
+Layout = Mapping[str, Column]
 
 _KINDS = {"f": "f", "i": "iu", "S": "S", "b": "b"}
 _MOST_SQUEEZED = 1100
@@ -29,11 +53,11 @@ def check_layout(path: Path, file: h5py.File, layout: Layout) -> None:
             another shape, lengths that do not agree, or numbers that are not stored.
     """
     lengths: dict[str, int] = {}
-    for name, text in layout.items():
-        kind, _, shape = text.partition(" ")
+    for name, column in layout.items():
+        _, _, shape = column.form.partition(" ")
         sides = [side.strip() for side in shape.strip("[] ").split(",") if side.strip()]
         found = _array(path, file, name)
-        ok = found.dtype.kind in _KINDS[kind[0]] and found.shape is not None
+        ok = found.dtype.kind in _KINDS[column.kind[0]] and found.shape is not None
         if ok and len(found.shape) == len(sides):
             for side, length in zip(sides, found.shape, strict=True):
                 if side.isdecimal():
@@ -47,7 +71,7 @@ def check_layout(path: Path, file: h5py.File, layout: Layout) -> None:
             raise InputError(
                 f"{name} is {found.dtype} {list(found.shape or ())}",
                 where=path,
-                allowed=text + (f" with {known}" if known else ""),
+                allowed=column.form + (f" with {known}" if known else ""),
             )
 
 

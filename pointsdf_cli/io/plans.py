@@ -14,31 +14,40 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.hdf5 import Dataset, attributes_as_input_error, read_artifact, write_artifact
+from pointsdf_cli.io.hdf5 import attributes_as_input_error, read_artifact, write_artifact
+from pointsdf_cli.io.layout import Column
 
 SCHEMA, VERSION = "plan", 1
 LAYOUT = {
-    "joint_names": "S [J]",
-    "q": "f8 [J]",
-    "trajectory": "f8 [T, J]",
-    "times": "f8 [T]",
-    "lift": "f8 [K, *]",
-    "T_world_palm": "f8 [4, 4]",
-    "link_names": "S [L]",
-    "link_clearance_object": "f8 [L]",
-    "link_clearance_table": "f8 [L]",
-    "rejected_q": "f8 [R, J]",
-    "rejected_reason": "S [R]",
-    "rejected_success_probability": "f8 [R]",
-    "rejected_objective": "f8 [R]",
-    "rejected_slack": "f8 [R, 4]",
-    "accepted_q": "f8 [A, *]",
-    "accepted_kind": "S [A]",
-    "accepted_success_probability": "f8 [A]",
-    "accepted_objective": "f8 [A]",
+    "joint_names": Column("S [J]"),
+    "q": Column("f8 [J]", "rad or m"),
+    "trajectory": Column("f8 [T, J]", "rad or m"),
+    "times": Column("f8 [T]", "s"),
+    "lift": Column("f8 [K, *]", "rad or m"),
+    "T_world_palm": Column("f8 [4, 4]", "m", "world"),
+    "link_names": Column("S [L]"),
+    "link_clearance_object": Column("f8 [L]", "m"),
+    "link_clearance_table": Column("f8 [L]", "m"),
+    "rejected_q": Column("f8 [R, J]", "rad or m"),
+    "rejected_reason": Column("S [R]"),
+    "rejected_success_probability": Column("f8 [R]"),
+    "rejected_objective": Column("f8 [R]"),
+    "rejected_slack": Column("f8 [R, 4]", "m"),
+    "accepted_q": Column("f8 [A, *]", "rad or m"),
+    "accepted_kind": Column("S [A]"),
+    "accepted_success_probability": Column("f8 [A]"),
+    "accepted_objective": Column("f8 [A]"),
 }
-OPTIONAL = {"object_vertices": "f4 [V, 3]", "object_faces": "i4 [F, 3]"}
+OPTIONAL = {
+    "object_vertices": Column("f4 [V, 3]", "m", "world", compress=True),
+    "object_faces": Column("i4 [F, 3]", compress=True),
+}
 """Datasets that older files lack."""
+FACTS: dict[str, type] = {
+    "status": str, "reason": str, "sentence": str, "kind": str,
+    "success_probability": float, "objective": float, "seeds_tried": int,
+}  # fmt: skip
+"""Attributes, with their types."""
 OK, NO_PLAN = "ok", "no_plan"
 SLACKS = ("object", "table", "obstacles", "self")
 
@@ -164,41 +173,20 @@ def write_plan(
     path: Path | str, plan: Plan, *, seed: int, config: Mapping[str, Any] | None = None
 ) -> None:
     """Write a plan as one HDF5 file."""
-    rejected, accepted = plan.rejected, plan.accepted
     write_artifact(
         path,
         schema=SCHEMA,
         version=VERSION,
-        datasets={
-            "q": Dataset(plan.q, "rad or m"),
-            "trajectory": Dataset(plan.trajectory, "rad or m"),
-            "times": Dataset(plan.times, "s"),
-            "lift": Dataset(plan.lift, "rad or m"),
-            "joint_names": Dataset(_bytes(plan.joint_names)),
-            "T_world_palm": Dataset(plan.T_world_palm, "m", "world"),
-            "link_names": Dataset(_bytes(plan.link_names)),
-            "link_clearance_object": Dataset(plan.link_clearance_object, "m"),
-            "link_clearance_table": Dataset(plan.link_clearance_table, "m"),
-            "accepted_q": Dataset(accepted.q, "rad or m"),
-            "accepted_kind": Dataset(_bytes(accepted.kinds)),
-            "accepted_success_probability": Dataset(accepted.success_probability),
-            "accepted_objective": Dataset(accepted.objective),
-            "object_vertices": Dataset(plan.object_vertices, "m", "world", compress=True),
-            "object_faces": Dataset(plan.object_faces, compress=True),
-            "rejected_q": Dataset(rejected.q, "rad or m"),
-            "rejected_reason": Dataset(_bytes(rejected.reasons)),
-            "rejected_success_probability": Dataset(rejected.success_probability),
-            "rejected_objective": Dataset(rejected.objective),
-            "rejected_slack": Dataset(rejected.slack, "m"),
+        layout=LAYOUT | OPTIONAL,
+        arrays={
+            **vars(plan),
+            **{f"rejected_{name}": value for name, value in vars(plan.rejected).items()},
+            **{f"accepted_{name}": value for name, value in vars(plan.accepted).items()},
+            "rejected_reason": plan.rejected.reasons,
+            "accepted_kind": plan.accepted.kinds,
         },
         attributes={
-            "status": plan.status,
-            "reason": plan.reason,
-            "sentence": plan.sentence,
-            "kind": plan.kind,
-            "success_probability": plan.success_probability,
-            "objective": plan.objective,
-            "seeds_tried": plan.seeds_tried,
+            **{name: getattr(plan, name) for name in FACTS},
             "timings_json": json.dumps(dict(plan.timings), sort_keys=True),
             "rejected_slack_columns": ",".join(SLACKS),
         },
@@ -214,41 +202,26 @@ def read_plan(path: Path | str) -> Plan:
         InputError: Not a plan of this version.
     """
     artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT, optional=OPTIONAL)
-    data, facts = artifact.datasets, artifact.attributes
-    surface = {name: data[name] for name in OPTIONAL if name in data}
+    facts = artifact.attributes
     with attributes_as_input_error(path):
+        data = artifact.values
         return Plan(
-            status=str(facts["status"]),
-            reason=str(facts["reason"]),
-            sentence=str(facts["sentence"]),
-            joint_names=_strings(data["joint_names"]),
-            q=data["q"],
-            trajectory=data["trajectory"],
-            times=data["times"],
-            T_world_palm=data["T_world_palm"],
-            success_probability=float(facts["success_probability"]),
-            objective=float(facts["objective"]),
-            seeds_tried=int(facts["seeds_tried"]),
+            **{name: of(facts[name]) for name, of in FACTS.items()},
+            **{name: data[name] for name in Plan.__dataclass_fields__ if name in data},
             timings=dict(json.loads(facts["timings_json"])),
-            link_names=_strings(data["link_names"]),
-            link_clearance_object=data["link_clearance_object"],
-            link_clearance_table=data["link_clearance_table"],
             rejected=RejectedSeeds(
                 q=data["rejected_q"],
-                reasons=_strings(data["rejected_reason"]),
+                reasons=data["rejected_reason"],
                 success_probability=data["rejected_success_probability"],
                 objective=data["rejected_objective"],
                 slack=data["rejected_slack"],
             ),
-            kind=str(facts["kind"]),
             accepted=AcceptedGrasps(
                 q=data["accepted_q"],
-                kinds=_strings(data["accepted_kind"]),
+                kinds=data["accepted_kind"],
                 success_probability=data["accepted_success_probability"],
                 objective=data["accepted_objective"],
             ),
-            lift=data["lift"],
-            **surface,
         )
 
 
@@ -303,11 +276,3 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
 def _number(value: float) -> float | None:
     """A number for JSON, which has neither NaN nor infinity: None for these."""
     return float(value) if np.isfinite(value) else None
-
-
-def _bytes(names: tuple[str, ...]) -> NDArray[np.bytes_]:
-    return np.array([name.encode() for name in names], dtype="S" if names else "S1")
-
-
-def _strings(names: NDArray[np.bytes_]) -> tuple[str, ...]:
-    return tuple(name.decode() for name in names.tolist())

@@ -13,25 +13,26 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.hdf5 import Dataset, attributes_as_input_error, read_artifact, write_artifact
+from pointsdf_cli.io.hdf5 import attributes_as_input_error, read_artifact, write_artifact
+from pointsdf_cli.io.layout import Column
 
 SCHEMA, VERSION = "trials", 3
 TRIAL_SCHEMA, TRIAL_VERSION = "trial", 3
 TRIAL_LAYOUT = {
-    "cloud": "f4 [N, 3]",
-    "T_world_camera": "f8 [4, 4]",
-    "vertices": "f4 [V, 3]",
-    "faces": "i4 [F, 3]",
-    "phases": "S [*]",
-    "q": "f8 [M, J]",
-    "T_world_object": "f8 [M, 4, 4]",
-    "trajectory": "f8 [T, J]",
-    "times": "f8 [T]",
+    "cloud": Column("f4 [N, 3]", "m", "world"),
+    "T_world_camera": Column("f8 [4, 4]", "m", "world"),
+    "vertices": Column("f4 [V, 3]", "m", "world"),
+    "faces": Column("i4 [F, 3]"),
+    "phases": Column("S [*]"),
+    "q": Column("f8 [M, J]", "rad", "joints"),
+    "T_world_object": Column("f8 [M, 4, 4]", "m", "world"),
+    "trajectory": Column("f8 [T, J]", "rad", "joints"),
+    "times": Column("f8 [T]", "s"),
 }
 CLUTTER_LAYOUT = {
-    "T_world_others": "f8 [M2, N2, 4, 4]",
-    "obstacle_vertices": "f4 [V2, 3]",
-    "obstacle_faces": "i4 [F2, 3]",
+    "T_world_others": Column("f8 [M2, N2, 4, 4]", "m", "world"),
+    "obstacle_vertices": Column("f4 [V2, 3]", "m", "world"),
+    "obstacle_faces": Column("i4 [F2, 3]"),
 }
 """Datasets of trials with other objects; earlier files lack them."""
 
@@ -148,15 +149,16 @@ _UNITS = {
     "final_height": "m",
     "largest_move": "m",
 }
-_TYPES: dict[str, type] = {"int": np.int64, "float": np.float64, "bool": np.bool_}
 _LETTERS = {"str": "S", "int": "i8", "float": "f8", "bool": "b1"}
-LAYOUT = {
-    one.name: _LETTERS[str(one.type)] + " [R]" for one in fields(TrialRow) if one.default is MISSING
+_COLUMNS = {
+    one.name: Column(_LETTERS[str(one.type)] + " [R]", _UNITS.get(one.name, ""))
+    for one in fields(TrialRow)
 }
 LATER_LAYOUT = {
-    one.name: _LETTERS[str(one.type)] + " [R]" for one in fields(TrialRow) if one.name not in LAYOUT
+    one.name: _COLUMNS[one.name] for one in fields(TrialRow) if one.default is not MISSING
 }
 """Columns that earlier files lack."""
+LAYOUT = {name: column for name, column in _COLUMNS.items() if name not in LATER_LAYOUT}
 
 
 def write_trial(
@@ -167,20 +169,8 @@ def write_trial(
         path,
         schema=TRIAL_SCHEMA,
         version=TRIAL_VERSION,
-        datasets={
-            "cloud": Dataset(evidence.cloud, "m", "world"),
-            "T_world_camera": Dataset(evidence.T_world_camera, "m", "world"),
-            "vertices": Dataset(evidence.vertices, "m", "world"),
-            "faces": Dataset(evidence.faces),
-            "phases": Dataset(_bytes(evidence.phases)),
-            "q": Dataset(evidence.q, "rad", "joints"),
-            "T_world_object": Dataset(evidence.T_world_object, "m", "world"),
-            "trajectory": Dataset(evidence.trajectory, "rad", "joints"),
-            "times": Dataset(evidence.times, "s"),
-            "T_world_others": Dataset(evidence.T_world_others, "m", "world"),
-            "obstacle_vertices": Dataset(evidence.obstacle_vertices, "m", "world"),
-            "obstacle_faces": Dataset(evidence.obstacle_faces),
-        },
+        layout=TRIAL_LAYOUT | CLUTTER_LAYOUT,
+        arrays=vars(evidence),
         attributes={"row_json": json.dumps(asdict(row))},
         seed=row.seed,
         config=config,
@@ -200,19 +190,18 @@ def read_trial(path: Path | str) -> tuple[TrialRow, Evidence]:
         names=TRIAL_LAYOUT,
         optional=CLUTTER_LAYOUT,
     )
-    data: dict[str, Any] = dict(artifact.datasets)
     with attributes_as_input_error(path):
         row = _row(json.loads(str(artifact.attributes["row_json"])))
-        phases = tuple(name.decode() for name in data.pop("phases").tolist())
-        moments = len(data["q"])
-        if moments < 1 or len(phases) not in (0, moments):
-            raise ValueError(f"{len(phases)} phases of {moments} moments")
+        data = artifact.values
+        moments, phases = len(data["q"]), len(data["phases"])
+        if moments < 1 or phases not in (0, moments):
+            raise ValueError(f"{phases} phases of {moments} moments")
         _require_corners(data["faces"], data["vertices"])
         if "obstacle_faces" in data:
             _require_corners(data["obstacle_faces"], data["obstacle_vertices"])
             if data["T_world_others"].size and len(data["T_world_others"]) != moments:
                 raise ValueError("poses of other objects at other moments")
-    return row, Evidence(phases=phases, **data)
+    return row, Evidence(**data)
 
 
 def _require_corners(faces: NDArray[np.int32], vertices: NDArray[np.float32]) -> None:
@@ -247,14 +236,11 @@ def write_trials(
     """
     if not rows:
         raise InputError("there are no trials", where=path)
-    columns = {}
-    for one in fields(TrialRow):
-        values = [getattr(row, one.name) for row in rows]
-        array = (
-            _bytes(values) if one.type == "str" else np.array(values, dtype=_TYPES[str(one.type)])
-        )
-        columns[one.name] = Dataset(array, _UNITS.get(one.name, ""))
-    write_artifact(path, schema=SCHEMA, version=VERSION, datasets=columns, seed=seed, config=config)
+    columns = {name: [getattr(row, name) for row in rows] for name in _COLUMNS}
+    write_artifact(
+        path, schema=SCHEMA, version=VERSION, layout=_COLUMNS, arrays=columns, seed=seed,
+        config=config,
+    )  # fmt: skip
 
 
 def read_trials(path: Path | str) -> list[TrialRow]:
@@ -266,14 +252,8 @@ def read_trials(path: Path | str) -> list[TrialRow]:
     artifact = read_artifact(
         path, schema=SCHEMA, version=VERSION, names=LAYOUT, optional=LATER_LAYOUT
     )
-    columns: dict[str, list[Any]] = {}
     with attributes_as_input_error(path):
-        for name, data in artifact.datasets.items():
-            values = data.tolist()
-            columns[name] = [v.decode() for v in values] if data.dtype.kind == "S" else values
+        values = artifact.values.items()
+        columns = {name: v if isinstance(v, tuple) else v.tolist() for name, v in values}
         rows = zip(*columns.values(), strict=True)
         return [TrialRow(**dict(zip(columns, values, strict=True))) for values in rows]
-
-
-def _bytes(names: Sequence[str]) -> NDArray[np.bytes_]:
-    return np.array([name.encode() for name in names], dtype="S" if any(names) else "S1")

@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.visibility import SIZE, ViewEvidence, VisibilityImage
-from pointsdf_cli.io.hdf5 import Dataset
+from pointsdf_cli.io.layout import Column
 
 
-def evidence_layout(rows: str) -> dict[str, str]:
+def evidence_layout(rows: str) -> dict[str, Column]:
     """The layout of the datasets, whose first axis is named `rows`."""
     return {
-        "visibility_window": f"f8 [{rows}, 4]",
-        "visibility_seen": f"i1 [{rows}, S, S]",
-        "visibility_free": f"f4 [{rows}, S, S]",
-        "support_plane": f"f8 [{rows}, 4]",
+        "visibility_window": Column(f"f8 [{rows}, 4]", "1", "camera"),
+        "visibility_seen": Column(f"i1 [{rows}, S, S]", "1", "camera", compress=True),
+        "visibility_free": Column(f"f4 [{rows}, S, S]", "m", "camera", compress=True),
+        "support_plane": Column(f"f8 [{rows}, 4]", "1, m", "camera"),
     }
 
 
-def evidence_datasets(evidence: Sequence[ViewEvidence]) -> dict[str, Dataset]:
-    """Datasets with one row a view; NaN for an unknown window or plane."""
+def evidence_arrays(evidence: Sequence[ViewEvidence]) -> dict[str, NDArray[Any]]:
+    """Arrays of the datasets, with one row a view; NaN for an unknown window or plane."""
     nothing = VisibilityImage(
         np.full(4, np.nan), np.zeros((SIZE, SIZE), bool), np.zeros((SIZE, SIZE), np.float32)
     )
@@ -39,10 +39,10 @@ def evidence_datasets(evidence: Sequence[ViewEvidence]) -> dict[str, Dataset]:
         seen = np.stack([i.seen for i in images]).astype(np.int8)
         free = np.stack([i.free for i in images]).astype(np.float32)
     return {
-        "visibility_window": Dataset(window, "1", "camera"),
-        "visibility_seen": Dataset(seen, "1", "camera", compress=True),
-        "visibility_free": Dataset(free, "m", "camera", compress=True),
-        "support_plane": Dataset(plane, "1, m", "camera"),
+        "visibility_window": window,
+        "visibility_seen": seen,
+        "visibility_free": free,
+        "support_plane": plane,
     }
 
 

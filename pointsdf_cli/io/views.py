@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.io.hdf5 import (
-    Dataset,
     attributes_as_input_error,
     read_artifact,
     schema_version,
     write_artifact,
 )
+from pointsdf_cli.io.layout import Column
 from pointsdf_cli.io.view_evidence import (
-    evidence_datasets,
+    evidence_arrays,
     evidence_layout,
     read_view_evidence,
 )
@@ -27,9 +27,12 @@ from pointsdf_cli.io.view_evidence import (
 SCHEMA, VERSION = "views", 2
 OLDEST = 1
 """Version 1 knows nothing of the space around the object; it is read as unknown."""
-LAYOUT = {"cloud": "f4 [V, P, 3]", "T_camera_object": "f8 [V, 4, 4]"}
+LAYOUT = {
+    "cloud": Column("f4 [V, P, 3]", "m", "camera"),
+    "T_camera_object": Column("f8 [V, 4, 4]", "1, m", "camera"),
+}
 EVIDENCE = evidence_layout("V")
-DEPTH = {"depth": "f4 [V, H, W]"}
+DEPTH = {"depth": Column("f4 [V, H, W]", "m", "camera", compress=True)}
 
 
 @dataclass(frozen=True)
@@ -65,18 +68,13 @@ def write_views(
     path: Path | str, views: Views, *, seed: int, config: Mapping[str, Any] | None = None
 ) -> None:
     """Write `views` as one HDF5 file."""
-    datasets = {
-        "cloud": Dataset(views.cloud, "m", "camera"),
-        "T_camera_object": Dataset(views.T_camera_object, "1, m", "camera"),
-    }
-    datasets |= evidence_datasets(views.evidence or (ViewEvidence(),) * len(views.cloud))
-    if views.depth is not None:
-        datasets["depth"] = Dataset(views.depth, "m", "camera", compress=True)
+    known = views.evidence or (ViewEvidence(),) * len(views.cloud)
     write_artifact(
         path,
         schema=SCHEMA,
         version=VERSION,
-        datasets=datasets,
+        layout=LAYOUT | EVIDENCE | ({} if views.depth is None else DEPTH),
+        arrays=vars(views) | evidence_arrays(known),
         attributes={
             "K": views.K,
             "image_size": views.image_size,
