@@ -231,16 +231,13 @@ def _with_gap(value: Array, beyond: Array) -> Array:
     return np.where(square > 0, np.sqrt(square + value * value), value)
 
 
-def surface_box(
-    field: Field, low: Array, high: Array, step: float, slope: float = 1.0
-) -> tuple[Array, Array]:
+def surface_box(field: Field, low: Array, high: Array, step: float) -> tuple[Array, Array]:
     """Tight box (low [3], high [3]) around the surface within a wide one, from few queries.
 
     Args:
         field: Field to evaluate on a grid of `step` [m].
         low, high: [3], the wide box [m].
         step: Step of that grid; the result is tight to about as much.
-        slope: The largest slope of the field.
 
     Raises:
         InputError: All values are too large for a surface in any cell.
@@ -251,7 +248,7 @@ def surface_box(
     nodes = np.argwhere(np.ones(cells + 1, dtype=bool))
     values = field(low + nodes * step).reshape(cells + 1)
     # What is inside of a cell is no farther from its nearest corner than half its diagonal.
-    occupied = np.argwhere(_any_corner(values <= slope * np.sqrt(3) / 2 * step))
+    occupied = np.argwhere(_any_corner(values <= np.sqrt(3) / 2 * step))
     if not len(occupied):
         raise InputError("the object's field is positive everywhere", allowed="a field with inside")
     return low + occupied.min(axis=0) * step, low + (occupied.max(axis=0) + 1) * step

@@ -64,17 +64,15 @@ def brier(label: NDArray[np.floating], probability: NDArray[np.floating]) -> flo
     return float(((probability - label) ** 2).mean())
 
 
-def reliability(
-    label: NDArray[np.floating], probability: NDArray[np.floating], bins: int = BINS
-) -> NDArray[np.float64]:
-    """Reliability diagram [bins, 3]: mean probability, share held and count of bins of equally many
+def reliability(label: NDArray[np.floating], probability: NDArray[np.floating]) -> Array:
+    """Reliability diagram [BINS, 3]: mean probability, share held and count of bins of equally many
     predictions.
 
     Equal predictions get their common share held, because their order is arbitrary.
     """
     _, which = np.unique(probability, return_inverse=True)
     held = (np.bincount(which, label) / np.bincount(which))[which]
-    parts = [part for part in np.array_split(np.argsort(probability), bins) if len(part)]
+    parts = [part for part in np.array_split(np.argsort(probability), BINS) if len(part)]
     return np.array([(probability[p].mean(), held[p].mean(), len(p)) for p in parts])
 
 
@@ -89,10 +87,9 @@ def top_choice(
     score: NDArray[np.floating],
     groups: NDArray[np.integer],
     rng: np.random.Generator,
-    candidates: int = CANDIDATES,
     draws: int = 40,
 ) -> tuple[Array, Array]:
-    """Success of the highest-scored of `candidates` random grasps of each object.
+    """Success of the highest-scored of `CANDIDATES` random grasps of each object.
 
     For objects with fewer grasps, all are candidates. Ties are broken at random.
 
@@ -104,7 +101,7 @@ def top_choice(
         rows = np.flatnonzero(groups == group)
         wins = []
         for _ in range(draws):
-            offered = rng.permutation(rows)[:candidates]
+            offered = rng.permutation(rows)[:CANDIDATES]
             wins.append(label[offered[np.argmax(score[offered])]])
         top.append(np.mean(wins))
         random.append(label[rows].mean())
@@ -115,7 +112,6 @@ def over_objects(
     measures: Mapping[str, Callable[[NDArray[np.int64]], float]],
     groups: NDArray[np.integer],
     seed: int = 0,
-    draws: int = BOOTSTRAPS,
 ) -> dict[str, Interval]:
     """Measures with 95% bootstrap intervals over objects: grasps of one object are not independent.
 
@@ -123,14 +119,13 @@ def over_objects(
         measures: Functions of indices of grasps, by name.
         groups: [N], the object of each grasp.
         seed: Random seed.
-        draws: Number of draws.
     """
     rng = np.random.default_rng(seed)
     rows = [np.flatnonzero(groups == group) for group in np.unique(groups)]
     everything = np.arange(len(groups))
     drawn = [
         np.concatenate([rows[k] for k in rng.integers(len(rows), size=len(rows))])
-        for _ in range(draws)
+        for _ in range(BOOTSTRAPS)
     ]
     found = {}
     for name, measure in measures.items():

@@ -75,9 +75,7 @@ def data_report(found: DataFolder, title: str) -> str:
             [("views", len(found.views)), ("labels", len(found.labels))],
         )
     ]
-    seen = [
-        (mesh, read_views(path)) for path in _spread(found.views) for mesh in _mesh(path, found)
-    ]
+    seen, labelled = sample_items(found)
     if seen:
         parts += [
             html.heading("Views"),
@@ -91,9 +89,6 @@ def data_report(found: DataFolder, title: str) -> str:
                 ],
             ),
         ]
-    labelled = [
-        (mesh, read_labels(path)) for path in _spread(found.labels) for mesh in _mesh(path, found)
-    ]
     if labelled:
         parts += [
             html.heading("Signed distances"),

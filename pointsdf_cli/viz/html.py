@@ -53,10 +53,10 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return f"<table><tr>{head}</tr>\n{body}</table>"
 
 
-def picture(figure: Figure, alt: str, dpi: int = 90) -> str:
+def picture(figure: Figure, alt: str) -> str:
     """A figure as a PNG inside the page; the figure is closed."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi, bbox_inches="tight")
+    figure.savefig(buffer, format="png", dpi=90, bbox_inches="tight")
     plt.close(figure)
     return png(buffer.getvalue(), alt)
 

@@ -168,9 +168,9 @@ def axes(name: str, layer: str, size: float, body: int = WORLD) -> Part:
     return Part(name, layer, "lines", vertices, None, colour.astype(np.float32), body)
 
 
-def by_height(points: ArrayLike, along: int = 2) -> NDArray[np.float32]:
-    """Colours f4 [N, 3] from violet to yellow along one axis of points [N, 3]."""
-    values = np.asarray(points, dtype=np.float64)[:, along]
+def by_height(points: ArrayLike) -> NDArray[np.float32]:
+    """Colours f4 [N, 3] from violet to yellow along z of points [N, 3]."""
+    values = np.asarray(points, dtype=np.float64)[:, 2]
     if not len(values):
         return np.zeros((0, 3), np.float32)
     low, high = np.percentile(values, [2, 98])
