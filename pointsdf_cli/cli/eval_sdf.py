@@ -74,7 +74,6 @@ def eval_sdf(
 
     # Seconds of imports: only for what can be used.
     from pointsdf_cli.io.atomic import write_text_atomic
-    from pointsdf_cli.io.batch import run_stage
     from pointsdf_cli.io.strict_json import to_json
     from pointsdf_cli.models.registry import load_model
     from pointsdf_cli.training import evaluate_sdf as evaluation
@@ -90,13 +89,8 @@ def eval_sdf(
     without_mesh = sum(1 for _ in views.rglob("*.h5")) - len(tasks)
     if without_mesh and meshes.is_dir():
         reporter.say(f"{views}: {without_mesh} files without a mesh in {meshes} are not scored")
-    with reporter.progress("eval-sdf", len(tasks)) as progress:
-        report = run_stage(
-            [(task.name, task) for task in tasks],
-            evaluation.evaluate_object,
-            jobs=jobs,
-            on_done=progress.advance,
-        )
+    named = [(task.name, task) for task in tasks]
+    report = reporter.stage("eval-sdf", named, evaluation.evaluate_object, jobs)
     if not report.made:
         report.raise_if_refused()
     result, lines = evaluation.results(report, config, (views, meshes), aside, beside)

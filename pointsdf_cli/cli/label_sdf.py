@@ -31,7 +31,7 @@ def label_sdf(
     from pointsdf_cli.geometry.sdf_sampling import SamplingConfig
     from pointsdf_cli.io.apart import require_apart, require_outside
     from pointsdf_cli.io.atomic import require_folder
-    from pointsdf_cli.io.batch import run_stage, shard_of
+    from pointsdf_cli.io.batch import shard_of
     from pointsdf_cli.objects.labelling import find_label_tasks, label_file
 
     config = SamplingConfig(points)
@@ -41,14 +41,8 @@ def label_sdf(
     require_apart((t.out for t in found), [path for t in found for path in (t.views, t.mesh)])
     out = require_folder(out)
     reporter = common.Reporter(quiet, as_json)
-    with reporter.progress("label-sdf", len(found)) as progress:
-        report = run_stage(
-            [(task.name, task) for task in found],
-            label_file,
-            jobs=jobs,
-            folders=(task.out.parent for task in found),
-            on_done=progress.advance,
-        )
+    named, folders = [(task.name, task) for task in found], (task.out.parent for task in found)
+    report = reporter.stage("label-sdf", named, label_file, jobs, folders)
     made = list(report.made.values())
     labelled = sum(summary.points for summary in made)
     inside = sum(s.inside_fraction * s.points for s in made) / labelled if labelled else 0.0

@@ -49,7 +49,6 @@ def mesh_each(
     """
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder
-    from pointsdf_cli.io.batch import run_stage
     from pointsdf_cli.io.each_file import require_one_name_each
     from pointsdf_cli.service.each_mesh import MeshTask, mesh_cloud
 
@@ -61,9 +60,7 @@ def mesh_each(
         task = MeshTask(cloud, files, pose, path, settings, threads or 1, force)
         tasks.append((cloud.stem, task))
     require_apart((p for _, task in tasks for p in (task.out, task.record)), inputs)
-    jobs = jobs or common.job_count(0)
-    with reporter.progress("mesh", len(tasks)) as progress:
-        report = run_stage(tasks, mesh_cloud, jobs=jobs, folders=[out], on_done=progress.advance)
+    report = reporter.stage("mesh", tasks, mesh_cloud, jobs or common.job_count(0), [out])
     common.finish_stage(
         reporter,
         report,

@@ -53,7 +53,6 @@ def plan_each(
     """
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder
-    from pointsdf_cli.io.batch import run_stage
     from pointsdf_cli.io.each_file import one_for_each, require_one_name_each
     from pointsdf_cli.service.each_plan import PlanTask, plan_scene, summary_of
 
@@ -67,9 +66,7 @@ def plan_each(
         task = PlanTask(cloud, file, pose, path, picture, settings, threads or 1, force)
         tasks.append((cloud.stem, task))
     require_apart((p for _, task in tasks for p in (task.out, task.picture)), inputs)
-    jobs = jobs or common.job_count(0)
-    with reporter.progress("plan", len(tasks)) as progress:
-        report = run_stage(tasks, plan_scene, jobs=jobs, folders=[out], on_done=progress.advance)
+    report = reporter.stage("plan", tasks, plan_scene, jobs or common.job_count(0), [out])
     done = [(name, task) for name, task in tasks if name in report.made or name in report.kept]
     found = {name: summary_of(task.out) for name, task in done}
     common.finish_stage(

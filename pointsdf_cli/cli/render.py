@@ -112,7 +112,7 @@ def render(
     from pointsdf_cli.camera.views import ViewConfig, ViewTask, render_file
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_folder
-    from pointsdf_cli.io.batch import run_stage, shard_of
+    from pointsdf_cli.io.batch import shard_of
     from pointsdf_cli.io.meshes import find_meshes, named_artifacts
 
     depth_noise = DepthNoise() if noise is None else DepthNoise(noise)
@@ -128,14 +128,8 @@ def render(
     tasks = [(n, ViewTask(n, mesh, path, config, seed, force)) for n, (mesh, path) in named.items()]
     require_apart((task.out for _, task in tasks), [*found, camera])
     reporter = common.Reporter(quiet, as_json)
-    with reporter.progress("render", len(tasks)) as progress:
-        report = run_stage(
-            tasks,
-            render_file,
-            jobs=jobs,
-            folders=(task.out.parent for _, task in tasks),
-            on_done=progress.advance,
-        )
+    folders = (task.out.parent for _, task in tasks)
+    report = reporter.stage("render", tasks, render_file, jobs, folders)
     made = sum(summary.views for summary in report.made.values())
     redrawn = sum(summary.redrawn for summary in report.made.values())
     repaired = {n: s.repair for n, s in report.made.items() if s.repair != "none"}

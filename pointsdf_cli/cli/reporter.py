@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ from pointsdf_cli.cli.printable import printable, printable_json
 from pointsdf_cli.io.strict_json import to_json
 
 if TYPE_CHECKING:
-    from pointsdf_cli.io.batch import StageReport
+    from pointsdf_cli.io.batch import Result, StageReport, Task
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,20 @@ class Reporter:
             yield progress
         finally:
             progress.close()
+
+    def stage(
+        self,
+        title: str,
+        tasks: Sequence[tuple[str, Task]],
+        work: Callable[[Task], Result | None],
+        jobs: int,
+        folders: Iterable[Path] = (),
+    ) -> StageReport[Result]:
+        """Run a stage as `run_stage` does, with its progress."""
+        from pointsdf_cli.io.batch import run_stage
+
+        with self.progress(title, len(tasks)) as progress:
+            return run_stage(tasks, work, jobs=jobs, folders=folders, on_done=progress.advance)
 
 
 class Progress:

@@ -123,7 +123,7 @@ def trial(
     trials = protocol.make_trials(chosen, variants, yaws, asked, repeats, seed, clutter, pool)
 
     # Seconds of imports: only for what can be used.
-    from pointsdf_cli.io.batch import run_stage, shard_of
+    from pointsdf_cli.io.batch import shard_of
     from pointsdf_cli.planning.grasp_planner import PlanOptions
     from pointsdf_cli.planning.grasp_problem import Clearances
     from pointsdf_cli.planning.planner import PlannerConfig
@@ -143,10 +143,7 @@ def trial(
     tasks = make_tasks(trials, config, out, record, force)
     started = time.monotonic()
     mine = shard_of(list(tasks.items()), shard)
-    with reporter.progress("trial", len(mine)) as progress:
-        report = run_stage(
-            mine, run_trial_task, jobs=jobs, folders=[out / "trials"], on_done=progress.advance
-        )
+    report = reporter.stage("trial", mine, run_trial_task, jobs, [out / "trials"])
     found, lines = write_results(out, tasks, report, pictures)
     for name, why in found["refused"].items():
         reporter.say(f"skipped: {name}: {why}")
