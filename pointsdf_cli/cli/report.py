@@ -101,7 +101,7 @@ def _content(
     """
     from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.checkpoints import CONFIG
-    from pointsdf_cli.io.hdf5 import artifacts_below
+    from pointsdf_cli.io.hdf5 import artifacts_below, schema_of
     from pointsdf_cli.viz.data_report import scan
     from pointsdf_cli.viz.shape_report import shape_report
 
@@ -120,7 +120,7 @@ def _content(
         _require_none(robot, meshes, "a checkpoint")
         return checkpoint_report(path, title)
     files = artifacts_below(path)
-    kinds = [_schema(file) for file in files]
+    kinds = [schema_of(file) for file in files]
     if {"views", "labels"} & set(kinds) or "grasps" not in kinds:
         return scan(path, meshes)
     return _of_grasps([p for p, kind in zip(files, kinds, strict=True) if kind == "grasps"], title)
@@ -128,8 +128,9 @@ def _content(
 
 def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) -> str | DataFolder:
     from pointsdf_cli.errors import InputError
+    from pointsdf_cli.io.hdf5 import schema_of
 
-    kind = _schema(path)
+    kind = schema_of(path)
     _require_none(
         None if kind == "plan" else robot, None if kind in ("views", "labels") else meshes, kind
     )
@@ -174,10 +175,3 @@ def _of_grasps(files: list[Path], title: str) -> str:
     from pointsdf_cli.viz.grasp_report import grasp_report
 
     return grasp_report([(file.stem, *read_grasps(file)) for file in files], [], [], title)
-
-
-def _schema(path: Path) -> str:
-    from pointsdf_cli.io.hdf5 import open_hdf5
-
-    with open_hdf5(path) as opened:
-        return str(opened.attrs.get("schema", "nothing that rgrasp wrote"))

@@ -217,6 +217,12 @@ def schema_version(path: Path | str, default: int) -> int:
         return int(version) if isinstance(version, (int, np.integer)) else default
 
 
+def schema_of(path: Path) -> str:
+    """The schema that an HDF5 file states, in words if it states none."""
+    with open_hdf5(path) as file:
+        return str(file.attrs.get("schema", "nothing that rgrasp wrote"))
+
+
 def options_of(file: h5py.File) -> dict[str, Any]:
     """Configuration stored in an open artifact.
 

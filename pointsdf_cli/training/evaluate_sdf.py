@@ -123,13 +123,8 @@ def make_tasks(
     """One task for each mesh with views.
 
     Raises:
-        InputError: A folder does not exist or is empty, no mesh has views, or none has a name in
-            `aside`.
+        InputError: There are no meshes, none has views, or none has a name in `aside`.
     """
-    if not views.is_dir():
-        raise InputError(
-            "no such folder", where=views, hint=f"rgrasp render --meshes {meshes} --out {views}"
-        )
     tasks = []
     for mesh in find_meshes(meshes, pattern):
         relative = mesh.relative_to(meshes) if meshes.is_dir() else Path(mesh.name)

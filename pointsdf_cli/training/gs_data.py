@@ -94,16 +94,10 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     """Read a folder that `collect-grasps` wrote.
 
     Raises:
-        InputError: No such folder, no grasps in it, a file of another schema or another robot, or
-            pushes that differ between files.
+        InputError: No executed grasp, a file of another schema or another robot, or pushes that
+            differ between files.
     """
     folder = Path(folder)
-    hint = "rgrasp collect-grasps --meshes DIR --out " + str(folder)
-    if not folder.is_dir():
-        raise InputError("no such folder of grasps", where=folder, hint=hint)
-    files = artifacts_below(folder)
-    if not files:
-        raise InputError("holds no grasps (*.h5)", where=folder, hint=hint)
     kinematics = Kinematics(robot)
     names: list[str] = []
     kept: list[Path] = []
@@ -111,7 +105,7 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
     rows = []
     scenes = 0
     push: tuple[Path, float] | None = None
-    for file in files:
+    for file in artifacts_below(folder):
         grasps, meta = read_grasps(file)
         check_robot(robot, meta.robot, meta.preshape_joints, file)
         chosen = np.flatnonzero(grasps.executed)

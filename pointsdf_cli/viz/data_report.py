@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.hdf5 import artifacts_below, mesh_unit, open_hdf5
+from pointsdf_cli.io.hdf5 import artifacts_below, mesh_unit, open_hdf5, schema_of
 from pointsdf_cli.io.labels import Labels, read_labels
 from pointsdf_cli.io.meshes import MESH_SUFFIXES, LoadedMesh, load_mesh
 from pointsdf_cli.io.provenance import file_sha256
@@ -39,8 +39,7 @@ def scan(folder: Path, meshes: Path | None = None) -> DataFolder:
         raise InputError("no such folder", where=folder)
     found: dict[str, list[Path]] = {"views": [], "labels": []}
     for path in artifacts_below(folder):
-        with open_hdf5(path) as file:
-            found.setdefault(str(file.attrs.get("schema", "")), []).append(path)
+        found.setdefault(schema_of(path), []).append(path)
     if not found["views"] and not found["labels"]:
         raise InputError(
             "holds neither views nor labels",

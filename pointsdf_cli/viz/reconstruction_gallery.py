@@ -132,7 +132,6 @@ def _draw_slice(axis: Any, row: GalleryRow, sdf: FieldFunction) -> None:
     depth, down = np.meshgrid(middle[2] + ticks, middle[1] + ticks)
     x = np.median(row.cloud[:, 0])
     points = np.stack([np.full_like(depth, x), down, depth], axis=-1).reshape(-1, 3)
-    assert row.sdf is not None
     field = np.asarray(sdf(points), np.float64).reshape(depth.shape)
     reach = half / 2
     across, along = 100 * (depth - middle[2]), 100 * (down - middle[1])

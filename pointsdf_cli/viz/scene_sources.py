@@ -13,7 +13,7 @@ from pointsdf_cli.assets import bundled_robots
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES
 from pointsdf_cli.io.describe import is_cloud
-from pointsdf_cli.io.hdf5 import mesh_unit, open_hdf5
+from pointsdf_cli.io.hdf5 import mesh_unit, open_hdf5, schema_of
 from pointsdf_cli.io.meshes import MESH_SUFFIXES, load_mesh
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.robot.description import RobotDescription, load_robot
@@ -65,8 +65,7 @@ def kind_of(path: Path) -> str:
     if suffix in (".yaml", ".yml"):
         return "robot"
     if suffix in (".h5", ".hdf5"):
-        with open_hdf5(path) as file:
-            schema = str(file.attrs.get("schema", "nothing that rgrasp wrote"))
+        schema = schema_of(path)
         if schema in ARTIFACTS:
             return schema
         raise InputError(
