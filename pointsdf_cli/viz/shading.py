@@ -112,10 +112,8 @@ class Stage:
         if len(pictures) == 1:
             return pictures[0]
         front, back = (picture.astype(np.float32) for picture in pictures)
-        mixed: NDArray[np.uint8] = (self._opacity * front + (1 - self._opacity) * back).astype(
-            np.uint8
-        )
-        return mixed
+        mixed = self._opacity * front + (1 - self._opacity) * back
+        return np.asarray(mixed, dtype=np.uint8)
 
     def _layers(
         self, origin: NDArray[np.float64], directions: NDArray[np.float32]
@@ -136,7 +134,7 @@ class Stage:
         is translucent."""
         colours = np.empty((len(directions), 3), dtype=np.float32)
         colours[:] = SKY
-        hits = _cast(self._scene, origin, directions)
+        hits = self._scene.cast_rays(_rays(origin, directions))
         depth = hits["t_hit"].numpy()
         hit = np.flatnonzero(np.isfinite(depth))
         which = hits["geometry_ids"].numpy()[hit]
@@ -150,7 +148,9 @@ class Stage:
         bright = np.flatnonzero(diffuse > 0)
         places = origin.astype(np.float32) + depth[hit[bright], None] * toward[bright]
         toward_light = np.broadcast_to(light, places.shape)
-        shadow = bright[_occluded(self._scene, places + 1e-4 * normals[bright], toward_light)]
+        # Whether anything is hit is quicker than what is hit first.
+        rays = _rays(places + 1e-4 * normals[bright], toward_light)
+        shadow = bright[self._scene.test_occlusions(rays).numpy()]
         diffuse[shadow] *= 0.35
         strength = 0.42 + 0.12 * normals[:, 2] + 0.5 * diffuse + 0.18 * np.abs(facing)
         strength[self._unlit[which]] = 1.0
@@ -235,21 +235,6 @@ def dots(points: ArrayLike, radius: float, colour: tuple[float, float, float]) -
     vertices = (np.asarray(points, dtype=float)[:, None] + corners).reshape(-1, 3)
     every = (6 * np.arange(len(vertices) // 6)[:, None, None] + faces).reshape(-1, 3)
     return Painted(vertices, every, colour)
-
-
-def _cast(
-    scene: Any, origins: NDArray[np.floating], directions: NDArray[np.float32]
-) -> dict[str, Any]:
-    found: dict[str, Any] = scene.cast_rays(_rays(origins, directions))
-    return found
-
-
-def _occluded(
-    scene: Any, origins: NDArray[np.floating], directions: NDArray[np.float32]
-) -> NDArray[np.bool_]:
-    """Mask of the rays [N] that hit anything: quicker than their first hits."""
-    hit: NDArray[np.bool_] = scene.test_occlusions(_rays(origins, directions)).numpy()
-    return hit
 
 
 def _rays(origins: NDArray[np.floating], directions: NDArray[np.float32]) -> Any:
