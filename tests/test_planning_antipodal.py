@@ -155,14 +155,15 @@ def test_jaws_meet_the_sides_squarely_where_neither_prior_nor_score_asks_for_it(
     )
     few = SynthesisConfig(rounds=1, seeds=SeedConfig(drawn=64, palms=32, seeds=8), kinds=("top",))
 
-    def across_the_narrow_side() -> float:
+    def across_the_narrow_side() -> int:
         planner = Planner(panda, PlannerConfig(synthesis=few))
-        best = planner.search(target, seed=1).best
-        assert best is not None
-        assert best.worst_slack >= 0
-        return abs(planner.inverse.chain.palm(best.q)[0, 2])
+        found = planner.search(target, seed=1).found.accepted
+        assert found
+        assert min(one.worst_slack for one in found) >= 0
+        palms = planner.inverse.chain.palm(np.stack([one.q for one in found]))
+        return int((np.abs(palms[:, 0, 2]) > np.cos(np.radians(3))).sum())
 
-    assert across_the_narrow_side() > np.cos(np.radians(3))
+    assert across_the_narrow_side() > 0
     # Attempts that success networks learn from are proposed among the same grasps.
     planner = Planner(panda, PlannerConfig(synthesis=few))
     proposed = planner.solutions(target, np.random.default_rng(1), few).accepted
@@ -170,4 +171,4 @@ def test_jaws_meet_the_sides_squarely_where_neither_prior_nor_score_asks_for_it(
     aligned = np.abs(palms[:, 0, 2]) > np.cos(np.radians(3))
     assert 0 < aligned.sum() < len(proposed)
     monkeypatch.setattr(screen, "jaws_of", lambda robot: None)
-    assert across_the_narrow_side() < np.cos(np.radians(3))
+    assert across_the_narrow_side() == 0
