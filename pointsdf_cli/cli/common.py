@@ -116,8 +116,8 @@ Solver = Annotated[choices.Solver, typer.Option(help="Solver; slsqp is the paper
 Checkpoint = Annotated[
     Path | None,
     typer.Option(
-        help="Reconstruction weights [default: bundled; those that the success weights learned "
-        "from].",
+        help="Reconstruction weights [default: those that the success weights name, else "
+        "pointsdf_real].",
         show_default=False,
     ),
 ]

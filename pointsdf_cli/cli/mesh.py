@@ -59,8 +59,8 @@ def mesh(
         choices.Segment | None,
         typer.Option(
             help="auto: segment the object in a view of a table (a cloud needs its camera pose); "
-            "none: the object is alone [default: auto for a depth image without --mask or with "
-            "--camera-pose, and for --camera-pose table; else none].",
+            "none: the object is alone [default: auto for --camera-pose table and for depth "
+            "images, except with --mask and no --camera-pose; else none].",
             show_default=False,
         ),
     ] = None,

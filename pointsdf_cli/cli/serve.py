@@ -34,7 +34,7 @@ def serve(
     Paths: /plan, /mesh, /score and /health; /docs describes them. SIGTERM and Ctrl-C let the
     running request finish.
 
-    Example: rgrasp serve & rgrasp plan cloud.ply --server http://127.0.0.1:8765
+    Example: rgrasp serve --port 8765
     """
     from pointsdf_cli.errors import InputError, RgraspError
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
