@@ -47,7 +47,7 @@ WORTH = 0.05
 """Improvement over the best objective so far that makes a second solution worthwhile."""
 
 MARGINS = (1.0, 0.5, 0.0)
-"""Share of the margin to the object that is kept in each round without an accepted grasp."""
+"""Share of the margin to the object that is kept in each round."""
 
 FALLBACKS = 4
 """Number of fallbacks kept: if none of these has a motion, none of the rest will."""
@@ -169,8 +169,7 @@ def synthesise(
         stop_if_cancelled()
         kind = config.kinds[turn % len(config.kinds)]
         start = time.perf_counter()
-        # Where one grasp keeps the margin, others can.
-        problems = whole.in_round(0 if accepted else turn, clearance + SOLVER_MARGIN)
+        problems = whole.in_round(turn, clearance + SOLVER_MARGIN)
         seeds = draw_seeds(problems.quick, prior, kinematics, kind, rng, config.seeds)
         _lap(timings, "seeds", start)
         tried, statistics = tried + len(seeds.x), statistics + seeds.statistics
