@@ -80,7 +80,7 @@ class PlannerVariant:
             raise InputError(
                 f"no ablation {self.ablation!r}",
                 where="--ablation",
-                allowed=", ".join((*ABLATIONS, f"{CHECKPOINT}PATH")),
+                allowed=", ".join((*ABLATIONS, "all", f"{CHECKPOINT}PATH")),
             )
 
     @property
