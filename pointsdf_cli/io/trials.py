@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +28,10 @@ TRIAL_LAYOUT = {
     "T_world_object": Column("f8 [M, 4, 4]", "m", "world"),
     "trajectory": Column("f8 [T, J]", "rad", "joints"),
     "times": Column("f8 [T]", "s"),
-}
-CLUTTER_LAYOUT = {
     "T_world_others": Column("f8 [M2, N2, 4, 4]", "m", "world"),
     "obstacle_vertices": Column("f4 [V2, 3]", "m", "world"),
     "obstacle_faces": Column("i4 [F2, 3]"),
 }
-"""Datasets of trials with other objects; earlier files lack them."""
 
 
 @dataclass(frozen=True)
@@ -150,15 +147,10 @@ _UNITS = {
     "largest_move": "m",
 }
 _LETTERS = {"str": "S", "int": "i8", "float": "f8", "bool": "b1"}
-_COLUMNS = {
+LAYOUT = {
     one.name: Column(_LETTERS[str(one.type)] + " [R]", _UNITS.get(one.name, ""))
     for one in fields(TrialRow)
 }
-LATER_LAYOUT = {
-    one.name: _COLUMNS[one.name] for one in fields(TrialRow) if one.default is not MISSING
-}
-"""Columns that earlier files lack."""
-LAYOUT = {name: column for name, column in _COLUMNS.items() if name not in LATER_LAYOUT}
 
 
 def write_trial(
@@ -169,7 +161,7 @@ def write_trial(
         path,
         schema=TRIAL_SCHEMA,
         version=TRIAL_VERSION,
-        layout=TRIAL_LAYOUT | CLUTTER_LAYOUT,
+        layout=TRIAL_LAYOUT,
         arrays=vars(evidence),
         attributes={"row_json": json.dumps(asdict(row))},
         seed=row.seed,
@@ -188,7 +180,6 @@ def read_trial(path: Path | str) -> tuple[TrialRow, Evidence]:
         schema=TRIAL_SCHEMA,
         version=TRIAL_VERSION,
         names=TRIAL_LAYOUT,
-        optional=CLUTTER_LAYOUT,
     )
     with attributes_as_input_error(path):
         row = _row(json.loads(str(artifact.attributes["row_json"])))
@@ -197,10 +188,9 @@ def read_trial(path: Path | str) -> tuple[TrialRow, Evidence]:
         if moments < 1 or phases not in (0, moments):
             raise ValueError(f"{phases} phases of {moments} moments")
         _require_corners(data["faces"], data["vertices"])
-        if "obstacle_faces" in data:
-            _require_corners(data["obstacle_faces"], data["obstacle_vertices"])
-            if data["T_world_others"].size and len(data["T_world_others"]) != moments:
-                raise ValueError("poses of other objects at other moments")
+        _require_corners(data["obstacle_faces"], data["obstacle_vertices"])
+        if data["T_world_others"].size and len(data["T_world_others"]) != moments:
+            raise ValueError("poses of other objects at other moments")
     return row, Evidence(**data)
 
 
@@ -210,7 +200,7 @@ def _require_corners(faces: NDArray[np.int32], vertices: NDArray[np.float32]) ->
 
 
 def _row(values: Mapping[str, Any]) -> TrialRow:
-    """A row of values that are of the types they should be; columns that came later may lack.
+    """A row of values that are of the types they should be.
 
     Raises:
         ValueError: A value is of another type.
@@ -219,8 +209,6 @@ def _row(values: Mapping[str, Any]) -> TrialRow:
         "str": (str,), "int": (int,), "float": (int, float), "bool": (bool,),
     }  # fmt: skip
     for one in fields(TrialRow):
-        if one.name not in values and one.name in LATER_LAYOUT:
-            continue
         if type(values[one.name]) not in allowed[str(one.type)]:
             raise ValueError(f"{one.name} is {values[one.name]!r}")
     return TrialRow(**values)
@@ -236,9 +224,9 @@ def write_trials(
     """
     if not rows:
         raise InputError("there are no trials", where=path)
-    columns = {name: [getattr(row, name) for row in rows] for name in _COLUMNS}
+    columns = {name: [getattr(row, name) for row in rows] for name in LAYOUT}
     write_artifact(
-        path, schema=SCHEMA, version=VERSION, layout=_COLUMNS, arrays=columns, seed=seed,
+        path, schema=SCHEMA, version=VERSION, layout=LAYOUT, arrays=columns, seed=seed,
         config=config,
     )  # fmt: skip
 
@@ -249,9 +237,7 @@ def read_trials(path: Path | str) -> list[TrialRow]:
     Raises:
         InputError: Not a trials file of this version.
     """
-    artifact = read_artifact(
-        path, schema=SCHEMA, version=VERSION, names=LAYOUT, optional=LATER_LAYOUT
-    )
+    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, names=LAYOUT)
     with attributes_as_input_error(path):
         values = artifact.values.items()
         columns = {name: v if isinstance(v, tuple) else v.tolist() for name, v in values}
