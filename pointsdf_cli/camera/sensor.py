@@ -27,7 +27,7 @@ _VARIED = (
 
 
 def _parameter(default: float, low: float, high: float) -> Any:
-    """A field with its smallest and largest value."""
+    """A field with its default and the range of its values."""
     return field(default=default, metadata={"range": (low, high)})
 
 

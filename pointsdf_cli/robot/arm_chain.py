@@ -107,8 +107,8 @@ class ArmChain:
 
 
 def _moving_joints(robot: RobotDescription) -> tuple[list[int], list[Array]]:
-    """Columns in q of the arm's joints from the base on, and how each of them, and at last the
-    palm, lies [4, 4] behind the one before."""
+    """Columns in q of the arm's joints from the base on, and poses [4, 4] of each of them, and
+    last of the palm, in the frame of the joint before."""
     chain = robot.tree.way_up(robot.palm_link)
     unused = set(robot.arm_joints) - {joint.name for joint in chain}
     if unused:

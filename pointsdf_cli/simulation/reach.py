@@ -124,7 +124,7 @@ class Reacher:
 
     def lift(self, q: Array, T_world_palm: Array) -> Array | None:
         """Arm joints [K, A] that lift the palm straight up from configuration q [J]; None if the
-        arm has no room to."""
+        arm has no room for it."""
         arm = q[None, self._robot.arm]
         paths, fine = self._straight(arm, T_world_palm, [[0, 0, LIFT_HEIGHT]])
         return paths[0] if fine[0] else None
