@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from planning_worlds import CylinderField, SphereField
 import pointsdf_cli
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.motion_file import velocities_of
+from pointsdf_cli.planning import approach
 from pointsdf_cli.planning import motion as motion_module
 from pointsdf_cli.planning.approach import LENGTH, retreat
 from pointsdf_cli.planning.environment import Environment, Obstacle
@@ -21,6 +23,7 @@ from pointsdf_cli.planning.motion import MotionConfig, plan_motion
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
 from pointsdf_cli.planning.timing import RAMP, time_path
+from pointsdf_cli.robot.cartesian_path import follow
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -109,6 +112,27 @@ def test_the_retreat_is_straight_and_keeps_turn_and_hand() -> None:
     np.testing.assert_allclose(np.linalg.norm(gone[-1]), LENGTH, atol=1e-4)
     np.testing.assert_allclose(gone, np.outer(gone @ way, way), atol=1e-4)
     np.testing.assert_allclose(rotation, np.tile(rotation[0], (9, 1, 1)), atol=1e-4)
+
+
+def test_a_retreat_ends_where_the_arm_would_leave_the_line_between_two_solutions(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The same palm poses, but from the fourth on with the elbow elsewhere."""
+    q = grasp()
+
+    def elbow_jumps(*given: Any) -> tuple[np.ndarray, np.ndarray]:
+        paths, reached = follow(*given)
+        palm = IK.chain.palm(np.concatenate([paths[0, 3], q[7:]]))
+        found = IK.solve(palm)
+        arms = found.arm[0][found.reached[0]]
+        away = np.abs(arms - paths[0, 3]).max(axis=1)
+        paths[0, 3] = arms[away.argmax()]
+        return paths, reached
+
+    monkeypatch.setattr(approach, "follow", elbow_jumps)
+    way = -IK.chain.palm(q)[:3, 0]
+    free = PathChecker(GEOMETRY, SphereField(0.01, (0, 0, 5.0)), Environment(table=False))
+    assert len(approach._straight(free, IK.chain, q, IK.chain.palm(q), way)) == 3
 
 
 def test_a_motion_ends_in_the_grasp_and_is_free_at_every_millimetre() -> None:

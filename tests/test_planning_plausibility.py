@@ -81,6 +81,17 @@ def test_an_object_in_the_air_is_doubted() -> None:
     assert in_the_air([view(top), view(top, overhead)], 0.0) != ""
 
 
+def test_doubts_begin_at_their_bounds() -> None:
+    for off, doubted in ((0.007, False), (0.013, True)):
+        up = look_at((1.2, 0.0, -off), (0.6, 0.0, 0.05))
+        assert bool(below_table(view(BOX, up), 0.0)) == doubted
+    for off, doubted in ((0.07, False), (0.09, True)):
+        assert bool(in_the_air([view(BOX + [0, 0, off])], 0.0)) == doubted
+    for gap, doubted in ((0.04, False), (0.11, True)):
+        pair = np.concatenate([BOX, BOX + [0, 0.08 + gap, 0]])
+        assert bool(in_parts(pair)) == doubted
+
+
 def test_the_inside_of_a_ball_is_doubted_and_its_outside_is_not() -> None:
     centre, eye = np.array([0.6, 0.0, 0.05]), POSE[:3, 3]
     assert from_inside(view(ball(centre, 0.05, eye, inner=False))) == ""

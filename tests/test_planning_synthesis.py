@@ -20,7 +20,7 @@ from pointsdf_cli.planning.grid import GridConfig, GridField
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.reasons import SeedStatistics, explain, is_hemmed_in, why_none
 from pointsdf_cli.planning.robot_geometry import RobotGeometry
-from pointsdf_cli.planning.seeds import SeedConfig, Seeds, draw_seeds
+from pointsdf_cli.planning.seeds import LOWEST_PALM, SeedConfig, Seeds, draw_seeds
 from pointsdf_cli.planning.sqp import Sqp
 from pointsdf_cli.planning.synthesis import (
     Problems,
@@ -186,6 +186,20 @@ def test_seeds_are_the_best_of_what_is_reached() -> None:
     assert few.statistics.reached <= few.statistics.above_table <= few.statistics.drawn
     with pytest.raises(InputError, match="side, top, either"):
         draw_seeds(problem, prior, IK, "below", np.random.default_rng(1))
+
+
+def test_no_palm_is_drawn_below_the_top_of_a_high_table() -> None:
+    score = NearPalm((CAN[0] - 0.09, 0, CAN[2]), (1.0, 0, 0), REST)
+    prior, few = AroundObject(CAN, 0.09, REST), SeedConfig(drawn=32, palms=16, seeds=4)
+    kept = []
+    for height in (0.0, CAN[2] - LOWEST_PALM + 0.005, 1.0):
+        field, around = CylinderField(RADIUS, 0.24, CAN), Environment(table_height=height)
+        problem = problems(field, score, around, CAN).quick
+        drawn = draw_seeds(problem, prior, IK, "side", np.random.default_rng(1), few)
+        kept.append(drawn.statistics.above_table)
+    assert kept[0] == 32
+    assert 0 < kept[1] < 32
+    assert kept[2] == 0
 
 
 class FromTheSideOnly(AroundObject):

@@ -96,6 +96,16 @@ def test_what_is_wrong_is_found_with_the_line_that_mends_it(
     assert not found.passed
 
 
+def test_fingers_faster_than_their_limit_are_told_whichever_way_they_move(
+    gripper: Callable[[str, str], Path],
+) -> None:
+    for speeds, fast in (("0.05, right_jaw: -0.3", True), ("0.3, right_jaw: 0.05", True),
+                         ("0.05, right_jaw: -0.05", False)):  # fmt: skip
+        path = gripper("0.05, right_jaw: 0.05", speeds)
+        said = [finding.what for finding in check_robot(load_robot(path)).findings]
+        assert any("faster than the URDF's velocity limit" in what for what in said) == fast
+
+
 def test_a_joint_that_leads_elsewhere_is_found_with_all_else(
     gripper: Callable[[str, str], Path],
 ) -> None:

@@ -113,6 +113,9 @@ def test_a_served_plan_is_the_commands_to_the_bit(
     likely, unlikely = scored.json()["success_probability"]
     assert likely == pytest.approx(plan.success_probability, abs=1e-3)
     assert unlikely < likely
+    refused = post(server, "/score", cloud_body(TABLE, q=plan.q[None], start=[0.0, 0.1]))
+    assert refused.status_code == 400
+    assert "start" in refused.text
 
 
 def test_the_client_on_the_page_gets_a_plan(server: Server, tmp_path: Path) -> None:

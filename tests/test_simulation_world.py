@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.simulation.physics import PhysicsConfig
-from pointsdf_cli.simulation.settle import settle
+from pointsdf_cli.simulation.settle import REST_TIME, SPEED, settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.world import World
 
@@ -194,6 +195,38 @@ def test_can_that_is_stood_up_rests_standing(world: World, tmp_path: Path) -> No
     assert pose is not None
     assert abs(pose[2, 2]) == pytest.approx(1.0, abs=1e-3)
     assert pose[2, 3] == pytest.approx(0.05, abs=2e-3)
+
+
+class Rocking:
+    """A world whose object moves at given times only."""
+
+    def __init__(self, moving: Callable[[float], bool]) -> None:
+        self.physics, self.time, self.object = PhysicsConfig(), 0.0, self
+        self._moving = moving
+
+    def reset(self, *_: Any, **__: Any) -> None:
+        self.time = 0.0
+
+    def step(self, count: int) -> None:
+        self.time += count * self.physics.step
+
+    def speed(self) -> tuple[float, float]:
+        return (2 * SPEED if self._moving(self.time) else 0.0), 0.0
+
+    def object_on_table(self) -> bool:
+        return True
+
+    def pose(self) -> np.ndarray:
+        return transform(np.eye(3), [0, 0, self.time])
+
+
+def test_an_object_rests_after_a_quarter_of_a_second_without_a_move(box: SimObject) -> None:
+    # It moves every 0.2 s until 1 s: the time at rest begins anew with each move.
+    now: Any = Rocking(lambda t: t < 1.02 and round(t / 0.05) % 4 == 0)
+    pose = settle(now, box, box.poses[0])
+    assert pose is not None
+    assert pose[2, 3] == pytest.approx(1.0 + REST_TIME, abs=0.06)
+    assert settle(cast(Any, Rocking(lambda t: round(t / 0.05) % 4 == 0)), box, box.poses[0]) is None
 
 
 def test_another_robot_needs_no_code(box: SimObject) -> None:

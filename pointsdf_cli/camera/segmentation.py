@@ -99,7 +99,10 @@ def find_table(points: Array, share: float = PLANE_SHARE, tilt: float = PLANE_TI
 
 
 def clusters(points: Array, gap: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Label of each point and size of each cluster, by connected cells of a grid."""
+    """Label of each point and size of each cluster, by connected cells of a grid.
+
+    Points up to `gap` [m] apart are joined, those farther than twice that are not.
+    """
     low = points.min(axis=0)
     cells = np.floor((points - low) / gap).astype(np.int64)
     grid = np.zeros(cells.max(axis=0) + 1, dtype=bool)

@@ -33,7 +33,7 @@ LAYOUT = {
     "T_world_camera": Column("f8 [G, 4, 4]", "m", "world"),
     "T_world_object": Column("f8 [G, 4, 4]", "m", "world"),
     "T_world_palm": Column("f8 [G, 4, 4]", "m", "world"),
-    "q": Column("f8 [G, J]", "rad", "joints"),
+    "q": Column("f8 [G, J]", "rad or m", "joints"),
     "label": Column("i1 [G]"),
     "kind": Column("i1 [G]"),
     "cause": Column("i1 [G]"),

@@ -27,7 +27,7 @@ BELOW = 0.01
 STEEP = np.deg2rad(60)
 """Steepest view at which the foot of an object should be seen."""
 APART = 0.05
-"""Largest gap [m] between observed points of one object."""
+"""Gap [m] between observed points that never splits an object; twice this always does."""
 PART, FEWEST = 0.1, 50
 """Smallest share of a cloud's points, and smallest number, that count as a part."""
 ROUND = 0.03
