@@ -197,12 +197,7 @@ class Page:
                 if picture is not None:
                     cell.imshow(np.asarray(Image.open(picture).convert("RGB")))
             row[0].text(
-                0,
-                -0.02,
-                f"{name}\n{text}",
-                transform=row[0].transAxes,
-                va="top",
-                fontsize=11,
+                0, -0.02, f"{name}\n{text}", transform=row[0].transAxes, va="top", fontsize=11
             )
         figure.savefig(out, dpi=70)
 

@@ -35,14 +35,7 @@ DARK = (0.05, 0.5)
 DARK_PATCH = (5.0, 30.0)
 """Lengths over which these are correlated [px of the sensor]."""
 NO_ERRORS = SegmentationErrors(
-    masked=1.0,
-    offset=(0.0, 0.0),
-    uneven=0.0,
-    ragged=0.0,
-    height=0.0,
-    tilt=0.0,
-    cut=0.0,
-    holed=0.0,
+    masked=1.0, offset=(0.0, 0.0), uneven=0.0, ragged=0.0, height=0.0, tilt=0.0, cut=0.0, holed=0.0
 )
 
 

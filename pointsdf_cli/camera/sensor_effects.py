@@ -247,10 +247,7 @@ def shadow(inverse: Image, factor: float, side: str) -> Mask:
 def depth_edges(inverse: Image, relative: float) -> Mask:
     """Pixels beside a neighbour whose depth differs by more than `relative` of it."""
     found = np.zeros(inverse.shape, dtype=bool)
-    for near, far in (
-        (np.s_[1:], np.s_[:-1]),
-        (np.s_[:, 1:], np.s_[:, :-1]),
-    ):
+    for near, far in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
         one, other = inverse[near], inverse[far]
         jump = np.abs(one - other) > np.float32(relative) * np.minimum(one, other)
         found[near] |= jump
@@ -317,11 +314,7 @@ def flying_pixels(inverse: Image, edges: Mask, share: float, rng: np.random.Gene
 
 
 def nguyen_deviation(
-    depth: Image,
-    incidence: NDArray[np.int32],
-    floor: float,
-    by_depth: float,
-    by_incidence: float,
+    depth: Image, incidence: NDArray[np.int32], floor: float, by_depth: float, by_incidence: float
 ) -> Image:
     """σ_z [m] = floor + by_depth·(z − 0.4)² + by_incidence/√z·θ²/(π/2 − θ)².
 

@@ -137,9 +137,7 @@ def _unite(solid: manifold3d.Manifold) -> tuple[manifold3d.Manifold, str]:
     return united, ", ".join(notes)
 
 
-def _surface(
-    solid: manifold3d.Manifold,
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _surface(solid: manifold3d.Manifold) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Vertices [V, 3] and faces [F, 3]."""
     mesh = solid.to_mesh64()
     return np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64)

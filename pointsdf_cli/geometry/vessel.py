@@ -33,12 +33,7 @@ from pointsdf_cli.geometry.axis_fit import (
 )
 from pointsdf_cli.geometry.body_of_revolution import BodyOfRevolution
 from pointsdf_cli.geometry.cloud_sampling import systematic_sample
-from pointsdf_cli.geometry.vessel_outline import (
-    NoVesselError,
-    Outline,
-    Section,
-    wall_outline,
-)
+from pointsdf_cli.geometry.vessel_outline import NoVesselError, Outline, Section, wall_outline
 from pointsdf_cli.geometry.visibility import PLANE_BAND
 
 SAMPLE = 3000

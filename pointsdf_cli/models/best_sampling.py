@@ -79,10 +79,7 @@ def best_sampling(
 
 @torch.no_grad()
 def _read(
-    model: ShapeModel,
-    points: NDArray[np.float64],
-    evidence: ViewEvidence,
-    rng: np.random.Generator,
+    model: ShapeModel, points: NDArray[np.float64], evidence: ViewEvidence, rng: np.random.Generator
 ) -> Sampling:
     """A sampling of the points, and its encoding."""
     frame = network_frame(points)

@@ -152,12 +152,7 @@ class GeometryGrasps(ObjectGrasps):
     """Scores from features of the reconstruction at the grasp itself."""
 
     def __init__(
-        self,
-        model: GraspModel,
-        place: ObjectPlace,
-        points: Array,
-        field: object,
-        own: bool,
+        self, model: GraspModel, place: ObjectPlace, points: Array, field: object, own: bool
     ) -> None:
         super().__init__(model, place)
         self.body: ObjectBody = object_body(points, field)  # type: ignore[arg-type]

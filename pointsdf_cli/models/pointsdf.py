@@ -20,12 +20,7 @@ from pointsdf_cli.models.neighbours import (
     nearest_neighbours,
 )
 from pointsdf_cli.models.pointconv import ChannelNorm, PointConv
-from pointsdf_cli.models.shape_model import (
-    PACKED_CENTRES,
-    PACKED_NEIGHBOURS,
-    Encoding,
-    ShapeModel,
-)
+from pointsdf_cli.models.shape_model import PACKED_CENTRES, PACKED_NEIGHBOURS, Encoding, ShapeModel
 from pointsdf_cli.models.surroundings import Surroundings
 
 BANDWIDTHS = (0.05, 0.1, 0.2, 0.4)

@@ -21,12 +21,7 @@ from torch import Tensor
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.visibility import ViewEvidence
 from pointsdf_cli.models.best_sampling import SAMPLINGS, best_sampling, float_tensor
-from pointsdf_cli.models.processor import (
-    even_parts,
-    fast_products,
-    in_steps,
-    side_by_side,
-)
+from pointsdf_cli.models.processor import even_parts, fast_products, in_steps, side_by_side
 from pointsdf_cli.models.shape_model import Encoding, ShapeModel
 from pointsdf_cli.models.vessel_field import VesselField, vessel_in
 

@@ -113,10 +113,7 @@ def revolution_axis(points: Tensor, normals: Tensor, camera: Tensor, sideways: f
     away = ((camera - point) * direction).sum(-1, keepdim=True) < 0
     spread = (values[:, 1] - values[:, 0]) / values[:, 1].clamp(min=1e-12)
     return Axis(
-        torch.where(away, -direction, direction),
-        point,
-        miss.abs().median(1).values,
-        spread,
+        torch.where(away, -direction, direction), point, miss.abs().median(1).values, spread
     )
 
 

@@ -113,7 +113,4 @@ class VesselField:
         filled, inwards = self.vessel.filled.sdf_and_gradient(points)
         way = (points - self.vessel.others[nearest]) / np.maximum(distance, 1e-9)[:, None]
         near = distance - REACH > -filled
-        return (
-            np.where(near, distance - REACH, -filled),
-            np.where(near[:, None], way, -inwards),
-        )
+        return (np.where(near, distance - REACH, -filled), np.where(near[:, None], way, -inwards))

@@ -9,10 +9,7 @@ from pointsdf_cli.geometry.frames import random_rotation
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
 from pointsdf_cli.objects.refine import refine
-from pointsdf_cli.objects.sections import (
-    rounded,
-    smooth_steps,
-)
+from pointsdf_cli.objects.sections import rounded, smooth_steps
 from pointsdf_cli.objects.solids import (
     bevelled,
     cylinder,

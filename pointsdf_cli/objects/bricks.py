@@ -7,17 +7,8 @@ from manifold3d import CrossSection, Manifold
 
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
-from pointsdf_cli.objects.sections import (
-    polygon,
-    rounded,
-)
-from pointsdf_cli.objects.solids import (
-    bevelled,
-    cylinder,
-    on_edge,
-    rounded_box,
-    union,
-)
+from pointsdf_cli.objects.sections import polygon, rounded
+from pointsdf_cli.objects.solids import bevelled, cylinder, on_edge, rounded_box, union
 
 
 def _grid(columns: int, rows: int, pitch: float) -> list[tuple[float, float]]:

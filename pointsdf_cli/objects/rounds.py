@@ -8,14 +8,7 @@ from manifold3d import CrossSection, Manifold
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
 from pointsdf_cli.objects.sections import smooth_steps
-from pointsdf_cli.objects.solids import (
-    bevelled,
-    cylinder,
-    loft_sections,
-    rounded_box,
-    turn,
-    union,
-)
+from pointsdf_cli.objects.solids import bevelled, cylinder, loft_sections, rounded_box, turn, union
 
 
 def can(draw: Draw) -> Manifold:

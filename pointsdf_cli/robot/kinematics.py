@@ -93,10 +93,7 @@ class Kinematics:
             positions.append(position + turned)
         all_rotations = torch.cat(rotations, dim=1)[:, fixed.order]
         all_positions = torch.cat(positions, dim=1)[:, fixed.order]
-        return (
-            all_rotations.reshape(*batch, -1, 3, 3),
-            all_positions.reshape(*batch, -1, 3),
-        )
+        return (all_rotations.reshape(*batch, -1, 3, 3), all_positions.reshape(*batch, -1, 3))
 
     def poses(self, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The same without gradients, in numpy: of a few configurations in a quarter of the time.

@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.camera.sensor_presets import without_ideal
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.visibility import ViewEvidence
-from pointsdf_cli.io.grasps import (
-    CAUSES,
-    HELD,
-    INVALID,
-    KINDS,
-    LOST,
-    Grasps,
-)
+from pointsdf_cli.io.grasps import CAUSES, HELD, INVALID, KINDS, LOST, Grasps
 from pointsdf_cli.simulation.executor import ExecutorConfig
 from pointsdf_cli.simulation.heuristic import HeuristicConfig
 from pointsdf_cli.simulation.observe import CameraPlacement

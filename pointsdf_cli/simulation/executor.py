@@ -14,15 +14,7 @@ from pointsdf_cli.geometry.frames import invert_transform, rotation_vector
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.lift import LIFT_HEIGHT
 from pointsdf_cli.simulation.physics import GRAVITY
-from pointsdf_cli.simulation.verdict import (
-    HOLD,
-    LIFT,
-    PUSHES,
-    UNTRIED,
-    Outcome,
-    Seen,
-    cause_of,
-)
+from pointsdf_cli.simulation.verdict import HOLD, LIFT, PUSHES, UNTRIED, Outcome, Seen, cause_of
 from pointsdf_cli.simulation.world import World
 
 SPEED_UP = 8.0

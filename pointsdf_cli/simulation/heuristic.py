@@ -179,11 +179,7 @@ def _side_palm(face: Face, config: HeuristicConfig, rng: np.random.Generator) ->
 
 
 def _noisy(
-    face: Face,
-    rotation: Array,
-    standoff: float,
-    config: HeuristicConfig,
-    rng: np.random.Generator,
+    face: Face, rotation: Array, standoff: float, config: HeuristicConfig, rng: np.random.Generator
 ) -> Array:
     """Palm pose at its stand-off from a face, with noise on distance, position and orientation."""
     distance = max(0.0, standoff + config.standoff_noise * rng.standard_normal())

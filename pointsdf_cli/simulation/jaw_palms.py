@@ -41,12 +41,7 @@ def snug_box(points: Array) -> Box:
 
 
 def jaw_palm(
-    box: Box,
-    faces: Sequence[Face],
-    jaws: Jaws,
-    reach: float,
-    away: Array,
-    rng: np.random.Generator,
+    box: Box, faces: Sequence[Face], jaws: Jaws, reach: float, away: Array, rng: np.random.Generator
 ) -> tuple[Face, Array]:
     """One palm pose, with noise, for a face and a direction of the jaws in which the box fits.
 

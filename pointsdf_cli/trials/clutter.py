@@ -62,10 +62,7 @@ class Disturbance(NamedTuple):
 
 
 def place_neighbours(
-    world: World,
-    target: Standing,
-    trial: Trial,
-    load: Callable[[TrialObject], SimObject],
+    world: World, target: Standing, trial: Trial, load: Callable[[TrialObject], SimObject]
 ) -> list[Standing]:
     """The neighbours of a trial, at rest: the same for all views and variants of a scene.
 

@@ -28,10 +28,7 @@ Image = NDArray[np.uint8]
 
 
 def trial_strip(
-    robot: RobotMeshes,
-    mesh: LoadedMesh,
-    evidence: Evidence,
-    others: Sequence[LoadedMesh] = (),
+    robot: RobotMeshes, mesh: LoadedMesh, evidence: Evidence, others: Sequence[LoadedMesh] = ()
 ) -> Image:
     """Draw five pictures side by side [height, width, 3].
 

@@ -25,10 +25,7 @@ from pointsdf_cli.models.grasp_score import load_grasp_model
 from pointsdf_cli.planning.answer import Answer
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
-from pointsdf_cli.planning.grasp_planner import (
-    GraspPlanner,
-    PlanOptions,
-)
+from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
 from pointsdf_cli.planning.seen_obstacles import seen_obstacles
 from pointsdf_cli.planning.success_model import ObjectGrasps, SuccessModel
 from pointsdf_cli.planning.table_top import TableTop

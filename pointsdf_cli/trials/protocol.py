@@ -92,14 +92,7 @@ class PlannerVariant:
 ORACLE, NO_CONSTRAINT, NO_SUCCESS = "oracle", "no-object-constraint", "no-success-network"
 NO_CLEANING = "no-cleaning"
 NO_FREE_SPACE, NO_SUPPORT_PLANE = "no-free-space", "no-support-plane"
-ABLATIONS = (
-    ORACLE,
-    NO_CONSTRAINT,
-    NO_SUCCESS,
-    NO_CLEANING,
-    NO_FREE_SPACE,
-    NO_SUPPORT_PLANE,
-)
+ABLATIONS = (ORACLE, NO_CONSTRAINT, NO_SUCCESS, NO_CLEANING, NO_FREE_SPACE, NO_SUPPORT_PLANE)
 CHECKPOINT = "checkpoint="
 
 

@@ -41,25 +41,13 @@ from pointsdf_cli.simulation.physics import PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.verdict import UNTRIED
 from pointsdf_cli.simulation.world import World
-from pointsdf_cli.trials.clutter import (
-    look,
-    place_neighbours,
-    with_others,
-)
+from pointsdf_cli.trials.clutter import look, place_neighbours, with_others
 from pointsdf_cli.trials.evidence import evidence_of
 from pointsdf_cli.trials.execution import NO_LIFT, Executed, execute_plan
 from pointsdf_cli.trials.pictures import write_film
-from pointsdf_cli.trials.planner_variants import (
-    TrialPlanner,
-    weights_of,
-)
+from pointsdf_cli.trials.planner_variants import TrialPlanner, weights_of
 from pointsdf_cli.trials.protocol import NO_CLEANING, PlannerVariant, Trial, TrialObject
-from pointsdf_cli.trials.scenes import (
-    load_object,
-    object_mesh,
-    place_camera,
-    place_object,
-)
+from pointsdf_cli.trials.scenes import load_object, object_mesh, place_camera, place_object
 
 NO_PLAN = "no_plan"
 KEPT_OBJECTS = 32
