@@ -27,7 +27,7 @@ def screw_cap(draw: Draw, radius: float, name: str = "cap") -> Manifold:
         profile += [(0.5 * wide, length), (0.3 * wide, length + tip), (0, length + tip)]
     else:
         profile += [(0, length)]
-    return turn(np.array(profile), fillet=0.0009, segments=40)
+    return turn(profile, fillet=0.0009, segments=40)
 
 
 def bottle(draw: Draw) -> Manifold:
@@ -44,7 +44,7 @@ def bottle(draw: Draw) -> Manifold:
     body = loft_sections(z, shape, shape)
     rings = draw.integer("rings", 0, 4)
     if rings:
-        band = turn(np.array([(0, -0.002), (0.5, -0.002), (0.5, 0.002), (0, 0.002)]))
+        band = turn([(0, -0.002), (0.5, -0.002), (0.5, 0.002), (0, 0.002)])
         levels = np.linspace(0.15, 0.85, rings) * shoulder * height
         grooves = [
             (
@@ -198,15 +198,13 @@ def pitcher(draw: Draw) -> Manifold:
     mouth = draw.uniform("mouth_ratio", 0.75, 1.1)
     belly = draw.uniform("belly_ratio", 0.95, 1.2)
     line = soften(
-        np.array(
-            [
-                (0, 0),
-                (0.92 * radius, 0),
-                (belly * radius, 0.35 * height),
-                (0.5 * (belly + mouth) * radius, 0.75 * height),
-                (mouth * radius, height),
-            ]
-        )
+        [
+            (0, 0),
+            (0.92 * radius, 0),
+            (belly * radius, 0.35 * height),
+            (0.5 * (belly + mouth) * radius, 0.75 * height),
+            (mouth * radius, height),
+        ]
     )
     spout, narrow = draw.uniform("spout", 0.08, 0.4), draw.uniform("spout_width", 0.25, 0.5)
 
@@ -222,10 +220,8 @@ def pitcher(draw: Draw) -> Manifold:
     body = refine(vessel, fine).warp_batch(pour)
     inside = refine(cavity(line, wall), fine).warp_batch(pour)
     thick = draw.uniform("handle_radius", 0.005, 0.009)
-    low, high = (
-        height * draw.uniform("handle_low", 0.15, 0.3),
-        height * draw.uniform("handle_high", 0.78, 0.92),
-    )
+    low = height * draw.uniform("handle_low", 0.15, 0.3)
+    high = height * draw.uniform("handle_high", 0.78, 0.92)
     at = np.interp([low, high], line[:, 1], line[:, 0])
     reach = draw.uniform("handle_reach", 0.03, 0.05) + thick
     squareness = draw.uniform("handle_squareness", 0, 1)

@@ -51,7 +51,7 @@ def drink_carton(draw: Draw) -> Manifold:
             (depth / 2, height),
             (-depth / 2, height + rise),
         ]
-        outline = rounded(polygon(np.array(corners)), radius)
+        outline = rounded(polygon(corners), radius)
         # The outline stands in the (y, z) plane and is extruded along x.
         parts = [on_edge(bevelled(outline, width, radius), width)]
         height += rise / 2
@@ -60,15 +60,13 @@ def drink_carton(draw: Draw) -> Manifold:
         fin = draw.uniform("fin", 0.008, 0.018)
         half = depth / 2 - 0.001
         gable = polygon(
-            np.array(
-                [
-                    (-half, 0),
-                    (half, 0),
-                    (half, height - 0.004),
-                    (0, height + rise),
-                    (-half, height - 0.004),
-                ]
-            )
+            [
+                (-half, 0),
+                (half, 0),
+                (half, height - 0.004),
+                (0, height + rise),
+                (-half, height - 0.004),
+            ]
         )
         parts.append(on_edge(gable.extrude(width - 0.002), width - 0.002))
         ridge = rounded_box((width - 0.002, 0.003, fin + rise), 0.001)
@@ -123,9 +121,7 @@ def wood_block(draw: Draw) -> Manifold:
         return bevelled(round_section, edge * draw.uniform("height_ratio", 0.5, 2.5), radius)
     if form == "prism":
         lean = draw.uniform("lean", -0.5, 0.5) * edge
-        outline = np.array(
-            [(-edge / 2, 0), (edge / 2, 0), (lean, edge * draw.uniform("rise", 0.4, 0.9))]
-        )
+        outline = [(-edge / 2, 0), (edge / 2, 0), (lean, edge * draw.uniform("rise", 0.4, 0.9))]
         return on_edge(bevelled(rounded(polygon(outline), radius), depth, radius), depth)
     if form == "half_round":
         disc = CrossSection.circle(edge / 2, 48) ^ CrossSection.square((edge, edge)).translate(
@@ -201,14 +197,12 @@ def remote(draw: Draw) -> Manifold:
     taper = draw.uniform("taper", 0.75, 1.1)
     corner = draw.uniform("corner", 0.1, 0.45) * width
     outline = polygon(
-        np.array(
-            [
-                (-width / 2 * taper, -length / 2),
-                (width / 2 * taper, -length / 2),
-                (width / 2, length / 2),
-                (-width / 2, length / 2),
-            ]
-        )
+        [
+            (-width / 2 * taper, -length / 2),
+            (width / 2 * taper, -length / 2),
+            (width / 2, length / 2),
+            (-width / 2, length / 2),
+        ]
     )
     body = bevelled(rounded(outline, min(corner, 0.4 * width * min(taper, 1))), thickness, 0.004)
     columns = draw.integer("button_columns", 0, 3)

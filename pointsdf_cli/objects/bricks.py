@@ -8,7 +8,7 @@ from manifold3d import CrossSection, Manifold
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
 from pointsdf_cli.objects.sections import polygon, rounded
-from pointsdf_cli.objects.solids import bevelled, cylinder, on_edge, rounded_box, union
+from pointsdf_cli.objects.solids import bevelled, crosswise, cylinder, on_edge, rounded_box, union
 
 
 def _grid(columns: int, rows: int, pitch: float) -> list[tuple[float, float]]:
@@ -37,24 +37,20 @@ def brick(draw: Draw) -> Manifold:
         studs = _grid(columns, max(rows - 2, 1), pitch)
         body = on_edge(bevelled(polygon(outline), width, 0.0006), width)
     elif form == "sloped" and rows >= 3:
-        outline = np.array(
-            [
-                (-half, 0),
-                (half, 0),
-                (half, 0.15 * height),
-                (half - 1.1 * pitch, height),
-                (-half, height),
-            ]
-        )
-        body = on_edge(bevelled(rounded(polygon(outline), 0.0005), width, 0.0006), width)
+        slope = [
+            (-half, 0),
+            (half, 0),
+            (half, 0.15 * height),
+            (half - 1.1 * pitch, height),
+            (-half, height),
+        ]
+        body = on_edge(bevelled(rounded(polygon(slope), 0.0005), width, 0.0006), width)
         studs = [(x, y - pitch / 2) for x, y in _grid(columns, rows - 1, pitch)]
     else:
         body = rounded_box((width, length, height), 0.0007)
         studs = _grid(columns, rows, pitch)
-    stud, rise = (
-        pitch * draw.uniform("stud_ratio", 0.27, 0.33),
-        pitch * draw.uniform("stud_rise", 0.18, 0.3),
-    )
+    stud = pitch * draw.uniform("stud_ratio", 0.27, 0.33)
+    rise = pitch * draw.uniform("stud_rise", 0.18, 0.3)
     knob = cylinder(stud, rise + 0.002, 0.0006, segments=24)
     if draw.chance("hollow_studs", 0.6):
         knob -= cylinder(0.62 * stud, rise, segments=20).translate((0, 0, 0.003))
@@ -101,11 +97,7 @@ def brick_stack(draw: Draw) -> Manifold:
         parts.append(piece.translate((0, shift, layer * height - 1e-4 * layer)))
     solid = union(parts)
     if draw.chance("arch", 0.4):
-        gate = (
-            cylinder(0.6 * pitch, 6 * pitch, segments=32)
-            .translate((0, 0, -3 * pitch))
-            .rotate((0, 90, 0))
-        )
+        gate = crosswise(cylinder(0.6 * pitch, 6 * pitch, segments=32), 6 * pitch, (0, 90, 0))
         solid -= gate.translate((0, 0, 0.1 * pitch))
     return solid
 

@@ -63,16 +63,14 @@ def fork(draw: Draw) -> Manifold:
     pitch = width / tines
     place = pitch * (np.arange(tines) - (tines - 1) / 2)
     shoulder = polygon(
-        np.array(
-            [
-                (-0.003, -0.004),
-                (0.003, -0.004),
-                (0.42 * width, 0.6 * root),
-                (0.5 * width, root + 0.002),
-                (-0.5 * width, root + 0.002),
-                (-0.42 * width, 0.6 * root),
-            ]
-        )
+        [
+            (-0.003, -0.004),
+            (0.003, -0.004),
+            (0.42 * width, 0.6 * root),
+            (0.5 * width, root + 0.002),
+            (-0.5 * width, root + 0.002),
+            (-0.42 * width, 0.6 * root),
+        ]
     )
     steps = np.linspace(0, tine_length, 5)
     rods = [
@@ -170,14 +168,7 @@ def spatula(draw: Draw) -> Manifold:
     crank = draw.uniform("crank", 0.0, 0.045)
     thick = draw.uniform("grip_radius", 0.005, 0.011)
     outline = polygon(
-        np.array(
-            [
-                (-width / 2 * taper, 0),
-                (width / 2 * taper, 0),
-                (width / 2, blade),
-                (-width / 2, blade),
-            ]
-        )
+        [(-width / 2 * taper, 0), (width / 2 * taper, 0), (width / 2, blade), (-width / 2, blade)]
     )
     outline = rounded(outline, draw.uniform("corner", 0.003, 0.014))
     slots = draw.integer("slots", 0, 5)
@@ -185,7 +176,7 @@ def spatula(draw: Draw) -> Manifold:
         pitch = 0.8 * width * taper / slots
         for index in range(slots):
             x = pitch * (index - (slots - 1) / 2)
-            outline -= stroke(np.array([(x, 0.25 * blade), (x, 0.8 * blade)]), 0.45 * pitch)
+            outline -= stroke([(x, 0.25 * blade), (x, 0.8 * blade)], 0.45 * pitch)
     plate = bevelled(outline, sheet, 0.3 * sheet)
     t = np.linspace(0, 1, 20)
     path = smooth_curve(

@@ -26,19 +26,8 @@ from pointsdf_cli.objects.family import Family
 FAMILIES: dict[str, Family] = {
     family.name: family
     for module in (
-        boxes,
-        rounds,
-        bottles,
-        vessels,
-        fruit,
-        tools,
-        pincers,
-        cutlery,
-        rings,
-        bricks,
-        toys,
-        household,
-        assemblies,
+        *(boxes, rounds, bottles, vessels, fruit, tools, pincers, cutlery),
+        *(rings, bricks, toys, household, assemblies),
     )
     for family in module.FAMILIES
 }

@@ -125,7 +125,10 @@ def closed_surface_problem(vertices: np.ndarray, faces: np.ndarray) -> str:
         np.sort(forward), np.sort(backward)
     ):
         return "an edge is not shared by two faces"
-    if _component_count(len(vertices), edges) != 1:
+    graph = scipy.sparse.coo_array(
+        (np.ones(len(edges), dtype=np.int8), tuple(edges.T)), shape=(len(vertices),) * 2
+    )
+    if scipy.sparse.csgraph.connected_components(graph, directed=False)[0] != 1:
         return "more than one piece"
     if mesh_volume(vertices, faces) <= 1e-9:
         return "no volume"
@@ -136,11 +139,3 @@ def mesh_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     """Volume in m³ inside a closed mesh, positive when its faces look outwards."""
     a, b, c = np.asarray(vertices, dtype=float)[faces].transpose(1, 0, 2)
     return float(np.sum(a * np.cross(b, c)) / 6)
-
-
-def _component_count(vertex_count: int, edges: np.ndarray) -> int:
-    ones = np.ones(len(edges), dtype=np.int8)
-    graph = scipy.sparse.coo_array(
-        (ones, (edges[:, 0], edges[:, 1])), shape=(vertex_count, vertex_count)
-    )
-    return int(scipy.sparse.csgraph.connected_components(graph, directed=False)[0])

@@ -10,6 +10,7 @@ from pointsdf_cli.objects.family import Family
 from pointsdf_cli.objects.sections import arc, polygon, rounded, smooth_curve, smooth_steps, soften
 from pointsdf_cli.objects.solids import (
     bevelled,
+    crosswise,
     cylinder,
     ellipsoid,
     loft,
@@ -31,10 +32,8 @@ def lamp(draw: Draw) -> Manifold:
     top_ratio = draw.uniform("shade_top", 0.35, 0.9)
     wall = draw.uniform("wall", 0.0015, 0.003)
     rise = draw.uniform("foot_height", 0.006, 0.02)
-    base = turn(
-        np.array([(0, 0), (foot, 0), (foot, 0.4 * rise), (2 * stem, rise), (0, rise)]), fillet=0.001
-    )
-    line = soften(np.array([(0, drop), (top_ratio * shade, drop), (shade, 0)]), 1)
+    base = turn([(0, 0), (foot, 0), (foot, 0.4 * rise), (2 * stem, rise), (0, rise)], fillet=0.001)
+    line = soften([(0, drop), (top_ratio * shade, drop), (shade, 0)], 1)
     cover = shell(line, wall)
     swan = draw.chance("swan_neck", 0.5)
     if swan:
@@ -124,12 +123,8 @@ def padlock(draw: Draw) -> Manifold:
     path = np.column_stack([half[:, 0], np.zeros(len(half)), half[:, 1] + height])
     body = rounded_box((width, depth, height), 0.12 * depth)
     if draw.chance("round_body", 0.35):
-        body = (
-            cylinder(width / 2, depth, 0.1 * depth, segments=44)
-            .translate((0, 0, -depth / 2))
-            .rotate((90, 0, 0))
-            .translate((0, 0, height - 0.42 * width))
-        )
+        disc = crosswise(cylinder(width / 2, depth, 0.1 * depth, segments=44), depth)
+        body = disc.translate((0, 0, height - 0.42 * width))
     return union([body, tube(path, bow, up=(0, 1, 0), corners=14, round_ends=False)])
 
 
@@ -152,7 +147,7 @@ def cup_to_go(draw: Draw) -> Manifold:
         (0.8 * radius, height + 0.6 * lid),
         (0, height + 0.6 * lid),
     ]
-    cup = turn(np.array(profile), fillet=0.0006)
+    cup = turn(profile, fillet=0.0006)
     if draw.chance("straw", 0.25):
         lean = draw.uniform("lean", -0.2, 0.2)
         straw = cylinder(0.0035, 0.07, segments=14).rotate((0, float(np.degrees(lean)), 0))
@@ -184,21 +179,15 @@ def teapot(draw: Draw) -> Manifold:
     """A tea pot, kettle or watering can: a closed body with a spout and a handle."""
     radius = draw.uniform("radius", 0.045, 0.075)
     height = radius * draw.uniform("height_ratio", 1.0, 1.9)
-    foot, neck = (
-        radius * draw.uniform("foot_ratio", 0.5, 0.8),
-        radius * draw.uniform("neck_ratio", 0.35, 0.65),
-    )
+    foot = radius * draw.uniform("foot_ratio", 0.5, 0.8)
+    neck = radius * draw.uniform("neck_ratio", 0.35, 0.65)
     line = soften(
-        np.array(
-            [(0, 0), (foot, 0), (radius, 0.25 * height), (radius, 0.65 * height), (neck, height)]
-        )
+        [(0, 0), (foot, 0), (radius, 0.25 * height), (radius, 0.65 * height), (neck, height)]
     )
     body = solid_of(line, 0.002)
     dome = draw.uniform("lid_dome", 0.004, 0.02)
     top = turn(
-        np.array(
-            [(0, -0.004), (neck, -0.004), (neck, 0.002), (0.6 * neck, dome), (0, dome + 0.001)]
-        ),
+        [(0, -0.004), (neck, -0.004), (neck, 0.002), (0.6 * neck, dome), (0, dome + 0.001)],
         fillet=0.001,
     )
     knob = ellipsoid((0.009, 0.009, 0.009), segments=20)
@@ -257,10 +246,8 @@ def controller(draw: Draw) -> Manifold:
     height = draw.uniform("height", 0.018, 0.04)
     parts = [rounded_box((width, depth, height), 0.42 * height)]
     if draw.chance("grips", 0.6):
-        reach, grip = (
-            draw.uniform("grip_reach", 0.3, 0.7) * depth,
-            0.5 * height * draw.uniform("grip_ratio", 0.9, 1.2),
-        )
+        reach = draw.uniform("grip_reach", 0.3, 0.7) * depth
+        grip = 0.5 * height * draw.uniform("grip_ratio", 0.9, 1.2)
         for side in (-1, 1):
             path = np.linspace(
                 (side * (0.5 * width - grip), 0, 0.5 * height),

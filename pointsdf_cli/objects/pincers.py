@@ -8,7 +8,7 @@ from manifold3d import CrossSection, Manifold, OpType
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
 from pointsdf_cli.objects.sections import arc, polygon, rounded, smooth_curve, smooth_steps, stroke
-from pointsdf_cli.objects.solids import bevelled, cylinder, rounded_box, tube, union
+from pointsdf_cli.objects.solids import bevelled, crosswise, cylinder, rounded_box, tube, union
 
 
 def wrench(draw: Draw) -> Manifold:
@@ -17,7 +17,7 @@ def wrench(draw: Draw) -> Manifold:
     head = length * draw.uniform("head_ratio", 0.085, 0.13)
     bar = head * draw.uniform("bar_ratio", 0.5, 0.85)
     thickness = draw.uniform("thickness", 0.004, 0.011)
-    outline = stroke(np.array([(0, 0), (0, length)]), bar)
+    outline = stroke([(0, 0), (0, length)], bar)
     cuts = []
     for end, name in ((0.0, "near"), (length, "far")):
         kind = draw.choice(name, ("open", "ring", "plain"))
@@ -57,15 +57,13 @@ def scissors(draw: Draw) -> Manifold:
     handle = length - blade - loop_long
     halves = []
     for side in (-1.0, 1.0):
-        edge = np.array(
-            [
-                (-0.2 * width, -0.2 * width),
-                (0.62 * width, -0.1 * width),
-                (0.5 * width, 0.7 * blade),
-                (0.06 * width, blade),
-                (-0.12 * width, 0.7 * blade),
-            ]
-        )
+        edge = [
+            (-0.2 * width, -0.2 * width),
+            (0.62 * width, -0.1 * width),
+            (0.5 * width, 0.7 * blade),
+            (0.06 * width, blade),
+            (-0.12 * width, 0.7 * blade),
+        ]
         plate = bevelled(rounded(polygon(edge), 0.0008), thickness, 0.0005).translate(
             (0, 0, -thickness / 2)
         )
@@ -118,15 +116,13 @@ def pliers(draw: Draw) -> Manifold:
         lever = tube(
             path, np.linspace(1.2 * grip, grip, 18), np.linspace(0.5 * thickness, grip, 18)
         )
-        nose = np.array(
-            [
-                (-0.9 * grip, -grip),
-                (1.6 * grip, -grip),
-                (1.6 * grip, 0.3 * jaw),
-                (0.5 * grip, jaw),
-                (-0.05 * grip, jaw),
-            ]
-        )
+        nose = [
+            (-0.9 * grip, -grip),
+            (1.6 * grip, -grip),
+            (1.6 * grip, 0.3 * jaw),
+            (0.5 * grip, jaw),
+            (-0.05 * grip, jaw),
+        ]
         plate = bevelled(rounded(polygon(nose), 0.001), thickness, 0.001).translate(
             (0, 0, -thickness / 2)
         )
@@ -210,13 +206,8 @@ def c_clamp(draw: Draw) -> Manifold:
         .translate((0, throat / 2 - 0.75 * bar, 0))
     )
     reach = draw.uniform("crossbar", 0.015, 0.035)
-    cross = (
-        cylinder(0.55 * screw, 2 * reach, segments=12)
-        .translate((0, 0, -reach))
-        .rotate((0, 90, 0))
-        .translate((0, end - screw, 0))
-    )
-    return union([body, rod, foot, boss, cross])
+    cross = crosswise(cylinder(0.55 * screw, 2 * reach, segments=12), 2 * reach, (0, 90, 0))
+    return union([body, rod, foot, boss, cross.translate((0, end - screw, 0))])
 
 
 def key(draw: Draw) -> Manifold:
@@ -226,7 +217,7 @@ def key(draw: Draw) -> Manifold:
     bar = head * draw.uniform("bar_ratio", 0.3, 0.8)
     thickness = draw.uniform("thickness", 0.0025, 0.008)
     outline = CrossSection.circle(head, draw.choice("head_corners", (6, 8, 40))) + stroke(
-        np.array([(0, 0), (length, 0)]), bar
+        [(0, 0), (length, 0)], bar
     )
     if draw.chance("hook", 0.35):
         turn_radius = 1.4 * bar

@@ -119,7 +119,7 @@ def ring_stack(draw: Draw) -> Manifold:
         (0.25 * base * taper, level + 0.012),
         (0.0, level + 0.014),
     ]
-    return turn(np.array(profile), fillet=0.0006)
+    return turn(profile, fillet=0.0006)
 
 
 def wire_shape(draw: Draw) -> Manifold:

@@ -37,7 +37,7 @@ def can(draw: Draw) -> Manifold:
         (radius - 0.003, height - sunk),
         (0, height - sunk),
     ]
-    return turn(np.array(profile), fillet=0.0005)
+    return turn(profile, fillet=0.0005)
 
 
 def drink_can(draw: Draw) -> Manifold:
@@ -59,7 +59,7 @@ def drink_can(draw: Draw) -> Manifold:
         (neck - 0.003, height - 0.004),
         (0, height - 0.004),
     ]
-    body = turn(np.array(profile), fillet=0.0006)
+    body = turn(profile, fillet=0.0006)
     pull = rounded_box((0.5 * neck, 0.8 * neck, 0.0025), 0.001).translate((0, 0, height - 0.0045))
     return union([body, pull])
 
@@ -82,7 +82,7 @@ def crisps_tube(draw: Draw) -> Manifold:
         (rim - 0.004, height - dent),
         (0, height - dent),
     ]
-    return turn(np.array(profile), fillet=0.0008)
+    return turn(profile, fillet=0.0008)
 
 
 def spray_can(draw: Draw) -> Manifold:
@@ -97,12 +97,12 @@ def spray_can(draw: Draw) -> Manifold:
     )
     can_profile = [(0, 0.003), (radius - 0.004, 0.003), (radius - 0.003, 0), (radius, 0)]
     top = body + dome
-    solid = turn(np.array([*can_profile, *shoulder, (0, top)]), fillet=0.0006)
+    solid = turn([*can_profile, *shoulder, (0, top)], fillet=0.0006)
     if draw.chance("cap", 0.55):
         cap = radius * draw.uniform("cap_ratio", 0.8, 0.98)
         length = draw.uniform("cap_length", 0.02, 0.05)
         taper = draw.uniform("cap_taper", 0.75, 1.0)
-        profile = np.array([(0, 0), (cap, 0), (cap * taper, length), (0, length)])
+        profile = [(0, 0), (cap, 0), (cap * taper, length), (0, length)]
         return union([solid, turn(profile, fillet=0.002).translate((0, 0, body + 0.2 * dome))])
     button = draw.uniform("button", 0.5, 0.9) * neck
     actuator = cylinder(button, 0.018, 0.002).translate((0, 0, top - 0.002))
@@ -153,7 +153,7 @@ def marker(draw: Draw) -> Manifold:
         (tip, length),
         (0, length),
     ]
-    pen = turn(np.array(profile), fillet=0.0007, segments=28)
+    pen = turn(profile, fillet=0.0007, segments=28)
     if draw.chance("clip", 0.4):
         clip = rounded_box((0.004, 0.003, 0.6 * (length - cap_start)), 0.0008)
         pen = union([pen, clip.translate((cap, 0, cap_start + 0.3 * (length - cap_start)))])
@@ -180,7 +180,7 @@ def flashlight(draw: Draw) -> Manifold:
         (0.35 * head, length - depth),
         (0, length - depth),
     ]
-    light = turn(np.array(profile), fillet=0.0008, segments=40)
+    light = turn(profile, fillet=0.0008, segments=40)
     if draw.chance("switch", 0.6):
         switch = rounded_box((0.008, 0.012, 0.025), 0.0025)
         light = union([light, switch.translate((radius - 0.002, 0, 0.45 * length))])

@@ -10,9 +10,11 @@ import scipy
 from manifold3d import CrossSection, JoinType, OpType
 
 Vector = Sequence[float] | np.ndarray
+Points = Sequence[Vector] | np.ndarray
+"""Points [N, D], m."""
 
 
-def polygon(points: np.ndarray) -> CrossSection:
+def polygon(points: Points) -> CrossSection:
     """The region inside a closed polygon [N, 2], whichever way it is wound."""
     x, y = np.asarray(points, dtype=float).T
     clockwise = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0
@@ -32,7 +34,7 @@ def rounded(section: CrossSection, convex: float, concave: float | None = None) 
     return section.simplify(2e-5)
 
 
-def stroke(points: np.ndarray, thickness: float | np.ndarray) -> CrossSection:
+def stroke(points: Points, thickness: float | np.ndarray) -> CrossSection:
     """The region within half the thickness of an open polyline [N, 2]: round-ended, m."""
     radii = np.broadcast_to(np.asarray(thickness, dtype=float) / 2, (len(points),))
     discs = [
@@ -43,7 +45,7 @@ def stroke(points: np.ndarray, thickness: float | np.ndarray) -> CrossSection:
     return CrossSection.batch_boolean(links, OpType.Add).simplify(3e-5)
 
 
-def smooth_curve(points: Sequence[Vector] | np.ndarray, count: int) -> np.ndarray:
+def smooth_curve(points: Points, count: int) -> np.ndarray:
     """A cubic spline through [K, D] points, sampled at `count` even steps of chord length."""
     knots = np.asarray(points, dtype=float)
     chord = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
@@ -63,8 +65,9 @@ def arc(
     return np.asarray(centre) + radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def soften(points: np.ndarray, passes: int = 3) -> np.ndarray:
+def soften(points: Points, passes: int = 3) -> np.ndarray:
     """Cut the corners of an open polyline [N, D], ends kept (Chaikin)."""
+    points = np.asarray(points, dtype=float)
     for _ in range(passes):
         low = 0.75 * points[:-1] + 0.25 * points[1:]
         high = 0.25 * points[:-1] + 0.75 * points[1:]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from manifold3d import CrossSection, Manifold, Mesh, OpType, triangulate
 
-from pointsdf_cli.objects.sections import Vector, polygon, rounded
+from pointsdf_cli.objects.sections import Points, Vector, polygon, rounded
 
 # Segments of a full turn: an 8 cm can then deviates from its circle by 0.1 mm.
 TURN_SEGMENTS = 48
@@ -22,7 +22,7 @@ def union(parts: Sequence[Manifold]) -> Manifold:
 
 
 def turn(
-    profile: np.ndarray | CrossSection, fillet: float = 0.0, segments: int = TURN_SEGMENTS
+    profile: Points | CrossSection, fillet: float = 0.0, segments: int = TURN_SEGMENTS
 ) -> Manifold:
     """Revolve a profile about z.
 
@@ -218,6 +218,11 @@ def bevelled(section: CrossSection, thickness: float, bevel: float = 0.0) -> Man
 def on_edge(plate: Manifold, thickness: float) -> Manifold:
     """Stand a plate drawn in (x, y) up: its x along y, its y along z, centred in depth on x = 0."""
     return plate.translate((0, 0, -thickness / 2)).rotate((90, 0, 0)).rotate((0, 0, 90))
+
+
+def crosswise(solid: Manifold, length: float, turn_by: Vector = (90, 0, 0)) -> Manifold:
+    """Centre a solid that runs `length` m up from z = 0 on the origin, and rotate it [°]."""
+    return solid.translate((0, 0, -length / 2)).rotate(tuple(turn_by))
 
 
 def _solid(vertices: np.ndarray, faces: np.ndarray) -> Manifold:

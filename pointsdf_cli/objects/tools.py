@@ -8,7 +8,22 @@ from manifold3d import Manifold
 from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.family import Family
 from pointsdf_cli.objects.sections import smooth_curve, smooth_steps
-from pointsdf_cli.objects.solids import cylinder, loft_sections, rounded_box, tube, turn, union
+from pointsdf_cli.objects.solids import (
+    crosswise,
+    cylinder,
+    loft_sections,
+    rounded_box,
+    tube,
+    turn,
+    union,
+)
+
+# Widths and depths of a screwdriver's tip, as multiples of the shaft's, exponent and corners.
+_TIPS = {
+    "flat": ((0.9, 0.95, 1.5, 1.5), (0.9, 0.9, 0.3, 0.25), 3.0, 20),
+    "cross": ((0.9, 0.95, 0.45, 0.25), (0.9, 0.95, 0.45, 0.25), 1.0, 20),
+    "pointed": ((0.95, 0.95, 0.3, 0.15), (0.95, 0.95, 0.3, 0.15), 2.0, 16),
+}
 
 
 def hammer(draw: Draw) -> Manifold:
@@ -30,11 +45,8 @@ def hammer(draw: Draw) -> Manifold:
         drum = cylinder(1.2 * face, 2 * half, draw.uniform("drum_edge", 0.001, 0.006))
         head = drum.translate((0, 0, -half)).rotate((0, 90, 0))
     elif form == "sledge":
-        head = (
-            rounded_box((2 * face, 2 * face, 2 * half), 0.004)
-            .translate((0, 0, -half))
-            .rotate((0, 90, 0))
-        )
+        block = rounded_box((2 * face, 2 * face, 2 * half), 0.004)
+        head = crosswise(block, 2 * half, (0, 90, 0))
     else:
         profile = [
             (0, 0),
@@ -44,11 +56,7 @@ def hammer(draw: Draw) -> Manifold:
             (0.75 * face, half),
             (0, half),
         ]
-        head = (
-            turn(np.array(profile), fillet=0.001, segments=32)
-            .translate((0, 0, -half))
-            .rotate((0, 90, 0))
-        )
+        head = turn(profile, fillet=0.001, segments=32).translate((0, 0, -half)).rotate((0, 90, 0))
         block = rounded_box((1.9 * face, 1.7 * face, 1.7 * face), 0.3 * face).translate(
             (0, 0, -0.85 * face)
         )
@@ -111,31 +119,12 @@ def screwdriver(draw: Draw) -> Manifold:
         )
     rod = cylinder(shaft, shaft_length + 0.01, segments=20).translate((0, 0, handle_length - 0.01))
     end = handle_length + shaft_length
-    tip = draw.choice("tip", ("flat", "cross", "pointed"))
+    tip = draw.choice("tip", tuple(_TIPS))
+    wide, deep, exponent, corners = _TIPS[tip]
     zt = np.array([-0.004, 0.0, 0.009, 0.012])
-    if tip == "flat":
-        point = loft_sections(
-            zt + end,
-            shaft * np.array([0.9, 0.95, 1.5, 1.5]),
-            shaft * np.array([0.9, 0.9, 0.3, 0.25]),
-            3.0,
-            corners=20,
-        )
-    elif tip == "cross":
-        point = loft_sections(
-            zt + end,
-            shaft * np.array([0.9, 0.95, 0.45, 0.25]),
-            shaft * np.array([0.9, 0.95, 0.45, 0.25]),
-            1.0,
-            corners=20,
-        )
-    else:
-        point = loft_sections(
-            zt + end,
-            shaft * np.array([0.95, 0.95, 0.3, 0.15]),
-            shaft * np.array([0.95, 0.95, 0.3, 0.15]),
-            corners=16,
-        )
+    point = loft_sections(
+        zt + end, shaft * np.array(wide), shaft * np.array(deep), exponent, corners
+    )
     return union([handle, rod, point]).rotate((0, 90, 0))
 
 
@@ -163,9 +152,7 @@ def power_drill(draw: Draw) -> Manifold:
         (0, chuck),
     ]
     jaws = (
-        turn(np.array(nose), fillet=0.001, segments=28)
-        .rotate((0, 90, 0))
-        .translate((length - 0.003, 0, 0))
+        turn(nose, fillet=0.001, segments=28).rotate((0, 90, 0)).translate((length - 0.003, 0, 0))
     )
     root = np.array([length * draw.uniform("grip_at", 0.25, 0.5), -0.3 * radius, 0])
     foot = root + np.array([-np.sin(rake), -np.cos(rake), 0]) * (grip_length + radius)

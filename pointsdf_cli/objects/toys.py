@@ -10,6 +10,7 @@ from pointsdf_cli.objects.family import Family
 from pointsdf_cli.objects.sections import polygon, rounded, smooth_curve, smooth_steps, stroke
 from pointsdf_cli.objects.solids import (
     bevelled,
+    crosswise,
     cylinder,
     ellipsoid,
     loft_sections,
@@ -49,11 +50,9 @@ def aeroplane(draw: Draw) -> Manifold:
             parts.append(strut.translate((x, y, level + 0.25 * sheet)))
     tail = _wing(0.19 * span, 0.6 * chord, taper, 0.5 * sweep, 0.8 * sheet)
     parts.append(tail.translate((length - 0.6 * chord, 0, 0.2 * body)))
-    fin = np.array(
-        [(0, 0), (0.55 * chord, 0), (0.6 * chord, 1.9 * body), (0.25 * chord, 1.9 * body)]
-    )
+    fin = [(0, 0), (0.55 * chord, 0), (0.6 * chord, 1.9 * body), (0.25 * chord, 1.9 * body)]
     blade = bevelled(rounded(polygon(fin), 0.002), 0.8 * sheet, 0.2 * sheet)
-    blade = blade.translate((0, 0, -0.4 * sheet)).rotate((90, 0, 0))
+    blade = crosswise(blade, 0.8 * sheet)
     parts.append(blade.translate((length - 0.56 * chord, 0, 0.1 * body)))
     if draw.chance("propeller", 0.6):
         parts.append(_propeller(draw, body))
@@ -65,14 +64,12 @@ def aeroplane(draw: Draw) -> Manifold:
 def _wing(half_span: float, root: float, taper: float, back: float, thick: float) -> Manifold:
     """Both halves of a wing: chord `root`, tip `taper` · root and `back` [m] behind it."""
     tip = taper * root
-    outline = np.array(
-        [
-            (0, -half_span * 0.02),
-            (root, -half_span * 0.02),
-            (back + tip, half_span),
-            (back, half_span),
-        ]
-    )
+    outline = [
+        (0, -half_span * 0.02),
+        (root, -half_span * 0.02),
+        (back + tip, half_span),
+        (back, half_span),
+    ]
     half = rounded(polygon(outline), 0.12 * root)
     return bevelled(half + half.mirror((0.0, 1.0)), thick, 0.3 * thick)
 
@@ -90,16 +87,8 @@ def _landing_gear(draw: Draw, body: float, axle_x: float) -> list[Manifold]:
     """A leg, an axle at `axle_x` [m] and two wheels below a fuselage of radius `body` [m]."""
     wheel = draw.uniform("wheel", 0.4, 0.7) * body
     axle_z = -body - 0.8 * wheel
-    axle = (
-        cylinder(0.15 * wheel + 0.001, 2.2 * body, segments=12)
-        .translate((0, 0, -1.1 * body))
-        .rotate((90, 0, 0))
-    )
-    disc = (
-        cylinder(wheel, 0.5 * wheel, 0.1 * wheel, segments=28)
-        .translate((0, 0, -0.25 * wheel))
-        .rotate((90, 0, 0))
-    )
+    axle = crosswise(cylinder(0.15 * wheel + 0.001, 2.2 * body, segments=12), 2.2 * body)
+    disc = crosswise(cylinder(wheel, 0.5 * wheel, 0.1 * wheel, segments=28), 0.5 * wheel)
     leg = cylinder(0.18 * body, body + 0.8 * wheel, segments=12).translate((axle_x, 0, axle_z))
     discs = [disc.translate((axle_x, side * 0.95 * body, axle_z)) for side in (-1, 1)]
     return [leg, axle.translate((axle_x, 0, axle_z)), *discs]
@@ -130,14 +119,10 @@ def toy_car(draw: Draw) -> Manifold:
     shell = bevelled(
         rounded(polygon(outline), 0.06 * body), width, draw.uniform("edge", 0.001, 0.008)
     )
-    shell = shell.translate((0, 0, -width / 2)).rotate((90, 0, 0))
+    shell = crosswise(shell, width)
     wheel = draw.uniform("wheel", 0.07, 0.11) * length
     thick = 0.22 * width
-    disc = (
-        cylinder(wheel, thick, 0.12 * wheel, segments=32)
-        .translate((0, 0, -thick / 2))
-        .rotate((90, 0, 0))
-    )
+    disc = crosswise(cylinder(wheel, thick, 0.12 * wheel, segments=32), thick)
     axles = (-0.3 * length, 0.3 * length)
     out = draw.uniform("track", 0.4, 0.52) * width
     well = cylinder(1.12 * wheel, 0.5 * thick, segments=32).rotate((90, 0, 0))
@@ -147,7 +132,7 @@ def toy_car(draw: Draw) -> Manifold:
         for y in (width / 2 + 0.1 * thick, -width / 2 + 0.4 * thick)
     ]
     discs = [disc.translate((x, side * out, 0.05 * wheel)) for x in axles for side in (-1, 1)]
-    axle = cylinder(0.35 * wheel, 2 * out, segments=16).translate((0, 0, -out)).rotate((90, 0, 0))
+    axle = crosswise(cylinder(0.35 * wheel, 2 * out, segments=16), 2 * out)
     rods = [axle.translate((x, 0, 0.05 * wheel)) for x in axles]
     return union([shell - union(wells), *discs, *rods])
 
@@ -212,27 +197,23 @@ def toy_house(draw: Draw) -> Manifold:
     rise = width * draw.uniform("roof_ratio", 0.25, 0.7)
     eave = draw.uniform("eave", 0.002, 0.01)
     gable = polygon(
-        np.array(
-            [
-                (-width / 2, 0),
-                (width / 2, 0),
-                (width / 2, height),
-                (0, height + rise),
-                (-width / 2, height),
-            ]
-        )
-    )
-    house = bevelled(gable, depth, 0.0005).translate((0, 0, -depth / 2)).rotate((90, 0, 0))
-    slope = np.array(
         [
-            (-width / 2 - eave, height - eave * 2 * rise / width),
+            (-width / 2, 0),
+            (width / 2, 0),
+            (width / 2, height),
             (0, height + rise),
-            (width / 2 + eave, height - eave * 2 * rise / width),
+            (-width / 2, height),
         ]
     )
+    house = crosswise(bevelled(gable, depth, 0.0005), depth)
+    slope = [
+        (-width / 2 - eave, height - eave * 2 * rise / width),
+        (0, height + rise),
+        (width / 2 + eave, height - eave * 2 * rise / width),
+    ]
     long = depth + 2 * eave
     roof = stroke(slope, draw.uniform("roof_thickness", 0.003, 0.008)).extrude(long)
-    parts = [house, roof.translate((0, 0, -long / 2)).rotate((90, 0, 0))]
+    parts = [house, crosswise(roof, long)]
     if draw.chance("chimney", 0.5):
         stack = rounded_box((0.16 * width, 0.16 * width, rise), 0.0008)
         parts.append(stack.translate((0.25 * width, 0.2 * depth, height + 0.3 * rise)))
@@ -263,9 +244,7 @@ def top_toy(draw: Draw) -> Manifold:
     )
     parts = [body, crown]
     if draw.chance("collar", 0.4):
-        ring = turn(
-            np.array([(0, -0.003), (1.25 * waist, -0.001), (1.25 * waist, 0.001), (0, 0.003)])
-        )
+        ring = turn([(0, -0.003), (1.25 * waist, -0.001), (1.25 * waist, 0.001), (0, 0.003)])
         parts.append(ring.translate((0, 0, 0.8 * height)))
     return union(parts)
 

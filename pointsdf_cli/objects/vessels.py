@@ -31,16 +31,14 @@ def mug(draw: Draw) -> Manifold:
     wall = max(wall_thickness(draw), 0.002)
     foot, belly = draw.uniform("foot_ratio", 0.6, 1.0), draw.uniform("belly_ratio", 0.95, 1.15)
     line = soften(
-        np.array(
-            [
-                (0, 0),
-                (foot * radius, 0),
-                (0.5 * (foot + belly) * radius, 0.2 * height),
-                (belly * radius, 0.5 * height),
-                (radius, 0.8 * height),
-                (radius, height),
-            ]
-        )
+        [
+            (0, 0),
+            (foot * radius, 0),
+            (0.5 * (foot + belly) * radius, 0.2 * height),
+            (belly * radius, 0.5 * height),
+            (radius, 0.8 * height),
+            (radius, height),
+        ]
     )
     thick = draw.uniform("handle_radius", 0.0032, 0.006)
     flat = draw.uniform("handle_flatness", 0.8, 1.8)
@@ -76,7 +74,7 @@ def bowl(draw: Draw) -> Manifold:
         line = np.concatenate([line, [(radius + lip, height + 0.2 * lip)]])
     parts = [shell(soften(line, 2), wall)]
     if draw.chance("foot_ring", 0.5):
-        ring = stroke(np.array([(0.9 * foot, -0.004), (0.9 * foot, 0.002)]), max(wall, 0.002))
+        ring = stroke([(0.9 * foot, -0.004), (0.9 * foot, 0.002)], max(wall, 0.002))
         parts.append(turn(ring))
     return union(parts)
 
@@ -88,12 +86,10 @@ def plate(draw: Draw) -> Manifold:
     well = radius * draw.uniform("well_ratio", 0.5, 0.8)
     rise = draw.uniform("rise", 0.008, 0.03)
     step = draw.uniform("step", 0.2, 0.9)
-    line = np.array(
-        [(0, 0), (well, 0), (well + 0.2 * (radius - well), step * rise), (radius, rise)]
-    )
+    line = [(0, 0), (well, 0), (well + 0.2 * (radius - well), step * rise), (radius, rise)]
     parts = [shell(soften(line), wall)]
     if draw.chance("foot_ring", 0.5):
-        parts.append(turn(stroke(np.array([(0.85 * well, -0.003), (0.85 * well, 0.001)]), 0.003)))
+        parts.append(turn(stroke([(0.85 * well, -0.003), (0.85 * well, 0.001)], 0.003)))
     return union(parts)
 
 
@@ -133,7 +129,7 @@ def rim_cup(draw: Draw) -> Manifold:
         (radius + 0.3 * roll, height),
         (radius + 1.2 * roll, height - 0.3 * roll),
     ]
-    cup = shell(np.concatenate([line[:1], soften(np.array(line[1:]), 2)]), wall)
+    cup = shell(np.concatenate([line[:1], soften(line[1:], 2)]), wall)
     return cup.rotate((180, 0, 0)) if draw.chance("upside_down", 0.2) else cup
 
 
@@ -146,15 +142,13 @@ def wine_glass(draw: Draw) -> Manifold:
     foot = radius * draw.uniform("foot_ratio", 0.7, 1.05)
     mouth = radius * draw.uniform("mouth_ratio", 0.75, 1.1)
     thick = draw.uniform("stem_radius", 0.003, 0.006)
-    line = np.array(
-        [
-            (0, stem),
-            (0.6 * radius, stem + 0.08 * bowl_height),
-            (1.05 * radius, stem + 0.35 * bowl_height),
-            (0.97 * radius, stem + 0.7 * bowl_height),
-            (mouth, stem + bowl_height),
-        ]
-    )
+    line = [
+        (0, stem),
+        (0.6 * radius, stem + 0.08 * bowl_height),
+        (1.05 * radius, stem + 0.35 * bowl_height),
+        (0.97 * radius, stem + 0.7 * bowl_height),
+        (mouth, stem + bowl_height),
+    ]
     base = [(0, 0), (foot, 0), (foot, 0.0015), (1.5 * thick, 0.006), (thick, 0.012 + 0.1 * stem)]
     top = [
         (thick, stem - 0.05 * stem),
@@ -163,7 +157,7 @@ def wine_glass(draw: Draw) -> Manifold:
     ]
     if stem < 0.014:
         base = base[:-1]
-    return union([shell(soften(line), wall), turn(np.array(base + top), fillet=0.0006)])
+    return union([shell(soften(line), wall), turn(base + top, fillet=0.0006)])
 
 
 def pan(draw: Draw) -> Manifold:
@@ -173,14 +167,12 @@ def pan(draw: Draw) -> Manifold:
     wall = draw.log_uniform("wall", 0.0015, 0.004)
     flare = draw.uniform("flare", 0.0, 0.2)
     line = soften(
-        np.array(
-            [
-                (0, 0),
-                (radius * (1 - flare), 0),
-                (radius * (1 - 0.3 * flare), 0.4 * height),
-                (radius, height),
-            ]
-        )
+        [
+            (0, 0),
+            (radius * (1 - flare), 0),
+            (radius * (1 - 0.3 * flare), 0.4 * height),
+            (radius, height),
+        ]
     )
     level = 0.75 * height
     start = float(np.interp(level, line[:, 1], line[:, 0]))
@@ -200,10 +192,8 @@ def pan(draw: Draw) -> Manifold:
         )
         handles = [tube(path, 0.55 * grip, grip, up=(0, 1, 0))]
     else:
-        span, reach = (
-            draw.uniform("loop_span", 0.025, 0.05),
-            draw.uniform("loop_reach", 0.018, 0.035),
-        )
+        span = draw.uniform("loop_span", 0.025, 0.05)
+        reach = draw.uniform("loop_reach", 0.018, 0.035)
         thick = draw.uniform("loop_radius", 0.003, 0.005)
         loop = ear((0.9 * start, -span / 2), (0.9 * start, span / 2), reach, 0.7, thick, thick)
         loop = loop.rotate((90, 0, 0)).translate((0, 0, level))
@@ -235,9 +225,7 @@ def flower_pot(draw: Draw) -> Manifold:
     band = height * draw.uniform("band", 0.15, 0.3)
     line = np.array([(0, 0), (foot, 0), (radius, height)])
     middle = float(np.interp(height - band, [0, height], [foot, radius]))
-    rim = stroke(
-        np.array([(middle + wall / 2, height - band), (radius + wall / 2, height)]), 1.3 * wall
-    )
+    rim = stroke([(middle + wall / 2, height - band), (radius + wall / 2, height)], 1.3 * wall)
     pot = union([shell(line, wall), turn(rim) - cavity(line, wall)])
     if draw.chance("hole", 0.5):
         pot -= cylinder(draw.uniform("hole_radius", 0.003, 0.008), 0.02, segments=24).translate(
@@ -267,7 +255,7 @@ def lid(draw: Draw) -> Manifold:
         (knob, rise),
         (0, rise),
     ]
-    return union([cover, turn(np.array(profile), fillet=0.001).translate((0, 0, skirt + dome))])
+    return union([cover, turn(profile, fillet=0.001).translate((0, 0, skirt + dome))])
 
 
 def tray(draw: Draw) -> Manifold:

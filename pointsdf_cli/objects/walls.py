@@ -6,13 +6,13 @@ import numpy as np
 from manifold3d import Manifold
 
 from pointsdf_cli.objects.draw import Draw
-from pointsdf_cli.objects.sections import polygon, soften, stroke
+from pointsdf_cli.objects.sections import Points, polygon, soften, stroke
 from pointsdf_cli.objects.solids import tube, turn
 
 THINNEST_WALL, THICKEST_WALL = 0.0012, 0.005
 
 
-def shell(line: np.ndarray, wall: float) -> Manifold:
+def shell(line: Points, wall: float) -> Manifold:
     """The wall around a centre line [N, 2] of (radius, z) from the axis to the rim."""
     return turn(stroke(line, wall))
 
@@ -54,5 +54,5 @@ def ear(
         (high[0] + (0.55 + 0.35 * squareness) * (out - high[0]), 0, high[1] - 0.02 * rise),
         (high[0], 0, high[1]),
     ]
-    path = soften(np.array(knots, dtype=float), passes=3)
+    path = soften(knots)
     return tube(path, half_width, half_height, up=(0, 1, 0), corners=14, round_ends=False)
