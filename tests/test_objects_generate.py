@@ -11,8 +11,8 @@ import pytest
 import trimesh
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.objects.draw import Draw
 from pointsdf_cli.objects.families import FAMILIES, choose_families
+from pointsdf_cli.objects.family import Draw
 from pointsdf_cli.objects.finish import MOST_FACES, mesh_volume
 from pointsdf_cli.objects.generate import GeneratedObject, build, family_of, make_object
 

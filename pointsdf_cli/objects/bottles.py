@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from pointsdf_cli.objects.draw import Draw
-from pointsdf_cli.objects.family import Family
+from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.refine import refine
 from pointsdf_cli.objects.sections import smooth_curve, smooth_steps, soften
 from pointsdf_cli.objects.solids import cylinder, loft_sections, rounded_box, tube, turn, union

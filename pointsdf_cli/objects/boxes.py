@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import CrossSection, Manifold
 
-from pointsdf_cli.objects.draw import Draw
-from pointsdf_cli.objects.family import Family
+from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.refine import refine
 from pointsdf_cli.objects.sections import polygon, rounded
 from pointsdf_cli.objects.solids import bevelled, cylinder, ellipsoid, on_edge, rounded_box, union

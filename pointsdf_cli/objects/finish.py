@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 from manifold3d import Error, Manifold
 
-from pointsdf_cli.objects.draw import Draw
+from pointsdf_cli.objects.family import Draw
 from pointsdf_cli.objects.refine import refine
 
 SMALLEST_EXTENT = 0.03

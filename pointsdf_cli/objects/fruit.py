@@ -6,8 +6,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from pointsdf_cli.geometry.frames import random_rotation
-from pointsdf_cli.objects.draw import Draw
-from pointsdf_cli.objects.family import Family
+from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.sections import smooth_curve, smooth_steps
 from pointsdf_cli.objects.solids import cylinder, ellipsoid, star_solid, tube, union
 

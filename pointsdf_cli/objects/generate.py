@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.objects.draw import Draw, Value
 from pointsdf_cli.objects.families import choose_families
-from pointsdf_cli.objects.family import Family
+from pointsdf_cli.objects.family import Draw, Family, Value
 from pointsdf_cli.objects.finish import (
     UnusableShape,
     fit_size,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from pointsdf_cli.objects.draw import Draw
-from pointsdf_cli.objects.family import Family
+from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.sections import arc, polygon, rounded, smooth_curve, smooth_steps, soften
 from pointsdf_cli.objects.solids import (
     bevelled,

@@ -6,8 +6,7 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 
 from pointsdf_cli.geometry.frames import random_rotation
-from pointsdf_cli.objects.draw import Draw
-from pointsdf_cli.objects.family import Family
+from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.sections import rounded
 from pointsdf_cli.objects.solids import bevelled, tube, turn, union
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.objects.draw import Draw, Option, Value
 from pointsdf_cli.objects.families import choose_families
+from pointsdf_cli.objects.family import Draw, Option, Value
 from pointsdf_cli.objects.generate import build
 
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from pointsdf_cli.objects.draw import Draw
-from pointsdf_cli.objects.family import Family
+from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.refine import refine
 from pointsdf_cli.objects.sections import smooth_curve, soften, stroke
 from pointsdf_cli.objects.solids import cylinder, rounded_box, tube, turn, union

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from pointsdf_cli.objects.draw import Draw
+from pointsdf_cli.objects.family import Draw
 from pointsdf_cli.objects.sections import Points, polygon, soften, stroke
 from pointsdf_cli.objects.solids import tube, turn
 
