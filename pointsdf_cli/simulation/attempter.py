@@ -40,9 +40,8 @@ from pointsdf_cli.simulation.executor import Executor
 from pointsdf_cli.simulation.feet import nearest_pose, on_its_foot
 from pointsdf_cli.simulation.heuristic import draw_preshape, hand_of
 from pointsdf_cli.simulation.observe import Observer, resample
-from pointsdf_cli.simulation.places import placed, shows
 from pointsdf_cli.simulation.reach import Reach, Reacher
-from pointsdf_cli.simulation.settle import settle
+from pointsdf_cli.simulation.settle import placed, settle, shows
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.verdict import Outcome
 from pointsdf_cli.simulation.world import World

@@ -6,7 +6,7 @@ import weakref
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,6 @@ from pointsdf_cli.simulation.bullet import Bullet
 from pointsdf_cli.simulation.bullet_object import BulletObject, write_pieces
 from pointsdf_cli.simulation.bullet_robot import BulletRobot, CarriedHand
 from pointsdf_cli.simulation.bullet_urdf import bullet_urdf, hand_urdfs
-from pointsdf_cli.simulation.contacts import RobotContact, any_below, contact_of
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.physics import (
     CONTACT_RECOVERY,
@@ -33,6 +32,20 @@ from pointsdf_cli.simulation.sim_object import SimObject
 
 TABLE_LOW, TABLE_HIGH = (-0.35, -0.75), (1.25, 0.75)
 """Corners of the table top in the world [m]."""
+
+
+class RobotContact(NamedTuple):
+    """Contact of the robot with the object.
+
+    Attributes:
+        links: Number of the robot's links that touch the object.
+        hand_links: Number of the hand's links that touch it.
+        depth: Deepest overlap of any robot link with the object [m], 0 if none.
+    """
+
+    links: int
+    hand_links: int
+    depth: float
 
 
 class World:
@@ -199,7 +212,14 @@ class World:
 
     def robot_contact(self) -> RobotContact:
         """Present contacts of the robot with the object."""
-        return contact_of(self._bullet, self.joints.bodies, self._object_body, self._hand_links)
+        points = [
+            point
+            for body in self.joints.bodies
+            for point in self._bullet.getContactPoints(bodyA=body, bodyB=self._object_body)
+        ]
+        links = {(point[1], point[3]) for point in points if point[9] > 0.0 or point[8] < 0.0}
+        depth = max([0.0, *(-point[8] for point in points)])
+        return RobotContact(len(links), len(links & self._hand_links), depth)
 
     def rises_into_object(self, aside: float) -> bool:
         """Whether a link could meet the object on its way straight up.
@@ -207,12 +227,16 @@ class World:
         Conservative: uses upright boxes around links and object.
 
         Args:
-            aside: Lateral distance [m] below which they meet.
+            aside: Distance [m] below which they meet, on all sides and upwards.
         """
-        links = [
-            place for link, place in self.joints.links.items() if self.robot.tree.shapes.get(link)
-        ]
-        return any_below(self._bullet, links, self.object.body, aside)
+        low, high = self._bullet.getAABB(self.object.body, -1)
+        for link, place in self.joints.links.items():
+            if self.robot.tree.shapes.get(link):
+                at, end = self._bullet.getAABB(*place)
+                beside = (at[k] < high[k] + aside and end[k] > low[k] - aside for k in (0, 1))
+                if at[2] < high[2] + aside and all(beside):
+                    return True
+        return False
 
     def object_on_table(self) -> bool:
         """Whether the object touches the table."""

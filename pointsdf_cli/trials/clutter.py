@@ -24,8 +24,7 @@ from pointsdf_cli.planning.table_top import TableTop, label_table, look_at_table
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.simulation.feet import on_its_foot
 from pointsdf_cli.simulation.observe import Observer
-from pointsdf_cli.simulation.places import placed
-from pointsdf_cli.simulation.settle import settle
+from pointsdf_cli.simulation.settle import placed, settle
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.protocol import Trial, TrialObject

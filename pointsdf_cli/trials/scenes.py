@@ -18,8 +18,7 @@ from pointsdf_cli.geometry.stable_poses import FIRM, StablePose, draw_pose
 from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
 from pointsdf_cli.objects.stand_ins import make_stand_in
 from pointsdf_cli.simulation.feet import on_its_foot
-from pointsdf_cli.simulation.places import placed
-from pointsdf_cli.simulation.settle import settle
+from pointsdf_cli.simulation.settle import placed, settle
 from pointsdf_cli.simulation.sim_object import SimObject, prepare_object
 from pointsdf_cli.simulation.world import World
 from pointsdf_cli.trials.protocol import CAMERAS, Trial, TrialObject
