@@ -13,33 +13,25 @@ from typing import Any
 from pointsdf_cli.errors import RgraspError
 
 
-def import_bullet() -> Any:
-    """Import `pybullet` without its greeting on stdout.
-
-    Raises:
-        RgraspError: It is not installed.
-    """
-    try:
-        with silence():
-            import pybullet
-    except ImportError as error:
-        raise RgraspError(
-            "the simulator needs PyBullet, which is not installed",
-            hint="with Python 3.11, in rgrasp's folder: pip install -c constraints.txt '.[sim]' "
-            "(PyBullet has no wheels for newer Pythons)",
-        ) from error
-    return pybullet
-
-
 class Bullet:
-    """PyBullet's functions and constants, for one physics client of its own.
+    """PyBullet's functions and constants, for one physics client of its own; it is imported
+    without its greeting on stdout.
 
     Raises:
         RgraspError: PyBullet is not installed.
     """
 
     def __init__(self) -> None:
-        self._module = import_bullet()
+        try:
+            with silence():
+                import pybullet
+        except ImportError as error:
+            raise RgraspError(
+                "the simulator needs PyBullet, which is not installed",
+                hint="with Python 3.11, in rgrasp's folder: pip install -c constraints.txt "
+                "'.[sim]' (PyBullet has no wheels for newer Pythons)",
+            ) from error
+        self._module: Any = pybullet
         self._client = self._module.connect(self._module.DIRECT)
 
     def __getattr__(self, name: str) -> Any:
