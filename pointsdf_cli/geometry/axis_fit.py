@@ -17,6 +17,8 @@ from scipy.spatial import cKDTree
 
 from pointsdf_cli.geometry.arrays import Array
 
+PLANE = 20
+"""Number of points of each plane that gives a normal."""
 ROUNDS = 12
 """Largest number of rounds of pairing."""
 APART = np.deg2rad(25.0)
@@ -76,14 +78,13 @@ class AxisFit(NamedTuple):
     paired: float
 
 
-def oriented_points(points: Array, neighbours: int = 20) -> OrientedPoints:
+def oriented_points(points: Array) -> OrientedPoints:
     """Smoothed points with normals, by plane fits; the camera is at the origin.
 
     Args:
         points: [N, 3], camera frame, m.
-        neighbours: Number of points of each plane.
     """
-    _, index = cKDTree(points).query(points, k=min(neighbours, len(points)))
+    _, index = cKDTree(points).query(points, k=min(PLANE, len(points)))
     around = points[index]
     middle = around.mean(axis=1)
     away = around - middle[:, None]

@@ -49,25 +49,19 @@ def solve_hand_eye(T_fixed_moving: Array, T_camera_board: Array) -> HandEyePoses
     seen = T_camera_board[second] @ invert_transform(T_camera_board[first])
     a, b = rotation_vector(motion[:, :3, :3]), rotation_vector(seen[:, :3, :3])
     small = np.linalg.norm(a, axis=1) < LARGEST_TURN
-    rotation = align_vectors(a[small], b[small])
+    rotation = _nearest_rotation(a[small].T @ b[small])  # the least Σ |a - R b|² (Kabsch)
     # (R_motion - 1) t = R_X t_seen - t_motion
     left = (motion[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     right = (seen[:, :3, 3] @ rotation.T - motion[:, :3, 3]).ravel()
     X = transform(rotation, np.linalg.lstsq(left, right, rcond=None)[0])
-    return HandEyePoses(X, mean_transform(T_fixed_moving @ X @ T_camera_board))
+    mean = (T_fixed_moving @ X @ T_camera_board).mean(axis=0)
+    return HandEyePoses(X, transform(_nearest_rotation(mean[:3, :3]), mean[:3, 3]))
 
 
-def align_vectors(a: Array, b: Array) -> Array:
-    """The rotation [3, 3] with the least Σ |a - R b|² for vectors [N, 3] (Kabsch)."""
-    u, _, vt = np.linalg.svd(a.T @ b)
+def _nearest_rotation(matrix: Array) -> Array:
+    """The rotation [3, 3] nearest to a matrix [3, 3]."""
+    u, _, vt = np.linalg.svd(matrix)
     return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt)
-
-
-def mean_transform(T: Array) -> Array:
-    """The mean [4, 4] of transforms [N, 4, 4]: of translations, and the nearest rotation."""
-    u, _, vt = np.linalg.svd(T[:, :3, :3].mean(axis=0))
-    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return transform(rotation, T[:, :3, 3].mean(axis=0))
 
 
 def rotation_spread(T: Array) -> Array:

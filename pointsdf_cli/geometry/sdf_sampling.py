@@ -77,7 +77,6 @@ def sample_sdf(
     faces: NDArray[np.int32],
     config: SamplingConfig,
     rng: np.random.Generator,
-    threads: int = 1,
 ) -> SdfSamples:
     """Points around a closed mesh with exact signed distances.
 
@@ -97,7 +96,7 @@ def sample_sdf(
         points[start : start + count] = surface + np.float32(unit * np.sqrt(variance)) * jitter
         start += count
     points[start:] = centre + unit * rng.uniform(-BOX, BOX, (uniform, 3))
-    sdf = SignedDistance(vertices, faces, threads)(points)
+    sdf = SignedDistance(vertices, faces, threads=1)(points)
     samples = SdfSamples(
         points=points,
         sdf=sdf,

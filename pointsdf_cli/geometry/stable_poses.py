@@ -114,17 +114,13 @@ def tilt_margin(placed: NDArray[np.float64], mass: NDArray[np.float64]) -> float
 def draw_pose(
     poses: list[StablePose], standing: float, rng: np.random.Generator
 ) -> tuple[int, bool]:
-    """An index into `poses`, and whether it was drawn as standing."""
-    candidates = standing_poses(poses)
+    """An index into `poses`, and whether it was drawn as standing, one of the firm poses that are,
+    within `EQUAL_HEIGHT`, the tallest."""
+    firm = [i for i, pose in enumerate(poses) if pose.margin >= FIRM]
+    tallest = max((poses[i].height for i in firm), default=0.0)
+    candidates = [i for i in firm if poses[i].height >= (1 - EQUAL_HEIGHT) * tallest]
     wants_standing = rng.random() < standing
     if candidates and wants_standing:
         return int(rng.choice(candidates)), True
     weights = np.array([pose.probability for pose in poses])
     return int(rng.choice(len(poses), p=weights / weights.sum())), False
-
-
-def standing_poses(poses: list[StablePose]) -> list[int]:
-    """Indices of the firm poses that are, within `EQUAL_HEIGHT`, the tallest."""
-    firm = [i for i, pose in enumerate(poses) if pose.margin >= FIRM]
-    tallest = max((poses[i].height for i in firm), default=0.0)
-    return [i for i in firm if poses[i].height >= (1 - EQUAL_HEIGHT) * tallest]

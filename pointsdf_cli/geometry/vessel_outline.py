@@ -255,12 +255,12 @@ def _ray_length(angle: float, line: Array, top: float) -> float:
     return float(length[hit].min()) if hit.any() else np.nan
 
 
-def _medians(keys: Array, values: Array, edges: Array, fewest: int = 3) -> Array:
-    """Median of the values [N] in each bin of the keys [N]; NaN where there are few."""
+def _medians(keys: Array, values: Array, edges: Array) -> Array:
+    """Median of the values [N] in each bin of the keys [N]; NaN where fewer than three are."""
     index = np.digitize(keys, edges) - 1
     found = np.full(len(edges) - 1, np.nan)
     for one in np.unique(index[(index >= 0) & (index < len(found))]):
         chosen = values[index == one]
-        if len(chosen) >= fewest:
+        if len(chosen) >= 3:
             found[one] = np.median(chosen)
     return found

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.geometry.axis_fit import perpendicular
-from pointsdf_cli.geometry.body_of_revolution import BodyOfRevolution
 from pointsdf_cli.geometry.vessel import Vessel
-
-if TYPE_CHECKING:
-    from manifold3d import Manifold
 
 SECTORS = 96
 """Faces around the axis."""
@@ -32,9 +26,13 @@ def vessel_surface(
     Returns:
         Vertices [V, 3] m, faces [F, 3], and the number of parts dropped.
     """
-    from manifold3d import Error, Manifold, Mesh
+    from manifold3d import CrossSection, Error, FillRule, Manifold, Mesh
 
-    body = _revolved(vessel.wall)
+    # About the origin; the axis of a revolved body is z.
+    u, v = perpendicular(vessel.wall.direction)
+    placed = np.stack([u, v, vessel.wall.direction, np.zeros(3)], axis=1)
+    half = CrossSection([vessel.wall.outline], FillRule.NonZero)
+    body = half.revolve(SECTORS).transform(placed)
     if others is not None:
         mesh = Mesh(np.float32(others[0] - vessel.wall.point), np.uint32(others[1]))
         part = Manifold(mesh)
@@ -45,13 +43,3 @@ def vessel_surface(
     made = Manifold.compose(kept).to_mesh()
     vertices = np.asarray(made.vert_properties[:, :3], dtype=np.float64) + vessel.wall.point
     return vertices, np.asarray(made.tri_verts, dtype=np.int32), len(parts) - len(kept)
-
-
-def _revolved(wall: BodyOfRevolution) -> Manifold:
-    """The body about the origin; its axis has the direction of the wall's."""
-    from manifold3d import CrossSection, FillRule
-
-    half = CrossSection([wall.outline], FillRule.NonZero)
-    u, v = perpendicular(wall.direction)
-    placed = np.stack([u, v, wall.direction, np.zeros(3)], axis=1)
-    return half.revolve(SECTORS).transform(placed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -77,57 +78,39 @@ def check_robot(robot: RobotDescription, seed: int = 0) -> RobotCheck:
     reached = _reached(robot, kinematics, rng) if carried else 0.0
     findings = [*_closes(robot, closing), *own, *table, *_joints(robot), *_left_home(robot)]
     if farthest > SPACING:
-        findings.append(
-            Finding(
-                ERROR, f"a surface point is {farthest * 1e3:.1f} mm from any sample", "report it"
-            )
-        )
+        what = f"a surface point is {farthest * 1e3:.1f} mm from any sample"
+        findings.append(Finding(ERROR, what, "report it"))
     if carried and reached < 0.9:
-        findings.append(
-            Finding(
-                WARNING,
-                f"inverse kinematics solves {reached:.0%} of palm poses that the arm can take",
-                "check `arm_joints`: all joints of the arm, and none that does not move the palm",
-            )
-        )
+        what = f"inverse kinematics solves {reached:.0%} of palm poses that the arm can take"
+        fix = "check `arm_joints`: all joints of the arm, and none that does not move the palm"
+        findings.append(Finding(WARNING, what, fix))
     findings.sort(key=lambda finding: finding.level != ERROR)
     return RobotCheck(
         tuple(findings), closing, samples, farthest, reached, self_distance, table_distance
     )
 
 
-def _closes(robot: RobotDescription, closing: Closing) -> list[Finding]:
+def _closes(robot: RobotDescription, closing: Closing) -> Iterator[Finding]:
     """Check that the fingers close towards the space in front of the palm."""
-    found = []
     for joint, nearer in closing.nearer.items():
         if nearer < NEARER:
             speed = float(robot.closing_speeds[robot.closing_joints.index(joint)])
-            found.append(
-                Finding(
-                    ERROR,
-                    f"{joint} brings no fingertip nearer to the palm's axis when it closes",
-                    f"closing_joints: {{{joint}: {-speed:g}}}, if it opens instead; or turn the "
-                    "palm frame so that x points from the palm to where the fingers meet",
-                )
+            yield Finding(
+                ERROR,
+                f"{joint} brings no fingertip nearer to the palm's axis when it closes",
+                f"closing_joints: {{{joint}: {-speed:g}}}, if it opens instead; or turn the "
+                "palm frame so that x points from the palm to where the fingers meet",
             )
     x = float(closing.middle[0])
     if x <= 0:
-        found.append(
-            Finding(
-                ERROR,
-                f"the fingertips are behind the palm frame (at x = {x:.3f} m on average)",
-                "palm: x must point out of the palm, to where the fingers close",
-            )
+        yield Finding(
+            ERROR,
+            f"the fingertips are behind the palm frame (at x = {x:.3f} m on average)",
+            "palm: x must point out of the palm, to where the fingers close",
         )
     if not _carried(robot):
-        found.append(
-            Finding(
-                ERROR,
-                "an arm joint does not move the palm",
-                "arm_joints must lead from the base to the palm",
-            )
-        )
-    return found
+        fix = "arm_joints must lead from the base to the palm"
+        yield Finding(ERROR, "an arm joint does not move the palm", fix)
 
 
 def _left_home(robot: RobotDescription) -> list[Finding]:
@@ -166,22 +149,16 @@ def _self_collisions(
         share = float(anywhere[:, k].mean())
         if distance[:, k].min() < 0:
             where = "at home" if distance[0, k] < 0 else "at home with the hand open"
-            found.append(
-                Finding(
-                    ERROR,
-                    f"{a} and {b} overlap by {-distance[:, k].min() * 1e3:.1f} mm {where}",
-                    f"may_touch: [[{a}, {b}]], if their shapes merely overlap; otherwise another "
-                    "`home` (it may also give the hand's joints, after the arm's)",
-                )
+            what = f"{a} and {b} overlap by {-distance[:, k].min() * 1e3:.1f} mm {where}"
+            fix = (
+                f"may_touch: [[{a}, {b}]], if their shapes merely overlap; otherwise another "
+                "`home` (it may also give the hand's joints, after the arm's)"
             )
+            found.append(Finding(ERROR, what, fix))
         elif share > 0.95:
-            found.append(
-                Finding(
-                    WARNING,
-                    f"{a} and {b} overlap in {share:.0%} of random configurations",
-                    f"may_touch: [[{a}, {b}]], if they cannot be kept apart",
-                )
-            )
+            what = f"{a} and {b} overlap in {share:.0%} of random configurations"
+            fix = f"may_touch: [[{a}, {b}]], if they cannot be kept apart"
+            found.append(Finding(WARNING, what, fix))
     return float(distance.min()), found
 
 
@@ -202,43 +179,25 @@ def _table(robot: RobotDescription, kinematics: Kinematics) -> tuple[float, list
     return float(least.min()) if len(least) else np.inf, found
 
 
-def _joints(robot: RobotDescription) -> list[Finding]:
+def _joints(robot: RobotDescription) -> Iterator[Finding]:
     known = set(robot.joint_names)
     left = [j.name for j in robot.tree.joints if j.kind in MOVING and j.name not in known]
-    found = []
     if left:
-        found.append(
-            Finding(
-                WARNING,
-                f"{', '.join(left)} can move and will be kept at 0",
-                "list them among arm_joints or hand_joints if they are to move",
-            )
-        )
-    fast = [
-        name
-        for name, speed, column in zip(
-            robot.closing_joints, robot.closing_speeds, robot.closing_columns, strict=True
-        )
-        if abs(speed) > robot.velocity[column]
-    ]
-    if fast:
-        found.append(
-            Finding(
-                WARNING,
-                f"{', '.join(fast)} would close faster than the URDF's velocity limit",
-                "smaller numbers in closing_joints",
-            )
-        )
+        what = f"{', '.join(left)} can move and will be kept at 0"
+        fix = "list them among arm_joints or hand_joints if they are to move"
+        yield Finding(WARNING, what, fix)
+    too_fast = np.abs(robot.closing_speeds) > robot.velocity[robot.closing_columns]
+    if too_fast.any():
+        fast = [robot.closing_joints[k] for k in np.flatnonzero(too_fast)]
+        what = f"{', '.join(fast)} would close faster than the URDF's velocity limit"
+        yield Finding(WARNING, what, "smaller numbers in closing_joints")
     if robot.tree.without_mass:
-        found.append(
-            Finding(
-                WARNING,
-                f"{', '.join(robot.tree.without_mass)}: no <inertial> in the URDF; the simulator "
-                "takes their shapes to weigh as much as water",
-                "give those links their <inertial>; a hand's decides how its fingers close",
-            )
+        yield Finding(
+            WARNING,
+            f"{', '.join(robot.tree.without_mass)}: no <inertial> in the URDF; the simulator "
+            "takes their shapes to weigh as much as water",
+            "give those links their <inertial>; a hand's decides how its fingers close",
         )
-    return found
 
 
 def _coverage(robot: RobotDescription, rng: np.random.Generator) -> tuple[int, float]:

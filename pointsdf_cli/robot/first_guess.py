@@ -48,6 +48,7 @@ def first_guess(urdf: Path, beside: Path, palm: str | None = None) -> dict[str, 
     """
     tree = read_urdf(urdf)
     palm, arm, hand = _split(tree, urdf, palm)
+    first = next(joint for joint in tree.joints if joint.name == hand[0])
     data: dict[str, Any] = {
         "name": beside.stem,
         "urdf": os.path.relpath(urdf, beside.parent),
@@ -55,7 +56,7 @@ def first_guess(urdf: Path, beside: Path, palm: str | None = None) -> dict[str, 
         "arm_joints": arm,
         "arm_limit_margin": MARGIN,
         "hand_joints": hand,
-        "preshape_joints": {hand[0]: _range(tree, hand[0])},
+        "preshape_joints": {hand[0]: [first.lower, first.upper]},
         "closing_joints": dict.fromkeys(hand, 1.0),
         "palm": {"link": palm, "xyz": [0, 0, 0], "wxyz": [1, 0, 0, 0]},
     }
@@ -116,11 +117,6 @@ def _split(tree: Tree, urdf: Path, palm: str | None) -> tuple[str, list[str], li
             hint="--palm LINK, the link that carries the fingers: one of " + ", ".join(tree.links),
         )
     return palm, way, hand
-
-
-def _range(tree: Tree, name: str) -> list[float]:
-    joint = next(joint for joint in tree.joints if joint.name == name)
-    return [joint.lower, joint.upper]
 
 
 def _rounded(values: Array, digits: int) -> list[float]:

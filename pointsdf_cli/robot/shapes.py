@@ -254,16 +254,8 @@ def _cover_sphere(radius: float, step: float) -> NDArray[np.float64]:
         widest = np.cos(max(0.0, abs(latitude) - half_row)) * radius
         around = _line(2 * np.pi * widest, step) / widest
         ring = radius * np.cos(latitude)
-        rows.append(
-            np.stack(
-                [
-                    ring * np.cos(around),
-                    ring * np.sin(around),
-                    np.full(len(around), radius * np.sin(latitude)),
-                ],
-                axis=1,
-            )
-        )
+        level = np.full(len(around), radius * np.sin(latitude))
+        rows.append(np.column_stack([ring * np.cos(around), ring * np.sin(around), level]))
     return np.concatenate(rows)
 
 

@@ -13,6 +13,7 @@ from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.io.trials import Evidence, TrialRow
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.simulation.film import Moment
+from pointsdf_cli.trials.summary import variant_of
 from pointsdf_cli.viz.grasp_report import OBJECT_COLOUR, Film, placed, write_gif
 from pointsdf_cli.viz.robot_picture import RobotMeshes
 from pointsdf_cli.viz.shading import Painted, dots, look_at, shaded_image, table_mesh
@@ -65,8 +66,8 @@ def _others(meshes: Sequence[LoadedMesh], poses: Iterable[Array]) -> list[Painte
 
 def caption(row: TrialRow) -> str:
     """One line on a trial."""
-    who = f"{row.method}/{row.ablation}" if row.ablation else row.method
-    what = f"{row.object}, yaw {np.degrees(row.yaw):.0f}°, {row.camera} camera, {who}: "
+    where = f"{row.object}, yaw {np.degrees(row.yaw):.0f}°, {row.camera} camera"
+    what = f"{where}, {variant_of(row)}: "
     if row.status != "ok":
         return what + f"no plan ({row.reason})"
     end = f"{row.cause}, lost in {row.lost_in}" if row.lost_in else row.cause

@@ -9,7 +9,6 @@ import hashlib
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -62,16 +61,9 @@ def object_mesh(item: TrialObject) -> LoadedMesh:
     if item.mesh is not None:
         return load_mesh(item.mesh, item.unit)
     vertices, faces = make_stand_in(item.name)
-    sha = f"stand-in {item.name} {hash_of(vertices, faces)}"
+    total = hashlib.sha256(vertices.tobytes() + faces.tobytes()).hexdigest()
+    sha = f"stand-in {item.name} {total}"
     return LoadedMesh(item.name, vertices.astype(np.float64), faces, sha, "none")
-
-
-def hash_of(*arrays: NDArray[np.generic]) -> str:
-    """Checksum of arrays, equal in every process."""
-    total = hashlib.sha256()
-    for array in arrays:
-        total.update(np.ascontiguousarray(array).tobytes())
-    return total.hexdigest()
 
 
 def place_object(world: World, item: SimObject, trial: Trial) -> tuple[SimObject, Array, float]:
