@@ -52,11 +52,8 @@ class CharucoBoard:
                 f"squares of {self.square:g} m", where="--square", allowed="0.002 to 0.5 m"
             )
         if not 0.3 * self.square <= self.marker < self.square:
-            raise InputError(
-                f"markers of {self.marker:g} m in squares of {self.square:g} m",
-                where="--marker",
-                allowed="0.3 to 1 times the square's side [m]",
-            )
+            what = f"markers of {self.marker:g} m in squares of {self.square:g} m"
+            raise InputError(what, where="--marker", allowed="0.3 to 1 times the square's side [m]")
         require_choice(self.dictionary, Dictionary, "--dictionary")
         size, markers = int(self.dictionary.split("_")[1]), self.columns * self.rows // 2
         if markers > size:

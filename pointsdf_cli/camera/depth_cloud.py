@@ -58,11 +58,8 @@ def _check(
 ) -> None:
     """Refuse limits in the wrong order and images of different sizes."""
     if not 0 <= nearest < farthest:
-        raise InputError(
-            f"depths from {nearest} to {farthest} m",
-            where="--near, --far",
-            allowed="0 or more, the nearer one first",
-        )
+        what = f"depths from {nearest} to {farthest} m"
+        raise InputError(what, where="--near, --far", allowed="0 or more, the nearer one first")
     if depth.shape != (camera.height, camera.width):
         raise InputError(
             f"a depth image of {depth.shape[::-1]} for a camera of {camera.width, camera.height}"

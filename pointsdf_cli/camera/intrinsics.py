@@ -148,11 +148,8 @@ def _numbers(data: Mapping[str, Any], path: Path) -> tuple[float, float, float, 
         if _entries(data.get(key)) is not None:
             # Open3D alone writes columns first.
             return _of_matrix(data[key], key == "intrinsic_matrix", path)
-    raise InputError(
-        f"has no intrinsics, only {', '.join(map(str, data)) or 'nothing'}",
-        where=path,
-        allowed=FORMS,
-    )
+    what = f"has no intrinsics, only {', '.join(map(str, data)) or 'nothing'}"
+    raise InputError(what, where=path, allowed=FORMS)
 
 
 def _entries(value: Any) -> np.ndarray | None:

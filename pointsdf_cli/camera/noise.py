@@ -29,11 +29,8 @@ class DepthNoise:
 
     def __post_init__(self) -> None:
         if not 0 <= self.sigma <= 0.1:
-            raise InputError(
-                f"a noise of {self.sigma} m at {REFERENCE_DEPTH} m",
-                where="--noise",
-                allowed="0 to 0.1 m",
-            )
+            what = f"a noise of {self.sigma} m at {REFERENCE_DEPTH} m"
+            raise InputError(what, where="--noise", allowed="0 to 0.1 m")
 
     def deviation(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
         """Standard deviation [m] at each depth [m]."""

@@ -39,11 +39,8 @@ class Camera:
     def __post_init__(self) -> None:
         for name in ("width", "height"):
             if not 1 <= getattr(self, name) <= LARGEST_IMAGE:
-                raise InputError(
-                    f"{name} is {getattr(self, name)}",
-                    where="camera",
-                    allowed=f"1 to {LARGEST_IMAGE} pixels",
-                )
+                what = f"{name} is {getattr(self, name)}"
+                raise InputError(what, where="camera", allowed=f"1 to {LARGEST_IMAGE} pixels")
         numbers = (self.fx, self.fy, self.cx, self.cy)
         if not all(map(math.isfinite, numbers)) or self.fx <= 0 or self.fy <= 0:
             raise InputError(

@@ -144,10 +144,8 @@ class SceneViews:
             seen = SeenObject(seen.points[kept], seen.others, seen.support_plane, seen.rays)
             view = SceneView(seen.points, scene.T_camera_object, seen.evidence(1.0 / camera.fx))
             return view, rejected
-        raise InputError(
-            f"{DRAWS} scenes showed fewer than {FEWEST_POINTS} points of it",
-            hint="check its size and unit, or choose another --camera",
-        )
+        what = f"{DRAWS} scenes showed fewer than {FEWEST_POINTS} points of it"
+        raise InputError(what, hint="check its size and unit, or choose another --camera")
 
     def _varied(self, sensor: DepthSensor, rng: np.random.Generator) -> DepthSensor:
         """A sensor with this view's errors."""

@@ -43,10 +43,8 @@ class SegmentationConfig:
             or not np.isfinite(corners).all()
             or (corners[0] >= corners[1]).any()
         ):
-            raise InputError(
-                f"a workspace from {self.low} to {self.high}",
-                allowed="two corners of finite numbers [m], the lower one first",
-            )
+            what = f"a workspace from {self.low} to {self.high}"
+            raise InputError(what, allowed="two corners of finite numbers [m], the lower one first")
 
 
 def find_table(points: Array, share: float = PLANE_SHARE, tilt: float = PLANE_TILT) -> Array | None:

@@ -108,11 +108,8 @@ class DepthSensor:
         for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
-                raise InputError(
-                    f"{name} is {value}",
-                    where=f"sensor {self.name}",
-                    allowed=f"{low:g} to {high:g}",
-                )
+                what = f"{name} is {value}"
+                raise InputError(what, where=f"sensor {self.name}", allowed=f"{low:g} to {high:g}")
         if self.baseline == 0 and (self.quantisation > 0 or self.disparity_noise > 0):
             raise InputError(
                 "baseline is 0", where=f"sensor {self.name}", allowed="above 0 with disparities"

@@ -72,11 +72,8 @@ class ViewConfig:
         if not 0.1 <= self.distance <= 20:
             raise InputError(f"{self.distance} m", where="--distance", allowed="0.1 to 20 m")
         if not load_sensor(self.sensor).is_ideal and self.noise != DepthNoise():
-            raise InputError(
-                f"the sensor {self.sensor} has its own noise",
-                where="--noise",
-                allowed="only with --sensor ideal",
-            )
+            what = f"the sensor {self.sensor} has its own noise"
+            raise InputError(what, where="--noise", allowed="only with --sensor ideal")
 
     @property
     def measures(self) -> DepthSensor:

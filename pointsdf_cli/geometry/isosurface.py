@@ -70,17 +70,11 @@ class IsosurfaceConfig:
                 allowed=", ".join(map(str, fine)) or f"a coarse grid of 1 to {MAX_RESOLUTION}",
             )
         if min(self.resolution, self.asked) not in fine:
-            raise InputError(
-                f"no grid of {self.asked} cells is among those that are refined",
-                where="asked",
-                allowed=", ".join(map(str, fine)),
-            )
+            what = f"no grid of {self.asked} cells is among those that are refined"
+            raise InputError(what, where="asked", allowed=", ".join(map(str, fine)))
         if not (self.half_width > 0 and 0 <= self.smallest_part <= 1):
-            raise InputError(
-                "the isosurface options are out of range",
-                where=self,
-                allowed="half_width > 0, 0 ≤ smallest_part ≤ 1",
-            )
+            what = "the isosurface options are out of range"
+            raise InputError(what, where=self, allowed="half_width > 0, 0 ≤ smallest_part ≤ 1")
 
 
 @dataclass(frozen=True)
@@ -116,10 +110,8 @@ def extract_isosurface(sdf: NetworkField, config: IsosurfaceConfig | None = None
     grid = SampledGrid(sdf, asked, config.half_width, BATCH)
     corners = find_surface_cells(grid, config.coarse, config.rules)
     if len(corners) == 0:
-        raise EmptySurfaceError(
-            "no surface: the field is nowhere negative in the box",
-            allowed="a field that is negative inside the object",
-        )
+        what = "no surface: the field is nowhere negative in the box"
+        raise EmptySurfaceError(what, allowed="a field that is negative inside the object")
     if asked == config.resolution:
         crossed = cross_cells(corners, grid.values)
         vertices = _vertices(grid, crossed.low, crossed.high, grid if config.newton else None)

@@ -57,10 +57,8 @@ def stable_poses(
         inward = (np.asarray(hull.triangles_center) - centre_of_mass) * hull.face_normals
         if not (inward.sum(axis=1) > 0)[hull.area_faces > 0].all():
             # trimesh would look for one inside for ever.
-            raise InputError(
-                "has its centre of mass outside of itself",
-                allowed="a surface that does not cross itself",
-            )
+            what = "has its centre of mass outside of itself"
+            raise InputError(what, allowed="a surface that does not cross itself")
         with np.errstate(invalid="ignore"):  # faces that are triangles no longer
             transforms, probabilities = trimesh.poses.compute_stable_poses(
                 hull, center_mass=centre_of_mass, sigma=0.0, n_samples=1, threshold=0.0

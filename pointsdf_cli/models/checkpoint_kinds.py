@@ -52,11 +52,8 @@ def check_success(config: Mapping[str, Any], where: object) -> None:
         InputError: It is of another kind.
     """
     if config.get("architecture") != ARCHITECTURE:
-        raise InputError(
-            f"is a {config.get('architecture')}, not a success network",
-            where=where,
-            hint="rgrasp train-gs --grasps DIR --out CKPT",
-        )
+        what = f"is a {config.get('architecture')}, not a success network"
+        raise InputError(what, where=where, hint="rgrasp train-gs --grasps DIR --out CKPT")
 
 
 def check_robot(

@@ -80,9 +80,7 @@ def model_from_checkpoint(checkpoint: Checkpoint) -> ShapeModel:
         raise InputError.of(error, checkpoint.path) from error
     except RuntimeError as error:
         first = str(error).strip().splitlines()[1:2] or [str(error)]
-        raise InputError(
-            f"weights do not fit the architecture in config.json: {first[0].strip()}",
-            where=checkpoint.path,
-        ) from error
+        what = f"weights do not fit the architecture in config.json: {first[0].strip()}"
+        raise InputError(what, where=checkpoint.path) from error
     model.requires_grad_(False)
     return model.eval()

@@ -45,11 +45,8 @@ def extract_mesh(archive: Path, out: Path, largest: int = LARGEST_MEMBER) -> Pat
         *(tarfile.TarError, zlib.error, lzma.LZMAError),
         *(EOFError, OSError, OverflowError),
     ) as error:
-        raise InputError(
-            f"is not a readable tar archive ({type(error).__name__}: {error})",
-            where=archive,
-            hint="delete it and fetch it again",
-        ) from error
+        what = f"is not a readable tar archive ({type(error).__name__}: {error})"
+        raise InputError(what, where=archive, hint="delete it and fetch it again") from error
     if len(data) != member.size:
         raise InputError(f"{member.name} is cut short", where=archive)
     path = out.with_name(out.name + PurePosixPath(member.name).suffix)
@@ -69,11 +66,8 @@ def _choose(tar: tarfile.TarFile, archive: Path, largest: int) -> tarfile.TarInf
         if not (member.isfile() or member.isdir()):
             raise InputError(f"holds a link or a device: {member.name!r}", where=archive)
         if member.size > largest:
-            raise InputError(
-                f"{member.name!r} unpacks to {member.size} bytes",
-                where=archive,
-                allowed=f"at most {largest}",
-            )
+            what = f"{member.name!r} unpacks to {member.size} bytes"
+            raise InputError(what, where=archive, allowed=f"at most {largest}")
         if member.isfile() and name.name in WANTED:
             found.setdefault(name.name, member)
     for wanted in WANTED:

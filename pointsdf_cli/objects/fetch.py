@@ -124,11 +124,8 @@ def _fetch_one(
     if mesh_path.exists() and not force:
         if known and file_sha256(mesh_path) == known.mesh_sha256:
             return "kept"
-        raise InputError(
-            "is there already, but not as it was fetched",
-            where=mesh_path,
-            hint="move it away, or add --force",
-        )
+        what = "is there already, but not as it was fetched"
+        raise InputError(what, where=mesh_path, hint="move it away, or add --force")
     url = f"{base_url.rstrip('/')}/{name}_google_16k.tgz"
     # Hidden, so that a stage which takes the folder for its meshes does not look inside.
     archive = require_folder(out / ".archives") / f"{name}_google_16k.tgz"

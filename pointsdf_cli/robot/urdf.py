@@ -169,11 +169,8 @@ def _following(joint: Joint, joints: list[Joint], path: Path) -> Joint:
         if first and first.mimic:
             first = by_name.get(first.mimic[0])
     if leader is None or first is None or first.mimic:
-        raise InputError(
-            f"<mimic> of joint {joint.name!r} follows {name!r}",
-            where=path,
-            allowed="another moving joint of the URDF",
-        )
+        what = f"<mimic> of joint {joint.name!r} follows {name!r}"
+        raise InputError(what, where=path, allowed="another moving joint of the URDF")
     if joint.kind != "continuous" and joint.lower < joint.upper:
         return joint
     ends = sorted((share * leader.lower, share * leader.upper))
@@ -194,11 +191,8 @@ def _ordered(
     for joint in joints:
         for link in (joint.parent, joint.child):
             if link not in names:
-                raise InputError(
-                    f"joint {joint.name!r} names the link {link!r}",
-                    where=path,
-                    allowed=", ".join(names),
-                )
+                what = f"joint {joint.name!r} names the link {link!r}"
+                raise InputError(what, where=path, allowed=", ".join(names))
     roots = [name for name in names if name not in children]
     if len(roots) != 1:
         raise InputError(
@@ -285,11 +279,8 @@ def _shapes(link: ET.Element, path: Path) -> list[Shape]:
             scale = _vector(node, "scale", (1.0, 1.0, 1.0), path)
             shapes.append(mesh_shape(mesh_file(node.get("filename", ""), path), scale, pose))
         else:
-            raise InputError(
-                f"link {link.get('name')!r} has the shape <{node.tag}>",
-                where=path,
-                allowed="box, cylinder, sphere, mesh",
-            )
+            what = f"link {link.get('name')!r} has the shape <{node.tag}>"
+            raise InputError(what, where=path, allowed="box, cylinder, sphere, mesh")
     return shapes
 
 

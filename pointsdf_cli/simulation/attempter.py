@@ -107,11 +107,8 @@ class Attempter:
         jaws = self._hand.jaws
         widest = WIDEST if jaws is None else min(WIDEST, jaws.room)
         if min(sides) > widest:
-            raise InputError(
-                f"is too large for the hand: {min(sides):.3f} m at its narrowest",
-                where=item.mesh.name,
-                allowed=f"one side below {widest:g} m",
-            )
+            what = f"is too large for the hand: {min(sides):.3f} m at its narrowest"
+            raise InputError(what, where=item.mesh.name, allowed=f"one side below {widest:g} m")
 
     def attempt(self, item: SimObject, index: int) -> Attempt:
         """Make attempt `index` with an object.

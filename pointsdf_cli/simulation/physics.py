@@ -43,9 +43,7 @@ class PhysicsConfig:
 
     def __post_init__(self) -> None:
         if not 1e-5 <= self.step <= 0.01 or not 1 <= self.iterations <= 10_000:
-            raise InputError(
-                f"a step of {self.step} s with {self.iterations} iterations",
-                allowed="1e-5 to 0.01 s, 1 to 10000",
-            )
+            what = f"a step of {self.step} s with {self.iterations} iterations"
+            raise InputError(what, allowed="1e-5 to 0.01 s, 1 to 10000")
         if not 0.0 <= self.skin <= 0.01:
             raise InputError(f"a skin of {self.skin} m", allowed="0 to 0.01 m")

@@ -255,18 +255,12 @@ def make_trials(
         raise InputError(f"{min(yaws, repeats)}", where=where, allowed="1 or more")
     unknown = [camera for camera in cameras if camera not in CAMERAS]
     if unknown or not cameras or len(set(cameras)) < len(cameras):
-        raise InputError(
-            f"no camera {', '.join(unknown)!r}" if unknown else "a camera is given twice",
-            where="--cameras",
-            allowed=", ".join(CAMERAS),
-        )
+        what = f"no camera {', '.join(unknown)!r}" if unknown else "a camera is given twice"
+        raise InputError(what, where="--cameras", allowed=", ".join(CAMERAS))
     twice = sorted({one.name for one in variants if list(variants).count(one) > 1})
     if twice or not variants:
-        raise InputError(
-            f"{twice[0]} is given twice" if twice else "nothing to try",
-            where="--method, --ablation",
-            allowed="each once",
-        )
+        what = f"{twice[0]} is given twice" if twice else "nothing to try"
+        raise InputError(what, where="--method, --ablation", allowed="each once")
     trials = [
         Trial(item, yaw, yaws, repeat, camera, variant, seed)
         for item in objects
