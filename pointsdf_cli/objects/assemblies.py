@@ -11,6 +11,7 @@ from pointsdf_cli.objects.refine import refine
 from pointsdf_cli.objects.sections import rounded, smooth_steps
 from pointsdf_cli.objects.solids import (
     bevelled,
+    centred,
     cylinder,
     ellipsoid,
     loft_sections,
@@ -88,9 +89,8 @@ def assembly(draw: Draw) -> Manifold:
         parts.append(part.transform(np.column_stack([turn_by, centre])))
     solid = union(parts)
     if draw.chance("drilled", 0.3):
-        drill = cylinder(0.3 * size * draw.uniform("drill", 0.5, 1.0), 0.5, segments=28).translate(
-            (0, 0, -0.25)
-        )
+        bore = 0.3 * size * draw.uniform("drill", 0.5, 1.0)
+        drill = centred(cylinder(bore, 0.5, segments=28), 0.5)
         solid -= drill.transform(np.column_stack([random_rotation(draw.rng, 1)[0], centres[-1]]))
     return solid
 

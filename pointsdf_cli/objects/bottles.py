@@ -8,7 +8,15 @@ from manifold3d import Manifold
 from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.refine import refine
 from pointsdf_cli.objects.sections import smooth_curve, smooth_steps, soften
-from pointsdf_cli.objects.solids import cylinder, loft_sections, rounded_box, tube, turn, union
+from pointsdf_cli.objects.solids import (
+    centred,
+    cylinder,
+    loft_sections,
+    rounded_box,
+    tube,
+    turn,
+    union,
+)
 from pointsdf_cli.objects.walls import cavity, ear, shell, solid_of
 
 
@@ -47,10 +55,7 @@ def bottle(draw: Draw) -> Manifold:
         levels = np.linspace(0.15, 0.85, rings) * shoulder * height
         grooves = [
             (
-                band
-                - cylinder(float(np.interp(level, z, shape)) - 0.0012, 0.01).translate(
-                    (0, 0, -0.005)
-                )
+                band - centred(cylinder(float(np.interp(level, z, shape)) - 0.0012, 0.01), 0.01)
             ).translate((0, 0, float(level)))
             for level in levels
         ]
@@ -164,14 +169,13 @@ def pump_bottle(draw: Draw) -> Manifold:
     stem_height = draw.uniform("stem", 0.015, 0.035)
     stem = cylinder(0.0045, stem_height + 0.01, segments=16).translate((0, 0, height + 0.008))
     top = height + 0.012 + stem_height
-    button = cylinder(draw.uniform("button", 0.009, 0.014), 0.012, 0.002).translate(
-        (0, 0, top - 0.005)
-    )
+    button = cylinder(draw.uniform("button", 0.009, 0.014), 0.012, 0.002)
     reach, drop = draw.uniform("spout", 0.025, 0.05), draw.uniform("drop", 0.0, 0.012)
     spout = smooth_curve(
         [(0, 0, top + 0.001), (0.7 * reach, 0, top + 0.002), (reach, 0, top - drop)], 10
     )
-    return union([body, collar, stem, button, tube(spout, 0.0045, up=(0, 1, 0), corners=12)])
+    nozzle = tube(spout, 0.0045, up=(0, 1, 0), corners=12)
+    return union([body, collar, stem, button.translate((0, 0, top - 0.005)), nozzle])
 
 
 def squeeze_tube(draw: Draw) -> Manifold:

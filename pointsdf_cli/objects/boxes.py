@@ -7,7 +7,7 @@ from manifold3d import CrossSection, Manifold
 
 from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.refine import refine
-from pointsdf_cli.objects.sections import polygon, rounded
+from pointsdf_cli.objects.sections import grid, polygon, rounded
 from pointsdf_cli.objects.solids import bevelled, cylinder, ellipsoid, on_edge, rounded_box, union
 
 
@@ -123,9 +123,8 @@ def wood_block(draw: Draw) -> Manifold:
         outline = [(-edge / 2, 0), (edge / 2, 0), (lean, edge * draw.uniform("rise", 0.4, 0.9))]
         return on_edge(bevelled(rounded(polygon(outline), radius), depth, radius), depth)
     if form == "half_round":
-        disc = CrossSection.circle(edge / 2, 48) ^ CrossSection.square((edge, edge)).translate(
-            (-edge / 2, 0)
-        )
+        upper = CrossSection.square((edge, edge)).translate((-edge / 2, 0))
+        disc = CrossSection.circle(edge / 2, 48) ^ upper
         return on_edge(bevelled(rounded(disc, radius), depth, radius), depth)
     bar = CrossSection.square((edge, edge * draw.uniform("bar", 0.25, 0.5)), True)
     return bevelled(rounded(bar + bar.rotate(90), radius), depth, radius)
@@ -211,13 +210,7 @@ def remote(draw: Draw) -> Manifold:
         return body
     pitch = min(0.7 * width * min(taper, 1) / columns, 0.75 * length / rows)
     button = ellipsoid((0.38 * pitch, 0.32 * pitch, 1.9 * rise), segments=12)
-    buttons = [
-        button.translate(
-            (pitch * (column - (columns - 1) / 2), pitch * (row - (rows - 1) / 2), thickness - rise)
-        )
-        for column in range(columns)
-        for row in range(rows)
-    ]
+    buttons = [button.translate((x, y, thickness - rise)) for x, y in grid(columns, rows, pitch)]
     return union([body, *buttons])
 
 

@@ -6,14 +6,8 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 
 from pointsdf_cli.objects.family import Draw, Family
-from pointsdf_cli.objects.sections import polygon, rounded
-from pointsdf_cli.objects.solids import bevelled, crosswise, cylinder, on_edge, rounded_box, union
-
-
-def _grid(columns: int, rows: int, pitch: float) -> list[tuple[float, float]]:
-    x = pitch * (np.arange(columns) - (columns - 1) / 2)
-    y = pitch * (np.arange(rows) - (rows - 1) / 2)
-    return [(float(a), float(b)) for a in x for b in y]
+from pointsdf_cli.objects.sections import grid, polygon, rounded
+from pointsdf_cli.objects.solids import bevelled, centred, cylinder, on_edge, rounded_box, union
 
 
 def brick(draw: Draw) -> Manifold:
@@ -33,7 +27,7 @@ def brick(draw: Draw) -> Manifold:
             [flat + (half - flat) * np.cos(t), height * (0.15 + 0.85 * np.sin(t))]
         )
         outline = np.concatenate([[(-half, 0), (half, 0)], side, side[::-1] * [-1, 1]])
-        studs = _grid(columns, max(rows - 2, 1), pitch)
+        studs = grid(columns, max(rows - 2, 1), pitch)
         body = on_edge(bevelled(polygon(outline), width, 0.0006), width)
     elif form == "sloped" and rows >= 3:
         slope = [
@@ -44,10 +38,10 @@ def brick(draw: Draw) -> Manifold:
             (-half, height),
         ]
         body = on_edge(bevelled(rounded(polygon(slope), 0.0005), width, 0.0006), width)
-        studs = [(x, y - pitch / 2) for x, y in _grid(columns, rows - 1, pitch)]
+        studs = [(x, y - pitch / 2) for x, y in grid(columns, rows - 1, pitch)]
     else:
         body = rounded_box((width, length, height), 0.0007)
-        studs = _grid(columns, rows, pitch)
+        studs = grid(columns, rows, pitch)
     stud = pitch * draw.uniform("stud_ratio", 0.27, 0.33)
     rise = pitch * draw.uniform("stud_rise", 0.18, 0.3)
     knob = cylinder(stud, rise + 0.002, 0.0006, segments=24)
@@ -62,13 +56,12 @@ def brick(draw: Draw) -> Manifold:
         height - wall if form == "block" or rows < 3 else max(0.15 * height, 0.55 * height - wall)
     )
     inset = wall if form == "block" or rows < 3 else max(wall, 0.45 * pitch)
-    room = rounded_box((width - 2 * wall, length - 2 * inset, roof + 0.005)).translate(
-        (0, 0, -0.005)
-    )
+    room = rounded_box((width - 2 * wall, length - 2 * inset, roof + 0.005))
+    room = room.translate((0, 0, -0.005))
     if columns > 1 and rows > 1:
         bore = cylinder(0.3 * pitch, roof - 0.001, segments=20).translate((0, 0, -1e-3))
         pipe = cylinder(0.4 * pitch, roof + 0.001, segments=24) - bore
-        room -= union([pipe.translate((x, y, 0)) for x, y in _grid(columns - 1, rows - 1, pitch)])
+        room -= union([pipe.translate((x, y, 0)) for x, y in grid(columns - 1, rows - 1, pitch)])
     return filled - room
 
 
@@ -85,18 +78,14 @@ def brick_stack(draw: Draw) -> Manifold:
         # A thousandth wider per layer, so that no two side faces lie in one plane.
         grow = 1 - 0.001 * layer
         block = rounded_box((2 * pitch * grow, long * pitch * grow, height + 1e-4), 0.0006)
-        studs = [
-            cylinder(0.3 * pitch, 0.25 * pitch, 0.0006, segments=20).translate(
-                (x, y, height - 0.001)
-            )
-            for x, y in _grid(2, long, pitch)
-        ]
+        stud = cylinder(0.3 * pitch, 0.25 * pitch, 0.0006, segments=20)
+        studs = [stud.translate((x, y, height - 0.001)) for x, y in grid(2, long, pitch)]
         piece = union([block, *studs])
         piece = piece.rotate((0, 0, 90)) if turned else piece
         parts.append(piece.translate((0, shift, layer * height - 1e-4 * layer)))
     solid = union(parts)
     if draw.chance("arch", 0.4):
-        gate = crosswise(cylinder(0.6 * pitch, 6 * pitch, segments=32), 6 * pitch, (0, 90, 0))
+        gate = centred(cylinder(0.6 * pitch, 6 * pitch, segments=32), 6 * pitch, (0, 90, 0))
         solid -= gate.translate((0, 0, 0.1 * pitch))
     return solid
 
@@ -134,7 +123,7 @@ def peg_board(draw: Draw) -> Manifold:
     )
     floor = thickness * draw.uniform("floor", 0.12, 0.6)
     drill = cylinder(hole, thickness, segments=20).translate((0, 0, floor))
-    places = _grid(columns, rows, pitch)
+    places = grid(columns, rows, pitch)
     board -= union([drill.translate((x, y, 0)) for x, y in places])
     share = draw.uniform("peg_share", 0.0, 0.7)
     length = thickness * draw.uniform("peg_length", 0.8, 2.2)

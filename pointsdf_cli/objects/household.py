@@ -9,7 +9,7 @@ from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.sections import arc, polygon, rounded, smooth_curve, smooth_steps, soften
 from pointsdf_cli.objects.solids import (
     bevelled,
-    crosswise,
+    centred,
     cylinder,
     ellipsoid,
     loft,
@@ -84,14 +84,10 @@ def shoe(draw: Draw) -> Manifold:
     upper = body(0.0, 0.0)
     inside = body(wall, 2 * wall)
     mouth = length * draw.uniform("mouth", 0.3, 0.45)
-    slot = rounded_box((mouth, 0.62 * width, height), 0.25 * width).translate(
-        (0.05 * length + mouth / 2, 0, 0.55 * height)
-    )
-    opening = (
-        slot ^ body(wall, 2 * wall).translate((0, 0, 0.3 * height))
-        if draw.chance("narrow_mouth", 0.3)
-        else slot
-    )
+    opening = rounded_box((mouth, 0.62 * width, height), 0.25 * width)
+    opening = opening.translate((0.05 * length + mouth / 2, 0, 0.55 * height))
+    if draw.chance("narrow_mouth", 0.3):
+        opening = opening ^ inside.translate((0, 0, 0.3 * height))
     sole_rim = draw.uniform("sole_rim", 0.001, 0.005)
     outline = np.concatenate(
         [
@@ -122,7 +118,7 @@ def padlock(draw: Draw) -> Manifold:
     path = np.column_stack([half[:, 0], np.zeros(len(half)), half[:, 1] + height])
     body = rounded_box((width, depth, height), 0.12 * depth)
     if draw.chance("round_body", 0.35):
-        disc = crosswise(cylinder(width / 2, depth, 0.1 * depth, segments=44), depth)
+        disc = centred(cylinder(width / 2, depth, 0.1 * depth, segments=44), depth, (90, 0, 0))
         body = disc.translate((0, 0, height - 0.42 * width))
     return union([body, tube(path, bow, up=(0, 1, 0), corners=14, round_ends=False)])
 

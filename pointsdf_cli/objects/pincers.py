@@ -7,7 +7,7 @@ from manifold3d import CrossSection, Manifold, OpType
 
 from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.sections import arc, polygon, rounded, smooth_curve, smooth_steps, stroke
-from pointsdf_cli.objects.solids import bevelled, crosswise, cylinder, rounded_box, tube, union
+from pointsdf_cli.objects.solids import bevelled, centred, cylinder, rounded_box, tube, union
 
 
 def wrench(draw: Draw) -> Manifold:
@@ -63,9 +63,7 @@ def scissors(draw: Draw) -> Manifold:
             (0.06 * width, blade),
             (-0.12 * width, 0.7 * blade),
         ]
-        plate = bevelled(rounded(polygon(edge), 0.0008), thickness, 0.0005).translate(
-            (0, 0, -thickness / 2)
-        )
+        plate = centred(bevelled(rounded(polygon(edge), 0.0008), thickness, 0.0005), thickness)
         t = np.linspace(0, 2 * np.pi, 28, endpoint=False)
         centre = (-0.75 * loop_wide - 0.25 * width, -handle - 0.7 * loop_long)
         ring_path = np.column_stack(
@@ -86,10 +84,8 @@ def scissors(draw: Draw) -> Manifold:
             half = half.mirror((1, 0, 0))
         lift = 0.24 * thickness * side
         halves.append(half.rotate((0, 0, side * np.degrees(opening) / 2)).translate((0, 0, lift)))
-    pivot = cylinder(0.35 * width, 2.2 * thickness, 0.0006, segments=20).translate(
-        (0, 0, -1.1 * thickness)
-    )
-    return union([*halves, pivot])
+    pivot = cylinder(0.35 * width, 2.2 * thickness, 0.0006, segments=20)
+    return union([*halves, centred(pivot, 2.2 * thickness)])
 
 
 def pliers(draw: Draw) -> Manifold:
@@ -122,16 +118,12 @@ def pliers(draw: Draw) -> Manifold:
             (0.5 * grip, jaw),
             (-0.05 * grip, jaw),
         ]
-        plate = bevelled(rounded(polygon(nose), 0.001), thickness, 0.001).translate(
-            (0, 0, -thickness / 2)
-        )
+        plate = centred(bevelled(rounded(polygon(nose), 0.001), thickness, 0.001), thickness)
         half = union([lever, plate])
         half = half.mirror((1, 0, 0)) if side > 0 else half
         levers.append(half.rotate((0, 0, -side * np.degrees(opening) / 2)))
-    hinge = cylinder(1.9 * grip, 1.3 * thickness, 0.001, segments=28).translate(
-        (0, 0, -0.65 * thickness)
-    )
-    return union([*levers, hinge])
+    hinge = cylinder(1.9 * grip, 1.3 * thickness, 0.001, segments=28)
+    return union([*levers, centred(hinge, 1.3 * thickness)])
 
 
 def spring_clamp(draw: Draw) -> Manifold:
@@ -159,22 +151,14 @@ def spring_clamp(draw: Draw) -> Manifold:
             np.array([0.6, 1.0, 1.5, 1.3, 1.0]) * bar,
             np.linspace(0, 1, 18),
         )
-        plate = bevelled(stroke(line, 1.4 * girth), width, 0.12 * width).translate(
-            (0, 0, -width / 2)
-        )
+        plate = centred(bevelled(stroke(line, 1.4 * girth), width, 0.12 * width), width)
         if hollow:
             channel = stroke(line[11:17], 0.75 * girth[11:17]).extrude(0.62 * width)
-            plate -= channel.translate((0, 0, 0.0))
-        pad = rounded_box((1.6 * bar, 0.9 * bar, 0.9 * width), 0.2 * bar).translate(
-            (0, 0, -0.45 * width)
-        )
+            plate -= channel
+        pad = centred(rounded_box((1.6 * bar, 0.9 * bar, 0.9 * width), 0.2 * bar), 0.9 * width)
+        pad = pad.rotate((0, 0, float(side * np.degrees(opening) / 2)))
         inward = tip - side * np.array([0.4 * bar, 0.35 * bar])
-        arms += [
-            plate,
-            pad.rotate((0, 0, float(side * np.degrees(opening) / 2))).translate(
-                (float(inward[0]), float(inward[1]), 0)
-            ),
-        ]
+        arms += [plate, pad.translate((float(inward[0]), float(inward[1]), 0))]
     pivot = cylinder(1.5 * bar, 0.96 * width, 0.001, segments=24).translate((0, 0, -0.48 * width))
     return union([*arms, pivot])
 
@@ -205,7 +189,7 @@ def c_clamp(draw: Draw) -> Manifold:
         .translate((0, throat / 2 - 0.75 * bar, 0))
     )
     reach = draw.uniform("crossbar", 0.015, 0.035)
-    cross = crosswise(cylinder(0.55 * screw, 2 * reach, segments=12), 2 * reach, (0, 90, 0))
+    cross = centred(cylinder(0.55 * screw, 2 * reach, segments=12), 2 * reach, (0, 90, 0))
     return union([body, rod, foot, boss, cross.translate((0, end - screw, 0))])
 
 

@@ -76,5 +76,12 @@ def soften(points: Points, passes: int = 3) -> np.ndarray:
     return points
 
 
+def grid(columns: int, rows: int, pitch: float) -> list[tuple[float, float]]:
+    """Places of a grid about the origin, `pitch` m apart, column by column."""
+    x = pitch * (np.arange(columns) - (columns - 1) / 2)
+    y = pitch * (np.arange(rows) - (rows - 1) / 2)
+    return [(float(a), float(b)) for a in x for b in y]
+
+
 def _offset(section: CrossSection, distance: float) -> CrossSection:
     return section.offset(distance, JoinType.Round, 2.0, 16)

@@ -217,12 +217,12 @@ def bevelled(section: CrossSection, thickness: float, bevel: float = 0.0) -> Man
 
 def on_edge(plate: Manifold, thickness: float) -> Manifold:
     """Stand a plate drawn in (x, y) up: its x along y, its y along z, centred in depth on x = 0."""
-    return plate.translate((0, 0, -thickness / 2)).rotate((90, 0, 0)).rotate((0, 0, 90))
+    return centred(plate, thickness, (90, 0, 0)).rotate((0, 0, 90))
 
 
-def crosswise(solid: Manifold, length: float, turn_by: Vector = (90, 0, 0)) -> Manifold:
-    """Centre a solid that runs `length` m up from z = 0 on the origin, and rotate it [°]."""
-    return solid.translate((0, 0, -length / 2)).rotate(tuple(turn_by))
+def centred(solid: Manifold, height: float, turn_by: Vector = (0, 0, 0)) -> Manifold:
+    """Lower a solid that stands `height` m high on z = 0 by half of that, then rotate it [°]."""
+    return solid.translate((0, 0, -height / 2)).rotate(tuple(turn_by))
 
 
 def _solid(vertices: np.ndarray, faces: np.ndarray) -> Manifold:

@@ -8,7 +8,7 @@ from manifold3d import Manifold
 from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.sections import smooth_curve, smooth_steps
 from pointsdf_cli.objects.solids import (
-    crosswise,
+    centred,
     cylinder,
     loft_sections,
     rounded_box,
@@ -42,10 +42,10 @@ def hammer(draw: Draw) -> Manifold:
     top = length - 0.4 * face
     if form == "mallet":
         drum = cylinder(1.2 * face, 2 * half, draw.uniform("drum_edge", 0.001, 0.006))
-        head = drum.translate((0, 0, -half)).rotate((0, 90, 0))
+        head = centred(drum, 2 * half, (0, 90, 0))
     elif form == "sledge":
         block = rounded_box((2 * face, 2 * face, 2 * half), 0.004)
-        head = crosswise(block, 2 * half, (0, 90, 0))
+        head = centred(block, 2 * half, (0, 90, 0))
     else:
         profile = [
             (0, 0),
@@ -55,11 +55,9 @@ def hammer(draw: Draw) -> Manifold:
             (0.75 * face, half),
             (0, half),
         ]
-        head = turn(profile, fillet=0.001, segments=32).translate((0, 0, -half)).rotate((0, 90, 0))
-        block = rounded_box((1.9 * face, 1.7 * face, 1.7 * face), 0.3 * face).translate(
-            (0, 0, -0.85 * face)
-        )
-        parts = [head, block]
+        head = centred(turn(profile, fillet=0.001, segments=32), 2 * half, (0, 90, 0))
+        block = rounded_box((1.9 * face, 1.7 * face, 1.7 * face), 0.3 * face)
+        parts = [head, centred(block, 1.7 * face)]
         if form == "peen":
             parts.append(Manifold.sphere(0.85 * face, 24).translate((1.25 * face, 0, 0)))
         else:
@@ -140,9 +138,8 @@ def power_drill(draw: Draw) -> Manifold:
         [0, 0.05, 0.2, 0.7, 0.9, 1], [0.6, 0.85, 1, 1, 0.85, 0.7], z / length
     )
     # Built with the bore along x and the grip along −y; it lies with its flat side down.
-    motor = loft_sections(z, shape, shape * draw.uniform("motor_flatness", 0.85, 1.1), 2.6).rotate(
-        (0, 90, 0)
-    )
+    deep = shape * draw.uniform("motor_flatness", 0.85, 1.1)
+    motor = loft_sections(z, shape, deep, 2.6).rotate((0, 90, 0))
     nose = [
         (0, 0),
         (0.72 * radius, 0),
@@ -150,15 +147,13 @@ def power_drill(draw: Draw) -> Manifold:
         (0.3 * radius, chuck),
         (0, chuck),
     ]
-    jaws = (
-        turn(nose, fillet=0.001, segments=28).rotate((0, 90, 0)).translate((length - 0.003, 0, 0))
-    )
+    jaws = turn(nose, fillet=0.001, segments=28).rotate((0, 90, 0))
     root = np.array([length * draw.uniform("grip_at", 0.25, 0.5), -0.3 * radius, 0])
     foot = root + np.array([-np.sin(rake), -np.cos(rake), 0]) * (grip_length + radius)
     path = np.linspace(root, foot, 12)
     girth = grip * smooth_steps([0, 0.25, 0.6, 1], [1.25, 1.0, 1.05, 1.2], np.linspace(0, 1, 12))
     handle = tube(path, 1.15 * girth, 0.85 * girth, exponent=2.6, round_ends=False)
-    parts = [motor, jaws, handle]
+    parts = [motor, jaws.translate((length - 0.003, 0, 0)), handle]
     if draw.chance("battery", 0.8):
         size = (
             draw.uniform("battery_length", 0.06, 0.11),
@@ -168,10 +163,8 @@ def power_drill(draw: Draw) -> Manifold:
         pack = rounded_box(size, 0.006).translate((0, 0, -size[2] / 2))
         parts.append(pack.translate((float(foot[0]) + 0.006, float(foot[1]), 0)))
     if draw.chance("bit", 0.5):
-        bit = cylinder(0.003, draw.uniform("bit_length", 0.03, 0.07), segments=12).rotate(
-            (0, 90, 0)
-        )
-        parts.append(bit.translate((length + chuck - 0.008, 0, 0)))
+        bit = cylinder(0.003, draw.uniform("bit_length", 0.03, 0.07), segments=12)
+        parts.append(bit.rotate((0, 90, 0)).translate((length + chuck - 0.008, 0, 0)))
     trigger = rounded_box((0.014, 0.026, 0.014), 0.004).translate((0, 0, -0.007))
     at = root + (foot - root) * 0.3 + np.array([1.2 * grip, 0, 0])
     return union([*parts, trigger.translate(tuple(map(float, at)))])

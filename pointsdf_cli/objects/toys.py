@@ -9,7 +9,7 @@ from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.sections import polygon, rounded, smooth_curve, smooth_steps, stroke
 from pointsdf_cli.objects.solids import (
     bevelled,
-    crosswise,
+    centred,
     cylinder,
     ellipsoid,
     loft_sections,
@@ -51,7 +51,7 @@ def aeroplane(draw: Draw) -> Manifold:
     parts.append(tail.translate((length - 0.6 * chord, 0, 0.2 * body)))
     fin = [(0, 0), (0.55 * chord, 0), (0.6 * chord, 1.9 * body), (0.25 * chord, 1.9 * body)]
     blade = bevelled(rounded(polygon(fin), 0.002), 0.8 * sheet, 0.2 * sheet)
-    blade = crosswise(blade, 0.8 * sheet)
+    blade = centred(blade, 0.8 * sheet, (90, 0, 0))
     parts.append(blade.translate((length - 0.56 * chord, 0, 0.1 * body)))
     if draw.chance("propeller", 0.6):
         parts.append(_propeller(draw, body))
@@ -86,8 +86,8 @@ def _landing_gear(draw: Draw, body: float, axle_x: float) -> list[Manifold]:
     """A leg, an axle at `axle_x` [m] and two wheels below a fuselage of radius `body` [m]."""
     wheel = draw.uniform("wheel", 0.4, 0.7) * body
     axle_z = -body - 0.8 * wheel
-    axle = crosswise(cylinder(0.15 * wheel + 0.001, 2.2 * body, segments=12), 2.2 * body)
-    disc = crosswise(cylinder(wheel, 0.5 * wheel, 0.1 * wheel, segments=28), 0.5 * wheel)
+    axle = centred(cylinder(0.15 * wheel + 0.001, 2.2 * body, segments=12), 2.2 * body, (90, 0, 0))
+    disc = centred(cylinder(wheel, 0.5 * wheel, 0.1 * wheel, segments=28), 0.5 * wheel, (90, 0, 0))
     leg = cylinder(0.18 * body, body + 0.8 * wheel, segments=12).translate((axle_x, 0, axle_z))
     discs = [disc.translate((axle_x, side * 0.95 * body, axle_z)) for side in (-1, 1)]
     return [leg, axle.translate((axle_x, 0, axle_z)), *discs]
@@ -118,10 +118,10 @@ def toy_car(draw: Draw) -> Manifold:
     shell = bevelled(
         rounded(polygon(outline), 0.06 * body), width, draw.uniform("edge", 0.001, 0.008)
     )
-    shell = crosswise(shell, width)
+    shell = centred(shell, width, (90, 0, 0))
     wheel = draw.uniform("wheel", 0.07, 0.11) * length
     thick = 0.22 * width
-    disc = crosswise(cylinder(wheel, thick, 0.12 * wheel, segments=32), thick)
+    disc = centred(cylinder(wheel, thick, 0.12 * wheel, segments=32), thick, (90, 0, 0))
     axles = (-0.3 * length, 0.3 * length)
     out = draw.uniform("track", 0.4, 0.52) * width
     well = cylinder(1.12 * wheel, 0.5 * thick, segments=32).rotate((90, 0, 0))
@@ -131,7 +131,7 @@ def toy_car(draw: Draw) -> Manifold:
         for y in (width / 2 + 0.1 * thick, -width / 2 + 0.4 * thick)
     ]
     discs = [disc.translate((x, side * out, 0.05 * wheel)) for x in axles for side in (-1, 1)]
-    axle = crosswise(cylinder(0.35 * wheel, 2 * out, segments=16), 2 * out)
+    axle = centred(cylinder(0.35 * wheel, 2 * out, segments=16), 2 * out, (90, 0, 0))
     rods = [axle.translate((x, 0, 0.05 * wheel)) for x in axles]
     return union([shell - union(wells), *discs, *rods])
 
@@ -204,7 +204,7 @@ def toy_house(draw: Draw) -> Manifold:
             (-width / 2, height),
         ]
     )
-    house = crosswise(bevelled(gable, depth, 0.0005), depth)
+    house = centred(bevelled(gable, depth, 0.0005), depth, (90, 0, 0))
     slope = [
         (-width / 2 - eave, height - eave * 2 * rise / width),
         (0, height + rise),
@@ -212,7 +212,7 @@ def toy_house(draw: Draw) -> Manifold:
     ]
     long = depth + 2 * eave
     roof = stroke(slope, draw.uniform("roof_thickness", 0.003, 0.008)).extrude(long)
-    parts = [house, crosswise(roof, long)]
+    parts = [house, centred(roof, long, (90, 0, 0))]
     if draw.chance("chimney", 0.5):
         stack = rounded_box((0.16 * width, 0.16 * width, rise), 0.0008)
         parts.append(stack.translate((0.25 * width, 0.2 * depth, height + 0.3 * rise)))

@@ -12,7 +12,7 @@ from manifold3d import Manifold
 from pointsdf_cli.objects.family import Draw, Family
 from pointsdf_cli.objects.refine import refine
 from pointsdf_cli.objects.sections import smooth_curve, soften, stroke
-from pointsdf_cli.objects.solids import cylinder, rounded_box, tube, turn, union
+from pointsdf_cli.objects.solids import centred, cylinder, rounded_box, tube, turn, union
 from pointsdf_cli.objects.walls import (
     THICKEST_WALL,
     THINNEST_WALL,
@@ -227,9 +227,8 @@ def flower_pot(draw: Draw) -> Manifold:
     rim = stroke([(middle + wall / 2, height - band), (radius + wall / 2, height)], 1.3 * wall)
     pot = union([shell(line, wall), turn(rim) - cavity(line, wall)])
     if draw.chance("hole", 0.5):
-        pot -= cylinder(draw.uniform("hole_radius", 0.003, 0.008), 0.02, segments=24).translate(
-            (0, 0, -0.01)
-        )
+        hole = draw.uniform("hole_radius", 0.003, 0.008)
+        pot -= centred(cylinder(hole, 0.02, segments=24), 0.02)
     return pot
 
 
