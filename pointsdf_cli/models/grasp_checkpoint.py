@@ -7,9 +7,9 @@ encoder that was trained too is stored, without the untrained decoder.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -41,11 +41,16 @@ BUNDLED_PREFIX = "bundled:"
 FIXED, SCRATCH = "fixed", "scratch"
 
 
-class GraspParts(NamedTuple):
+@dataclass(frozen=True)
+class GraspParts:
     """Contents of a checkpoint, rebuilt.
 
     Attributes:
-        network, prior, encoder, robot, sweep: As in `GraspModel`.
+        network: Network of either kind, calibrated, in evaluation mode.
+        prior: The mixture.
+        encoder: The shape network with the embedding or the distances.
+        robot: The robot of the training data.
+        sweep: Sweep of its closing hand.
         config: Everything in config.json.
     """
 
@@ -54,7 +59,7 @@ class GraspParts(NamedTuple):
     encoder: ShapeModel
     robot: RobotDescription
     sweep: HandSweep
-    config: dict[str, Any]
+    config: dict[str, Any] = field(default_factory=dict)
 
 
 def write_grasp_checkpoint(

@@ -25,13 +25,11 @@ from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.frames import apply_transform, is_rigid
 from pointsdf_cli.models.best_sampling import SAMPLINGS
 from pointsdf_cli.models.bundled_success import grasps_learned_from
-from pointsdf_cli.models.grasp_checkpoint import read_grasp_checkpoint
+from pointsdf_cli.models.grasp_checkpoint import GraspParts, read_grasp_checkpoint
 from pointsdf_cli.models.grasp_features import FAR, GraspFeatures, ObjectBody, object_body
-from pointsdf_cli.models.grasp_prior import GraspPrior, ObjectPlace
-from pointsdf_cli.models.grasp_success import EmbeddingNet, GeometryNet, grasp_numbers
-from pointsdf_cli.models.hand_sweep import HandSweep
+from pointsdf_cli.models.grasp_prior import ObjectPlace
+from pointsdf_cli.models.grasp_success import EmbeddingNet, grasp_numbers
 from pointsdf_cli.models.reconstruction import Reconstruction
-from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.models.tensor_grid import TensorGrid
 from pointsdf_cli.robot.description import RobotDescription
 
@@ -43,24 +41,13 @@ OWN_CELLS = 8_000
 
 
 @dataclass(frozen=True)
-class GraspModel:
-    """A loaded checkpoint of `train-gs`.
+class GraspModel(GraspParts):
+    """A loaded checkpoint of `train-gs`."""
 
-    Attributes:
-        network: Network of either kind, calibrated, in evaluation mode.
-        prior: The mixture.
-        encoder: The shape network with the embedding or the distances.
-        robot: The robot of the training data.
-        sweep: Sweep of its closing hand.
-        learned_from: Number of executed training grasps; None if the checkpoint does not say.
-    """
-
-    network: EmbeddingNet | GeometryNet
-    prior: GraspPrior
-    encoder: ShapeModel
-    robot: RobotDescription
-    sweep: HandSweep
-    learned_from: int | None = None
+    @property
+    def learned_from(self) -> int | None:
+        """Number of executed training grasps; None if the checkpoint does not say."""
+        return grasps_learned_from(self.config)
 
     def on(
         self,
@@ -190,11 +177,4 @@ def load_grasp_model(
         InputError: As `read_grasp_checkpoint`.
     """
     parts = read_grasp_checkpoint(path, sdf_checkpoint, robot)
-    return GraspModel(
-        parts.network,
-        parts.prior,
-        parts.encoder.to(device),
-        parts.robot,
-        parts.sweep,
-        grasps_learned_from(parts.config),
-    )
+    return GraspModel(**vars(parts) | {"encoder": parts.encoder.to(device)})
