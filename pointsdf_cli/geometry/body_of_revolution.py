@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -24,20 +23,6 @@ MARGIN = 0.5
 """Width of the table beyond the outline, over the outline's larger extent."""
 
 
-class Table(NamedTuple):
-    """Distances in the half plane.
-
-    Attributes:
-        values: [R, H], m.
-        low: [2], lowest radius and height, m.
-        sides: [2], sides of the cells, m.
-    """
-
-    values: Array
-    low: Array
-    sides: Array
-
-
 @dataclass(frozen=True, eq=False)
 class Profile:
     """Half of a body of revolution's section.
@@ -50,9 +35,17 @@ class Profile:
     outline: Array
 
     @cached_property
-    def table(self) -> Table:
-        """Its distances, made when first asked for: 20 ms."""
-        return _table(self.outline)
+    def table(self) -> tuple[Array, Array, Array]:
+        """Its distances [R, H] m, made when first asked for (20 ms), with the lowest radius and
+        height [2] m, and the sides of the cells [2] m."""
+        low, high = self.outline.min(axis=0), self.outline.max(axis=0)
+        margin = MARGIN * float((high - low).max())
+        low, high = np.array([0.0, low[1] - margin]), high + margin
+        sides = (high - low) / CELLS
+        radii, heights = (low[k] + sides[k] * np.arange(CELLS[k] + 1) for k in (0, 1))
+        places = np.stack(np.meshgrid(radii, heights, indexing="ij"), axis=-1).reshape(-1, 2)
+        values = _signed_distance(places, self.outline).reshape(len(radii), len(heights))
+        return values, low, sides
 
 
 @dataclass(frozen=True)
@@ -161,17 +154,6 @@ class BodyOfRevolution:
             out = beyond[:, k]
             slope[away] = np.where(out != 0, out, there * slope[away]) / total
         return value, by_radius, by_height
-
-
-def _table(outline: Array) -> Table:
-    low, high = outline.min(axis=0), outline.max(axis=0)
-    margin = MARGIN * float((high - low).max())
-    low, high = np.array([0.0, low[1] - margin]), high + margin
-    sides = (high - low) / CELLS
-    radii, heights = (low[k] + sides[k] * np.arange(CELLS[k] + 1) for k in (0, 1))
-    places = np.stack(np.meshgrid(radii, heights, indexing="ij"), axis=-1).reshape(-1, 2)
-    values = _signed_distance(places, outline).reshape(len(radii), len(heights))
-    return Table(values, low, sides)
 
 
 def _signed_distance(places: Array, outline: Array) -> Array:
