@@ -92,8 +92,7 @@ def calibrate_from_files(
             eye_in_hand,
         )
     except InputError as error:
-        where = error.where or robot_poses
-        raise InputError.of(error, where) from error
+        raise InputError.of(error, error.where or robot_poses) from error
     return Calibration(
         solved,
         [paths[i].name for i in views],

@@ -102,16 +102,25 @@ def calibrate_hand_eye(
     """Compute the camera's pose from views of a board and the robot's poses.
 
     Args:
-        T_base_gripper: [N, 4, 4] in m, one an image.
+        T_base_gripper: [N, 4, 4] in m, one an image, at least `FEWEST_IMAGES`.
         views: Corners found in each image, without distortion.
         corners: [M, 3] of the board, m.
         camera: Intrinsics.
         eye_in_hand: Camera on the gripper and board fixed; else camera fixed, board on the gripper.
 
     Raises:
-        InputError: Too few images, too little rotation, or images and poses do not fit together.
+        InputError: Rotations about fewer than two axes, or images and poses do not fit together.
     """
-    check_poses(T_base_gripper)
+    spread = rotation_spread(T_base_gripper)
+    if spread[1] < SMALLEST_SPREAD:
+        first, second = np.degrees(spread[:2])
+        raise InputError(
+            f"the robot's poses differ by {first:.1f}° about one axis and by {second:.1f}° about "
+            "all others: too little to determine the camera's position",
+            allowed=f"rotations about two axes or more, at least {np.degrees(SMALLEST_SPREAD):g}° "
+            "and better 30°",
+            hint="tilt the gripper to all sides between the images",
+        )
     alone = [board_pose(view, corners, camera) for view in views]
     fixed_moving = T_base_gripper if eye_in_hand else invert_transform(T_base_gripper)
     seen = _Observations(
@@ -139,29 +148,6 @@ def calibrate_hand_eye(
         sigma_mm=1000 * position,
         sigma_deg=float(np.degrees(rotation)),
     )
-
-
-def check_poses(T_base_gripper: Array) -> None:
-    """Refuse robot poses that cannot determine the camera's.
-
-    Raises:
-        InputError: Fewer than `FEWEST_IMAGES`, or rotations about fewer than two axes.
-    """
-    if len(T_base_gripper) < FEWEST_IMAGES:
-        raise InputError(
-            f"the board was found in {len(T_base_gripper)} image{'s' * (len(T_base_gripper) != 1)}",
-            allowed=f"at least {FEWEST_IMAGES}; about 15 with different rotations are good",
-        )
-    spread = rotation_spread(T_base_gripper)
-    if spread[1] < SMALLEST_SPREAD:
-        first, second = np.degrees(spread[:2])
-        raise InputError(
-            f"the robot's poses differ by {first:.1f}° about one axis and by {second:.1f}° about "
-            "all others: too little to determine the camera's position",
-            allowed=f"rotations about two axes or more, at least {np.degrees(SMALLEST_SPREAD):g}° "
-            "and better 30°",
-            hint="tilt the gripper to all sides between the images",
-        )
 
 
 def board_pose(

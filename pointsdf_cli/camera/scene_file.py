@@ -198,14 +198,10 @@ def cleaned_view(cloud: Cloud, whole_scene: bool) -> tuple[Cloud, str]:
 
 
 def _kept(cloud: Cloud, kept: NDArray[np.bool_]) -> Cloud:
-    return replace(
-        cloud,
-        points=cloud.points[kept],
-        normals=None if cloud.normals is None else cloud.normals[kept],
-        colours=None if cloud.colours is None else cloud.colours[kept],
-        pixels=None if cloud.pixels is None else cloud.pixels[kept],
-        mask=None if cloud.mask is None else cloud.mask[kept],
-    )
+    of_points = ("points", "normals", "colours", "pixels", "mask")
+    every = {name: getattr(cloud, name) for name in of_points}
+    chosen: dict[str, Any] = {k: None if v is None else v[kept] for k, v in every.items()}
+    return replace(cloud, **chosen)
 
 
 def _read_depth_view(path: Path, options: SceneFileOptions, T_world_camera: Array | None) -> Cloud:
@@ -229,8 +225,7 @@ def _read_depth_view(path: Path, options: SceneFileOptions, T_world_camera: Arra
     try:
         cloud = cloud_of_depth(depth, camera, T_world_camera, colours, options.near, options.far)
     except InputError as error:
-        where = error.where or path
-        raise InputError.of(error, where) from error
+        raise InputError.of(error, error.where or path) from error
     if options.mask is None:
         return cloud
     mask = read_mask(options.mask, (height, width))

@@ -295,15 +295,9 @@ def flying_pixels(inverse: Image, edges: Mask, share: float, rng: np.random.Gene
     if not len(at):
         return inverse
     v, u = np.divmod(at, inverse.shape[1])
-    around = np.stack(
-        [
-            inverse[v, u],
-            inverse[np.maximum(v - 1, 0), u],
-            inverse[np.minimum(v + 1, inverse.shape[0] - 1), u],
-            inverse[v, np.maximum(u - 1, 0)],
-            inverse[v, np.minimum(u + 1, inverse.shape[1] - 1)],
-        ]
-    )
+    padded = np.pad(inverse, 1, "edge")
+    steps = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+    around = np.stack([padded[v + 1 + down, u + 1 + right] for down, right in steps])
     nearest, farthest = around.max(axis=0), around.min(axis=0)
     found = inverse.copy()
     between = rng.random(len(at), dtype=np.float32)

@@ -228,17 +228,11 @@ def sample_cloud(
     patch: DepthPatch, camera: Camera, rng: np.random.Generator, count: int = CLOUD_SIZE
 ) -> NDArray[np.float64]:
     """`count` points [count, 3] of a patch, camera frame, m; each pixel once before any twice."""
-    chosen = _sample(len(patch.u), count, rng)
-    return camera.back_project(patch.u[chosen], patch.v[chosen], patch.depth[chosen])
-
-
-def _sample(total: int, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """`count` indices below `total`, each once before any twice."""
-    chosen = (
-        rng.permutation(total)[:count]
-        if total < 4 * count
-        else rng.choice(total, count, replace=False, shuffle=False)
-    )
+    total = len(patch.u)
+    if total < 4 * count:
+        chosen = rng.permutation(total)[:count]
+    else:
+        chosen = rng.choice(total, count, replace=False, shuffle=False)
     if total < count:
         chosen = np.concatenate([chosen, rng.integers(total, size=count - total)])
-    return chosen
+    return camera.back_project(patch.u[chosen], patch.v[chosen], patch.depth[chosen])
