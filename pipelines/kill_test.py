@@ -110,7 +110,7 @@ def run(work: Path, patience: Callable[[str], float]) -> str:
     Returns:
         The step that was killed, "" if the pipeline ended before.
     """
-    log = log_of(work)
+    log = work.with_name(work.name + ".log")
     log.parent.mkdir(parents=True, exist_ok=True)
     temporary_of(work).mkdir(exist_ok=True)
     temporary = str(temporary_of(work).resolve())
@@ -133,10 +133,6 @@ def run(work: Path, patience: Callable[[str], float]) -> str:
     if process.returncode:
         sys.exit(f"the pipeline failed with {process.returncode}: see {log}")
     return ""
-
-
-def log_of(work: Path) -> Path:
-    return work.with_name(work.name + ".log")
 
 
 def temporary_of(work: Path) -> Path:

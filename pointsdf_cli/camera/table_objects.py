@@ -82,7 +82,8 @@ def segment_table(
     height = inside[:, 2] if plane is None else inside @ plane[:3] - plane[3]
     above = np.ones(len(index), dtype=bool)
     if plane is not None:
-        band = _band(inside, camera)
+        distance = np.linalg.norm(inside - camera, axis=1)
+        band = np.clip(PLANE_BAND * distance**2, PLANE_BAND, THICKEST_BAND)
         height = height - table_relief(inside[:, :2], height, band)
         above = height > band
     label[index[~above]] = TABLE
@@ -168,13 +169,6 @@ def add_masked_object(mask: NDArray[np.bool_], found: TableObjects) -> TableObje
         if left.sum() < max(50, 0.2 * before.sum()):
             label[left] = LOOSE
     return TableObjects(label, found.plane)
-
-
-def _band(points: Array, camera: Array) -> Array:
-    """Height above the plane [N] below which points belong to the table [m]."""
-    distance = np.linalg.norm(points - camera, axis=1)
-    grown: Array = np.clip(PLANE_BAND * distance**2, PLANE_BAND, THICKEST_BAND)
-    return grown
 
 
 def _flat(height: Array, group: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -79,19 +79,14 @@ class SampledGrid:
         index = np.unravel_index(self._flat[rows], (self.side,) * 3)
         return np.stack(index, axis=1).astype(np.int32)
 
-    def rows_at(self, places: NDArray[np.integer]) -> NDArray[np.int32]:
-        """Rows [N] of the corners at `places` [N, 3]; those without a value are evaluated."""
-        flat = self._flat_of(places)
+    def values_around(self, cells: Cells, stride: int) -> NDArray[np.float32]:
+        """The field [C, 64] at the corners around cells of size `stride` (`cubic_cells.STENCIL`),
+        the outermost ones repeated beyond the box; corners with bounds are evaluated."""
+        flat = self._flat_of(self._places_around(cells, stride))
         unknown = self._once(flat[self._slot[flat] == 0])
         self._add([unknown], [np.zeros(len(unknown), np.float32)])
         rows = self._slot[flat] - np.int32(1)
         self.settle(rows)
-        return rows
-
-    def values_around(self, cells: Cells, stride: int) -> NDArray[np.float32]:
-        """The field [C, 64] at the corners around cells of size `stride` (`cubic_cells.STENCIL`),
-        the outermost ones repeated beyond the box; corners with bounds are evaluated."""
-        rows = self.rows_at(self._places_around(cells, stride))
         return self.values[rows].reshape(len(cells), len(STENCIL))
 
     def known_around(self, cells: Cells, stride: int) -> NDArray[np.float32]:

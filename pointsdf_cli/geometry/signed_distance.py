@@ -54,7 +54,9 @@ class SignedDistance:
         distance = np.sqrt(np.einsum("ij,ij->i", offset, offset))
         normal = self._normals[nearest["primitive_ids"].numpy()]
         behind = np.einsum("ij,ij->i", offset, normal) < 0
-        inside = self._odd_crossings(local)
+        rays = o3d.core.Tensor.from_numpy(_rays(local, _RAY_DIRECTIONS[0]))
+        crossings = self._scene.count_intersections(rays, self._threads).numpy()
+        inside = crossings % 2 == 1
         doubtful = np.flatnonzero(inside != behind)
         if len(doubtful):
             inside[doubtful] = self._winding_number(local[doubtful]) > 0
@@ -67,13 +69,6 @@ class SignedDistance:
     def _local(self, points: ArrayLike) -> NDArray[np.float32]:
         local = np.asarray(points, dtype=np.float64) - self._centre
         return np.ascontiguousarray(local, dtype=np.float32)
-
-    def _odd_crossings(self, local: NDArray[np.float32]) -> NDArray[np.bool_]:
-        counts = self._scene.count_intersections(
-            o3d.core.Tensor.from_numpy(_rays(local, _RAY_DIRECTIONS[0])), self._threads
-        )
-        odd: NDArray[np.bool_] = counts.numpy() % 2 == 1
-        return odd
 
     def _winding_number(self, local: NDArray[np.float32]) -> NDArray[np.int64]:
         """Winding number of the surface around each point: the median of three rays.

@@ -166,7 +166,10 @@ def _best_axis(seen: OrientedPoints, support_plane: Array | None) -> AxisFit:
     for direction, upright in starts:
         point = axis_point(seen, direction)
         # A convex body has no normal towards its axis, so it is rejected here at little cost.
-        if point is not None and _some_inside(turned(seen, direction, point)):
+        if point is None:
+            continue
+        inside = turned(seen, direction, point).outward < -FACING
+        if inside.mean() >= FEWEST_INSIDE:
             fits.append((refined_axis(seen, direction, point, upright, BRIEF), upright))
     least = min((_cost(*each) for each in fits), default=np.inf)
     close = [(fit, up) for fit, up in fits if fit and _cost(fit, up) <= CLOSE * least]
@@ -183,10 +186,6 @@ def _cost(fit: AxisFit | None, upright: bool) -> float:
         return np.inf
     # Errors of depth tilt an axis that is free to.
     return fit.residual / max(fit.paired, 0.05) / (UPRIGHT if upright else 1.0)
-
-
-def _some_inside(around: Turned) -> bool:
-    return float((around.outward < -FACING).mean()) >= FEWEST_INSIDE
 
 
 def _agreeing(around: Turned, tolerance: float, size: float) -> Mask:

@@ -73,7 +73,13 @@ class HandChain:
             above = [joint.child for joint in level]
             order += above
         self._order = torch.tensor([order.index(link) for link in self.links])
-        self._describe_joints(robot)
+        joints = list(robot.joints[len(robot.arm_joints) :])
+        number = {link: k for k, link in enumerate(self.links)}
+        self.moved_link = torch.tensor([number.get(joint.child, 0) for joint in joints])
+        self.axes = torch.tensor(np.array([joint.axis for joint in joints]), dtype=torch.float32)
+        self.slides = torch.tensor(robot.slides[len(robot.arm_joints) :])
+        moved = [robot.tree.carried([joint.child]) for joint in joints]
+        self.below = torch.tensor([[float(link in one) for link in self.links] for one in moved])
 
     def __call__(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Poses of all links.
@@ -104,15 +110,6 @@ class HandChain:
             torch.cat(rotations).index_select(0, self._order),
             torch.cat(positions).index_select(0, self._order),
         )
-
-    def _describe_joints(self, robot: RobotDescription) -> None:
-        joints = robot.joints[len(robot.arm_joints) :]
-        number = {link: k for k, link in enumerate(self.links)}
-        self.moved_link = torch.tensor([number.get(joint.child, 0) for joint in joints])
-        self.axes = torch.tensor(np.array([joint.axis for joint in joints]), dtype=torch.float32)
-        self.slides = torch.tensor(robot.slides[len(robot.arm_joints) :])
-        moved = [robot.tree.carried([joint.child]) for joint in joints]
-        self.below = torch.tensor([[float(link in one) for link in self.links] for one in moved])
 
 
 def _times_matrix(a: Tensor, b: Tensor) -> Tensor:

@@ -79,7 +79,11 @@ def pear(draw: Draw) -> Manifold:
     neck = draw.uniform("neck_ratio", 0.35, 0.85)
     at = np.array([0, 0.04, 0.12, 0.32, 0.55, 0.78, 0.93, 1.0])
     shape = np.array([0.0, 0.42, 0.72, 1.0, 0.5 + 0.45 * neck, neck, 0.62 * neck, 0.0])
-    body = _spindle(at, radius * shape, length)
+    # Cosine spacing: the poles, where the radius grows like a square root, need more rings.
+    t = (1 - np.cos(np.linspace(0, np.pi, 40)))[1:-1] / 2
+    squared = smooth_steps(at, (radius * shape) ** 2, t)
+    path = np.column_stack([length * t, np.zeros((38, 2))])
+    body = tube(path, np.sqrt(squared), corners=32, round_ends=False)
     if draw.chance("stem", 0.6):
         path = smooth_curve(
             [(0.97 * length, 0, 0), (1.06 * length, 0, 0.002), (1.16 * length, 0, 0.006)], 8
@@ -206,15 +210,6 @@ def mushroom(draw: Draw) -> Manifold:
     length = cap * draw.uniform("stalk_length", 0.6, 2.0)
     dome = ellipsoid((cap, cap, rise), segments=44).trim_by_plane((0, 0, 1), -0.3 * rise)
     return union([cylinder(stalk, length, 0.2 * stalk), dome.translate((0, 0, length))])
-
-
-def _spindle(at: np.ndarray, radii: np.ndarray, length: float) -> Manifold:
-    """A body of revolution along x with its poles at x = 0 and `length`; `at` in [0, 1]."""
-    # Cosine spacing: the poles, where the radius grows like a square root, need more rings.
-    t = (1 - np.cos(np.linspace(0, np.pi, 40))) / 2
-    squared = smooth_steps(at, radii**2, t[1:-1])
-    path = np.column_stack([length * t[1:-1], np.zeros((38, 2))])
-    return tube(path, np.sqrt(squared), corners=32, round_ends=False)
 
 
 def _fibonacci_sphere(count: int) -> np.ndarray:

@@ -202,7 +202,7 @@ def bevelled(section: CrossSection, thickness: float, bevel: float = 0.0) -> Man
     following = np.concatenate(
         [
             start + np.roll(np.arange(len(outline)), -1)
-            for start, outline in zip(_starts(outlines), outlines, strict=True)
+            for start, outline in zip(np.cumsum([0, *map(len, outlines)]), outlines, strict=False)
         ]
     )
     low = np.arange(count)
@@ -258,10 +258,6 @@ def _dome_ends(
     height = np.concatenate([height[0] * shrink, height, height[-1] * shrink[::-1]])
     tangent = np.concatenate([np.repeat(tangent[:1], 3, 0), tangent, np.repeat(tangent[-1:], 3, 0)])
     return path, width, height, tangent
-
-
-def _starts(outlines: Sequence[np.ndarray]) -> np.ndarray:
-    return np.concatenate([[0], np.cumsum([len(outline) for outline in outlines])[:-1]])
 
 
 def _inset(outline: np.ndarray, distance: float) -> np.ndarray:

@@ -294,7 +294,5 @@ def read_rows(tasks: list[TrialTask]) -> list[TrialRow]:
     return [read_trial(task.out)[0] for task in tasks if task.out.is_file()]
 
 
-@functools.lru_cache(maxsize=1)
-def _runner(config: TrialConfig) -> TrialRunner:
-    """The process's runner, cached with its networks and physics client."""
-    return TrialRunner(config)
+_runner = functools.lru_cache(maxsize=1)(TrialRunner)
+"""The process's runner, cached with its networks and physics client."""
