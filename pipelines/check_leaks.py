@@ -71,16 +71,14 @@ def descriptor(points: Points, rng: np.random.Generator) -> NDArray[np.float64]:
     a, b = rng.integers(len(points), size=(2, PAIRS))
     distance = np.linalg.norm(points[a] - points[b], axis=1)
     quantiles = np.quantile(distance, (np.arange(BINS) + 0.5) / BINS)
-    scaled: NDArray[np.float64] = quantiles / np.sqrt((distance**2).mean())
-    return scaled
+    return quantiles / np.sqrt((distance**2).mean())
 
 
 def surface_points(vertices: Points, faces: NDArray[np.int32], rng: np.random.Generator) -> Points:
     """Samples [POINTS, 3] of a surface, centred, with a root mean square radius of 1."""
     points, _ = sample_surface(vertices, faces, POINTS, rng)
     points = points - points.mean(axis=0)
-    normalised: Points = points / np.sqrt((points**2).sum(axis=1).mean())
-    return normalised
+    return points / np.sqrt((points**2).sum(axis=1).mean())
 
 
 def aligned_distance(one: Points, other: Points) -> float:

@@ -189,8 +189,7 @@ def _signed_cells(inside: NDArray[np.bool_]) -> NDArray[np.float64]:
     if inside.all() or not inside.any():
         return np.full(inside.shape, -ALL_INSIDE if inside.all() else ALL_INSIDE)
     apart = ndimage.distance_transform_edt(~inside) - ndimage.distance_transform_edt(inside)
-    signed: NDArray[np.float64] = apart - np.sign(apart) * 0.5
-    return signed
+    return apart - np.sign(apart) * 0.5
 
 
 def label_arrays(mesh: LoadedMesh, rng: np.random.Generator) -> dict[str, NDArray]:

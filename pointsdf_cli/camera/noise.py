@@ -34,11 +34,9 @@ class DepthNoise:
 
     def deviation(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
         """Standard deviation [m] at each depth [m]."""
-        scaled: NDArray[np.float32] = depth * depth * np.float32(self.sigma / REFERENCE_DEPTH**2)
-        return scaled
+        return depth * depth * np.float32(self.sigma / REFERENCE_DEPTH**2)
 
     def apply(self, depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
         """Depths [m], of any shape, with noise added, drawn in the order of the pixels."""
         noise = rng.standard_normal(depth.shape, dtype=np.float32)
-        noisy: NDArray[np.float32] = depth + self.deviation(depth) * noise
-        return noisy
+        return depth + self.deviation(depth) * noise

@@ -284,8 +284,7 @@ class DepthSensor:
             depth = self.noise.apply(depth, rng)
         if self.quantisation:
             depth = effects.quantised(depth, factor, self.quantisation)
-        measured: Image = np.where(seen & (depth > 0), depth, np.float32(0))
-        return measured
+        return np.where(seen & (depth > 0), depth, np.float32(0))
 
 
 _RANGES = {f.name: f.metadata["range"] for f in fields(DepthSensor) if f.metadata}

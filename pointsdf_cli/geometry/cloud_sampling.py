@@ -55,5 +55,4 @@ def _curve_position(plane: NDArray[np.float64]) -> NDArray[np.uint64]:
     # Spread the 16 bits of each coordinate, then interleave both.
     for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
         cell = (cell | (cell << np.uint64(shift))) & np.uint64(mask)
-    position: NDArray[np.uint64] = cell[:, 0] | (cell[:, 1] << np.uint64(1))
-    return position
+    return cell[:, 0] | (cell[:, 1] << np.uint64(1))

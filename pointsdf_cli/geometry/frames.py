@@ -36,8 +36,7 @@ def apply_transform(matrix: ArrayLike, points: ArrayLike) -> Array:
     """Points [..., N, 3] taken through transforms [..., 4, 4]."""
     matrix = np.asarray(matrix, dtype=np.float64)
     points = np.asarray(points, dtype=np.float64)
-    moved: Array = points @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
-    return moved
+    return points @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
 
 
 def plane_in_camera(plane: ArrayLike, T_world_camera: ArrayLike) -> Array:

@@ -181,8 +181,7 @@ class SampledGrid:
 
     def _flat_of(self, cells: NDArray[np.integer]) -> NDArray[np.int32]:
         x, y, z = cells.astype(np.int32, copy=False).T
-        flat: NDArray[np.int32] = (x * np.int32(self.side) + y) * np.int32(self.side) + z
-        return flat
+        return (x * np.int32(self.side) + y) * np.int32(self.side) + z
 
     def _once(self, flat: NDArray[np.int32]) -> NDArray[np.int32]:
         """New corners without repeats: neighbouring cells share them."""

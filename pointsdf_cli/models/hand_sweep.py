@@ -196,8 +196,7 @@ class HandSweep:
         force, moment = under.permute(0, 3, 1, 2, 4)  # each [K, 3, S, B]
         about = moment - torch.linalg.cross(axes.origin, force, dim=1)
         chosen = torch.where(self._slides[:, None, None, None], force, about)
-        slopes: Tensor = ((axes.axis * chosen).sum(1) * axes.free).sum(1).T
-        return slopes
+        return ((axes.axis * chosen).sum(1) * axes.free).sum(1).T
 
     def _place_points(
         self, robot: RobotDescription, surface: Mapping[str, NDArray[np.float64]]

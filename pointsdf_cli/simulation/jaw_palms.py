@@ -90,5 +90,4 @@ def small_rotation(vector: Array) -> Array:
     if angle < 1e-12:
         return np.eye(3)
     cross = cross_matrix(vector / angle)
-    turned: Array = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    return turned
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
