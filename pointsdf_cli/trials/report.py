@@ -133,14 +133,10 @@ def _bars(axes, at, shares: Sequence[Share], width: float, colour: str, label: s
 
 def _success(summaries: Sequence[Summary]) -> Table:
     cameras = list(dict.fromkeys(c for s in summaries for c in s.by_camera))
-    body: list[Sequence[object]] = [
-        (
-            s.name,
-            *(percent(s.by_camera[c]) if c in s.by_camera else "–" for c in cameras),
-            percent(s.succeeded),
-        )
-        for s in summaries
-    ]
+    body: list[Sequence[object]] = []
+    for s in summaries:
+        shares = (percent(s.by_camera[c]) if c in s.by_camera else "–" for c in cameras)
+        body.append((s.name, *shares, percent(s.succeeded)))
     for method in _whole_methods(summaries):
         rates = _published(method, cameras)
         published = [f"{rates[c]:.0%}" if c in rates else "–" for c in (*cameras, "all")]
@@ -153,16 +149,10 @@ def _success(summaries: Sequence[Summary]) -> Table:
 
 
 def _verdicts(summaries: Sequence[Summary]) -> Table:
-    body: list[Sequence[object]] = [
-        (
-            s.name,
-            percent(s.lifted),
-            percent(s.held),
-            percent(s.unshaken),
-            ", ".join(f"{step} {count}" for step, count in s.lost_in.items()) or "–",
-        )
-        for s in summaries
-    ]
+    body: list[Sequence[object]] = []
+    for s in summaries:
+        lost = ", ".join(f"{step} {count}" for step, count in s.lost_in.items()) or "–"
+        body.append((s.name, *map(percent, (s.lifted, s.held, s.unshaken)), lost))
     return "Verdicts", ("planner", "lifted", "held", "unshaken", "lost in"), body
 
 
@@ -183,17 +173,9 @@ def _tests(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
             test, by_object, (objects, differing) = compare(rows, first, second)
-            body.append(
-                (
-                    f"{first} against {second}",
-                    test.both,
-                    test.only_first,
-                    test.only_second,
-                    test.neither,
-                    p_value(test.p),
-                    f"{p_value(by_object)} ({differing} of {objects} differ)",
-                )
-            )
+            pairs = (test.both, test.only_first, test.only_second, test.neither)
+            flips = f"{p_value(by_object)} ({differing} of {objects} differ)"
+            body.append((f"{first} against {second}", *pairs, p_value(test.p), flips))
     header = (
         *("pairs of trials", "both succeeded", "only first", "only second", "neither"),
         *("p (McNemar, by trial)", "p (sign flips, by object)"),
@@ -237,22 +219,13 @@ def _predictions(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Tabl
 
 
 def _contacts(summaries: Sequence[Summary]) -> Table:
-    body: list[Sequence[object]] = [
-        (
-            s.name,
-            percent(s.contact),
-            percent(s.penetrated),
-            f"{1000 * s.penetration[1]:.1f} mm",
-            f"{1000 * s.penetration[0]:.1f} mm",
-        )
-        for s in summaries
-    ]
+    body: list[Sequence[object]] = []
+    for s in summaries:
+        deepest, mean = (f"{1000 * depth:.1f} mm" for depth in s.penetration)
+        body.append((s.name, percent(s.contact), percent(s.penetrated), mean, deepest))
     header = (
-        "planner",
-        "touched before closing",
-        "planned into the true object",
-        "mean depth",
-        "deepest",
+        *("planner", "touched before closing", "planned into the true object"),
+        *("mean depth", "deepest"),
     )
     return "Contact with the true object", header, body
 
@@ -264,25 +237,11 @@ def _ablations(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
         p = ""
         if whole is not None and s.ablation:
             p = p_value(compare(rows, s.name, whole.name).paired.p)
-        body.append(
-            (
-                s.name,
-                percent(s.succeeded),
-                percent(s.no_plan),
-                percent(s.contact),
-                f"{1000 * s.penetration[1]:.1f} mm",
-                _seconds(s.cpu_seconds),
-                p,
-            )
-        )
+        depth, shares = f"{1000 * s.penetration[1]:.1f} mm", (s.succeeded, s.no_plan, s.contact)
+        body.append((s.name, *map(percent, shares), depth, _seconds(s.cpu_seconds), p))
     header = (
-        "planner",
-        "success",
-        "no plan",
-        "touched before closing",
-        "mean depth in the truth",
-        "processor time",
-        "p against the whole method",
+        *("planner", "success", "no plan", "touched before closing"),
+        *("mean depth in the truth", "processor time", "p against the whole method"),
     )
     return "When does geometry matter? (ablations)", header, body
 
@@ -292,15 +251,10 @@ def _clutter(rows: Sequence[TrialRow], summaries: Sequence[Summary]) -> Table:
     for s in summaries:
         mine = [row for row in rows if variant_of(row) == s.name and row.clutter]
         planned = [row for row in mine if row.status == "ok"]
-        body.append(
-            (
-                s.name,
-                percent(s.held),
-                percent(wilson(sum(not row.disturbed for row in planned), len(planned))),
-                percent(s.succeeded),
-                f"{1000 * max((row.largest_move for row in planned), default=0.0):.0f} mm",
-            )
-        )
+        calm = wilson(sum(not row.disturbed for row in planned), len(planned))
+        farthest = max((row.largest_move for row in planned), default=0.0)
+        shares = map(percent, (s.held, calm, s.succeeded))
+        body.append((s.name, *shares, f"{1000 * farthest:.0f} mm"))
     header = ("planner", "held", "nothing else disturbed", "both", "largest move")
     return "In clutter", header, body
 
