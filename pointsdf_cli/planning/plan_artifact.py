@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pointsdf_cli.geometry.arrays import Surface
-from pointsdf_cli.io.plans import NO_PLAN, OK, AcceptedGrasps, Plan, RejectedSeeds
+from pointsdf_cli.io.plans import NO_PLAN, OK, SLACKS, AcceptedGrasps, Plan, RejectedSeeds
 from pointsdf_cli.planning.acceptance import Candidate
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.motion import Motion
@@ -48,39 +48,34 @@ def plan_of(outcome: Outcome, warnings: Sequence[str] = (), surface: Surface | N
     """
     problem, found, best, motion = outcome.problem, outcome.found, outcome.best, outcome.motion
     robot = problem.kinematics.robot
-    joints, links = len(robot.joint_names), shaped_links(robot)
-    q, T_world_palm = np.full(joints, np.nan), np.full((4, 4), np.nan)
-    to_object = to_table = np.full(len(links), np.nan)
-    trajectory, times, lift = np.zeros((0, joints)), np.zeros(0), np.zeros((0, joints))
-    if best is not None and motion is not None and motion.trajectory is not None:
-        q = best.q
-        T_world_palm = outcome.chain.palm(q)
-        to_object, to_table = problem.clearances_by_link(best.x, links)
-        trajectory, times = motion.trajectory.positions, motion.trajectory.times
-        lift = lift if motion.lift is None else motion.lift
-    vertices, faces = (np.zeros((0, 3)), np.zeros((0, 3))) if surface is None else surface
-    return Plan(
-        status=OK if best is not None else NO_PLAN,
+    joints = len(robot.joint_names)
+    plan = replace(
+        no_plan(robot, NO_PLAN, found.sentence, warnings, outcome.timings),
+        status=NO_PLAN if best is None else OK,
         reason=found.reason,
-        sentence=with_warnings(found.sentence, warnings),
-        joint_names=robot.joint_names,
-        q=q,
-        trajectory=trajectory,
-        times=times,
-        T_world_palm=T_world_palm,
-        kind=best.kind if best is not None else "",
-        success_probability=best.success if best is not None else float("nan"),
-        objective=best.objective if best is not None else float("nan"),
         seeds_tried=found.seeds_tried,
-        timings=outcome.timings,
-        link_names=links,
-        link_clearance_object=to_object,
-        link_clearance_table=to_table,
         accepted=_accepted(joints, found.accepted),
         rejected=_rejected(joints, found.rejected),
-        lift=lift,
-        object_vertices=np.asarray(vertices, dtype=np.float32),
-        object_faces=np.asarray(faces, dtype=np.int32),
+        lift=np.zeros((0, joints)),
+    )
+    if surface is not None:
+        vertices, faces = np.asarray(surface[0], np.float32), np.asarray(surface[1], np.int32)
+        plan = replace(plan, object_vertices=vertices, object_faces=faces)
+    if best is None:
+        return plan
+    plan = replace(plan, kind=best.kind, success_probability=best.success, objective=best.objective)
+    if motion is None or motion.trajectory is None:
+        return plan
+    to_object, to_table = problem.clearances_by_link(best.x, plan.link_names)
+    return replace(
+        plan,
+        q=best.q,
+        T_world_palm=outcome.chain.palm(best.q),
+        trajectory=motion.trajectory.positions,
+        times=motion.trajectory.times,
+        lift=plan.lift if motion.lift is None else motion.lift,
+        link_clearance_object=to_object,
+        link_clearance_table=to_table,
     )
 
 
@@ -103,7 +98,6 @@ def no_plan(
         trajectory=np.zeros((0, joints)),
         times=np.zeros(0),
         T_world_palm=np.full((4, 4), np.nan),
-        kind="",
         success_probability=float("nan"),
         objective=float("nan"),
         seeds_tried=0,
@@ -111,8 +105,8 @@ def no_plan(
         link_names=links,
         link_clearance_object=nothing,
         link_clearance_table=nothing,
-        accepted=AcceptedGrasps.none(joints),
-        rejected=RejectedSeeds.none(joints),
+        rejected=_rejected(joints, ()),
+        accepted=_accepted(joints, ()),
     )
 
 
@@ -126,26 +120,21 @@ def shaped_links(robot: RobotDescription) -> tuple[str, ...]:
     return tuple(link for link in robot.tree.links if robot.tree.shapes[link])
 
 
-def _accepted(joints: int, candidates: list[Candidate]) -> AcceptedGrasps:
-    if not candidates:
-        return AcceptedGrasps.none(joints)
+def _accepted(joints: int, candidates: Sequence[Candidate]) -> AcceptedGrasps:
     return AcceptedGrasps(
-        q=np.stack([c.q for c in candidates]),
+        q=np.array([c.q for c in candidates]).reshape(-1, joints),
         kinds=tuple(c.kind for c in candidates),
         success_probability=np.array([c.success for c in candidates]),
         objective=np.array([c.objective for c in candidates]),
     )
 
 
-def _rejected(joints: int, candidates: list[Candidate]) -> RejectedSeeds:
-    if not candidates:
-        return RejectedSeeds.none(joints)
+def _rejected(joints: int, candidates: Sequence[Candidate]) -> RejectedSeeds:
+    slack = [[c.object_slack, c.table_slack, c.obstacle_slack, c.self_slack] for c in candidates]
     return RejectedSeeds(
-        q=np.stack([c.q for c in candidates]),
+        q=np.array([c.q for c in candidates]).reshape(-1, joints),
         reasons=tuple(c.reason for c in candidates),
         success_probability=np.array([c.success for c in candidates]),
         objective=np.array([c.objective for c in candidates]),
-        slack=np.array(
-            [[c.object_slack, c.table_slack, c.obstacle_slack, c.self_slack] for c in candidates]
-        ),
+        slack=np.reshape(slack, (-1, len(SLACKS))),
     )
