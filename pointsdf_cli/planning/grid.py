@@ -25,10 +25,8 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.field import Field
+from pointsdf_cli.geometry.marching_cubes import CORNERS
 from pointsdf_cli.planning.fields import SeenField
-
-_CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-
 
 SLOPE = 1.0
 """L, the largest slope assumed: exact for a distance, and as measured for the networks."""
@@ -87,7 +85,7 @@ class GridField:
         self._nodes = np.array(self._values.shape)
         self._high = self._low + self.config.step * (self._nodes - 1)
         self._strides = np.array([self._nodes[1] * self._nodes[2], self._nodes[2], 1])
-        self._corner_offsets = _CORNERS @ self._strides
+        self._corner_offsets = CORNERS @ self._strides
         self._flat = self._values.ravel()
 
     def __call__(self, points: Array) -> Array:
@@ -151,8 +149,8 @@ class GridField:
         """Values [I, J, K] m on the nodes of halved cells, from the box's lowest corner, and their
         step [m]: `field`'s own within a step of the surface, else interpolated."""
         step, exact = self.config.step / 2, self._error == 0
-        wanted = _any_corner(self._values < 0) & _any_corner(self._values >= 0)
-        wanted |= _any_corner(np.abs(self._values) <= step)  # sheets between the nodes
+        wanted = any_corner(self._values < 0) & any_corner(self._values >= 0)
+        wanted |= any_corner(np.abs(self._values) <= step)  # sheets between the nodes
         known = np.zeros(2 * self._nodes - 1, dtype=bool)
         known[::2, ::2, ::2] = exact
         fine = _halve(self._values)
@@ -175,7 +173,7 @@ class GridField:
         for _ in range(self.config.levels - 1):
             # Some point of a cell is within the band only if a corner is at most this far off it.
             near = np.abs(values) <= band + slope * np.sqrt(3) / 2 * step
-            wanted = refined & _any_corner(near)
+            wanted = refined & any_corner(near)
             values, error = _halve(values), _halve(error)
             inherited = np.zeros(values.shape, dtype=bool)
             inherited[::2, ::2, ::2] = exact
@@ -248,7 +246,7 @@ def surface_box(field: Field, low: Array, high: Array, step: float) -> tuple[Arr
     nodes = np.argwhere(np.ones(cells + 1, dtype=bool))
     values = field(low + nodes * step).reshape(cells + 1)
     # What is inside of a cell is no farther from its nearest corner than half its diagonal.
-    occupied = np.argwhere(_any_corner(values <= np.sqrt(3) / 2 * step))
+    occupied = np.argwhere(any_corner(values <= np.sqrt(3) / 2 * step))
     if not len(occupied):
         raise InputError("the object's field is positive everywhere", allowed="a field with inside")
     return low + occupied.min(axis=0) * step, low + (occupied.max(axis=0) + 1) * step
@@ -264,10 +262,10 @@ def _halve(values: Array) -> Array:
     return halved[0, 0].numpy()
 
 
-def _any_corner(nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """For each cell, whether one of its corners is marked."""
+def any_corner(nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """For each cell [X, Y, Z], whether one of its corners [X + 1, Y + 1, Z + 1] is marked."""
     cells = np.zeros(np.array(nodes.shape) - 1, dtype=bool)
-    for corner in _CORNERS:
+    for corner in CORNERS:
         cells |= nodes[tuple(slice(c, n - 1 + c) for c, n in zip(corner, nodes.shape, strict=True))]
     return cells
 
@@ -275,6 +273,6 @@ def _any_corner(nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _corners_of(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The nodes that are corners of marked cells."""
     nodes = np.zeros(np.array(cells.shape) + 1, dtype=bool)
-    for corner in _CORNERS:
+    for corner in CORNERS:
         nodes[tuple(slice(c, n + c) for c, n in zip(corner, cells.shape, strict=True))] |= cells
     return nodes

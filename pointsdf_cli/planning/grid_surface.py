@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array, Indices, Surface
 from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.geometry.marching_cubes import CORNERS, cross_cells
-from pointsdf_cli.planning.grid import GridField
+from pointsdf_cli.planning.grid import GridField, any_corner
 
 OUTSIDE = 1e-6
 """Least value [m] on the sides of the box, which close the surface."""
@@ -32,7 +31,8 @@ def grid_surface(grid: GridField, field: Field) -> Surface | None:
         np.moveaxis(values, axis, 0)[[0, -1]] = np.maximum(sides, OUTSIDE)
     strides = np.array([values.shape[1] * values.shape[2], values.shape[2], 1])
     flat = values.ravel()
-    cells = np.argwhere(_crossed(values < 0))
+    inside = values < 0
+    cells = np.argwhere(any_corner(inside) & any_corner(~inside))
     corners = (cells @ strides)[:, None] + CORNERS @ strides
     if not len(corners):
         return None
@@ -41,15 +41,6 @@ def grid_surface(grid: GridField, field: Field) -> Surface | None:
     share = np.clip(below / (below - above), END_GAP, 1 - END_GAP)[:, None]
     start, end = _places(crossed.low, values.shape), _places(crossed.high, values.shape)
     return grid.low + step * (start + share * (end - start)), crossed.faces.astype(np.int32)
-
-
-def _crossed(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """For each cell, whether some of its corners are inside and some are not."""
-    count = np.zeros(np.array(inside.shape) - 1, dtype=np.int8)
-    for corner in CORNERS:
-        ends = zip(corner, inside.shape, strict=True)
-        count += inside[tuple(slice(c, n - 1 + c) for c, n in ends)]
-    return np.asarray((count > 0) & (count < len(CORNERS)))
 
 
 def _places(rows: Indices, shape: tuple[int, ...]) -> Array:
