@@ -74,15 +74,6 @@ def is_hemmed_in(statistics: SeedStatistics) -> bool:
     return hardly and statistics.in_the_way in ("obstacle", "itself")
 
 
-def nearest_miss(rejected: list[Candidate]) -> Candidate | None:
-    """The rejected candidate that came closest: by violation, then by success probability."""
-    if not rejected:
-        return None
-    return min(
-        rejected, key=lambda c: (round(max(0.0, -c.worst_slack), 4), -c.success, c.objective)
-    )
-
-
 def why_none(
     statistics: SeedStatistics,
     rejected: list[Candidate],
@@ -90,7 +81,11 @@ def why_none(
     config: AcceptanceConfig | None = None,
 ) -> tuple[str, str]:
     """Reason code and sentence for a search without an accepted candidate."""
-    miss = nearest_miss(rejected)
+    miss = min(  # by violation, then by success probability
+        rejected,
+        key=lambda c: (round(max(0.0, -c.worst_slack), 4), -c.success, c.objective),
+        default=None,
+    )
     if not statistics.drawn:
         return "low_success_probability", (
             "The success network saw no grasp of this kind in training: ask for the other --kind, "
@@ -184,41 +179,24 @@ def explain(
             "robot's middle reach, or away from its base."
         )
     depth = f"{max(0.0, -best.worst_slack) * 1000:.1f} mm"
-    if reason == "object_collision":
-        return (
-            f"The nearest of {seeds_tried} grasps enters the object by {depth}: it may be larger "
-            "than the open hand; try another side or --clearance 0."
-        )
-    if reason == "table_collision":
-        what = "the table" if best.table_slack <= best.obstacle_slack else "an obstacle"
-        return (
-            f"The nearest of {seeds_tried} grasps enters {what} by {depth}: clear the space around "
-            "the object, or ask for top grasps (--kind top) if it is low."
-        )
-    if reason == "self_collision":
-        return (
-            f"The nearest of {seeds_tried} grasps folds the robot into itself by {depth}: move the "
-            "object away from the robot's base."
-        )
-    if reason == "low_success_probability":
-        return (
-            f"The best of {seeds_tried} grasps is predicted to hold with probability "
-            f"{best.success:.2f}, not above {min(config.floor, config.least):g}: turn the object, "
-            "or look at it from another side; --min-success 0 takes the best all the same."
-        )
-    if reason == "objective":
-        return (
-            f"The best of {seeds_tried} grasps has an objective of {best.objective:.2f}, not below "
-            f"{config.objective:g}: it is unlike the grasps that the prior was learned from."
-        )
-    if reason == "closing":
-        return (
-            f"The nearest of {seeds_tried} grasps meets an obstacle when its fingers close, by "
-            f"{max(0.0, -best.closing_slack) * 1000:.1f} mm: clear the space around the object."
-        )
-    if reason == "motion":
-        return (
-            "A grasp was found, but no free path to it: start from another configuration, or clear "
-            "the space between the robot and the object."
-        )
-    return f"The solver ended outside of the joint limits from all {seeds_tried} seeds."
+    closing = f"{max(0.0, -best.closing_slack) * 1000:.1f} mm"
+    what = "the table" if best.table_slack <= best.obstacle_slack else "an obstacle"
+    sentences = {
+        "object_collision": f"The nearest of {seeds_tried} grasps enters the object by {depth}: it "
+        "may be larger than the open hand; try another side or --clearance 0.",
+        "table_collision": f"The nearest of {seeds_tried} grasps enters {what} by {depth}: clear "
+        "the space around the object, or ask for top grasps (--kind top) if it is low.",
+        "self_collision": f"The nearest of {seeds_tried} grasps folds the robot into itself by "
+        f"{depth}: move the object away from the robot's base.",
+        "low_success_probability": f"The best of {seeds_tried} grasps is predicted to hold with "
+        f"probability {best.success:.2f}, not above {min(config.floor, config.least):g}: turn the "
+        "object, or look at it from another side; --min-success 0 takes the best all the same.",
+        "objective": f"The best of {seeds_tried} grasps has an objective of {best.objective:.2f}, "
+        f"not below {config.objective:g}: it is unlike the grasps that the prior was learned from.",
+        "closing": f"The nearest of {seeds_tried} grasps meets an obstacle when its fingers close, "
+        f"by {closing}: clear the space around the object.",
+        "motion": "A grasp was found, but no free path to it: start from another configuration, or "
+        "clear the space between the robot and the object.",
+    }
+    outside = f"The solver ended outside of the joint limits from all {seeds_tried} seeds."
+    return sentences.get(reason, outside)
