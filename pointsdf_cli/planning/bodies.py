@@ -49,7 +49,9 @@ class BodyDistances:
         # By index: an obstacle may have a link's name.
         self._meshes: dict[int, CollisionMesh] = {}
         for obstacle in environment.obstacles:
-            mesh = _collision_mesh(obstacle)
+            mesh = obstacle.prepared
+            if mesh is None and obstacle.vertices is not None and obstacle.faces is not None:
+                mesh = CollisionMesh.of(obstacle.vertices, obstacle.faces)
             if mesh is not None:
                 self._meshes[len(self._bodies)] = mesh
             self._bodies.append(_obstacle_body(obstacle, mesh))
@@ -207,18 +209,12 @@ class BodyDistances:
             out.point[b, m] = result.getNearestPoint1()
             out.other_point[b, m] = result.getNearestPoint2()
             out.normal[b, m] = -result.normal  # coal's points from the first to the second
-            if distance > 0 and mesh is not None:
-                self._swallowed(out, b, int(m), mesh, turn[j], at[j])
-
-    def _swallowed(
-        self, out: Contacts, b: int, m: int, mesh: CollisionMesh, turn: Array, at: Array
-    ) -> None:
-        """Correct the distance of a shape that lies wholly inside a closed mesh."""
-        point = (out.point[b, m] - at) @ turn
-        if mesh.inside(point):
-            # The shortest way out is through the nearest triangle: reverse distance and normal.
-            out.distance[b, m] = -out.distance[b, m] - self._radii[self._pairs[m, 0]]
-            out.normal[b, m] = -out.normal[b, m]
+            if mesh is None or not distance > 0:
+                continue
+            if mesh.inside((out.point[b, m] - at[j]) @ turn[j]):
+                # The shape is wholly inside: its shortest way out is through the nearest triangle.
+                out.distance[b, m] = -out.distance[b, m] - self._radii[i]
+                out.normal[b, m] = -out.normal[b, m]
 
 
 def _settle_boxes() -> None:
@@ -237,12 +233,6 @@ def _settle_boxes() -> None:
         coal.DistanceRequest(),
         coal.DistanceResult(),
     )
-
-
-def _collision_mesh(obstacle: Obstacle) -> CollisionMesh | None:
-    if obstacle.vertices is None or obstacle.faces is None:
-        return None
-    return obstacle.prepared or CollisionMesh.of(obstacle.vertices, obstacle.faces)
 
 
 def _obstacle_body(obstacle: Obstacle, mesh: CollisionMesh | None) -> Body:

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 
 from pointsdf_cli.camera.view import View
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.planning.grid import GridConfig
 from pointsdf_cli.planning.support import hidden_below, stands
-from pointsdf_cli.planning.target import ObjectField, absent_object, given_object
+from pointsdf_cli.planning.target import ObjectField
 
 
 def completed(network: ShapeModel, view: View, seed: int | Sequence[int]) -> Reconstruction:
@@ -35,12 +32,3 @@ def unseen_support(shape: ObjectField, views: Sequence[View]) -> Array:
     if not len(solid) or stands(shape.field, shape.kept, solid, shape.low, shape.high):
         return np.zeros((0, 3))
     return hidden_below(solid, [(view.T_world_camera[:3, 3], view.in_world) for view in views])
-
-
-def given_constraint(
-    field: Field | Literal["none"], points: Array, grid: GridConfig
-) -> ObjectField:
-    """Object constraint from a given field, or from none, for an object seen at points [N, 3]."""
-    if isinstance(field, str):
-        return absent_object(points)
-    return given_object(field, points, grid)

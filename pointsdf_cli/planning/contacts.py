@@ -58,14 +58,8 @@ class Contacts:
 
 def join(contacts: list[Contacts]) -> Contacts:
     """Several sets of contacts as one, side by side."""
-    return Contacts(
-        np.concatenate([c.distance for c in contacts], axis=1),
-        np.concatenate([c.link for c in contacts]),
-        np.concatenate([c.point for c in contacts], axis=1),
-        np.concatenate([c.normal for c in contacts], axis=1),
-        np.concatenate([c.other_link for c in contacts]),
-        np.concatenate([c.other_point for c in contacts], axis=1),
-    )
+    parts = zip(*(vars(c).values() for c in contacts), strict=True)
+    return Contacts(*(np.concatenate(part, axis=min(1, part[0].ndim - 1)) for part in parts))
 
 
 class ContactJacobian:

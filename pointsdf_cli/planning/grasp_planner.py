@@ -40,7 +40,7 @@ from pointsdf_cli.planning.answer import (
     PlanNotes,
 )
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
-from pointsdf_cli.planning.completed_views import completed, given_constraint, unseen_support
+from pointsdf_cli.planning.completed_views import completed, unseen_support
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.option_checks import PARTIAL_VIEW, RECONSTRUCTION
 from pointsdf_cli.planning.plan_artifact import no_plan, plan_of
@@ -53,7 +53,9 @@ from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import (
     EmptyFieldError,
     Target,
+    absent_object,
     enclosing,
+    given_object,
     grid_for,
     missed_points,
     reconstructed_object,
@@ -61,7 +63,7 @@ from pointsdf_cli.planning.target import (
     with_seen_points,
     with_surface,
 )
-from pointsdf_cli.robot.description import RobotDescription, load_robot
+from pointsdf_cli.robot.description import load_robot
 
 LOW_OBJECT = 0.03
 """An object lower than this [m] is grasped from the top first, as the paper's heuristic does."""
@@ -118,9 +120,14 @@ class GraspPlanner:
         self._shape = None
         if self._reconstructs:
             success = options.grasp_checkpoint or bundled_success(self.robot)
-            path = options.checkpoint or reconstruction_for(success)
-            self._shape = load_model(path, options.device)
-        self._grasps = grasps or _success_network(options, self.robot)
+            shape = options.checkpoint or reconstruction_for(success)
+            self._shape = load_model(shape, options.device)
+        path = options.grasp_checkpoint
+        if path is None and options.method == PARTIAL_VIEW:
+            # Where none from scratch is bundled, both methods use the one on geometry, which then
+            # reads each method's own field: in partial-view grasping the seen points alone.
+            path = bundled_success(self.robot, "embedding")
+        self._grasps = grasps or load_grasp_model(path, None, options.device, self.robot)
 
     def doubts(self) -> list[str]:
         """Sentences about what makes all plans doubtful."""
@@ -171,8 +178,10 @@ class GraspPlanner:
         grasps = self._grasps.on(first.points, first.T_world_camera, field=own.kept, seed=seed)
         timings["score"] = time.perf_counter() - began
         began = time.perf_counter()
-        if field is not None:
-            constraint = given_constraint(field, world, grid)
+        if isinstance(field, str):
+            constraint = absent_object(world)
+        elif field is not None:
+            constraint = given_object(field, world, grid)
         elif made:
             # The score was trained on the network's field; the constraint adds the seen points
             # that this field misses.
@@ -228,10 +237,7 @@ class GraspPlanner:
 
         Args:
             perceived: Result of `see`.
-            environment: As in `plan`.
-            start: As in `plan`.
-            seed: As in `plan`.
-            notes: As in `plan`.
+            environment, start, seed, notes: As in `plan`.
         """
         points = perceived.points
         settings = self.search_settings(points)
@@ -279,15 +285,3 @@ class GraspPlanner:
         sentence = f"{what[0].upper()}{what[1:]}."
         plan = no_plan(self.robot, "no_object", sentence, notes.warnings, notes.timings)
         return Answer(plan, None, None)
-
-
-def _success_network(options: PlanOptions, robot: RobotDescription) -> SuccessModel:
-    """The requested checkpoint, or the method's bundled one.
-
-    If no network from scratch is bundled, both methods use the one on geometry, which then reads
-    each method's own field: in partial-view grasping the seen points alone.
-    """
-    path = options.grasp_checkpoint
-    if path is None and options.method == PARTIAL_VIEW:
-        path = bundled_success(robot, "embedding")
-    return load_grasp_model(path, None, options.device, robot)

@@ -43,18 +43,6 @@ def check_distance(name: str, value: float) -> None:
         )
 
 
-def check_min_success(probability: float | None) -> None:
-    """Require a probability, or None for the default thresholds.
-
-    Raises:
-        InputError: Not within [0, 1).
-    """
-    if probability is not None and not 0 <= probability < 1:
-        raise InputError(
-            f"{probability} is not a probability", where="--min-success", allowed="0 ≤ p < 1"
-        )
-
-
 def check_segment(segment: str, target: bool, workspace: bool) -> None:
     """Check the options of segmentation.
 

@@ -211,13 +211,7 @@ class PathChecker:
             np.tile(doubt.motion / 2, 2),
         )
         still = self._in_doubt(halves.a, halves.b, halves.motion)
-        return _Doubt(
-            halves.way[still],
-            halves.pair[still],
-            halves.a[still],
-            halves.b[still],
-            halves.motion[still],
-        )
+        return _Doubt._make(part[still] for part in halves)
 
 
 class _Doubt(NamedTuple):

@@ -204,7 +204,8 @@ def _plan_for(
     known = environment.obstacles
     others, seconds = named_obstacles(found, [obstacle.name for obstacle in known])
     if beside:
-        report += _said_of(others, network is not None, seconds)
+        how = "hulls" if network is None else "reconstructions"
+        report += [f"seen obstacles: {len(others)} ({how}, {seconds:.2f} s)"] * bool(others)
         environment = replace(environment, obstacles=(*known, *others))
     notes = PlanNotes(warnings, {"obstacles": seconds}, surface=True)
     if isinstance(perceived, EmptyFieldError):
@@ -244,12 +245,6 @@ def _warnings(seen: TableTop, clouds: Sequence[Cloud], segment: str, has_table: 
     off = table_doubt(seen.table_height, [in_world(each) for each in clouds]) if checked else ""
     height = (seen.table_height or 0.0) if has_table else None
     return [off] * bool(off) + doubts(seen.views, height)
-
-
-def _said_of(beside: Sequence[Obstacle], reconstructed: bool, seconds: float) -> list[str]:
-    how = "reconstructions" if reconstructed else "hulls"
-    said = f"seen obstacles: {len(beside)} ({how}, {seconds:.2f} s)"
-    return [said] if beside else []
 
 
 def _in_order(planner: GraspPlanner, request: PlanRequest, q: Array) -> list[OrderedObject]:

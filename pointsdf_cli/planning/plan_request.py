@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pointsdf_cli import choices
 from pointsdf_cli.choices import require_choice
+from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.plans import Plan
@@ -53,7 +54,11 @@ class PlanChoices:
         option_checks.check_distance("margin", self.margin)
         if self.clearance is not None:
             option_checks.check_distance("clearance", self.clearance)
-        option_checks.check_min_success(self.min_success)
+        least = self.min_success
+        if least is not None and not 0 <= least < 1:
+            raise InputError(
+                f"{least} is not a probability", where="--min-success", allowed="0 ≤ p < 1"
+            )
 
     def acceptance(self) -> AcceptanceConfig:
         """Default thresholds, or `min_success` as the least probability, of fallbacks too."""

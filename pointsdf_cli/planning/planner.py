@@ -294,10 +294,11 @@ STUCK = (
 
 
 def _taken(found: Synthesis, best: list[Candidate], k: int, stuck: Container[int]) -> Synthesis:
-    """The result `found` with best[k] chosen and those before it rejected."""
+    """The result with best[k] chosen, with a warning if it is poor, and those before rejected."""
     passed = _passed(best[:k], stuck)
+    sentence = warning(best[k], found.seeds_tried) if best[k].reason else ""
     found = replace(found, accepted=found.accepted[k:], rejected=found.rejected + passed)
-    return _with_warning(found, best[k])
+    return replace(found, best=best[k], reason="", sentence=sentence)
 
 
 def _passed(candidates: list[Candidate], stuck: Container[int]) -> list[Candidate]:
@@ -307,9 +308,3 @@ def _passed(candidates: list[Candidate], stuck: Container[int]) -> list[Candidat
         for k, c in enumerate(candidates)
         if not c.reason
     ]
-
-
-def _with_warning(found: Synthesis, chosen: Candidate) -> Synthesis:
-    """The result `found` without a reason, and with a warning if the plan is poor."""
-    sentence = "" if not chosen.reason else warning(chosen, found.seeds_tried)
-    return replace(found, best=chosen, reason="", sentence=sentence)

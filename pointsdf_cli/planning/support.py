@@ -59,25 +59,19 @@ def stands(field: Field, kept: GridField, solid: Array, low: Array, high: Array)
     places, value = places[unsure], value[unsure]
     if not _above(places[:, :2], centre):
         return False
-    likely = places[_lowest_around(places[:, :2] - centre, value)]
+    places = places[np.argsort(value, kind="stable")]
+    turn = np.arctan2(*(places[:, :2] - centre).T[::-1]) / (2 * np.pi)
+    sector = np.floor(turn * DIRECTIONS).astype(np.int64)
+    likely = places[np.unique(sector, return_index=True)[1]]
     feet = likely[field(likely) < 0]
     if _above(feet[:, :2], centre):
         return True
-    places = places[np.argsort(value, kind="stable")]
     for begin in range(0, len(places), BATCH):
         some = places[begin : begin + BATCH]
         feet = np.concatenate([feet, some[field(some) < 0]])
         if _above(feet[:, :2], centre):
             return True
     return False
-
-
-def _lowest_around(away: Array, value: Array) -> NDArray[np.intp]:
-    """Index of the lowest value [N] in each direction [N, 2] from a centre, of `DIRECTIONS`."""
-    turn = np.arctan2(away[:, 1], away[:, 0]) / (2 * np.pi)
-    order = np.argsort(value, kind="stable")
-    sector = np.floor(turn[order] * DIRECTIONS).astype(np.int64)
-    return order[np.unique(sector, return_index=True)[1]]
 
 
 def _above(feet: Array, centre: Array) -> bool:

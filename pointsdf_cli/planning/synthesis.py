@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.planning.acceptance import (
     AcceptanceConfig,
@@ -29,7 +28,7 @@ from pointsdf_cli.planning.likeliest import (
     probability_to_hold,
 )
 from pointsdf_cli.planning.nearby_grasps import NearbySampler
-from pointsdf_cli.planning.nonlinear import Solutions, Solver
+from pointsdf_cli.planning.nonlinear import Solver
 from pointsdf_cli.planning.reasons import SeedStatistics, is_hemmed_in, why_none
 from pointsdf_cli.planning.seeds import (
     GraspSampler,
@@ -218,7 +217,9 @@ def _solved(
     found = solver.solve(problems.quick, seeds.x)
     stop_if_cancelled()
     start = _lap(timings, "solve", start)
-    order = _ranked(found)
+    # Feasible ones by objective, then the others by violation.
+    violated = np.where(found.violation > 1e-3, found.violation, 0.0)
+    order = np.lexsort((found.objective, violated))
     kinds = [seeds.kinds[k] for k in order]
     candidates = judge(problems.exact, found.x[order], config.acceptance, kinds)
     _lap(timings, "check", start)
@@ -318,12 +319,6 @@ def _best_fallback(candidates: list[Candidate], config: SynthesisConfig) -> floa
     """Least objective of the fallbacks."""
     fallbacks = (c.objective for c in candidates if c.is_fallback(config.acceptance))
     return min(fallbacks, default=np.inf)
-
-
-def _ranked(found: Solutions) -> NDArray[np.intp]:
-    """Indices of solutions: feasible ones by objective, then the others by violation."""
-    violated = np.where(found.violation > 1e-3, found.violation, 0.0)
-    return np.lexsort((found.objective, violated))
 
 
 def _lap(timings: dict[str, float], stage: str, start: float) -> float:

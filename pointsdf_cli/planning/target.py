@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import EmptyResultError, InputError
 from pointsdf_cli.geometry.arrays import Array, Surface
@@ -150,7 +149,10 @@ def reconstructed_object(
     Raises:
         EmptyFieldError: The network sees nothing solid.
     """
-    low, high, step = _network_box(reconstructions)
+    # The network was trained in a box of ±0.6 (`sdf_sampling.py`), its meshes reach to ±0.8.
+    low = np.min([r.centre - 0.75 / r.scale for r in reconstructions], axis=0)
+    high = np.max([r.centre + 0.75 / r.scale for r in reconstructions], axis=0)
+    step = 0.15 / max(r.scale for r in reconstructions)
     quick = _mean_field([each.in_fast_precision for each in reconstructions])
     low, high = _surface_box(quick, low, high, step)
     if seen is not None:
@@ -184,14 +186,6 @@ def _near(shape: ObjectField) -> ObjectField:
     return replace(shape, field=NearField(shape.field, shape.low, shape.high))
 
 
-def _network_box(reconstructions: Sequence[Reconstruction]) -> tuple[Array, Array, float]:
-    """Search box of the networks' surface, corners [3] and [3] in m, and its cell size [m]."""
-    # The network was trained in a box of ±0.6 (`sdf_sampling.py`), its meshes reach to ±0.8.
-    low = np.min([r.centre - 0.75 / r.scale for r in reconstructions], axis=0)
-    high = np.max([r.centre + 0.75 / r.scale for r in reconstructions], axis=0)
-    return low, high, 0.15 / max(r.scale for r in reconstructions)
-
-
 def _mean_field(reconstructions: Sequence[Reconstruction]) -> Field:
     # The mean of two walls thinner than their distance has no inside.
     walls = [reconstruction for reconstruction in reconstructions if reconstruction.vessel]
@@ -208,11 +202,8 @@ def with_seen_points(shape: ObjectField, seen: Array) -> ObjectField:
         seen: [N, 3], world, m.
     """
     points = SeenField(seen)
-    return replace(
-        shape,
-        field=UnionField(shape.field, points),
-        kept=shape.kept.minimum_with(points),
-    )
+    field = UnionField(shape.field, points)
+    return replace(shape, field=field, kept=shape.kept.minimum_with(points))
 
 
 def with_surface(
@@ -250,18 +241,11 @@ def redistanced(shape: ObjectField, seen: Array) -> ObjectField:
     return replace(shape, field=field, kept=kept, surface=smooth)
 
 
-def mesh_object(
-    vertices: Array, faces: NDArray[np.integer], grid: GridConfig | None = None
-) -> ObjectField:
-    """A closed mesh in the world: vertices [V, 3] m, faces [F, 3]."""
-    low, high = vertices.min(axis=0) - BOX_MARGIN, vertices.max(axis=0) + BOX_MARGIN
-    return ObjectField.of(MeshField(vertices, faces), low, high, grid)
-
-
 def seen_object(points: Array, grid: GridConfig | None = None) -> ObjectField:
     """The seen points [N, 3] (world, m) alone, meshed at 32³: partial-view grasping."""
     vertices, faces = partial_mesh(points)
-    return mesh_object(vertices, faces, grid)
+    low, high = vertices.min(axis=0) - BOX_MARGIN, vertices.max(axis=0) + BOX_MARGIN
+    return ObjectField.of(MeshField(vertices, faces), low, high, grid)
 
 
 def given_object(field: Field, points: Array, grid: GridConfig | None = None) -> ObjectField:
