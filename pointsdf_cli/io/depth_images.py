@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -63,10 +65,7 @@ def read_colour(path: Path | str) -> NDArray[np.uint8]:
         InputError: No such file, or no image.
     """
     with open_image(Path(path)) as image:
-        try:
-            return np.asarray(image.convert("RGB"))
-        except (OSError, ValueError, SyntaxError) as error:
-            raise InputError("is damaged or cut short", where=path) from error
+        return np.asarray(image.convert("RGB"))
 
 
 LABELS = 64
@@ -106,12 +105,9 @@ def read_mask(text: str, shape: tuple[int, int] | None = None) -> NDArray[np.boo
                     where=path,
                     allowed="a mask as PNG, TIFF, BMP or NPY",
                 )
-            try:
-                # The numbers of a palette are labels, its colours are not.
-                plain = image.mode if image.mode in ("P", "L", "1", "I", "I;16", "F") else "RGBA"
-                values = np.asarray(image if image.mode == plain else image.convert(plain))
-            except (OSError, ValueError, SyntaxError) as error:
-                raise InputError("is damaged or cut short", where=path) from error
+            # The numbers of a palette are labels, its colours are not.
+            plain = image.mode if image.mode in ("P", "L", "1", "I", "I;16", "F") else "RGBA"
+            values = np.asarray(image if image.mode == plain else image.convert(plain))
             if values.ndim == 3:
                 values = values[..., :3].max(axis=2) * (values[..., 3] > 0)
     if values.ndim != 2 or values.dtype.kind not in "buif":
@@ -176,10 +172,7 @@ def _image(path: Path) -> NDArray:
                 where=path,
                 allowed="the camera's 16-bit depth image, not its coloured preview",
             )
-        try:
-            values = np.asarray(image)
-        except (OSError, ValueError, SyntaxError) as error:
-            raise InputError("is damaged or cut short", where=path) from error
+        values = np.asarray(image)
         return values if image.format != "PPM" else _as_stored(values, path)
 
 
@@ -198,11 +191,13 @@ def _as_stored(values: NDArray, path: Path) -> NDArray:
     return np.rint(values * (greatest / shown)).astype(values.dtype)
 
 
-def open_image(path: Path) -> Image.Image:
+@contextmanager
+def open_image(path: Path) -> Iterator[Image.Image]:
     """An image file, opened.
 
     Raises:
-        InputError: No such file, no image, or one of over `LARGEST_PIXELS` pixels.
+        InputError: No such file, no image, one of over `LARGEST_PIXELS` pixels, or damaged where it
+            is read.
     """
     try:
         image = Image.open(io.BytesIO(read_input(path, "image")))
@@ -210,10 +205,13 @@ def open_image(path: Path) -> Image.Image:
         raise InputError("is not an image, or damaged", where=path) from error
     except Image.DecompressionBombError as error:
         raise InputError("is far too large for a camera's image", where=path) from error
-    if image.width * image.height > LARGEST_PIXELS:
-        image.close()
-        raise InputError(f"has {image.width} × {image.height} pixels", where=path)
-    return image
+    with image:
+        if image.width * image.height > LARGEST_PIXELS:
+            raise InputError(f"has {image.width} × {image.height} pixels", where=path)
+        try:
+            yield image
+        except (OSError, ValueError, SyntaxError) as error:
+            raise InputError("is damaged or cut short", where=path) from error
 
 
 def _array(path: Path) -> NDArray:
