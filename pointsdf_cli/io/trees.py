@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.io.untrusted import first_line, read_npy_header
 
 REFERENCE = "$array"
 MOST_ARRAYS = 10_000
@@ -71,9 +72,8 @@ def tree_of_npz(data: bytes, where: str) -> Any:
             arrays = {e.filename.removesuffix(".npy"): _array(archive.read(e)) for e in entries}
         return _filled(json.loads(arrays["tree"].tobytes()), arrays)
     except _BROKEN as error:
-        said = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise InputError(
-            f"is not an NPZ that can be used ({said})",
+            f"is not an NPZ that can be used ({first_line(error)})",
             where=where,
             allowed="arrays, and in `tree` the JSON text that names them",
         ) from error
@@ -88,22 +88,13 @@ def tree_of_json(data: bytes, where: str) -> Any:
     try:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
-        said = (str(error).splitlines() or [type(error).__name__])[0][:120]
-        raise InputError(f"is not readable JSON ({said})", where=where) from error
+        raise InputError(f"is not readable JSON ({first_line(error)})", where=where) from error
 
 
 def _array(data: bytes) -> NDArray[Any]:
     """The array of an NPY file, no larger than the file."""
     handle = io.BytesIO(data)
-    version = np.lib.format.read_magic(handle)
-    if version not in ((1, 0), (2, 0)):
-        raise ValueError(f"version {version}")
-    read = (
-        np.lib.format.read_array_header_1_0
-        if version == (1, 0)
-        else np.lib.format.read_array_header_2_0
-    )
-    shape, by_columns, dtype = read(handle)
+    shape, by_columns, dtype = read_npy_header(handle)
     if dtype.kind not in "biuf":
         raise ValueError(f"an array of {dtype}")
     values = np.frombuffer(data, dtype, offset=handle.tell())

@@ -46,7 +46,7 @@ def read_yaml(path: Path, first_document: bool = False) -> Any:
         _check_nodes(node, path)  # before `<<: *alias` copies what it leads to
         return loader.construct_document(node)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a 13th month
-        raise InputError(f"is not YAML ({_first_line(error)})", where=path) from error
+        raise InputError(f"is not YAML ({first_line(error)})", where=path) from error
 
 
 def read_json(path: Path) -> Any:
@@ -58,7 +58,7 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(_text(path, "text", "JSON"))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"is not readable JSON ({_first_line(error)})", where=path) from error
+        raise InputError(f"is not readable JSON ({first_line(error)})", where=path) from error
 
 
 def read_xml(path: Path) -> ET.Element:
@@ -72,7 +72,7 @@ def read_xml(path: Path) -> ET.Element:
         _check_xml(data)
         return ET.fromstring(data)
     except (ET.ParseError, expat.ExpatError, ValueError, LookupError) as error:
-        raise InputError(f"is not XML ({_first_line(error)})", where=path) from error
+        raise InputError(f"is not XML ({first_line(error)})", where=path) from error
 
 
 def read_npy_array(path: Path, kind: str = "array") -> NDArray[Any]:
@@ -96,17 +96,23 @@ def read_npy_array(path: Path, kind: str = "array") -> NDArray[Any]:
         raise InputError("is not a NumPy array, or is cut short", where=path) from error
 
 
-def _mapped(handle: BinaryIO) -> NDArray[Any]:
-    """Map an array of an open NPY file into memory, like `np.lib.format.open_memmap`."""
+def read_npy_header(handle: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape of an array in an open NPY file, whether it is stored by columns, and its type.
+
+    Raises:
+        ValueError: Damaged, or of another version; numpy's parser raises more.
+    """
     version = np.lib.format.read_magic(handle)
-    read = (
-        np.lib.format.read_array_header_1_0
-        if version == (1, 0)
-        else (np.lib.format.read_array_header_2_0)
-    )
     if version not in ((1, 0), (2, 0)):
         raise ValueError(f"version {version}")
-    shape, by_columns, dtype = read(handle)
+    if version == (1, 0):
+        return np.lib.format.read_array_header_1_0(handle)
+    return np.lib.format.read_array_header_2_0(handle)
+
+
+def _mapped(handle: BinaryIO) -> NDArray[Any]:
+    """Map an array of an open NPY file into memory, like `np.lib.format.open_memmap`."""
+    shape, by_columns, dtype = read_npy_header(handle)
     if dtype.hasobject:
         raise ValueError("Python objects")
     if not dtype.itemsize:  # any number of them fits into no bytes at all
@@ -164,5 +170,6 @@ def _check_xml(data: bytes) -> None:
     parser.Parse(data, True)
 
 
-def _first_line(error: Exception) -> str:
+def first_line(error: Exception) -> str:
+    """First line of an error, cut to fit into a message; its type if it has none."""
     return (str(error).splitlines() or [type(error).__name__])[0][:120]
