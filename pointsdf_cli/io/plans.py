@@ -209,18 +209,10 @@ def read_plan(path: Path | str) -> Plan:
             **{name: of(facts[name]) for name, of in FACTS.items()},
             **{name: data[name] for name in Plan.__dataclass_fields__ if name in data},
             timings=dict(json.loads(facts["timings_json"])),
-            rejected=RejectedSeeds(
-                q=data["rejected_q"],
-                reasons=data["rejected_reason"],
-                success_probability=data["rejected_success_probability"],
-                objective=data["rejected_objective"],
-                slack=data["rejected_slack"],
-            ),
+            # The layout has their datasets in the order of their fields.
+            rejected=RejectedSeeds(*(data[name] for name in LAYOUT if name.startswith("rejected"))),
             accepted=AcceptedGrasps(
-                q=data["accepted_q"],
-                kinds=data["accepted_kind"],
-                success_probability=data["accepted_success_probability"],
-                objective=data["accepted_objective"],
+                *(data[name] for name in LAYOUT if name.startswith("accepted"))
             ),
         )
 

@@ -32,17 +32,12 @@ def evidence_arrays(evidence: Sequence[ViewEvidence]) -> dict[str, NDArray[Any]]
     images = [view.visibility or nothing for view in evidence]
     unknown = np.full(4, np.nan)
     planes = [unknown if v.support_plane is None else v.support_plane for v in evidence]
-    window, plane = np.zeros((0, 4)), np.zeros((0, 4))
-    seen, free = np.zeros((0, SIZE, SIZE), np.int8), np.zeros((0, SIZE, SIZE), np.float32)
-    if images:
-        window, plane = np.stack([i.window for i in images]), np.stack(planes)
-        seen = np.stack([i.seen for i in images]).astype(np.int8)
-        free = np.stack([i.free for i in images]).astype(np.float32)
+    side = (-1, SIZE, SIZE)
     return {
-        "visibility_window": window,
-        "visibility_seen": seen,
-        "visibility_free": free,
-        "support_plane": plane,
+        "visibility_window": np.reshape([i.window for i in images], (-1, 4)),
+        "visibility_seen": np.reshape([i.seen for i in images], side).astype(np.int8),
+        "visibility_free": np.reshape([i.free for i in images], side).astype(np.float32),
+        "support_plane": np.reshape(planes, (-1, 4)),
     }
 
 

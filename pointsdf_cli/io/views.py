@@ -32,6 +32,7 @@ LAYOUT = {
     "T_camera_object": Column("f8 [V, 4, 4]", "1, m", "camera"),
 }
 EVIDENCE = evidence_layout("V")
+ATTRIBUTES = ("K", "image_size", "noise", "mesh_file", "mesh_hash", "mesh_repair")
 DEPTH = {"depth": Column("f4 [V, H, W]", "m", "camera", compress=True)}
 
 
@@ -75,14 +76,7 @@ def write_views(
         version=VERSION,
         layout=LAYOUT | EVIDENCE | ({} if views.depth is None else DEPTH),
         arrays=vars(views) | evidence_arrays(known),
-        attributes={
-            "K": views.K,
-            "image_size": views.image_size,
-            "noise": views.noise,
-            "mesh_file": views.mesh_file,
-            "mesh_hash": views.mesh_hash,
-            "mesh_repair": views.mesh_repair,
-        },
+        attributes={name: getattr(views, name) for name in ATTRIBUTES},
         seed=seed,
         config=config,
     )
