@@ -164,8 +164,18 @@ def require_checkpoint_place(path: Path | str, replace: bool) -> None:
     for leftover in abandoned_beside(path):
         if leftover.is_dir():
             _remove_ours(leftover, path)
-    if not replace:
-        _require_no_run(named)
+    if replace:
+        return
+    if has_train_state(named):
+        raise InputError(
+            "holds a training run already", where=f"--out {named}", hint="add --resume, or --force"
+        )
+    if any((path / name).exists() for name in (WEIGHTS, CONFIG)):
+        raise InputError(
+            "holds a checkpoint already, without what --resume needs",
+            where=f"--out {named}",
+            hint="add --force to replace it, or choose another --out",
+        )
 
 
 def _put_back(path: Path) -> None:
@@ -270,24 +280,6 @@ def read_train_state(path: Path | str) -> dict[str, Any]:
 def forget_train_state(path: Path | str) -> None:
     """Remove resumable state before another run begins."""
     (Path(path) / TRAIN_STATE).unlink(missing_ok=True)
-
-
-def _require_no_run(path: Path | str) -> None:
-    """Refuse a directory that holds a run, or the remains of one, to be overwritten.
-
-    Raises:
-        InputError: It holds weights, or something to resume.
-    """
-    if has_train_state(path):
-        raise InputError(
-            "holds a training run already", where=f"--out {path}", hint="add --resume, or --force"
-        )
-    if any((Path(path) / name).exists() for name in (WEIGHTS, CONFIG)):
-        raise InputError(
-            "holds a checkpoint already, without what --resume needs",
-            where=f"--out {path}",
-            hint="add --force to replace it, or choose another --out",
-        )
 
 
 def has_train_state(path: Path | str) -> bool:

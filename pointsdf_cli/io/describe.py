@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES, read_cloud
-from pointsdf_cli.io.hdf5 import open_hdf5, unreadable
+from pointsdf_cli.io.hdf5 import open_hdf5
 from pointsdf_cli.io.hdf5_objects import datasets_of
 from pointsdf_cli.io.meshes import MESH_SUFFIXES, load_mesh
 from pointsdf_cli.io.ply import ply_has_faces
@@ -106,13 +106,6 @@ def _box(points: NDArray[np.floating]) -> dict[str, list[float]]:
 
 
 def _hdf5(path: Path) -> dict[str, Any]:
-    try:
-        return _contents(path)
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise unreadable(path, error) from error
-
-
-def _contents(path: Path) -> dict[str, Any]:
     with open_hdf5(path) as file:
         facts = {name: _plain(value) for name, value in file.attrs.items()}
         datasets = {

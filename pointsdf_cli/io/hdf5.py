@@ -195,9 +195,15 @@ def open_hdf5(path: Path | str) -> Iterator[h5py.File]:
         with h5py.File(path, "r") as file:
             datasets_of(path, file)
             yield file
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         # The library finds damage where it comes by, in attributes as well as in datasets.
-        raise unreadable(path, error) from error
+        raise InputError(
+            "cannot be read as HDF5: not such a file, or cut short",
+            where=path,
+            allowed="a whole .h5 file written by rgrasp",
+            hint="move it away, if it is one, and run the stage again: it makes only what is "
+            f"missing ({(str(error).splitlines() or ['no more is known'])[0][:120]})",
+        ) from error
 
 
 def artifacts_below(folder: Path) -> list[Path]:
@@ -309,14 +315,3 @@ def _require_schema(
             hint="make it again with this rgrasp, or read it with the one that made it "
             f"({file.attrs.get('created_by', 'unknown')})",
         )
-
-
-def unreadable(path: Path, error: Exception) -> InputError:
-    """The user's view of whatever the HDF5 library says about a damaged file."""
-    return InputError(
-        "cannot be read as HDF5: not such a file, or cut short",
-        where=path,
-        allowed="a whole .h5 file written by rgrasp",
-        hint="move it away, if it is one, and run the stage again: it makes only what is missing "
-        f"({(str(error).splitlines() or ['no more is known'])[0][:120]})",
-    )

@@ -49,7 +49,12 @@ def _walk(path: Path, root: h5g.GroupID) -> Iterator[tuple[str, h5d.DatasetID | 
             raise InputError(f"holds more than {MOST_OBJECTS} objects", where=path)
         for raw in group:
             name = f"{above}/{raw.decode('utf-8', 'backslashreplace')}".lstrip("/")
-            _require_own(path, name, group.links.get_info(raw).type)
+            if group.links.get_info(raw).type != h5l.TYPE_HARD:
+                raise InputError(
+                    f"{name} is a link, which may lead to another file, and is not followed",
+                    where=path,
+                    allowed="data that the file holds itself",
+                )
             found = h5o.open(group, raw)
             _check_attributes(path, name, found)
             if isinstance(found, h5d.DatasetID):
@@ -64,15 +69,6 @@ def _walk(path: Path, root: h5g.GroupID) -> Iterator[tuple[str, h5d.DatasetID | 
                     raise InputError(f"groups nest deeper than {DEEPEST}", where=path)
                 seen.add(address)
                 waiting.append((name, found, depth + 1))
-
-
-def _require_own(path: Path, name: str, kind: int) -> None:
-    if kind != h5l.TYPE_HARD:
-        raise InputError(
-            f"{name} is a link, which may lead to another file, and is not followed",
-            where=path,
-            allowed="data that the file holds itself",
-        )
 
 
 def _require_stored_here(path: Path, name: str, dataset: h5d.DatasetID) -> None:

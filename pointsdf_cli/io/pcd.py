@@ -6,6 +6,7 @@ No package reads it here: pypcd4 returns uninitialised memory as points where a 
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -120,7 +121,8 @@ def _read_header(path: Path) -> _Header:
             fields[key] = words
     try:
         record = _record(fields)
-        count = int(fields["POINTS"][0]) if "POINTS" in fields else _area(fields)
+        counted = ("POINTS",) if "POINTS" in fields else ("WIDTH", "HEIGHT")
+        count = math.prod(int(fields[name][0]) for name in counted)
         viewpoint = [float(word) for word in fields.get("VIEWPOINT", _NO_VIEWPOINT)]
         form = fields["DATA"][0]
         comments = _viewpoint_comments(viewpoint)
@@ -133,10 +135,6 @@ def _read_header(path: Path) -> _Header:
             allowed="ascii, binary, binary_compressed",
         )
     return _Header(record, count, comments, form, at)
-
-
-def _area(fields: dict[str, list[str]]) -> int:
-    return int(fields["WIDTH"][0]) * int(fields["HEIGHT"][0])
 
 
 def _record(fields: dict[str, list[str]]) -> np.dtype[Any]:

@@ -105,10 +105,13 @@ def _of_csv(path: Path) -> tuple[list[str] | None, list[Any]]:
     if not lines:
         return None, []
     try:
-        rows = [_without_end([word.strip() for word in row]) for row in csv.reader(lines)]
+        rows = [[word.strip() for word in row] for row in csv.reader(lines)]
     except csv.Error as error:
         raise InputError(f"is no CSV: {error}", where=path, allowed=FORMS) from error
-    rows = [row for row in rows if row]  # a spreadsheet may end in rows of commas
+    for row in rows:  # a spreadsheet may end its rows, and itself, in commas
+        while row and not row[-1]:
+            row.pop()
+    rows = [row for row in rows if row]
     if not rows:
         return None, []
     if len(rows[0]) == 1:  # blanks in place of commas
@@ -119,13 +122,6 @@ def _of_csv(path: Path) -> tuple[list[str] | None, list[Any]]:
     if _number(head[0]) is None:
         return [row[0] for row in rows], [row[1:] for row in rows]
     return None, list(rows)
-
-
-def _without_end(row: list[str]) -> list[str]:
-    """A row without the empty cells at its end."""
-    while row and not row[-1]:
-        row = row[:-1]
-    return row
 
 
 def _with_header(
