@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from pointsdf_cli.models.shape_model import ShapeModel
 from pointsdf_cli.training.sdf_config import SdfLoss
@@ -31,6 +30,7 @@ class Validation(NamedTuple):
     view_iou: float
 
 
+@torch.no_grad()
 def validate(
     pack: Pack,
     split: Split,
@@ -42,28 +42,14 @@ def validate(
     """Loss and label IoU on both held-out sets, with the same queries every time."""
     numbers: list[float] = []
     for views in (split.held_out_objects, split.held_out_views):
-        numbers += _mean(pack, views, model, loss, low_precision, device)
+        losses, ious = [], []
+        for start in range(0, len(views), BATCH):
+            chosen = views[start : start + BATCH]
+            rng = np.random.default_rng([3, start])
+            batch = read_batch(pack, chosen, QUERIES, rng).to(device)
+            with torch.autocast(device.type, low_precision, enabled=low_precision is not None):
+                predicted = predict(model, batch)
+            losses += [float(sdf_loss(loss, predicted, batch.sdf))] * len(chosen)
+            ious += label_iou(predicted, batch.sdf).tolist()
+        numbers += [float(np.mean(each)) if each else float("nan") for each in (losses, ious)]
     return Validation(*numbers)
-
-
-@torch.no_grad()
-def _mean(
-    pack: Pack,
-    views: NDArray[np.int64],
-    model: ShapeModel,
-    loss: SdfLoss,
-    low_precision: torch.dtype | None,
-    device: torch.device,
-) -> tuple[float, float]:
-    losses, ious = [], []
-    for start in range(0, len(views), BATCH):
-        chosen = views[start : start + BATCH]
-        rng = np.random.default_rng([3, start])
-        batch = read_batch(pack, chosen, QUERIES, rng).to(device)
-        with torch.autocast(device.type, low_precision, enabled=low_precision is not None):
-            predicted = predict(model, batch)
-        losses += [float(sdf_loss(loss, predicted, batch.sdf))] * len(chosen)
-        ious += label_iou(predicted, batch.sdf).tolist()
-    if not losses:
-        return float("nan"), float("nan")
-    return float(np.mean(losses)), float(np.mean(ious))
