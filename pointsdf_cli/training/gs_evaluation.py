@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.training import gs_metrics
 from pointsdf_cli.training.gs_data import GraspData
+from pointsdf_cli.training.sdf_table import aligned
 
 PUBLISHED = {
     "PointSDF-Scratch": 0.640,
@@ -49,20 +49,6 @@ class Scored:
         return replace(
             self, score=self.score[rows], chosen=self.chosen[rows], probability=probability
         )
-
-
-def scored_network(
-    name: str, logits: Array, scale: float, shift: float, threshold: float
-) -> Scored:
-    """Predictions of a network from its raw logits and its calibration."""
-    return Scored(name, logits, logits > 0, expit(scale * logits + shift), threshold)
-
-
-def scored_baseline(
-    name: str, score: Array, known_label: NDArray[np.floating], known_score: Array
-) -> Scored:
-    """Predictions of a baseline; its threshold is the best one on known grasps."""
-    return Scored(name, score, score >= gs_metrics.best_threshold(known_label, known_score))
 
 
 def measure(data: GraspData, rows: NDArray[np.int64], scored: Scored, seed: int) -> dict[str, Any]:
@@ -147,11 +133,7 @@ def table_lines(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
                 _number(ranking["random"]),
             )
         )
-    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
+    return aligned(rows)
 
 
 def _share(label: NDArray[np.floating]) -> float:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.checkpoints import read_config
@@ -16,6 +17,7 @@ from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.training import gs_baselines
 from pointsdf_cli.training import gs_evaluation as evaluation
 from pointsdf_cli.training.gs_data import GraspData
+from pointsdf_cli.training.gs_metrics import best_threshold
 from pointsdf_cli.training.gs_variants import Sources, prepare_trained, title_of
 
 
@@ -70,13 +72,14 @@ def compare(
             name = f"{name} ({label})"
         try:
             threshold = float(config["validation"]["threshold"])
-            line = {key: float(config["calibration"][key]) for key in ("scale", "shift")}
+            scale, shift = (float(config["calibration"][key]) for key in ("scale", "shift"))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 "its config.json has no usable 'calibration' or 'validation'", where=path
             ) from error
         logits = learner.logits(rows)
-        methods.append(evaluation.scored_network(name, logits, **line, threshold=threshold))
+        probability = expit(scale * logits + shift)
+        methods.append(evaluation.Scored(name, logits, logits > 0, probability, threshold))
     scores = {
         "always success": gs_baselines.always(data, known),
         "prior only": gs_baselines.prior_score(data, prior, load_robot(sources.robot)),
@@ -84,8 +87,8 @@ def compare(
     if not every:  # else each grasp would be its own neighbour
         scores["10 nearest neighbours"] = gs_baselines.nearest_neighbours(data, known)
     for name, score in scores.items():
-        baseline = evaluation.scored_baseline(name, score, data.label[known], score[known])
-        methods.append(baseline.at(rows))
+        best = best_threshold(data.label[known], score[known])
+        methods.append(evaluation.Scored(name, score, score >= best).at(rows))
     return {
         "table": {method.name: evaluation.measure(data, rows, method, seed) for method in methods},
         "published_f1": evaluation.PUBLISHED,
