@@ -97,7 +97,7 @@ def evaluate_object(task: EvalTask) -> list[ScoredView]:
     truth = Shape(mesh.vertices, mesh.faces, rng, samples)
     hull = _score(convex_hull(mesh.vertices), np.eye(4), truth, rng, samples)
     scored = []
-    for view in range(_view_count(views, task.config)):
+    for view in range(len(views.cloud))[: task.config.views or None]:
         to_object = invert_transform(views.T_camera_object[view])
         surfaces: dict[str, Surface | None] = {
             label: reconstruct(load_cached(path), views, task, view)[1]
@@ -287,10 +287,6 @@ def _load(task: EvalTask) -> tuple[Views, LoadedMesh]:
             hint=f"rgrasp render --meshes {task.mesh.parent} --out {task.views.parent} --force",
         )
     return views, mesh
-
-
-def _view_count(views: Views, config: EvalConfig) -> int:
-    return min(len(views.cloud), config.views or len(views.cloud))
 
 
 def _score(

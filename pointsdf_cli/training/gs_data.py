@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.io.grasps import HELD, Grasps, collection_of, read_grasps
+from pointsdf_cli.io.grasps import HELD, collection_of, read_grasps
 from pointsdf_cli.io.hdf5 import artifacts_below
 from pointsdf_cli.models.checkpoint_kinds import check_robot
 from pointsdf_cli.robot.description import RobotDescription
@@ -119,6 +119,7 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         number = list(held_out).index(meta.mesh_hash)
         columns = [meta.joint_names.index(joint) for joint in meta.preshape_joints]
         scene = np.unique(grasps.scene[chosen], return_inverse=True)[1]
+        succeeded = (grasps.label[chosen] == HELD) & (grasps.unshaken[chosen] != 0)
         rows.append(
             (
                 np.full(len(chosen), number),
@@ -129,7 +130,7 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
                 grasps.T_world_camera[chosen],
                 grasps.cloud[chosen],
                 grasps.kind[chosen],
-                _succeeded(grasps, chosen),
+                succeeded.astype(np.float32),
             )
         )
         scenes += int(scene.max()) + 1
@@ -139,12 +140,6 @@ def read_grasp_data(folder: Path | str, robot: RobotDescription) -> GraspData:
         raise InputError("holds no executed grasp", where=folder, hint="collect more of them")
     joined = [np.concatenate(column) for column in zip(*rows, strict=True)]
     return GraspData(names, kept, list(held_out), np.array(list(held_out.values())), *joined)
-
-
-def _succeeded(grasps: Grasps, chosen: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Labels [n] of executed grasps: 1 if the object was held and not lost in a push."""
-    held = grasps.label[chosen] == HELD
-    return (held & (grasps.unshaken[chosen] != 0)).astype(np.float32)
 
 
 def _require_push(

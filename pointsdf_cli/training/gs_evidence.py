@@ -187,11 +187,6 @@ def _scene_evidence(
     )
 
 
-def _in_reading_order(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The points [N, 3] as `Reconstruction.from_cloud` samples them."""
-    return points[systematic_sample(points[:, :2], len(points), np.random.default_rng(0))]
-
-
 def _embeddings(
     model: ShapeModel,
     cloud: NDArray[np.float32],
@@ -200,8 +195,11 @@ def _embeddings(
 ) -> Evidence:
     """Embeddings of all grasps [G] of one file: each scene's view is encoded, nothing decoded."""
     first, of_grasp = np.unique(scene, return_index=True, return_inverse=True)[1:]
-    # In the order in which a reconstruction reads them: the order moves the embedding a little.
-    seen = [_in_reading_order(cloud[row]) for row in first]
+    # In the order in which a reconstruction samples them: it moves the embedding a little.
+    seen = [
+        points[systematic_sample(points[:, :2], len(points), np.random.default_rng(0))]
+        for points in cloud[first]
+    ]
     frames = [network_frame(points) for points in seen]
     clouds = np.stack([f.to_network(points) for f, points in zip(frames, seen, strict=True)])
     cameras = np.stack([frame.to_network(np.zeros(3)) for frame in frames])

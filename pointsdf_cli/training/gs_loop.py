@@ -175,8 +175,9 @@ class _Run:
     @property
     def finished(self) -> bool:
         """Whether all epochs are done, or the patience is exhausted."""
-        config = self._config
-        return self._epoch >= config.epochs or _exhausted(self._history, config.patience)
+        losses = [entry["loss"] for entry in self._history] or [0.0]
+        exhausted = len(losses) - 1 - int(np.argmin(losses)) >= self._config.patience
+        return self._epoch >= self._config.epochs or exhausted
 
     def train_epoch(self, should_stop: Callable[[], bool]) -> bool:
         """One pass over the training grasps; False if it was stopped.
@@ -185,7 +186,9 @@ class _Run:
             RgraspError: The loss is not finite.
         """
         config, train = self._config, self._split.train
-        batches = _batch_count(len(train), config.batch_size)
+        # A remainder below half a batch joins the batch before: it might be of one scene alone, and
+        # batch norm cannot learn from one cloud.
+        batches = max(1, math.floor(len(train) / config.batch_size + 0.5))
         rng = np.random.default_rng([config.seed, 3, self._epoch])
         order = scene_order(self._data, train, rng)
         total = 0.0
@@ -296,14 +299,6 @@ def _weights(learner: Learner, network: bool) -> list[torch.nn.Parameter]:
     ]
 
 
-def _batch_count(grasps: int, size: int) -> int:
-    """Number of batches per epoch; a remainder below half a batch joins the one before.
-
-    It might be of one scene alone, and batch norm cannot learn from one cloud.
-    """
-    return max(1, math.floor(grasps / size + 0.5))
-
-
 def scene_order(data: GraspData, index: Index, rng: np.random.Generator) -> Index:
     """Grasps [n] in random order, those of a scene together, so that its cloud is encoded once."""
     rank = rng.permutation(int(data.scene_of.max()) + 1)[data.scene_of[index]]
@@ -337,8 +332,3 @@ def _judged(
     logits = learner.validation_logits(index)
     load_weights(learner, now)
     return fit_platt(truth, logits), logits
-
-
-def _exhausted(history: list[dict[str, float]], patience: int) -> bool:
-    losses = [entry["loss"] for entry in history]
-    return bool(losses) and len(losses) - 1 - int(np.argmin(losses)) >= patience

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.special import expit
 
 from pointsdf_cli.errors import InputError
@@ -122,6 +121,7 @@ class Checkpointer:
         )
 
     def _provenance(self, fitted: Fitted) -> Mapping[str, Any]:
+        rows = np.concatenate([self._split.train, self._split.validation])
         return {
             "variant": self._variant.title,
             "training": asdict(self._config),
@@ -129,17 +129,15 @@ class Checkpointer:
             "calibration": fitted.platt._asdict(),
             "validation": self._judgement(fitted),
             "data": {
-                "meshes": sorted(self._data.meshes[k] for k in self._learned_from()),
+                "meshes": sorted(
+                    self._data.meshes[k] for k in np.unique(self._data.object_of[rows])
+                ),
                 "train": describe_grasps(self._data, self._split.train),
                 "validation": describe_grasps(self._data, self._split.validation),
                 "folds": None if self._split.folds is None else int(self._split.folds.max()) + 1,
             },
             "git_commit": git_commit(),
         }
-
-    def _learned_from(self) -> NDArray[np.int64]:
-        rows = np.concatenate([self._split.train, self._split.validation])
-        return np.unique(self._data.object_of[rows])
 
     def _judgement(self, fitted: Fitted) -> dict[str, float]:
         label = self._data.label[self._split.validation]

@@ -8,6 +8,7 @@ exactly the batches that an uninterrupted one would have seen.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -197,15 +198,9 @@ def training_views(
     return np.sort(views[order[place * batch_size : (place + 1) * batch_size]])
 
 
-_order_cache: dict[tuple[int, int, int], NDArray[np.int64]] = {}
-
-
+@lru_cache(maxsize=1)
 def _epoch_order(count: int, epoch: int, seed: int) -> NDArray[np.int64]:
-    key = (count, epoch, seed)
-    if key not in _order_cache:
-        _order_cache.clear()
-        _order_cache[key] = np.random.default_rng([seed, 1, epoch]).permutation(count)
-    return _order_cache[key]
+    return np.random.default_rng([seed, 1, epoch]).permutation(count)
 
 
 def predict(model: ShapeModel, batch: Batch) -> Tensor:
