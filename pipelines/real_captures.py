@@ -33,7 +33,7 @@ from pointsdf_cli.planning.object_view import ObjectView, bare_view, segmented_v
 from pointsdf_cli.planning.plan_on_table import TablePlan, plan_on_table
 from pointsdf_cli.planning.scene_input import read_scene
 from pointsdf_cli.service.objects_picture import draw_numbers
-from pointsdf_cli.service.plan_scene import scene_of_plan
+from pointsdf_cli.service.plan_settings import scene_of_plan
 from pointsdf_cli.viz.plan_picture import plan_picture
 from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
 from pointsdf_cli.viz.robot_picture import RobotMeshes

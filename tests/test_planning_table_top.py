@@ -16,9 +16,8 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.planning.cloud_checks import in_world
-from pointsdf_cli.planning.environment import Environment, Obstacle, read_environment
+from pointsdf_cli.planning.environment import Environment, Obstacle, obstacle_mesh, read_environment
 from pointsdf_cli.planning.object_choice import TargetChoice
-from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
 from pointsdf_cli.planning.plan_on_table import plan_on_table
 from pointsdf_cli.planning.planner import PlannerConfig
 from pointsdf_cli.planning.plausibility import table_doubt

@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import rigid, rotation_from_wxyz, transform
+from pointsdf_cli.geometry.frames import apply_transform, rigid, rotation_from_wxyz, transform
 from pointsdf_cli.io.meshes import load_body
 from pointsdf_cli.io.untrusted import read_yaml
+from pointsdf_cli.robot.shapes import Shape
 
 if TYPE_CHECKING:
     from pointsdf_cli.planning.collision_mesh import CollisionMesh
@@ -67,6 +68,14 @@ class Obstacle:
             )
         if (self.kind == "mesh") == (self.vertices is None or self.faces is None):
             raise InputError("only a mesh, and every mesh, has triangles", where=self.name)
+
+
+def obstacle_mesh(obstacle: Obstacle) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices [V, 3] m in the world and faces [F, 3], for pictures."""
+    if obstacle.vertices is None or obstacle.faces is None:
+        return Shape(obstacle.kind, obstacle.size, obstacle.pose).triangulated()
+    vertices = apply_transform(obstacle.pose, obstacle.vertices)
+    return vertices, np.asarray(obstacle.faces, dtype=np.int64)
 
 
 @dataclass(frozen=True)

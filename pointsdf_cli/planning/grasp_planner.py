@@ -47,8 +47,7 @@ from pointsdf_cli.planning.plan_artifact import no_plan, plan_of
 from pointsdf_cli.planning.planner import Planner, PlannerConfig
 from pointsdf_cli.planning.reasons import few_grasps, too_large
 from pointsdf_cli.planning.screen import narrowest
-from pointsdf_cli.planning.seeds import EITHER
-from pointsdf_cli.planning.success_model import SuccessModel
+from pointsdf_cli.planning.seeds import EITHER, SuccessModel
 from pointsdf_cli.planning.synthesis import SynthesisConfig
 from pointsdf_cli.planning.target import (
     EmptyFieldError,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.field import Field
 from pointsdf_cli.planning.grasp_problem import GraspProblem
 from pointsdf_cli.planning.objective import GraspScore
 from pointsdf_cli.planning.option_checks import KINDS
@@ -32,6 +33,20 @@ class GraspSampler(Protocol):
     def sample(self, kind: str, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Sample preshape joints [N, K] and T_world_palm [N, 4, 4] from one component; N is 0 for a
         kind without a component."""
+
+
+class ObjectGrasps(GraspScore, GraspSampler, Protocol):
+    """Score and prior of the grasps of one object (models/grasp_score.py)."""
+
+
+class SuccessModel(Protocol):
+    """Protocol of a loaded success network."""
+
+    def on(
+        self, points: Array, T_world_camera: Array, field: Field | None = None, seed: int = 0
+    ) -> ObjectGrasps:
+        """The score of one object: points [N, 3] in the camera's frame, its pose in the world, and
+        the object's field in the world for features of its geometry."""
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult, headline
@@ -12,6 +15,9 @@ from pointsdf_cli.planning.scene_input import read_scene
 from pointsdf_cli.planning.table_top import workspace_of
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.service.identity import PlannerFiles
+
+if TYPE_CHECKING:
+    from pointsdf_cli.viz.plan_picture import PlanScene
 
 
 @dataclass(frozen=True)
@@ -66,7 +72,6 @@ def draw_plan(path: Path, result: PlanResult, robot: Path | None) -> None:
         result: The answer.
         robot: Its YAML; the bundled one if None.
     """
-    from pointsdf_cli.service.plan_scene import scene_of_plan
     from pointsdf_cli.viz.plan_picture import plan_picture
     from pointsdf_cli.viz.robot_picture import RobotMeshes
 
@@ -76,3 +81,14 @@ def draw_plan(path: Path, result: PlanResult, robot: Path | None) -> None:
     plan_picture(
         path, RobotMeshes(load_robot(robot)), q, scene_of_plan(result), headline(plan), below
     )
+
+
+def scene_of_plan(result: PlanResult) -> PlanScene:
+    """The scene of a plan to draw, without the robot."""
+    from pointsdf_cli.planning.environment import obstacle_mesh
+    from pointsdf_cli.viz.plan_picture import PlanScene
+
+    vertices, faces = result.plan.object_vertices.astype(np.float64), result.plan.object_faces
+    obstacles = [obstacle_mesh(obstacle) for obstacle in result.obstacles]
+    believed = (vertices, faces) if len(faces) else None
+    return PlanScene(result.points, result.camera, believed, obstacles)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.geometry.arrays import Array, Surface
 from pointsdf_cli.io.plans import OK, Plan
 from pointsdf_cli.io.trials import Evidence
-from pointsdf_cli.planning.environment import Obstacle
-from pointsdf_cli.planning.obstacle_mesh import obstacle_mesh
+from pointsdf_cli.planning.environment import Obstacle, obstacle_mesh
 from pointsdf_cli.trials.execution import Executed
 
 SHOWN_POINTS = 1500

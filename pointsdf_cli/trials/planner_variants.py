@@ -26,8 +26,8 @@ from pointsdf_cli.planning.answer import Answer
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.fields import MeshField
 from pointsdf_cli.planning.grasp_planner import GraspPlanner, PlanOptions
+from pointsdf_cli.planning.seeds import ObjectGrasps, SuccessModel
 from pointsdf_cli.planning.seen_obstacles import seen_obstacles
-from pointsdf_cli.planning.success_model import ObjectGrasps, SuccessModel
 from pointsdf_cli.planning.table_top import TableTop
 from pointsdf_cli.planning.target import EmptyFieldError
 from pointsdf_cli.robot.description import load_robot
