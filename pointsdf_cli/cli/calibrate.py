@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -131,9 +132,9 @@ def calibrate(
     elif placed is not None:
         pose = T_world_base @ placed @ pose
     write_pose(out, pose)
+    values = _values(found)
     reporter.result(
-        {"out": out, name: pose, "eye_in_hand": eye_in_hand, **_values(found)},
-        _lines(found, out, name),
+        {"out": out, name: pose, "eye_in_hand": eye_in_hand, **values}, _lines(values, out, name)
     )
 
 
@@ -163,7 +164,7 @@ def _write_board(reporter: common.Reporter, path: Path, board: CharucoBoard) -> 
     )
 
 
-def _values(found: Calibration) -> dict[str, object]:
+def _values(found: Calibration) -> dict[str, Any]:
     solved, used = found.hand_eye, found.hand_eye.used
     return {
         "images_used": int(used.sum()),
@@ -193,26 +194,24 @@ def _values(found: Calibration) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _lines(found: Calibration, out: Path, name: str) -> list[str]:
-    solved, used = found.hand_eye, found.hand_eye.used
+def _lines(values: Mapping[str, Any], out: Path, name: str) -> list[str]:
+    def errors(of: Mapping[str, float]) -> tuple[str, str, str]:
+        return f"{of['error_px']:.2f} px", f"{of['error_mm']:.2f} mm", f"{of['error_deg']:.2f}°"
+
+    pixels, millimetres, degrees = errors(values)
     lines = [
-        f"{out}: {name} from {used.sum()} images: the robot's poses place the board within "
-        f"{_rms(solved.error_px[used]):.2f} px, {_rms(solved.error_mm[used]):.2f} mm and "
-        f"{_rms(solved.error_deg[used]):.2f}° of where the images show it (rms)",
-        f"standard deviation of the camera's pose: {solved.sigma_mm:.2f} mm, "
-        f"{solved.sigma_deg:.3f}°",
+        f"{out}: {name} from {values['images_used']} images: the robot's poses place the board "
+        f"within {pixels}, {millimetres} and {degrees} of where the images show it (rms)",
+        f"standard deviation of the camera's pose: {values['sigma_mm']:.2f} mm, "
+        f"{values['sigma_deg']:.3f}°",
     ]
-    for image, corners, pixels, millimetres, degrees, was_used in zip(
-        found.images, found.corners, solved.error_px, solved.error_mm, solved.error_deg, used,
-        strict=True,
-    ):  # fmt: skip
-        told = "" if was_used else "   does not fit, left out: was the robot there?"
+    for each in values["images"]:
+        told = "" if each["used"] else "   does not fit, left out: was the robot there?"
         lines.append(
-            f"  {image}: {corners} corners, {pixels:.2f} px, {millimetres:.2f} mm, "
-            f"{degrees:.2f}°{told}"
+            f"  {each['image']}: {each['corners']} corners, {', '.join(errors(each))}{told}"
         )
-    lines += [f"  {image}: no board found, left out" for image in found.without_board]
-    if not found.matched_by_name:
+    lines += [f"  {image}: no board found, left out" for image in values["without_board"]]
+    if values["poses_matched_by"] == "order":
         lines.append("poses and images were matched by their order: give names to be sure")
     if name == "T_gripper_camera":
         lines.append(
