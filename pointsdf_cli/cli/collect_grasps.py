@@ -220,7 +220,7 @@ def _collect(
                 collect_object,
                 jobs=jobs,
                 folders=(task.out.parent for task in tasks.values()),
-                on_done=functools.partial(_one_more, progress, rates),
+                on_done=functools.partial(rates.add, progress),
             )
         rates.say()
         for name, error in report.refused:
@@ -242,13 +242,6 @@ def _collect(
         )
 
 
-def _one_more(
-    progress: common.Progress, rates: _Rates, name: str, causes: dict[str, int] | None
-) -> None:
-    progress.advance(name)
-    rates.add(causes)
-
-
 class _Rates:
     """Progress report every ten seconds: rates of each outcome."""
 
@@ -259,7 +252,8 @@ class _Rates:
         self._causes: dict[str, int] = {}
         self._spoke = self._began = time.monotonic()
 
-    def add(self, causes: dict[str, int] | None) -> None:
+    def add(self, progress: common.Progress, name: str, causes: dict[str, int] | None) -> None:
+        progress.advance(name)
         for cause, count in (causes or {}).items():
             self._causes[cause] = self._causes.get(cause, 0) + count
         if time.monotonic() - self._spoke > self._EVERY:

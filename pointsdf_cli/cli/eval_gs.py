@@ -79,17 +79,14 @@ def eval_gs(
     write_text_atomic(table_path, to_json(result, indent=1) + "\n")
     draw_success_figure(picture, result["table"], evaluation.PUBLISHED)
     about = result["held_out"]
+    count = len(result["left_out"])
+    left_out = [f"not scored: {count} objects that a network learned from"] if count else []
     lines = [
         f"{about['grasps']} grasps of {about['objects']} {'' if every else 'held-out '}objects, "
         f"{about['base_rate']:.1%} held",
-        *left_out_line(len(result["left_out"])),
+        *left_out,
         *evaluation.table_lines(result["table"]),
         "",
         f"{table_path}, {picture.name}",
     ]
     reporter.result(result, lines)
-
-
-def left_out_line(count: int) -> list[str]:
-    """Line about objects that are not scored; none without any."""
-    return [f"not scored: {count} objects that a network learned from"] if count else []

@@ -85,9 +85,10 @@ def view(
     if export:
         write_text_atomic(export, scene_page(scene))
         size = export.stat().st_size
+        frames = f"{scene.frames} frames, " if scene.frames > 1 else ""
         reporter.result(
             {"written": export, "bytes": size, **facts},
-            [f"{export}: {_frames(scene.frames)}{size / 1e6:.1f} MB; open it in any browser"],
+            [f"{export}: {frames}{size / 1e6:.1f} MB; open it in any browser"],
         )
         return
     from pointsdf_cli.viz.viewer import Viewer
@@ -99,10 +100,6 @@ def view(
             viewer.run()
         except KeyboardInterrupt:
             reporter.say("closed")
-
-
-def _frames(count: int) -> str:
-    return f"{count} frames, " if count > 1 else ""
 
 
 def url(host: str, port: int) -> str:

@@ -9,7 +9,6 @@ from pointsdf_cli.io.scratch import Scratch
 from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.io.trees import tree_to_npz
 from pointsdf_cli.planning.object_view import bare_cloud, segmented_cloud
-from pointsdf_cli.planning.plan_request import PlanResult
 from pointsdf_cli.planning.table_top import workspace_of
 from pointsdf_cli.robot.start import start_configuration
 from pointsdf_cli.service.bodies import HDF5, JSON, NPZ, MeshBody, PlanBody, SceneBody, ScoreBody
@@ -25,7 +24,10 @@ def plan_answer(resident: Resident, body: PlanBody, form: str) -> tuple[bytes, s
     if form == NPZ:
         return tree_to_npz(result_tree(result)), NPZ
     if form == HDF5:
-        return _file(result, body.seed), HDF5
+        with Scratch() as folder:
+            path = folder / "plan.h5"
+            write_plan(path, result.plan, seed=body.seed, config=result.options)
+            return path.read_bytes(), HDF5
     return to_json({**plan_as_json(result.plan), **result.said()}).encode(), JSON
 
 
@@ -86,10 +88,3 @@ def require_expected(resident: Resident, body: SceneBody) -> None:
                 if name != "version"
                 else "install the same version on both sides",
             )
-
-
-def _file(result: PlanResult, seed: int) -> bytes:
-    with Scratch() as folder:
-        path = folder / "plan.h5"
-        write_plan(path, result.plan, seed=seed, config=result.options)
-        return path.read_bytes()
