@@ -71,13 +71,8 @@ def shaded_view(
     Returns:
         uint8 [size, size, 3].
     """
-    towards_camera = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
+    level = np.cos(elevation)
+    towards_camera = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     up = np.cross(towards_camera, right)
     basis = np.stack([right, up, towards_camera])
@@ -141,7 +136,9 @@ def draw_sheet(items: Sequence[SheetItem]) -> Image.Image:
     for index, item in enumerate(items):
         left = gap + (index % columns) * (TILE + gap)
         top = gap + (index // columns) * pitch
-        tile = shaded_view(item.vertices, item.faces, TILE, _label_colour(item.label))
+        # By the text alone: `hash` is salted per process.
+        colour = _hue_colour(zlib.crc32(item.label.encode()) % HUES)
+        tile = shaded_view(item.vertices, item.faces, TILE, colour)
         sheet.paste(Image.fromarray(tile), (left, top))
         middle = left + TILE // 2
         pen.text((middle, top + TILE), item.label, fill=INK, font=font_bold, anchor="mt")
@@ -168,11 +165,8 @@ def items_from_files(meshes: Sequence[Path]) -> list[SheetItem]:
     for path in meshes:
         mesh = load_mesh(path)
         number, _, rest = mesh.name.partition("_")
-        name = (
-            rest
-            if rest and number.replace("-", "").isalnum() and number[0].isdigit()
-            else mesh.name
-        )
+        numbered = rest and number.replace("-", "").isalnum() and number[0].isdigit()
+        name = rest if numbered else mesh.name
         items.append(SheetItem(mesh.vertices, mesh.faces, name.replace("_", " ")[:26]))
     return items
 
@@ -194,11 +188,6 @@ def _depth_jump(depth: np.ndarray) -> np.ndarray:
     jump[:, :-1] = np.abs(np.diff(finite, axis=1))
     jump[:-1] = np.maximum(jump[:-1], np.abs(np.diff(finite, axis=0)))
     return jump
-
-
-def _label_colour(label: str) -> tuple[float, float, float]:
-    """A calm colour that depends on the text alone (`hash` is salted per process)."""
-    return _hue_colour(zlib.crc32(label.encode()) % HUES)
 
 
 def _hue_colour(index: int) -> tuple[float, float, float]:

@@ -68,12 +68,8 @@ def _meshes_below(*folders: Path | None) -> list[Path]:
 
 def data_report(found: DataFolder, title: str) -> str:
     """The page, as HTML."""
-    parts = [
-        html.table(
-            ("artifact", "files"),
-            [("views", len(found.views)), ("labels", len(found.labels))],
-        )
-    ]
+    counts = [("views", len(found.views)), ("labels", len(found.labels))]
+    parts = [html.table(("artifact", "files"), counts)]
     seen, labelled = sample_items(found)
     if seen:
         parts += [
@@ -95,7 +91,15 @@ def data_report(found: DataFolder, title: str) -> str:
             html.picture(sdf_slices(labelled), "slices of signed distance"),
             html.table(
                 ("mesh", "points", "inside [%]", "median |distance| [mm]"),
-                [_label_row(mesh, labels) for mesh, labels in labelled],
+                [
+                    (
+                        mesh.name,
+                        len(labels.sdf),
+                        100 * float((labels.sdf < 0).mean()),
+                        1e3 * float(np.median(np.abs(labels.sdf))),
+                    )
+                    for mesh, labels in labelled
+                ],
             ),
         ]
     if not seen and not labelled:
@@ -129,12 +133,3 @@ def _mesh(artifact: Path, found: DataFolder) -> list[LoadedMesh]:
         if path.name == name and file_sha256(path) == digest:
             return [load_mesh(path, unit)]
     return []
-
-
-def _label_row(mesh: LoadedMesh, labels: Labels) -> tuple[object, ...]:
-    return (
-        mesh.name,
-        len(labels.sdf),
-        100 * float((labels.sdf < 0).mean()),
-        1e3 * float(np.median(np.abs(labels.sdf))),
-    )

@@ -183,7 +183,10 @@ EYES = ((0.55, -0.65, 0.35), (0.55, 0.65, 0.35), (0.85, 0.0, 0.35), (0.0, -0.85,
 
 def _viewpoint(robot: RobotMeshes, film: Film) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Eye and target [3] of the view in which the hand hides least of the object."""
-    target = _target(film)
+    middle = (film.mesh.vertices.min(axis=0) + film.mesh.vertices.max(axis=0)) / 2
+    pose = film.frames[0][1]
+    # A little above the object's first position.
+    target = np.array([*(pose[:3, :3] @ middle + pose[:3, 3])[:2], 0.13])
     last = len(film.frames) - 1
     moments = [film.frames[k] for k in sorted({0, last // 2, last})]
 
@@ -200,11 +203,3 @@ def _viewpoint(robot: RobotMeshes, film: Film) -> tuple[NDArray[np.float64], NDA
         )
 
     return max((target + eye for eye in EYES), key=seen), target
-
-
-def _target(film: Film) -> NDArray[np.float64]:
-    """Camera target: a little above the object's first position."""
-    middle = (film.mesh.vertices.min(axis=0) + film.mesh.vertices.max(axis=0)) / 2
-    pose = film.frames[0][1]
-    place = pose[:3, :3] @ middle + pose[:3, 3]
-    return np.array([place[0], place[1], 0.13])

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.viz.scene import Scene
 
+_PLAIN = ("name", "layer", "kind", "body", "frame", "opacity")
 _MARK = "<!--SCENE-->"
 _START = '<script id="scene" type="application/json">'
 
@@ -43,12 +44,7 @@ def scene_as_json(scene: Scene) -> dict[str, Any]:
         "poses": _base64(np.swapaxes(scene.poses, -1, -2), "<f4"),
         "parts": [
             {
-                "name": part.name,
-                "layer": part.layer,
-                "kind": part.kind,
-                "body": part.body,
-                "frame": part.frame,
-                "opacity": part.opacity,
+                **{name: getattr(part, name) for name in _PLAIN},
                 "vertices": _base64(part.vertices, "<f4"),
                 "colours": _base64(np.clip(part.vertex_colours() * 255, 0, 255).round(), "u1"),
                 "faces": None if part.faces is None else _base64(part.faces, "<u4"),

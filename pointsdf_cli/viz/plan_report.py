@@ -29,7 +29,8 @@ def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
             html.heading("Start, half-way, grasp"),
             html.png(buffer.getvalue(), "the robot at the start, half-way and at the grasp"),
         ]
-    parts += [html.heading("Time by stage"), html.table(("stage", "s"), sorted(_timings(plan)))]
+    timings = sorted((name, float(seconds)) for name, seconds in plan.timings.items())
+    parts += [html.heading("Time by stage"), html.table(("stage", "s"), timings)]
     if plan.status == OK:
         rows = zip(
             plan.link_names, plan.link_clearance_object, plan.link_clearance_table, strict=True
@@ -90,10 +91,6 @@ def _facts(plan: Plan) -> list[tuple[str, object]]:
     else:
         facts += [("reason", plan.reason), ("", plan.sentence)]
     return [*facts, ("seeds tried", plan.seeds_tried), ("seeds rejected", len(plan.rejected.q))]
-
-
-def _timings(plan: Plan) -> list[tuple[str, float]]:
-    return [(name, float(seconds)) for name, seconds in plan.timings.items()]
 
 
 def _mm(metres: float) -> object:

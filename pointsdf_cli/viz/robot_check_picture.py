@@ -114,11 +114,8 @@ def _inside(part: Painted, hand: Array) -> bool:
 
 def _frame(pose: Array, length: float) -> list[Painted]:
     """Three rods along the axes."""
-    rods = []
-    for k in range(3):
-        end = pose[:3, 3] + length * pose[:3, k]
-        rods.append(_rod(pose[:3, 3], end, length / 35, AXES[k]))
-    return rods
+    ends = pose[:3, 3] + length * pose[:3, :3].T
+    return [_rod(pose[:3, 3], end, length / 35, AXES[k]) for k, end in enumerate(ends)]
 
 
 def _ways(closing: Closing, palm: Array) -> list[Painted]:

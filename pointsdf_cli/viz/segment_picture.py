@@ -67,7 +67,11 @@ def segment_picture(
         image[mine] = (0.65 * image[mine] + 0.35 * colour).astype(np.uint8)
         image[edge] = colour
     drawing = Image.fromarray(image)
-    _write_numbers(ImageDraw.Draw(drawing), labels)
+    draw, font = ImageDraw.Draw(drawing), ImageFont.load_default(22)
+    for k, at in labels:
+        left, top, right, bottom = draw.textbbox(at, str(k), font=font, anchor="mm")
+        draw.rectangle((left - 4, top - 4, right + 4, bottom + 4), fill=(255, 255, 255))
+        draw.text(at, str(k), font=font, anchor="mm", fill=COLOURS[(k - 1) % len(COLOURS)])
     with atomic_path(path) as temporary:
         drawing.save(temporary, format="PNG")
 
@@ -93,16 +97,6 @@ def label_image(
     image.putpalette([0, 0, 0, *(value for colour in shown for value in colour)])
     with atomic_path(path) as temporary:
         image.save(temporary, format="PNG")
-
-
-def _write_numbers(
-    draw: ImageDraw.ImageDraw, labels: Sequence[tuple[int, tuple[float, float]]]
-) -> None:
-    font = ImageFont.load_default(22)
-    for k, (u, v) in labels:
-        box = draw.textbbox((u, v), str(k), font=font, anchor="mm")
-        draw.rectangle((box[0] - 4, box[1] - 4, box[2] + 4, box[3] + 4), fill=(255, 255, 255))
-        draw.text((u, v), str(k), font=font, anchor="mm", fill=COLOURS[(k - 1) % len(COLOURS)])
 
 
 def _shaded(

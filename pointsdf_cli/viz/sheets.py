@@ -38,7 +38,8 @@ def views_sheet(items: Sequence[tuple[LoadedMesh, Views]], columns: int = 4) -> 
         len(items), 1 + columns, figsize=(2.1 * (1 + columns), 2.3 * len(items)), squeeze=False
     )
     for row, (mesh, views) in zip(axes, items, strict=True):
-        camera = _camera_of(views)
+        K, (width, height) = views.K, views.image_size
+        camera = Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
         patch = MeshCaster(mesh.vertices, mesh.faces, camera).cast(views.T_camera_object[0])
         image = depth_image(patch, camera)
         top, bottom = max(patch.v.min() - 8, 0), patch.v.max() + 9
@@ -59,11 +60,6 @@ def views_sheet(items: Sequence[tuple[LoadedMesh, Views]], columns: int = 4) -> 
             across, down, deep = np.ptp(cloud, axis=0) * 100
             axis.set_title(f"view {k}\n{across:.0f} × {down:.0f} × {deep:.0f} cm", fontsize=7)
     return figure
-
-
-def _camera_of(views: Views) -> Camera:
-    K, (width, height) = views.K, views.image_size
-    return Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
 
 
 def sdf_slices(items: Sequence[tuple[LoadedMesh, Labels]], resolution: int = 160) -> Figure:

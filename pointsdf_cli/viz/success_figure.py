@@ -34,10 +34,8 @@ def draw_success_figure(
         (ranks, "average_precision", "average precision"),
     ):
         values = np.array([table[name][key]["value"] for name in names])
-        spread = np.array(
-            [[max(0.0, table[n][key]["value"] - table[n][key]["low"]),
-              max(0.0, table[n][key]["high"] - table[n][key]["value"])] for n in names]
-        ).T  # fmt: skip
+        low, high = (np.array([table[n][key][end] for n in names]) for end in ("low", "high"))
+        spread = np.fmax(0.0, [values - low, high - values])
         wide = 0.4 if axes is bars else 0.7
         colours = [OURS if "reliability" in table[name] else PLAIN for name in names]
         shift = -wide / 2 if axes is bars else 0.0
