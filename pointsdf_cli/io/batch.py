@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -179,15 +180,12 @@ def _run_parallel(
         try:
             pending: dict[Future[Any], str] = {}
             queue = iter(tasks)
-            exhausted = False
-            while pending or not exhausted:
+            while True:
                 # A short queue ahead of the workers: results are small, tasks need not be.
-                while not exhausted and len(pending) < 4 * jobs:
-                    item = next(queue, None)
-                    if item is None:
-                        exhausted = True
-                        break
-                    pending[pool.submit(_guarded, work, item[1])] = item[0]
+                for name, task in islice(queue, 4 * jobs - len(pending)):
+                    pending[pool.submit(_guarded, work, task)] = name
+                if not pending:
+                    break
                 done, _ = wait(pending, return_when=FIRST_COMPLETED)
                 for future in done:
                     finish(pending.pop(future), future.result())
