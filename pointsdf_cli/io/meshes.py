@@ -267,13 +267,19 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     import trimesh
 
     try:
-        _check_unpacked(data, kind)
+        if kind == ".3mf":  # an archive may unpack to more than a mesh file may hold
+            with zipfile.ZipFile(io.BytesIO(data)) as archive:
+                size, most = sum(p.file_size for p in archive.infolist()), largest_input("mesh")
+            if size > most:
+                raise ValueError(f"unpacks to {size >> 20} MiB, more than {most >> 20}")
         # From bytes, and without materials: a mesh file must not make us open other files.
         loaded = trimesh.load_scene(
             io.BytesIO(data), file_type=kind[1:], process=False, skip_materials=True
         )
         mesh = loaded.to_mesh()
-        vertices = np.asarray(mesh.vertices, dtype=np.float64) * _own_unit(data, kind)
+        unit = rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']+)"  # of COLLADA; others state none
+        stated = re.search(unit, data) if kind == ".dae" else None
+        vertices = np.asarray(mesh.vertices, dtype=np.float64) * float(stated[1] if stated else 1)
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
         if vertices.shape[1:] != (3,):
             raise ValueError(f"vertices of {vertices.shape[1:]} numbers")
@@ -292,24 +298,6 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
         raise InputError("has faces that name vertices it does not hold", where=path)
     return vertices, faces
-
-
-def _own_unit(data: bytes, kind: str) -> float:
-    """The unit [m] that a COLLADA file states; 1 for other formats, which have none."""
-    if kind != ".dae":
-        return 1.0
-    found = re.search(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']+)", data)
-    return 1.0 if found is None else float(found[1])
-
-
-def _check_unpacked(data: bytes, kind: str) -> None:
-    """Refuse archives that unpack to more than a mesh file may hold."""
-    if kind != ".3mf":
-        return
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        size, most = sum(part.file_size for part in archive.infolist()), largest_input("mesh")
-    if size > most:
-        raise ValueError(f"unpacks to {size >> 20} MiB, more than {most >> 20}")
 
 
 def _check_size(path: Path, vertices: NDArray[np.float64], unit: str) -> None:

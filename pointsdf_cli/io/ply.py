@@ -79,14 +79,14 @@ def read_ply(path: Path) -> RawCloud:
         )
     read = _read_ascii if header.form == "ascii" else _read_binary
     columns = read(path, header, before, vertex)
-    return RawCloud(
-        points=stacked(columns, "x", "y", "z", path),
-        normals=stacked(columns, "nx", "ny", "nz", path) if "nx" in kinds else None,
-        colours=bytes_of(stacked(columns, "red", "green", "blue", path), kinds["red"])
-        if {"red", "green", "blue"} <= kinds.keys()
-        else None,
-        comments=header.comments,
-    )
+    points = stacked(columns, "x", "y", "z", path)
+    normals = stacked(columns, "nx", "ny", "nz", path) if "nx" in kinds else None
+    colours = None
+    if {"red", "green", "blue"} <= kinds.keys():
+        scale = 255.0 if str(kinds["red"]).startswith("f") else 1.0  # floats run from 0 to 1
+        values = np.nan_to_num(stacked(columns, "red", "green", "blue", path) * scale)
+        colours = np.clip(values, 0, 255).round().astype(np.uint8)
+    return RawCloud(points, normals, colours, header.comments)
 
 
 def ply_has_faces(path: Path) -> bool:
@@ -136,12 +136,6 @@ def stacked(columns: Any, a: str, b: str, c: str, path: Path) -> NDArray[np.floa
             return np.stack([np.asarray(columns[k], np.float64) for k in (a, b, c)], axis=1)
     except (KeyError, ValueError) as error:
         raise InputError(f"{a}, {b} and {c} are not all there", where=path) from error
-
-
-def bytes_of(colours: NDArray[np.float64], kind: str | None) -> NDArray[np.uint8]:
-    """Colours as bytes; floating-point ones run from 0 to 1."""
-    scale = 255.0 if kind is not None and kind.startswith("f") else 1.0
-    return np.clip(np.nan_to_num(colours * scale), 0, 255).round().astype(np.uint8)
 
 
 def cut_short(path: Path, promised: int) -> InputError:

@@ -41,7 +41,12 @@ class Scratch:
 
     def __init__(self, below: Path | None = None) -> None:
         below = Path(tempfile.gettempdir()) if below is None else below
-        remove_abandoned(below)
+        for folder in below.glob(f".{NAME}{TEMPORARY_MARK}*"):  # of processes that were killed
+            with suppress(OSError):  # gone by now, or somebody else's
+                about = folder.lstat()
+                ours = stat.S_ISDIR(about.st_mode) and about.st_uid == os.geteuid()
+                if ours and is_abandoned(folder):
+                    shutil.rmtree(folder, ignore_errors=True)
         self.path = temporary_beside(below / NAME)
         try:
             self.path.mkdir(mode=0o700)
@@ -75,13 +80,3 @@ def temporary_files(folder: Path) -> Iterator[None]:
             where=folder.parent,
             hint="free some space there, or set TMPDIR to a folder that has some",
         ) from error
-
-
-def remove_abandoned(below: Path) -> None:
-    """Remove the scratch folders of processes that were killed."""
-    for folder in below.glob(f".{NAME}{TEMPORARY_MARK}*"):
-        with suppress(OSError):  # gone by now, or somebody else's
-            about = folder.lstat()
-            ours = stat.S_ISDIR(about.st_mode) and about.st_uid == os.geteuid()
-            if ours and is_abandoned(folder):
-                shutil.rmtree(folder, ignore_errors=True)
