@@ -64,6 +64,7 @@ class GridField:
         config: Resolution.
 
     Attributes:
+        low: [3], lowest corner of the box, m.
         queries: Number of queries of the field.
     """
 
@@ -71,9 +72,9 @@ class GridField:
         self, field: Field, low: Array, high: Array, config: GridConfig | None = None
     ) -> None:
         self.config = config or GridConfig()
-        self._low = np.asarray(low, dtype=np.float64)
+        self.low = np.asarray(low, dtype=np.float64)
         coarse = self.config.step * 2 ** (self.config.levels - 1)
-        wide = np.asarray(high, dtype=np.float64) - self._low
+        wide = np.asarray(high, dtype=np.float64) - self.low
         cells = np.maximum(1, np.ceil(wide / coarse - 1e-9)).astype(np.int64)
         if (cells > 256).any():
             raise InputError(f"a grid of {cells.tolist()} coarse cells", allowed="256 along a side")
@@ -83,7 +84,7 @@ class GridField:
 
     def _index(self) -> None:
         self._nodes = np.array(self._values.shape)
-        self._high = self._low + self.config.step * (self._nodes - 1)
+        self._high = self.low + self.config.step * (self._nodes - 1)
         self._strides = np.array([self._nodes[1] * self._nodes[2], self._nodes[2], 1])
         self._corner_offsets = CORNERS @ self._strides
         self._flat = self._values.ravel()
@@ -118,7 +119,7 @@ class GridField:
         hold.
         """
         nodes = np.stack(np.meshgrid(*map(np.arange, self._nodes), indexing="ij"), axis=-1)
-        places = self._low + self.config.step * nodes.reshape(-1, 3)
+        places = self.low + self.config.step * nodes.reshape(-1, 3)
         joint = copy(self)
         joint._values = seen.at_most(places, self._flat).reshape(self._values.shape)
         joint._index()
@@ -135,7 +136,7 @@ class GridField:
         rows = np.flatnonzero((self._flat > 0) & (self._flat < beyond))
         places = np.stack(np.unravel_index(rows, self._values.shape), axis=1)
         values = self._flat.copy()
-        values[rows] = np.maximum(values[rows], least(self._low + self.config.step * places))
+        values[rows] = np.maximum(values[rows], least(self.low + self.config.step * places))
         higher = copy(self)
         higher._values = values.reshape(self._values.shape)
         higher._index()
@@ -143,7 +144,7 @@ class GridField:
 
     def inside(self) -> Array:
         """The nodes [N, 3] of the finest level whose values are negative, m."""
-        return self._low + self.config.step * np.argwhere(self._values < 0)
+        return self.low + self.config.step * np.argwhere(self._values < 0)
 
     def halved_at_surface(self, field: Field) -> tuple[Array, float]:
         """Values [I, J, K] m on the nodes of halved cells, from the box's lowest corner, and their
@@ -158,11 +159,6 @@ class GridField:
         new = np.argwhere(near & ~known)
         fine[tuple(new.T)] = self._ask(field, new, step)
         return fine, step
-
-    @property
-    def low(self) -> Array:
-        """Lowest corner [3] of the box, m."""
-        return self._low
 
     def _build(self, field: Field, cells: NDArray[np.int64], step: float) -> None:
         slope, band = SLOPE, self.config.band
@@ -188,14 +184,14 @@ class GridField:
 
     def _ask(self, field: Field, nodes: NDArray[np.int64], step: float) -> Array:
         self.queries += len(nodes)
-        return field(self._low + nodes * step)
+        return field(self.low + nodes * step)
 
     def _place(self, points: Array) -> tuple[Array, Array]:
         """The nearest places in the box [N, 3], in steps from its lowest corner, and the offsets
         [N, 3] m of the points from there."""
         points = np.asarray(points, dtype=np.float64)
-        inside = np.clip(points, self._low, self._high)
-        return (inside - self._low) / self.config.step, points - inside
+        inside = np.clip(points, self.low, self._high)
+        return (inside - self.low) / self.config.step, points - inside
 
     def _corner_gradient(self, place: Array) -> tuple[Array, Array]:
         """Values [N] m and gradients [N, 3] of the interpolation at places [N, 3]."""

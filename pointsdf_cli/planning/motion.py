@@ -110,12 +110,7 @@ def plan_motion(
         if middle is None:
             continue
         corners = np.concatenate([start[None], middle, back[::-1][1:]])
-        return Motion(
-            trajectory=time_path(corners, robot.velocity, config.speed),
-            corners=corners,
-            failure="",
-            attempts=attempt + 1,
-        )
+        return Motion(time_path(corners, robot.velocity, config.speed), corners, "", attempt + 1)
     return _failed("no free way was found to where the approach begins", config.attempts)
 
 

@@ -281,10 +281,9 @@ class Planner:
             q[:, robot.arm] = path
             return q
 
-        def free(path: Array) -> bool:
-            return beside.is_free(whole(path))
-
-        path = lift_path(self.inverse.chain, candidate.q, free=free)
+        path = lift_path(
+            self.inverse.chain, candidate.q, free=lambda path: beside.is_free(whole(path))
+        )
         return None if path is None else whole(path)
 
 

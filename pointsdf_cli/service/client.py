@@ -93,18 +93,9 @@ def request_tree(request: PlanRequest) -> dict[str, Any]:
 
 def _cloud_tree(cloud: Cloud, name: str) -> dict[str, Any]:
     image = cloud.image
-    return {
-        "name": name,
-        "points": cloud.points,
-        "frame": cloud.frame,
-        "T_world_camera": cloud.T_world_camera,
-        "pixels": cloud.pixels,
-        "depth": None if image is None else image.depth,
-        "K": None if image is None else image.K,
-        "mask": cloud.mask,
-        "mask_rays": cloud.mask_rays,
-        "over_table": cloud.over_table,
-    }
+    same = ("points", "frame", "T_world_camera", "pixels", "mask", "mask_rays", "over_table")
+    tree = {"name": name} | {part: getattr(cloud, part) for part in same}
+    return tree | ({} if image is None else {"depth": image.depth, "K": image.K})
 
 
 def _target(target: TargetChoice | None) -> int | list[float] | str | None:
