@@ -50,10 +50,7 @@ def bare_views_per_second(meshes: list[Path]) -> float:
     for path in meshes[:8]:
         mesh = load_mesh(path)
         scene = o3d.t.geometry.RaycastingScene()
-        scene.add_triangles(
-            o3d.core.Tensor(np.asarray(mesh.vertices, np.float32)),
-            o3d.core.Tensor(mesh.faces.astype(np.uint32)),
-        )
+        scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
         centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
         scene.cast_rays(o3d.core.Tensor(np.ones((1, 6), np.float32)))  # builds the tree
         for rotation in random_rotation(rng, 10):
@@ -76,10 +73,7 @@ def bare_distances_per_second(meshes: list[Path], labels: Path) -> float:
     for path in meshes:
         mesh = load_mesh(path)
         scene = o3d.t.geometry.RaycastingScene()
-        scene.add_triangles(
-            o3d.core.Tensor(np.asarray(mesh.vertices, np.float32)),
-            o3d.core.Tensor(mesh.faces.astype(np.uint32)),
-        )
+        scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
         points = o3d.core.Tensor(read_labels(labels / f"{path.stem}.h5").points)
         scene.compute_signed_distance(points[:10])  # builds the tree
         started = time.perf_counter()
@@ -113,16 +107,8 @@ def main() -> None:
             render = ["render", "--meshes", meshes, "--views", options.views, "-q"]
             ours.append(views / run(*render, "--out", place[0], "--jobs", CORES))
             one_job.append(views / run(*render, "--out", place[1], "--jobs", 1))
-            label = [
-                "label-sdf",
-                "--views",
-                place[0],
-                "--meshes",
-                meshes,
-                "--points",
-                options.points,
-                "-q",
-            ]
+            label = ["label-sdf", "--views", place[0], "--meshes", meshes, "-q"]
+            label += ["--points", options.points]
             label_ours.append(points / run(*label, "--out", place[2], "--jobs", CORES))
             label_one.append(points / run(*label, "--out", place[3], "--jobs", 1))
             label_bare.append(bare_distances_per_second(files, place[2]))

@@ -108,12 +108,8 @@ def _cast(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Normals [H, W, 3] and distances [H, W] m of what rays hit first; inf where nothing."""
     scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, dtype=np.float32)),
-        o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, dtype=np.uint32)),
-    )
-    rays = np.concatenate([origin, direction], axis=-1).astype(np.float32)
-    hits = scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
+    scene.add_triangles(vertices.astype(np.float32), faces.astype(np.uint32))
+    hits = scene.cast_rays(np.concatenate([origin, direction], axis=-1).astype(np.float32))
     return hits["primitive_normals"].numpy(), hits["t_hit"].numpy()
 
 

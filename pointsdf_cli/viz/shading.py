@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,10 +60,8 @@ class Stage:
     ) -> None:
         self._scene = o3d.t.geometry.RaycastingScene()
         for mesh in meshes:
-            self._scene.add_triangles(
-                o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.vertices, dtype=np.float32)),
-                o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.faces, dtype=np.uint32)),
-            )
+            vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32)
+            self._scene.add_triangles(vertices, faces)
         self._colours = np.array([mesh.colour for mesh in meshes], dtype=np.float32)
         self._unlit = np.array([mesh.unlit for mesh in meshes])
         self._translucent, self._opacity = translucent, opacity
@@ -237,7 +234,7 @@ def dots(points: ArrayLike, radius: float, colour: tuple[float, float, float]) -
     return Painted(vertices, every, colour)
 
 
-def _rays(origins: NDArray[np.floating], directions: NDArray[np.float32]) -> Any:
+def _rays(origins: NDArray[np.floating], directions: NDArray[np.float32]) -> NDArray[np.float32]:
     rays = np.empty((len(directions), 6), dtype=np.float32)
     rays[:, :3], rays[:, 3:] = origins, directions
-    return o3d.core.Tensor.from_numpy(rays)
+    return rays
