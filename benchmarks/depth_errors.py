@@ -10,7 +10,6 @@ that are slower or faster than a number of pixels. Prints IoU, mean of two sampl
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -60,10 +59,7 @@ def main() -> None:
 
 def variants(one: Registered) -> Iterator[tuple[str, Case]]:
     """The object as measured, and with its errors exchanged; by their names."""
-    depth = np.asarray(Image.open(one.folder / "depth.png")) * 1e-4
-    K = np.array(json.loads((one.folder / "K.json").read_text()))
-    height, width = depth.shape
-    camera = Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+    camera, depth = one.view()
     points = _points(camera, depth)
     plane = table_plane(points[points[:, 2] < 1.6])
     above = np.zeros(depth.shape, dtype=bool)
@@ -72,7 +68,7 @@ def variants(one: Registered) -> Iterator[tuple[str, Case]]:
     mask = ndimage.binary_erosion(label, iterations=2)
     grown = grown_mask(mask, depth, camera.fx, above) & (depth > 0)
     caster = MeshCaster(one.mesh.vertices, one.mesh.faces, camera)
-    hit = caster.cast_window(one.T_camera_mesh, window=(0, width, 0, height)).depth
+    hit = caster.cast_window(one.T_camera_mesh, window=(0, camera.width, 0, camera.height)).depth
     exact = np.where(np.isfinite(hit), hit, 0.0)
 
     def case(changed: Array, pixels: Mask, masked: Mask) -> Case:

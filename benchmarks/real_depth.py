@@ -15,7 +15,6 @@ T_world_camera.json; MESHES the scans that truth.json names. Prints IoU and Cham
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -66,10 +65,7 @@ class Case(NamedTuple):
 def real_cases(captures: Path, meshes: Path) -> Iterator[tuple[Case, Case]]:
     """Every object of the captures whose pose is known: by its mask as it is, and grown."""
     for one in registered_objects(captures, meshes):
-        depth = np.asarray(Image.open(one.folder / "depth.png")) * 1e-4
-        K = np.array(json.loads((one.folder / "K.json").read_text()))
-        height, width = depth.shape
-        camera = Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+        camera, depth = one.view()
         v, u = np.nonzero(depth > 0)
         points = camera.back_project(u, v, depth[v, u])
         plane = table_plane(points[points[:, 2] < 1.6])

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from PIL import Image
 
+from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.io.meshes import LoadedMesh, load_mesh
@@ -30,6 +32,13 @@ class Registered(NamedTuple):
     mesh: LoadedMesh
     T_camera_mesh: Array
     label: int | None
+
+    def view(self) -> tuple[Camera, Array]:
+        """The camera, and its depth image [height, width], m."""
+        depth = np.asarray(Image.open(self.folder / "depth.png")) * 1e-4
+        K = np.array(json.loads((self.folder / "K.json").read_text()))
+        height, width = depth.shape
+        return Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2]), depth
 
 
 def registered_objects(captures: Path, meshes: Path) -> Iterator[Registered]:
