@@ -51,7 +51,7 @@ class Judge:
     """
 
     def __init__(self, robot: RobotDescription) -> None:
-        self.robot, self._kinematics = robot, Kinematics(robot)
+        self._kinematics = Kinematics(robot)
         surface = robot_surface(robot, 0.004)
         links = [(link, torch.from_numpy(points)) for link, points in surface.items()]
         self._links = [(name, p) for name, p in links if name not in robot.links_on_table]
@@ -63,12 +63,6 @@ class Judge:
         points = points.numpy()
         inside = SignedDistance(scene.vertices, scene.faces, threads=1)(points)
         return max(0.0, -float(inside.min())), max(0.0, -float(points[:, 2].min()))
-
-    def beyond_limits(self, plan: Plan) -> float:
-        """Largest excess of a trajectory's joint over its hard limit [rad]."""
-        low, high = self.robot.hard_lower, self.robot.hard_upper
-        over = np.maximum(low - plan.trajectory, plan.trajectory - high)
-        return max(0.0, float(over.max()))
 
 
 def least_slack(planner: GraspPlanner, answer: Answer) -> float:
@@ -117,7 +111,9 @@ def run(
         }
         if plan.status == OK:
             row["depth"], row["table"] = judge.depths(plan, scene)
-            row["limits"] = judge.beyond_limits(plan)
+            low, high = planner.robot.hard_lower, planner.robot.hard_upper
+            over = np.maximum(low - plan.trajectory, plan.trajectory - high)
+            row["limits"] = max(0.0, float(over.max()))  # [rad]
             if k < walk:
                 row["slack"] = least_slack(planner, answer)
         rows.append(row)
