@@ -24,7 +24,7 @@ from pointsdf_cli.planning.plausibility import table_doubt
 from pointsdf_cli.planning.seen_obstacles import hulls
 from pointsdf_cli.planning.table_top import (
     NoObjectError,
-    _require_same,
+    _check_sighting,
     _table_height,
     look_at_table,
     workspace_of,
@@ -304,6 +304,6 @@ def test_a_camera_that_does_not_see_the_object_does_not_move_the_table() -> None
 
 def test_another_cameras_object_is_the_same_if_nothing_else_is_nearer() -> None:
     here, there = np.zeros((1, 3)), np.array([[0.02, 0.0, 0.0]])
-    _require_same(here, (there, np.zeros((0, 3))), "b")
+    _check_sighting(here, (there, np.zeros((0, 3))), "b")
     with pytest.raises(NoObjectError):
-        _require_same(here, (there, np.array([[0.01, 0.0, 0.0]])), "b")
+        _check_sighting(here, (there, np.array([[0.01, 0.0, 0.0]])), "b")

@@ -200,15 +200,34 @@ def _look(
 
 
 def _check_sighting(in_world: Array, first: tuple[Array, Array] | None, name: str) -> None:
-    """Require a graspable object of the first camera, and the same object of the others."""
-    if first is not None:
-        _require_same(in_world, first, name)
-    elif (width := level_width(in_world)) > WIDEST:
+    """Require a graspable object of the first camera, and the same object of the others, where a
+    neighbour may stand before it.
+
+    Args:
+        in_world: [N, 3], this camera's points of the supposed object, world, m.
+        first: Points of the object [M, 3] and of other objects [K, 3] in the first camera; None
+            for that camera itself.
+        name: Name of the cloud.
+
+    Raises:
+        NoObjectError: It is too wide, or another object.
+    """
+    if first is None:
+        if (width := level_width(in_world)) <= WIDEST:
+            return
         raise NoObjectError(
             f"what is seen there is {width:.2f} m wide or more in every direction: no hand "
             "reaches around that",
             where=name,
             hint="--target names another object, --mask a part of it",
+        )
+    to_object, to_others = (
+        float(scipy.spatial.cKDTree(seen).query(in_world)[0].min()) if len(seen) else np.inf
+        for seen in first
+    )
+    if to_object > min(SAME_THING, to_others):
+        raise NoObjectError(
+            f"what is nearest to the object is {to_object:.2f} m away from it", where=name
         )
 
 
@@ -227,27 +246,6 @@ def view_of(seen: Sighting) -> View:
     )
     evidence = ViewEvidence(image, seen.support_plane)
     return View(seen.object_points, seen.T_world_camera, evidence)
-
-
-def _require_same(points: Array, first: tuple[Array, Array], name: str) -> None:
-    """Refuse a neighbour that stands before the object in this camera's view.
-
-    Args:
-        points: [N, 3], this camera's points of the supposed object, world, m.
-        first: Points of the object [M, 3] and of other objects [K, 3] in the first camera.
-        name: Name of the cloud.
-
-    Raises:
-        NoObjectError: It is another object.
-    """
-    to_object, to_others = (
-        float(scipy.spatial.cKDTree(seen).query(points)[0].min()) if len(seen) else np.inf
-        for seen in first
-    )
-    if to_object > min(SAME_THING, to_others):
-        raise NoObjectError(
-            f"what is nearest to the object is {to_object:.2f} m away from it", where=name
-        )
 
 
 def _bare_objects(clouds: Sequence[Cloud], names: Sequence[str], cleaned: bool) -> TableTop:
