@@ -91,27 +91,19 @@ def read_npy(path: Path) -> RawCloud:
         InputError: Damaged, holds Python objects, or is of another shape or type.
     """
     array = read_npy_array(path, "cloud")
-    if array.ndim == 2 and array.shape[1] > MOST_COLUMNS and array.shape[0] in (3, 6):
-        raise InputError(
-            f"is an array {list(array.shape)}: a point a column",
-            where=path,
-            allowed="numbers [N, 3], [N, 6] or [height, width, 3]",
-            hint="store it transposed",
-        )
-    if array.ndim == 2 and array.shape[1] > MOST_COLUMNS:
-        raise InputError(
-            f"is an array {list(array.shape)}: a depth image rather than points",
-            where=path,
-            allowed="numbers [N, 3], [N, 6] or [height, width, 3]",
-            hint=f"rgrasp cloud {path} --intrinsics K.json makes a cloud of it",
-        )
+    wrong, hint = "", None
     columns = array.shape[-1] if array.ndim else 0
-    is_points = array.ndim in (2, 3) and 3 <= columns <= MOST_COLUMNS
-    if array.dtype.kind not in "fiu" or not is_points:
+    if array.ndim == 2 and columns > MOST_COLUMNS and len(array) in (3, 6):
+        wrong, hint = ": a point a column", "store it transposed"
+    elif array.ndim == 2 and columns > MOST_COLUMNS:
+        wrong = ": a depth image rather than points"
+        hint = f"rgrasp cloud {path} --intrinsics K.json makes a cloud of it"
+    elif not (array.dtype.kind in "fiu" and array.ndim in (2, 3) and 3 <= columns <= MOST_COLUMNS):
+        wrong = f" of {array.dtype}"
+    if wrong:
+        allowed = "numbers [N, 3], [N, 6] or [height, width, 3]"
         raise InputError(
-            f"is an array {list(array.shape)} of {array.dtype}",
-            where=path,
-            allowed="numbers [N, 3], [N, 6] or [height, width, 3]",
+            f"is an array {list(array.shape)}{wrong}", where=path, allowed=allowed, hint=hint
         )
     return _from_table(array.reshape(-1, array.shape[-1]).astype(np.float64), {}, path)
 
