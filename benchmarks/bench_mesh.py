@@ -171,12 +171,6 @@ def time_literal(options: argparse.Namespace) -> dict[str, float]:
     }
 
 
-def points_of_literal(options: argparse.Namespace, resolution: int) -> int:
-    """Number of points that the literal MISE queries: the same field, answered in batches."""
-    config = IsosurfaceConfig(resolution, rules=SearchRules(np.inf, reach=0), newton=False)
-    return extract_isosurface(network_field(reconstruct(options)), config).queries
-
-
 def against_dense(options: argparse.Namespace) -> dict[str, Any]:
     """Distance of the surface from the dense grid's, in network units, both ways."""
     field = network_field(reconstruct(options))
@@ -241,7 +235,10 @@ def main() -> None:
             f"{literal['points']} points, {literal['ms_a_point']:.2f} ms each"
         )
         for row in timed:
-            points = points_of_literal(options, int(row["resolution"]))
+            # The same field, answered in batches.
+            rules = SearchRules(np.inf, reach=0)
+            config = IsosurfaceConfig(int(row["resolution"]), rules=rules, newton=False)
+            points = extract_isosurface(network_field(reconstruct(options)), config).queries
             row["literal_seconds"] = points * literal["ms_a_point"] / 1e3
             row["times_faster"] = row["literal_seconds"] / row["seconds"]
             print(
