@@ -101,11 +101,7 @@ def endless(url: str, process: int, plans: int, every: int = 100) -> None:
 def table_bodies(count: int) -> list[bytes]:
     """Requests for plans of the demo table, each with another seed."""
     cloud = read_cloud(asset_path("clouds/table.ply"))
-    view = {
-        "points": cloud.points,
-        "frame": cloud.frame,
-        "T_world_camera": cloud.T_world_camera,
-    }
+    view = {"points": cloud.points, "frame": cloud.frame, "T_world_camera": cloud.T_world_camera}
     return [tree_to_npz({"clouds": [view], "seed": seed}) for seed in range(count)]
 
 

@@ -31,11 +31,7 @@ from pointsdf_cli.camera.mask_edge import grown_mask
 from pointsdf_cli.camera.pinhole import Camera
 from pointsdf_cli.camera.raycast import MeshCaster
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import (
-    apply_transform,
-    random_rotation,
-    transform,
-)
+from pointsdf_cli.geometry.frames import apply_transform, random_rotation, transform
 from pointsdf_cli.geometry.isosurface import EmptySurfaceError
 from pointsdf_cli.geometry.metrics import Score, Shape, compare, failure
 from pointsdf_cli.geometry.visibility import PLANE_BAND, ViewEvidence, visibility_image

@@ -25,11 +25,7 @@ from registered import registered_objects
 from pointsdf_cli.camera.scene_file import SceneFileOptions, read_view
 from pointsdf_cli.errors import RgraspError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import (
-    apply_transform,
-    rotation_vector,
-    transform,
-)
+from pointsdf_cli.geometry.frames import apply_transform, rotation_vector, transform
 from pointsdf_cli.io.clouds import Cloud
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.io.plans import OK

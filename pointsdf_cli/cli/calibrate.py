@@ -21,8 +21,7 @@ PIXELS_A_SQUARE = 420
 
 def calibrate(
     images: Annotated[
-        Path | None,
-        typer.Argument(help="Folder of images of the board.", show_default=False),
+        Path | None, typer.Argument(help="Folder of images of the board.", show_default=False)
     ] = None,
     intrinsics: Annotated[
         str | None,

@@ -50,20 +50,17 @@ def cloud(
         ),
     ] = None,
     world_frame: Annotated[
-        str | None,
-        typer.Option(help="Bag: world frame of the camera pose, such as base_link."),
+        str | None, typer.Option(help="Bag: world frame of the camera pose, such as base_link.")
     ] = None,
     index: Annotated[int, typer.Option(help="Bag: number of the image; -1 is the last.")] = 0,
     time: Annotated[
-        float | None,
-        typer.Option(help="Bag: first image this many seconds after the beginning."),
+        float | None, typer.Option(help="Bag: first image this many seconds after the beginning.")
     ] = None,
     frames: Annotated[
         int, typer.Option(help="Bag: number of images to take the median of, against noise.")
     ] = 1,
     info_topic: Annotated[
-        str | None,
-        typer.Option(help="Bag: topic of camera_info [default: beside the images]."),
+        str | None, typer.Option(help="Bag: topic of camera_info [default: beside the images].")
     ] = None,
     force: common.Force = False,
     quiet: common.Quiet = False,

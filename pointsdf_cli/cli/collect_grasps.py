@@ -123,10 +123,7 @@ def collect_grasps(
 
 
 def _check_networks(
-    preshapes: Preshapes,
-    checkpoint: Path | None,
-    grasps: Path | None,
-    robot: RobotDescription,
+    preshapes: Preshapes, checkpoint: Path | None, grasps: Path | None, robot: RobotDescription
 ) -> None:
     """Check the networks that propose preshapes.
 

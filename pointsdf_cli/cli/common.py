@@ -258,10 +258,7 @@ def check_suffix(path: Path, option: str, suffixes: tuple[str, ...]) -> None:
 
 
 def say_if_from_another(
-    reporter: Reporter,
-    checkpoint: Path | None,
-    grasp_checkpoint: Path | None,
-    robot: Path | None,
+    reporter: Reporter, checkpoint: Path | None, grasp_checkpoint: Path | None, robot: Path | None
 ) -> None:
     """Warn if the success network was trained on another reconstruction than it will read.
 
@@ -272,10 +269,7 @@ def say_if_from_another(
         return
 
     from pointsdf_cli.models.bundled_success import bundled_success
-    from pointsdf_cli.models.grasp_checkpoint import (
-        reconstruction_for,
-        reconstruction_of_training,
-    )
+    from pointsdf_cli.models.grasp_checkpoint import reconstruction_for, reconstruction_of_training
     from pointsdf_cli.robot.description import load_robot
 
     success = grasp_checkpoint or bundled_success(load_robot(robot))

@@ -15,8 +15,7 @@ def info(
     artifacts: Annotated[
         list[Path],
         typer.Argument(
-            help="HDF5 artifacts, clouds, meshes, checkpoint directories.",
-            metavar="ARTIFACT...",
+            help="HDF5 artifacts, clouds, meshes, checkpoint directories.", metavar="ARTIFACT..."
         ),
     ],
     unit: common.Unit = "m",

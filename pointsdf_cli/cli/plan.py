@@ -132,8 +132,7 @@ def plan(
     checkpoint: common.Checkpoint = None,
     grasp_checkpoint: common.GraspCheckpoint = None,
     trajectory: Annotated[
-        Path | None,
-        typer.Option(help="Also write the motion as a ROS JointTrajectory in JSON."),
+        Path | None, typer.Option(help="Also write the motion as a ROS JointTrajectory in JSON.")
     ] = None,
     picture: Annotated[
         Path | None,

@@ -233,7 +233,4 @@ def _report(
         for what, path in (("the picture", picture), ("the motion", trajectory))
         if path
     ]
-    reporter.result(
-        {**plan_as_json(plan), **result.said(), **files},
-        lines,
-    )
+    reporter.result({**plan_as_json(plan), **result.said(), **files}, lines)

@@ -26,8 +26,7 @@ def check(
         ),
     ],
     picture: Annotated[
-        Path | None,
-        typer.Option(help="Draw frames, fingertip paths and surface samples (PNG)."),
+        Path | None, typer.Option(help="Draw frames, fingertip paths and surface samples (PNG).")
     ] = None,
     seed: common.Seed = 0,
     force: common.Force = False,
@@ -79,8 +78,7 @@ def init(
     palm: Annotated[
         str | None,
         typer.Option(
-            metavar="LINK",
-            help="Link that carries the fingers.  [default: where they branch off]",
+            metavar="LINK", help="Link that carries the fingers.  [default: where they branch off]"
         ),
     ] = None,
     force: common.Force = False,
@@ -105,7 +103,7 @@ def init(
         [
             f"{out}: {len(data['arm_joints'])} arm joints to {data['palm']['link']}, "
             f"{len(data['hand_joints'])} hand joints beyond it, {len(data['closing_joints'])} of "
-            "them close",
+            "them close"
         ],
     )
     reporter.say(

@@ -36,8 +36,7 @@ def train_gs(
     ] = None,
     robot: common.Robot = None,
     epochs: Annotated[
-        int | None,
-        typer.Option(help="Largest number of epochs.  [default: 20 for geometry, 60]"),
+        int | None, typer.Option(help="Largest number of epochs.  [default: 20 for geometry, 60]")
     ] = None,
     batch_size: Annotated[int | None, typer.Option(help="Batch size in grasps.")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="Peak learning rate.")] = None,

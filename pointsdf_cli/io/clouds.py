@@ -29,12 +29,7 @@ from pointsdf_cli.io.input_files import check_input
 from pointsdf_cli.io.meshes import UNITS
 from pointsdf_cli.io.pcd import read_pcd
 from pointsdf_cli.io.ply import read_ply, write_ply
-from pointsdf_cli.io.raw_cloud import (
-    finite_points,
-    frame_of_header,
-    pose_of_header,
-    unit_normals,
-)
+from pointsdf_cli.io.raw_cloud import finite_points, frame_of_header, pose_of_header, unit_normals
 
 FEWEST_POINTS = 50
 FARTHEST = 20.0

@@ -63,10 +63,7 @@ def trajectory_as_json(plan: Plan) -> dict[str, Any]:
             {
                 "positions": positions.tolist(),
                 "velocities": speeds.tolist(),
-                "time_from_start": {
-                    "sec": nanoseconds // 10**9,
-                    "nanosec": nanoseconds % 10**9,
-                },
+                "time_from_start": {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9},
             }
         )
     return {

@@ -85,11 +85,7 @@ class Bag:
         connections = [c for c in self._reader.connections if c.topic in topics]
         if connections:  # none would mean all
             for connection, time, raw in self._reader.messages(connections, start, stop):
-                yield (
-                    connection.topic,
-                    time,
-                    self._store.deserialize_cdr(raw, connection.msgtype),
-                )
+                yield (connection.topic, time, self._store.deserialize_cdr(raw, connection.msgtype))
 
     def depth_topic(self, wanted: str | None) -> str:
         """The topic of depth images: the one that is wanted, or the only one named so.

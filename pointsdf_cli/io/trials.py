@@ -175,12 +175,7 @@ def read_trial(path: Path | str) -> tuple[TrialRow, Evidence]:
     Raises:
         InputError: Not a trial file of this version.
     """
-    artifact = read_artifact(
-        path,
-        schema=TRIAL_SCHEMA,
-        version=TRIAL_VERSION,
-        names=TRIAL_LAYOUT,
-    )
+    artifact = read_artifact(path, schema=TRIAL_SCHEMA, version=TRIAL_VERSION, names=TRIAL_LAYOUT)
     with attributes_as_input_error(path):
         row = _row(json.loads(str(artifact.attributes["row_json"])))
         data = artifact.values

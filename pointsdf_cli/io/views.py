@@ -18,11 +18,7 @@ from pointsdf_cli.io.hdf5 import (
     write_artifact,
 )
 from pointsdf_cli.io.layout import Column
-from pointsdf_cli.io.view_evidence import (
-    evidence_arrays,
-    evidence_layout,
-    read_view_evidence,
-)
+from pointsdf_cli.io.view_evidence import evidence_arrays, evidence_layout, read_view_evidence
 
 SCHEMA, VERSION = "views", 2
 OLDEST = 1

@@ -33,12 +33,7 @@ from pointsdf_cli.models.processor import timed
 from pointsdf_cli.models.reconstruction import Reconstruction
 from pointsdf_cli.models.registry import load_model
 from pointsdf_cli.models.shape_model import ShapeModel
-from pointsdf_cli.planning.answer import (
-    NO_NOTES,
-    Answer,
-    PerceivedObject,
-    PlanNotes,
-)
+from pointsdf_cli.planning.answer import NO_NOTES, Answer, PerceivedObject, PlanNotes
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.completed_views import completed, unseen_support
 from pointsdf_cli.planning.environment import Environment
@@ -108,9 +103,7 @@ class GraspPlanner:
     """
 
     def __init__(
-        self,
-        options: PlanOptions | None = None,
-        grasps: SuccessModel | None = None,
+        self, options: PlanOptions | None = None, grasps: SuccessModel | None = None
     ) -> None:
         self.options = options = options or PlanOptions()
         self.robot = load_robot(options.robot)

@@ -186,12 +186,7 @@ class GraspProblem:
         return self._evaluation(x, poses, contacts, slack, chosen)
 
     def _evaluation(
-        self,
-        x: Array,
-        poses: Poses,
-        contacts: Contacts,
-        slack: Array,
-        chosen: NDArray[np.int64],
+        self, x: Array, poses: Poses, contacts: Contacts, slack: Array, chosen: NDArray[np.int64]
     ) -> Evaluation:
         cost = self.objective(x)
         slope = cost.residual_gradient

@@ -33,12 +33,7 @@ class ObjectDistances:
         names: Each patch's (link, "object").
     """
 
-    def __init__(
-        self,
-        geometry: RobotGeometry,
-        field: Field,
-        exact_to: float = 0.05,
-    ) -> None:
+    def __init__(self, geometry: RobotGeometry, field: Field, exact_to: float = 0.05) -> None:
         self.field, self._exact_to = field, exact_to
         patches, links = geometry.patches, geometry.kinematics.links
         self.link: Indices = patches.link

@@ -264,10 +264,5 @@ def segmented_cloud(
         raise InputError.of(error) from error
     view = found.views[0]
     return ObjectView(
-        view.points,
-        cloud.in_camera_frame()[1],
-        cloud.frame,
-        found.report,
-        False,
-        view.evidence,
+        view.points, cloud.in_camera_frame()[1], cloud.frame, found.report, False, view.evidence
     )

@@ -64,12 +64,7 @@ class Cost(NamedTuple):
 class Objective:
     """Evaluates the cost and its gradient for a batch of x at once."""
 
-    def __init__(
-        self,
-        kinematics: Kinematics,
-        variables: Variables,
-        score: GraspScore,
-    ) -> None:
+    def __init__(self, kinematics: Kinematics, variables: Variables, score: GraspScore) -> None:
         self._kinematics, self._variables, self.score = kinematics, variables, score
 
     def __call__(self, x: Array) -> Cost:

@@ -230,11 +230,7 @@ class Planner:
             yield first + k, checker, thorough
 
     def _with_motion(
-        self,
-        checker: PathChecker,
-        found: Synthesis,
-        start: Array,
-        seed: int,
+        self, checker: PathChecker, found: Synthesis, start: Array, seed: int
     ) -> tuple[Candidate | None, Motion | None, Synthesis]:
         """Choose the first accepted candidate with a motion, or failing that, a fallback.
 

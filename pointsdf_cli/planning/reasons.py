@@ -158,10 +158,7 @@ def _in_the_way(statistics: SeedStatistics) -> str:
 
 
 def explain(
-    reason: str,
-    best: Candidate | None,
-    seeds_tried: int,
-    config: AcceptanceConfig | None = None,
+    reason: str, best: Candidate | None, seeds_tried: int, config: AcceptanceConfig | None = None
 ) -> str:
     """One sentence for a reason code, with the numbers of the nearest miss.
 

@@ -128,12 +128,7 @@ class Sqp:
         return worse
 
     def _settle(
-        self,
-        rows: np.ndarray,
-        now: Evaluation,
-        radius: Array,
-        penalty: Array,
-        done: np.ndarray,
+        self, rows: np.ndarray, now: Evaluation, radius: Array, penalty: Array, done: np.ndarray
     ) -> None:
         """Stop starts that can improve no more, or continue them with a higher penalty."""
         config = self.config

@@ -13,30 +13,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pointsdf_cli.planning.acceptance import (
-    AcceptanceConfig,
-    Candidate,
-    judge,
-)
+from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate, judge
 from pointsdf_cli.planning.cancellation import stop_if_cancelled
 from pointsdf_cli.planning.closing_check import ClosingCheck
 from pointsdf_cli.planning.grasp_problem import GraspProblem
-from pointsdf_cli.planning.likeliest import (
-    ENOUGH,
-    NEARBY,
-    likeliest_first,
-    probability_to_hold,
-)
+from pointsdf_cli.planning.likeliest import ENOUGH, NEARBY, likeliest_first, probability_to_hold
 from pointsdf_cli.planning.nearby_grasps import NearbySampler
 from pointsdf_cli.planning.nonlinear import Solver
 from pointsdf_cli.planning.reasons import SeedStatistics, is_hemmed_in, why_none
-from pointsdf_cli.planning.seeds import (
-    GraspSampler,
-    SeedConfig,
-    Seeds,
-    UnsolvedGrasps,
-    draw_seeds,
-)
+from pointsdf_cli.planning.seeds import GraspSampler, SeedConfig, Seeds, UnsolvedGrasps, draw_seeds
 from pointsdf_cli.robot.inverse_kinematics import InverseKinematics
 
 SOLVER_MARGIN = 0.0005

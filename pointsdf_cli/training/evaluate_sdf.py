@@ -114,11 +114,7 @@ def evaluate_object(task: EvalTask) -> list[ScoredView]:
 
 
 def make_tasks(
-    views: Path,
-    meshes: Path,
-    config: EvalConfig,
-    aside: Collection[str] = (),
-    pattern: str = "*",
+    views: Path, meshes: Path, config: EvalConfig, aside: Collection[str] = (), pattern: str = "*"
 ) -> list[EvalTask]:
     """One task for each mesh with views.
 

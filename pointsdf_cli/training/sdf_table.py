@@ -79,11 +79,7 @@ def summarise(scored: Sequence[ScoredView], seed: int = 0) -> dict[str, Any]:
             for metric in METRICS
         }
         failures = sum(row.score.failed for row in rows)
-        table[method] = summary | {
-            "views": len(rows),
-            "objects": len(names),
-            "failures": failures,
-        }
+        table[method] = summary | {"views": len(rows), "objects": len(names), "failures": failures}
     return table
 
 

@@ -82,11 +82,7 @@ def write_gif(path: Path, robot: RobotMeshes, film: Film, rate: float) -> None:
     ]
     with atomic_path(path) as temporary:
         images[0].save(
-            temporary,
-            save_all=True,
-            append_images=images[1:],
-            duration=round(1000 / rate),
-            loop=0,
+            temporary, save_all=True, append_images=images[1:], duration=round(1000 / rate), loop=0
         )
 
 
@@ -107,8 +103,7 @@ def grasp_report(
     parts = [
         html.heading("Rates"),
         html.table(
-            ("split", "kind", "attempts", "executed", "held", "held of executed"),
-            _rates(items),
+            ("split", "kind", "attempts", "executed", "held", "held of executed"), _rates(items)
         ),
         html.heading("What became of the attempts"),
         html.table(("cause", *KINDS), _causes(items)),
@@ -135,10 +130,7 @@ def grasp_report(
         ),
     ]
     if refused:
-        parts += [
-            html.heading("Skipped"),
-            html.table(("object", "reason"), refused),
-        ]
+        parts += [html.heading("Skipped"), html.table(("object", "reason"), refused)]
     return html.page(title, parts)
 
 
