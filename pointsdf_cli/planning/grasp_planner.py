@@ -229,7 +229,10 @@ class GraspPlanner:
 
         Args:
             perceived: Result of `see`.
-            environment, start, seed, notes: As in `plan`.
+            environment: As in `plan`.
+            start: As in `plan`.
+            seed: As in `plan`.
+            notes: As in `plan`.
         """
         points = perceived.points
         settings = self.search_settings(points)
