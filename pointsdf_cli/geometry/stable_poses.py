@@ -112,8 +112,10 @@ def tilt_margin(placed: NDArray[np.float64], mass: NDArray[np.float64]) -> float
 def draw_pose(
     poses: list[StablePose], standing: float, rng: np.random.Generator
 ) -> tuple[int, bool]:
-    """An index into `poses`, and whether it was drawn as standing, one of the firm poses that are,
-    within `EQUAL_HEIGHT`, the tallest."""
+    """Index of a pose, and whether it was drawn as a standing one.
+
+    Standing poses are the firm ones that are the tallest, within `EQUAL_HEIGHT`.
+    """
     firm = [i for i, pose in enumerate(poses) if pose.margin >= FIRM]
     tallest = max((poses[i].height for i in firm), default=0.0)
     candidates = [i for i in firm if poses[i].height >= (1 - EQUAL_HEIGHT) * tallest]

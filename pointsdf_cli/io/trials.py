@@ -195,7 +195,7 @@ def _require_corners(faces: NDArray[np.int32], vertices: NDArray[np.float32]) ->
 
 
 def _row(values: Mapping[str, Any]) -> TrialRow:
-    """A row of values that are of the types they should be.
+    """Row of a trial, from values whose types are checked.
 
     Raises:
         ValueError: A value is of another type.

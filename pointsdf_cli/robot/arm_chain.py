@@ -107,8 +107,10 @@ class ArmChain:
 
 
 def _moving_joints(robot: RobotDescription) -> tuple[list[int], list[Array]]:
-    """Columns in q of the arm's joints from the base on, and poses [4, 4] of each of them, and
-    last of the palm, in the frame of the joint before."""
+    """Columns in q of the arm's joints, from the base to the palm, and poses [4, 4].
+
+    The poses are of these joints, then of the palm, each in the frame of the joint before.
+    """
     chain = robot.tree.way_up(robot.palm_link)
     unused = set(robot.arm_joints) - {joint.name for joint in chain}
     if unused:
