@@ -12,6 +12,7 @@ from pointsdf_cli.models.grasp_features import (
     BODY_SIZE,
     LENGTH,
     GraspFeatures,
+    ObjectBody,
     _touching,
     object_body,
 )
@@ -123,6 +124,42 @@ def test_turning_and_shifting_the_whole_scene_on_the_table_changes_nothing() -> 
     assert torch.allclose(here[:, :-BODY_SIZE], there[:, :-BODY_SIZE], atol=0.08)
     on_links = FEATURES.size - BODY_SIZE - 20
     assert torch.allclose(here[:, :on_links], there[:, :on_links], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "axis", "number", "joints"),
+    [("panda", 1, 0, [0, 1]), ("panda", 2, 1, [1, 0]), ("lbr4_barrett", 1, 0, [1, 0, 2])],
+)
+def test_the_image_of_a_grasp_in_a_mirror_has_the_images_features(
+    name: str, axis: int, number: int, joints: list[int]
+) -> None:
+    robot = load_robot(name)
+    features = GraspFeatures(HandSweep(robot), robot.preshape_ranges)
+    palm = top_palm(CENTRE + np.array([0.012, -0.017, 0.0]), 0.02, RADIUS, 0.4)
+    # The mirror is upright, so that gravity has its own direction there, too.
+    normal = palm[:3, axis]
+    image = CENTRE - 2 * normal * (normal @ (CENTRE - palm[:3, 3]))
+    preshape = torch.tensor(robot.preshape_ranges @ [[0.7], [0.3]]).T
+    preshape[:, 0] += 0.2 * float(np.ptp(robot.preshape_ranges[0]))
+
+    def at(centre: np.ndarray, preshape: torch.Tensor) -> torch.Tensor:
+        place = torch.tensor(centre, dtype=torch.float32)
+        body = ObjectBody(place, place, torch.arange(float(BODY_SIZE)))
+        return features(preshape, torch.tensor(palm)[None], body, ball_torch(centre))[0]
+
+    here, there = at(CENTRE, preshape), at(image, preshape[:, joints])
+    index, sign = features.mirrored()[number]
+    wrong = (here[index] * sign - there).abs()
+    # Surface samples are symmetric within 2 mm, those of the palm within 15 mm.
+    assert wrong.median() < 0.002
+    assert wrong.quantile(0.9) < 0.05
+    assert wrong.max() < 0.4
+    assert (here - there).abs().quantile(0.9) > 0.1
+    assert torch.equal(here[index][index], here)
+
+
+def test_a_hand_with_a_thumb_is_no_mirror_image_of_itself() -> None:
+    assert FEATURES.mirrored() == []
 
 
 def test_a_pad_that_passes_through_the_object_touches_and_the_sooner_the_closer_it_starts() -> None:

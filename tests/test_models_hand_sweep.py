@@ -55,7 +55,7 @@ def test_two_jaws_slide_as_fast_as_their_description_says_until_they_stop() -> N
     gripper = load_robot(GRIPPER)
     sweep = HandSweep(gripper, SweepConfig(stages=10, share=1.0))
     _, moving = sweep(torch.tensor([[0.0], [0.02]]))
-    left, right = moving[..., 0, 1], moving[..., 1, 1]
+    left, right = moving[..., 0, 1], moving[..., 5, 1]  # the middles of their pads
     # The inner sides of both jaws start 4.5 cm from the middle, and slide 4.5 cm at 5 cm/s; the
     # left may start closer.
     # The grid of times ends when a left jaw that starts at 1 cm arrives (35 mm) or the right (45).
@@ -107,11 +107,41 @@ def test_a_sliding_jaw_follows_its_joint_until_closing_has_driven_it_to_its_limi
         assert abs(float(slope) - expected) < 1e-6
 
 
+def test_a_pad_is_the_middle_of_the_side_that_touches_first_and_four_points_around() -> None:
+    _, moving = HandSweep(load_robot(GRIPPER))(torch.tensor([[0.0]]))
+    left = moving[0, 0, :5]  # its jaw is 6 cm long (x), 1 cm thick and 2 cm wide (z)
+    assert torch.allclose(left[:, 1], torch.tensor(0.045), atol=1e-6)
+    offsets = left[1:] - left[0]
+    assert torch.allclose(offsets[:2], -offsets[2:], atol=1e-6)
+    along, across = offsets[0].abs(), offsets[1].abs()
+    assert 0.015 < along[0] < 0.03
+    assert along[1:].max() < 1e-6
+    assert 0.005 < across[2] < 0.01
+    assert across[:2].max() < 1e-6
+    # One point each is what older checkpoints learned from.
+    _, middles = HandSweep(load_robot(GRIPPER), SweepConfig(points_per_pad=1))(torch.zeros(1, 1))
+    assert torch.allclose(middles[0, :, 0], moving[0, :, 0], atol=1e-7)
+
+
 def test_the_closing_region_is_in_front_of_the_palm() -> None:
     assert len(SWEEP.region) == 64
     assert (SWEEP.region[:, 0] > 0).all()
 
 
+@pytest.mark.parametrize("robot", [GRIPPER, "panda"])
+def test_the_closing_region_of_flat_jaws_is_wider_than_their_pads(robot: Path | str) -> None:
+    # The outer cells' middles are three quarters of the region's width apart.
+    region = HandSweep(load_robot(robot)).region
+    assert (region.amax(0) - region.amin(0)).min() > 0.0449
+    narrow = HandSweep(load_robot(robot), SweepConfig(narrowest=0.0)).region
+    assert torch.allclose(narrow.mean(0), region.mean(0), atol=1e-6)
+    assert (narrow.amax(0) - narrow.amin(0)).min() < 0.02
+
+
 def test_a_hand_that_cannot_close_is_refused() -> None:
     with pytest.raises(InputError):
         SweepConfig(stages=1)
+    with pytest.raises(InputError):
+        SweepConfig(points_per_pad=3)
+    with pytest.raises(InputError):
+        SweepConfig(narrowest=-0.01)

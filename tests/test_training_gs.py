@@ -330,6 +330,22 @@ def test_in_folds_every_object_teaches_some_members_and_validates_one(balls: Pat
         assert np.isclose(found[row], each[fold, row])
 
 
+def test_mirror_images_teach_as_often_as_the_grasps_themselves() -> None:
+    torch.manual_seed(0)
+    network = GeometryNet(3, members=2, dropout=0.0, input_dropout=0.0)
+    x = torch.randn(400, 3)
+    image = (torch.tensor([1, 0, 2]), torch.tensor([1.0, 1.0, -1.0]))
+    learner = FixedInputs(network, x, mirrors=[image])
+    every = np.arange(400)
+    found = learner.training_logits(every, np.random.default_rng(0))
+    itself, other = network.members(x), network.members(x[:, image[0]] * image[1])
+    as_it_is = torch.isclose(found, itself, atol=1e-6).all(0)
+    assert (as_it_is ^ torch.isclose(found, other, atol=1e-6).all(0)).all()
+    assert 0.4 < as_it_is.float().mean() < 0.6
+    # Predictions are of the grasp itself.
+    assert np.allclose(learner.logits(every), itself.mean(0).detach().numpy(), atol=1e-6)
+
+
 def test_grasps_of_one_scene_come_together(balls: Path) -> None:
     data = read_grasp_data(balls, ROBOT)
     order = scene_order(data, np.arange(len(data)), np.random.default_rng(0))

@@ -143,7 +143,8 @@ def read_grasp_checkpoint(
     check_robot(robot, config["robot"]["name"], config["robot"]["preshape_joints"], where)
     try:
         network = NETWORKS[config["inputs"]](**config["network"])
-        sizes = config["sweep"]
+        # Checkpoints without these keys are of the time before them.
+        sizes = {"points_per_pad": 1, "narrowest": 0.0, **config["sweep"]}
         sweep = HandSweep(robot, SweepConfig(**{**sizes, "grid": tuple(sizes["grid"])}))
         network.load_state_dict(_part(checkpoint, "network"))
     except (KeyError, TypeError, ValueError, RuntimeError) as error:

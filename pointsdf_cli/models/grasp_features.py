@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.models.hand_mirror import hand_mirror
 from pointsdf_cli.models.hand_sweep import HandSweep
 
 FAR = 0.04
@@ -137,6 +138,28 @@ class GraspFeatures:
         """Points [B, P, 3] in the world at which the field is read: pads stage by stage, points of
         links that do not move, and the closing region."""
         return self._sweep.in_world(preshape.float(), T_world_palm.float())
+
+    def mirrored(self) -> list[tuple[Tensor, Tensor]]:
+        """For each axis across the palm's that mirrors the hand onto itself: the features of the
+        mirror image of a grasp and its object are `x[:, index] * sign` with index [F], sign [F].
+
+        The image of a grasp that holds holds, too, so these are more grasps to learn from.
+        """
+        stages, (_, moving) = self._sweep.config.stages, self._sweep.sizes
+        read = range(0, stages, EVERY)
+        found = []
+        for mirror in filter(None, (hand_mirror(self._sweep, axis) for axis in (1, 2))):
+            seen = torch.cat([mirror.pads + k * moving for k in range(len(read))])
+            of_links = [seen, mirror.pads, mirror.pads, mirror.still, mirror.region]
+            alike = torch.arange(len(read) + 1)  # heights
+            index, start = torch.arange(self.size), 0
+            for block in (*of_links, alike, mirror.joints):
+                index[start : start + len(block)] = start + block
+                start += len(block)
+            sign = torch.ones(self.size)
+            sign[start : start + 9] = mirror.signs.repeat(3)  # upwards, to the centre, to the mass
+            found.append((index, sign))
+        return found
 
     def assemble(
         self,

@@ -1,8 +1,8 @@
 """Sweep of the closing hand: paths of points on its links in the palm frame, from a preshape.
 
 The robot's description gives the closing joints and their speeds. All advance together, as in free
-space. Each moving link is represented by its pad, the middle of its leading side, which touches
-first. This works for any hand.
+space. Each moving link is represented by its pad: points of its leading side, which touches first.
+This works for any hand.
 
 Derivatives are those of rigid bodies, in closed form: the gradients at all points beyond a joint
 sum to one force and one moment, and the joint's derivative is their component along its axis. That
@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -24,11 +23,9 @@ from torch.autograd.function import once_differentiable
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.models.hand_chain import HandChain
+from pointsdf_cli.models.hand_points import Motion, box_grid, middles, pad_points
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.surface import robot_surface
-
-PAD = 0.15
-"""Share of a link's surface samples on its leading side; the pad is their middle."""
 
 
 @dataclass(frozen=True)
@@ -40,17 +37,24 @@ class SweepConfig:
         share: Time of the last stage, as a share of the longest closing time of a joint.
         points_per_link: Points along each link that closing does not move.
         grid: Points of the closing region along the palm's x, y and z.
+        points_per_pad: 1 for the middle of each pad, 5 for points around it too.
+        narrowest: Least width of the closing region along each axis [m]; without it the pads of
+            two jaws would sweep a thin box.
     """
 
     stages: int = 8
     share: float = 0.9333
     points_per_link: int = 2
     grid: tuple[int, int, int] = (4, 4, 4)
+    points_per_pad: int = 5
+    narrowest: float = 0.06
 
     def __post_init__(self) -> None:
         counts = (self.stages - 1, self.points_per_link, *self.grid)
         if min(counts) < 1 or not 0 < self.share <= 1 or len(self.grid) != 3:
             raise InputError(f"{self}", allowed="stages ≥ 2, counts ≥ 1, share in (0, 1]")
+        if self.points_per_pad not in (1, 5) or not 0 <= self.narrowest < 1:
+            raise InputError(f"{self}", allowed="1 or 5 points_per_pad, narrowest in [0, 1)")
 
 
 class JointAxes(NamedTuple):
@@ -75,6 +79,8 @@ class HandSweep:
 
     Attributes:
         region: f4 [G, 3], points of the box that the pads sweep, fixed in the palm frame.
+        preshapes: f4 [K, 2], ranges of the preshape joints.
+        pads_under: f4 [K, M], 1 where a preshape joint moves a pad.
     """
 
     def __init__(self, robot: RobotDescription, config: SweepConfig | None = None) -> None:
@@ -93,6 +99,7 @@ class HandSweep:
         speed = torch.tensor(robot.closing_speeds.copy(), dtype=torch.float32)
         # Times from the middle preshape; joints that start elsewhere arrive earlier or later.
         start = self._rest.clone()
+        self.preshapes = torch.tensor(robot.preshape_ranges.copy(), dtype=torch.float32)
         middle = torch.tensor(robot.preshape_ranges.mean(axis=1), dtype=torch.float32)
         self._middle = middle
         start[self._preshape] = middle
@@ -104,7 +111,7 @@ class HandSweep:
         self.region = torch.zeros(0, 3)
         with torch.no_grad():
             swept = self(middle[None])[1].reshape(-1, 3)
-        self.region = _box_grid(swept, self.config.grid)
+        self.region = box_grid(swept, self.config.grid, self.config.narrowest)
 
     def course(self) -> NDArray[np.float64]:
         """Mean position of the pads [S, 3] at each stage, from the middle preshape, palm frame [m].
@@ -190,7 +197,7 @@ class HandSweep:
         )
         both = torch.stack([f, moments])  # [2, 3, S M + P, B]
         # Under each joint: [2, 3, S, K, B]. Still points belong to the first stage.
-        under = self._moving_under @ both[:, :, :swept].unflatten(2, (stages, moving))
+        under = self.pads_under @ both[:, :, :swept].unflatten(2, (stages, moving))
         if still:
             under[:, :, 0] += self._still_under @ both[:, :, swept:]
         force, moment = under.permute(0, 3, 1, 2, 4)  # each [K, 3, S, B]
@@ -210,9 +217,9 @@ class HandSweep:
                 continue
             moves = link in moved
             if moves:
-                chosen = _pad(surface[link], ahead(number))
+                chosen = pad_points(surface[link], ahead(number), self.config.points_per_pad)
             else:
-                chosen = _middles(surface[link], self.config.points_per_link)
+                chosen = middles(surface[link], self.config.points_per_link)
             points[moves].append(chosen)
             links[moves] += [number] * len(chosen)
         if not points[True]:
@@ -227,7 +234,7 @@ class HandSweep:
         self._still = torch.tensor(np.concatenate(still), dtype=torch.float32)
         self._still_link = torch.tensor(links[False], dtype=torch.long)
         below = self._chain.below[self._preshape]
-        self._moving_under = below[:, self._moving_link]
+        self.pads_under = below[:, self._moving_link]
         self._still_under = below[:, self._still_link]
         self._slides = self._chain.slides[self._preshape]
 
@@ -255,9 +262,6 @@ class HandSweep:
             return motion
 
         return of_link
-
-
-Motion = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 class _Swept(torch.autograd.Function):
@@ -303,28 +307,3 @@ def _placed(rotation: Tensor, position: Tensor, link: Tensor, points: Tensor) ->
     turn, x = rotation.index_select(0, link), points[:, None, :, None]
     placed = position.index_select(0, link).addcmul(turn[:, :, 0], x[:, :, 0])
     return placed.addcmul(turn[:, :, 1], x[:, :, 1]).addcmul(turn[:, :, 2], x[:, :, 2])
-
-
-def _pad(points: NDArray[np.float64], motion: Motion) -> NDArray[np.float64]:
-    """Middle [1, 3] of the leading side of a link's surface [P, 3]."""
-    ahead = points @ motion(points.mean(axis=0))
-    least = np.quantile(ahead, 1 - PAD) - 1e-3 * np.ptp(ahead)  # ties belong to it
-    return points[ahead >= least].mean(axis=0, keepdims=True)
-
-
-def _box_grid(points: Tensor, counts: tuple[int, int, int]) -> Tensor:
-    """A grid over the box of points [N, 3]: middles of cells, so that none lies on its border."""
-    low, high = points.amin(0), points.amax(0)
-    axes = [low[k] + (torch.arange(n) + 0.5) / n * (high[k] - low[k]) for k, n in enumerate(counts)]
-    return torch.cartesian_prod(*axes)
-
-
-def _middles(points: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Means of `count` parts of a cloud [P, 3] along its length."""
-    along = points - points.mean(axis=0)
-    axis = np.linalg.svd(along, full_matrices=False)[2][0]
-    order = np.quantile(along @ axis, (np.arange(count) + 0.5) / count)
-    start = points.mean(axis=0) + order[:, None] * axis
-    if count == 1 or len(points) <= count:
-        return start
-    return scipy.cluster.vq.kmeans2(points, start, minit="matrix")[0]

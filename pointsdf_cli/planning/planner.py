@@ -116,16 +116,16 @@ class Planner:
         config, asked = self.config, self.config.clearances
         wanted = replace(asked, object=max(asked.object, config.margin))
         inside = Clearances(*(value + SOLVER_MARGIN for value in vars(wanted).values()))
-        quick, polish = target.field, target.field
-        if config.solver == "sqp":
-            grid = target.kept or GridField(target.field, target.low, target.high, KEPT_GRID)
-            beyond = inside.object + BEYOND
-            quick, polish = grid, RefinedField(grid, target.field, beyond)
-
         # Only distances below `reach` matter; the network need not be evaluated beyond it.
         reach = max(asked.object + 0.005, config.margin, PREFERRED_SLACK)
+        quick = polish = judged = target.field
+        if config.solver == "sqp":
+            grid = target.kept or GridField(target.field, target.low, target.high, KEPT_GRID)
+            quick = grid
+            polish = RefinedField(grid, target.field, inside.object + BEYOND)
+            judged = RefinedField(grid, target.field, reach)
         searched = GraspProblem(self.geometry, target.score, quick, environment, inside)
-        exact = searched.with_field(target.field, asked, reach)
+        exact = searched.with_field(judged, asked, reach)
         if polish is quick:
             return Problems(searched, exact, searched)
         return Problems(searched, exact, searched.with_field(polish, inside, 0.02))

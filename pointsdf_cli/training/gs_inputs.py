@@ -7,6 +7,7 @@ clouds, one a scene, and an encoder that is trained too.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -81,6 +82,8 @@ class FixedInputs(Learner):
         network: Network of either kind.
         columns: Arguments of its `forward`, each with N rows.
         folds: [N], the member that each grasp validates; None if all learn from all.
+        mirrors: Mirror images of the features, `GraspFeatures.mirrored`; in training, half of the
+            grasps are replaced by each, at random.
     """
 
     def __init__(
@@ -88,8 +91,10 @@ class FixedInputs(Learner):
         network: EmbeddingNet | GeometryNet,
         *columns: Tensor,
         folds: NDArray[np.int64] | None = None,
+        mirrors: Sequence[tuple[Tensor, Tensor]] = (),
     ) -> None:
         self.network, self.columns, self.folds = network, columns, folds
+        self._mirrors = tuple(mirrors)
         self.modules = {"network": network}
 
     def pose_and_size(self) -> tuple[Tensor, Tensor]:
@@ -97,9 +102,13 @@ class FixedInputs(Learner):
 
     def training_logits(self, index: Index, rng: np.random.Generator) -> Tensor:
         rows = [column[index] for column in self.columns]
-        if isinstance(self.network, GeometryNet):
-            return self.network.members(*rows)
-        return self.network(*rows)[None]
+        if not isinstance(self.network, GeometryNet):
+            return self.network(*rows)[None]
+        (features,) = rows
+        for place, sign in self._mirrors:
+            image = torch.from_numpy(rng.random(len(index)) < 0.5)[:, None]
+            features = torch.where(image, features[:, place] * sign, features)
+        return self.network.members(features)
 
     @torch.no_grad()
     def logits(self, index: Index) -> NDArray[np.float64]:

@@ -300,5 +300,6 @@ def _learner(
     )
     if geometry:
         features = GraspFeatures(sweep, robot.preshape_ranges)
-        return FixedInputs(network, geometry_features(data, evidence, features))
+        columns = geometry_features(data, evidence, features)
+        return FixedInputs(network, columns, mirrors=features.mirrored())
     return FixedInputs(network, *embedding_columns(data, evidence))
