@@ -18,6 +18,7 @@ from pointsdf_cli.io.plans import Plan, read_plan, write_plan
 from pointsdf_cli.planning.acceptance import AcceptanceConfig, Candidate
 from pointsdf_cli.planning.contacts import link_poses
 from pointsdf_cli.planning.environment import Environment, Obstacle
+from pointsdf_cli.planning.fields import RefinedField
 from pointsdf_cli.planning.motion import Motion, MotionConfig, plan_motion
 from pointsdf_cli.planning.path_check import PathChecker
 from pointsdf_cli.planning.plan_artifact import plan_of
@@ -68,6 +69,21 @@ def test_a_can_gets_a_plan_with_a_motion(planner: Planner, plan: Plan, tmp_path:
     assert plan.link_clearance_object.max() > 0.1
     write_plan(tmp_path / "plan.h5", plan, seed=0)
     assert read_plan(tmp_path / "plan.h5").status == "ok"
+
+
+def test_solutions_are_judged_by_the_network_wherever_the_grid_could_be_wrong(
+    planner: Planner, plan: Plan
+) -> None:
+    problem = planner.problems(target(), Environment()).exact
+    assert isinstance(problem.object.field, RefinedField)
+    alone = problem.with_field(target().field, problem.clearances, exact_to=0.006)
+    rng = np.random.default_rng(0)
+    near = problem.variables.of(plan.q) + rng.normal(0, 0.06, (64, problem.variables.count))
+    judged, true = problem.residuals(near).object, alone.residuals(near).object
+    matters = true < 0.005
+    assert 10 < matters.sum() < 64
+    np.testing.assert_allclose(judged[matters], true[matters], atol=1e-9)
+    assert (judged[~matters] >= 0.005).all()
 
 
 def test_the_whole_trajectory_is_free_of_the_exact_object(planner: Planner, plan: Plan) -> None:
