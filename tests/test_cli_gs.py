@@ -32,6 +32,19 @@ def grasps(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.parametrize(("robot", "points"), [("panda", 5), ("lbr4_allegro", 1)])
+def test_pads_of_few_links_are_read_at_more_points(  # type: ignore[no-untyped-def]
+    cli, tmp_path: Path, robot: str, points: int
+) -> None:
+    machine = load_robot(None if robot == "lbr4_allegro" else robot)
+    write_balls(tmp_path / "grasps", machine, objects=5, scenes=1, each=6)
+    options = () if robot == "lbr4_allegro" else ("--robot", robot)
+    out = tmp_path / "gs"
+    made = cli("train-gs", "--grasps", tmp_path / "grasps", "--out", out, *QUICK, *options)
+    assert made.code == 0, made.err
+    assert json.loads((out / "config.json").read_text())["sweep"]["points_per_pad"] == points
+
+
 def test_a_stopped_training_is_not_taken_for_done(  # type: ignore[no-untyped-def]
     cli, monkeypatch: pytest.MonkeyPatch, grasps: Path, tmp_path: Path
 ) -> None:

@@ -58,6 +58,10 @@ ARCHITECTURES = {
 MEMBERS = 5
 """Size of the ensemble on features of geometry, and number of validation folds of objects."""
 
+FEW_LINKS = 8
+"""Largest number of closing links whose pads are five points each: the BarrettHand (6) gained by
+them, the Allegro hand (11) lost (docs/notebook.md, "A network that saw a line")."""
+
 DROPOUT = 0.2
 """Dropout of the success network. The published one has none; 256 numbers a cloud overfit a few
 hundred objects."""
@@ -154,7 +158,8 @@ def prepare(
         InputError: The reconstruction network is missing or of the wrong kind.
     """
     robot = load_robot(sources.robot)
-    sweep = HandSweep(robot, SweepConfig())
+    links = len(robot.tree.beyond(robot.closing_joints))
+    sweep = HandSweep(robot, SweepConfig(points_per_pad=5 if links <= FEW_LINKS else 1))
     checkpoint = None if variant.mode == SCRATCH else reconstruction_of(variant, sources.sdf)
     if checkpoint is None:
         encoder = build_model(ARCHITECTURES[variant.encoder][0], seed=seed)
