@@ -143,7 +143,7 @@ def read_grasp_checkpoint(
     check_robot(robot, config["robot"]["name"], config["robot"]["preshape_joints"], where)
     try:
         network = NETWORKS[config["inputs"]](**config["network"])
-        # Checkpoints without these keys are of the time before them.
+        # Older checkpoints lack these keys: they read one point a pad, and a box as wide as swept.
         sizes = {"points_per_pad": 1, "narrowest": 0.0, **config["sweep"]}
         sweep = HandSweep(robot, SweepConfig(**{**sizes, "grid": tuple(sizes["grid"])}))
         network.load_state_dict(_part(checkpoint, "network"))

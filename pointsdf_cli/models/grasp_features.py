@@ -143,7 +143,7 @@ class GraspFeatures:
         """For each axis across the palm's that mirrors the hand onto itself: the features of the
         mirror image of a grasp and its object are `x[:, index] * sign` with index [F], sign [F].
 
-        The image of a grasp that holds holds, too, so these are more grasps to learn from.
+        A mirrored grasp succeeds as often as the grasp itself, so it is one more to learn from.
         """
         stages, (_, moving) = self._sweep.config.stages, self._sweep.sizes
         read = range(0, stages, EVERY)

@@ -1,7 +1,7 @@
 """Mirror symmetry of a hand.
 
-The mirror image of a grasp that holds holds, too. If a mirror also maps the hand onto itself, the
-image is a grasp of the same hand: one more to learn from, without a simulation.
+A mirrored grasp of a mirrored object succeeds as often as the grasp itself. If the mirror maps the
+hand onto itself, it is a grasp of the same hand: one more to learn from, without a simulation.
 """
 
 from __future__ import annotations
