@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.hdf5 import OptionsDifferError
-from pointsdf_cli.io.strict_json import to_json
 from pointsdf_cli.io.untrusted import read_json
 
 Value = TypeVar("Value")
@@ -74,11 +72,6 @@ def require_without(options: dict[str, bool], instead: str) -> None:
     for option, given in options.items():
         if given:
             raise InputError(f"{option} with --each", where=option, hint=instead)
-
-
-def plain(value: Any) -> Any:
-    """`value` in the types of JSON, as it is read back."""
-    return json.loads(to_json(value))
 
 
 def is_done(out: Path, record: Path, config: Mapping[str, Any]) -> bool:

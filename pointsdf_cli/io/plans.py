@@ -4,7 +4,7 @@ forms."""
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.hdf5 import attributes_as_input_error, read_artifact, write_artifact
 from pointsdf_cli.io.layout import Column
+from pointsdf_cli.io.strict_json import plain
 
 SCHEMA, VERSION = "plan", 1
 LAYOUT = {
@@ -220,51 +221,43 @@ def read_plan(path: Path | str) -> Plan:
 def plan_as_json(plan: Plan) -> dict[str, Any]:
     """The plan in plain types, as `--json` prints it; missing values are null."""
     found = plan.status == OK
-    links = zip(plan.link_names, plan.link_clearance_object, plan.link_clearance_table, strict=True)
     rejected, accepted = plan.rejected, plan.accepted
-    return {
-        "status": plan.status,
-        "reason": plan.reason,
-        "sentence": plan.sentence,
-        "kind": plan.kind,
-        "joint_names": list(plan.joint_names),
-        "q": plan.q.tolist() if found else None,
-        "T_world_palm": plan.T_world_palm.tolist() if found else None,
-        "success_probability": _number(plan.success_probability),
-        "objective": _number(plan.objective),
-        "seeds_tried": plan.seeds_tried,
-        "timings": dict(plan.timings),
-        "trajectory": plan.trajectory.tolist(),
-        "times": plan.times.tolist(),
-        "lift": plan.lift.tolist(),
-        "link_clearance": {
-            link: {"object": _number(o), "table": _number(t)} for link, o, t in links
-        },
-        "accepted": [
-            {
-                "kind": kind,
-                "success_probability": _number(accepted.success_probability[k]),
-                "objective": _number(accepted.objective[k]),
-                "q": accepted.q[k].tolist(),
-            }
-            for k, kind in enumerate(accepted.kinds)
-        ],
-        "rejected": [
-            {
-                "reason": reason,
-                "success_probability": _number(rejected.success_probability[k]),
-                "objective": _number(rejected.objective[k]),
-                "slack": {
-                    name: _number(value)
-                    for name, value in zip(SLACKS, rejected.slack[k], strict=True)
-                },
-                "q": rejected.q[k].tolist(),
-            }
-            for k, reason in enumerate(rejected.reasons)
-        ],
-    }
+    clearances = _rows(object=plan.link_clearance_object, table=plan.link_clearance_table)
+    told: dict[str, Any] = plain(
+        {
+            "status": plan.status,
+            "reason": plan.reason,
+            "sentence": plan.sentence,
+            "kind": plan.kind,
+            "joint_names": plan.joint_names,
+            "q": plan.q if found else None,
+            "T_world_palm": plan.T_world_palm if found else None,
+            "success_probability": plan.success_probability,
+            "objective": plan.objective,
+            "seeds_tried": plan.seeds_tried,
+            "timings": plan.timings,
+            "trajectory": plan.trajectory,
+            "times": plan.times,
+            "lift": plan.lift,
+            "link_clearance": dict(zip(plan.link_names, clearances, strict=True)),
+            "accepted": _rows(
+                kind=accepted.kinds,
+                success_probability=accepted.success_probability,
+                objective=accepted.objective,
+                q=accepted.q,
+            ),
+            "rejected": _rows(
+                reason=rejected.reasons,
+                success_probability=rejected.success_probability,
+                objective=rejected.objective,
+                slack=[dict(zip(SLACKS, row, strict=True)) for row in rejected.slack],
+                q=rejected.q,
+            ),
+        }
+    )
+    return told
 
 
-def _number(value: float) -> float | None:
-    """A number for JSON, which has neither NaN nor infinity: None for these."""
-    return float(value) if np.isfinite(value) else None
+def _rows(**columns: Iterable[Any]) -> list[dict[str, Any]]:
+    """The rows of columns of one length, each by the columns' names."""
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

@@ -11,10 +11,10 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.atomic import write_text_atomic
-from pointsdf_cli.io.each_file import is_done, plain
+from pointsdf_cli.io.each_file import is_done
 from pointsdf_cli.io.meshes import UNITS, save_mesh
 from pointsdf_cli.io.provenance import file_sha256
-from pointsdf_cli.io.strict_json import to_json
+from pointsdf_cli.io.strict_json import plain, to_json
 from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_view import ObjectView, object_view
 from pointsdf_cli.service.identity import PlannerFiles, bundled_digest, weights_digest

@@ -10,10 +10,10 @@ from typing import Any
 
 from pointsdf_cli.camera.scene_file import SceneFileOptions
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.each_file import plain
 from pointsdf_cli.io.hdf5 import is_complete
 from pointsdf_cli.io.plans import SCHEMA, VERSION, read_plan, write_plan
 from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.io.strict_json import plain
 from pointsdf_cli.planning.object_choice import NoObjectError
 from pointsdf_cli.service.identity import bundled_digest
 from pointsdf_cli.service.plan_settings import PlanSettings, draw_plan
