@@ -11,10 +11,11 @@ import numpy as np
 
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.input_files import open_input
+from pointsdf_cli.io.ply import FACE, write_ply
 
-MARK = "comment rgrasp_object "
+KEY = "rgrasp_object"
+MARK = f"comment {KEY} "
 _LONGEST_HEADER = 1 << 16
-_FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 _VERTEX_BYTES = 12
 
 
@@ -29,25 +30,9 @@ def write_object_mesh(
         faces: [F, 3].
         about: JSON data; `read_object_about` gives it back.
     """
-    header = "\n".join(
-        [
-            "ply",
-            "format binary_little_endian 1.0",
-            "comment unit metre",
-            MARK + json.dumps(about, ensure_ascii=True, sort_keys=True),
-            f"element vertex {len(vertices)}",
-            *(f"property float {axis}" for axis in "xyz"),
-            f"element face {len(faces)}",
-            "property list uchar int vertex_indices",
-            "end_header\n",
-        ]
-    )
-    rows = np.empty(len(faces), dtype=_FACE)
-    rows["count"], rows["corners"] = 3, faces
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        file.write(header.encode("ascii"))
-        file.write(np.ascontiguousarray(vertices, dtype="<f4").tobytes())
-        file.write(rows.tobytes())
+    text = json.dumps(about, ensure_ascii=True, sort_keys=True)
+    with atomic_path(path) as temporary:
+        write_ply(temporary, vertices, comments={"unit": "metre", KEY: text}, faces=faces)
 
 
 def read_object_about(path: Path) -> dict[str, Any] | None:
@@ -62,7 +47,7 @@ def read_object_about(path: Path) -> dict[str, Any] | None:
     try:
         about = json.loads(described[0][len(MARK) :])
         counts = {line.split()[1]: int(line.split()[2]) for line in lines if "element " in line}
-        body = counts["vertex"] * _VERTEX_BYTES + counts["face"] * _FACE.itemsize
+        body = counts["vertex"] * _VERTEX_BYTES + counts["face"] * FACE.itemsize
     except (ValueError, KeyError, IndexError):
         return None
     if path.stat().st_size != len(header) + len(end) + body:

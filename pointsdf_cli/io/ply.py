@@ -7,6 +7,7 @@ No package reads it here: plyfile reads the faces, too, and allocates what a dam
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,6 +25,8 @@ _TYPES = {
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
+FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+"""A triangle of a written file, with its number of corners."""
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -101,11 +104,21 @@ def ply_has_faces(path: Path) -> bool:
 def write_ply(
     path: Path,
     points: NDArray[np.floating],
-    normals: NDArray[np.floating] | None,
-    colours: NDArray[np.uint8] | None,
-    comments: dict[str, str],
+    normals: NDArray[np.floating] | None = None,
+    colours: NDArray[np.uint8] | None = None,
+    comments: Mapping[str, str] | None = None,
+    faces: NDArray[np.integer] | None = None,
 ) -> None:
-    """Write vertices as binary little-endian PLY with float32 coordinates."""
+    """Write vertices as binary little-endian PLY with float32 coordinates.
+
+    Args:
+        path: The file.
+        points: [N, 3], m.
+        normals: [N, 3], of unit length; None for none.
+        colours: u1 [N, 3]; None for none.
+        comments: Lines `comment KEY VALUE` of the header.
+        faces: [F, 3], triangles; None for a cloud.
+    """
     groups: list[tuple[str, str, Any]] = [("x y z", "<f4", points)]
     if normals is not None:
         groups.append(("nx ny nz", "<f4", normals))
@@ -113,16 +126,20 @@ def write_ply(
         groups.append(("red green blue", "u1", colours))
     spoken = {"<f4": "float", "u1": "uchar"}
     lines = ["ply", "format binary_little_endian 1.0"]
-    lines += [f"comment {key} {value}" for key, value in comments.items()]
+    lines += [f"comment {key} {value}" for key, value in (comments or {}).items()]
     lines.append(f"element vertex {len(points)}")
     lines += [f"property {spoken[t]} {name}" for names, t, _ in groups for name in names.split()]
     table = np.empty(len(points), [(name, t) for names, t, _ in groups for name in names.split()])
     for names, _, values in groups:
         for k, name in enumerate(names.split()):
             table[name] = values[:, k]
+    triangles = np.empty(0 if faces is None else len(faces), FACE)
+    if faces is not None:
+        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        triangles["count"], triangles["corners"] = 3, faces
     with open(path, "wb") as handle:
         handle.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii"))
-        handle.write(table.tobytes())
+        handle.write(table.tobytes() + triangles.tobytes())
 
 
 def stacked(columns: Any, a: str, b: str, c: str, path: Path) -> NDArray[np.float64]:
