@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import glob
 import os
 import platform
 import re
@@ -82,16 +83,22 @@ def temporary_beside(path: Path) -> Path:
     return path.with_name(f".{stem}{ending}")
 
 
+def abandoned_in(folder: Path | str, stem: str = "*", suffix: str = "") -> list[Path]:
+    """Leftovers of killed runs in a folder.
+
+    Args:
+        folder: The folder; none of its files if it cannot be read.
+        stem, suffix: Patterns for the name of what was being built.
+    """
+    found: list[Path] = []
+    with suppress(OSError):
+        found += Path(folder).glob(f".{stem}{TEMPORARY_MARK}*{suffix}")
+    return [path for path in found if is_abandoned(path)]
+
+
 def abandoned_beside(path: Path) -> list[Path]:
     """Leftovers of killed runs that were building `path`."""
-    begin, end = f".{path.stem}{TEMPORARY_MARK}", path.suffix
-    found = []
-    for leftover in path.parent.iterdir():
-        if leftover.name.startswith(begin) and leftover.name.endswith(end):
-            with suppress(FileNotFoundError):
-                if is_abandoned(leftover):
-                    found.append(leftover)
-    return found
+    return abandoned_in(path.parent, glob.escape(path.stem), glob.escape(path.suffix))
 
 
 def write_text_atomic(path: Path | str, text: str) -> None:
@@ -105,12 +112,9 @@ def remove_leftovers(folder: Path | str) -> None:
 
     What a process is building at this moment stays: it may be another shard.
     """
-    found: list[Path] = []
-    with suppress(OSError):  # what a folder holds that cannot be read is nothing to remove
-        found += Path(folder).glob(f".*{TEMPORARY_MARK}*")
-    for leftover in found:
+    for leftover in abandoned_in(folder):
         with suppress(OSError):  # gone by now, or not ours to remove
-            if leftover.is_file() and is_abandoned(leftover):
+            if leftover.is_file():
                 leftover.unlink()
 
 
@@ -121,7 +125,9 @@ def is_abandoned(temporary: Path) -> bool:
         return False
     host, process, began = name[1], int(name[2]), int(name[3])
     if host != _HOST:
-        return time.time() - temporary.stat().st_mtime > ABANDONED
+        with suppress(OSError):
+            return time.time() - temporary.stat().st_mtime > ABANDONED
+        return False  # it is gone by now
     try:
         os.kill(process, 0)
     except ProcessLookupError:

@@ -15,13 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from pointsdf_cli.io.atomic import (
-    TEMPORARY_MARK,
-    UnwritableError,
-    is_abandoned,
-    temporary_beside,
-    unwritable,
-)
+from pointsdf_cli.io.atomic import UnwritableError, abandoned_in, temporary_beside, unwritable
 
 NAME = "rgrasp"
 
@@ -41,11 +35,10 @@ class Scratch:
 
     def __init__(self, below: Path | None = None) -> None:
         below = Path(tempfile.gettempdir()) if below is None else below
-        for folder in below.glob(f".{NAME}{TEMPORARY_MARK}*"):  # of processes that were killed
+        for folder in abandoned_in(below, NAME):
             with suppress(OSError):  # gone by now, or somebody else's
                 about = folder.lstat()
-                ours = stat.S_ISDIR(about.st_mode) and about.st_uid == os.geteuid()
-                if ours and is_abandoned(folder):
+                if stat.S_ISDIR(about.st_mode) and about.st_uid == os.geteuid():
                     shutil.rmtree(folder, ignore_errors=True)
         self.path = temporary_beside(below / NAME)
         try:
