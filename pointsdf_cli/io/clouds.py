@@ -255,12 +255,7 @@ def check_object_cloud(cloud: Cloud, where: Any) -> Cloud:
         InputError: Too few points, all of them equal or on a line, another unit, or a scene.
     """
     points = cloud.points
-    if len(points) < FEWEST_POINTS:
-        raise InputError(
-            f"holds {len(points)} point{'s' * (len(points) != 1)}, too few to see a shape in",
-            where=where,
-            allowed=f"at least {FEWEST_POINTS} points on the object",
-        )
+    _require_points(points, "a shape", " on the object", where)
     size = float(np.ptp(points, axis=0).max())
     if size == 0:
         raise InputError("all points are the same point", where=where)
@@ -281,12 +276,7 @@ def check_scene_cloud(cloud: Cloud, where: Any) -> Cloud:
         InputError: Too few points, or another unit.
     """
     points = cloud.points
-    if len(points) < FEWEST_POINTS:
-        raise InputError(
-            f"holds {len(points)} point{'s' * (len(points) != 1)}, too few to see anything in",
-            where=where,
-            allowed=f"at least {FEWEST_POINTS} points",
-        )
+    _require_points(points, "anything", "", where)
     size = float(np.ptp(points, axis=0).max())
     # A camera's view of a room reaches metres far, its errors some more; another unit, thousands.
     if size < SMALLEST or np.abs(np.median(points, axis=0)).max() > FARTHEST:
@@ -294,26 +284,29 @@ def check_scene_cloud(cloud: Cloud, where: Any) -> Cloud:
     return cloud
 
 
+def _require_points(points: NDArray[np.float64], seen: str, of: str, where: Any) -> None:
+    """Refuse fewer points than `FEWEST_POINTS`, too few to see `seen` in."""
+    if len(points) < FEWEST_POINTS:
+        raise InputError(
+            f"holds {len(points)} point{'s' * (len(points) != 1)}, too few to see {seen} in",
+            where=where,
+            allowed=f"at least {FEWEST_POINTS} points{of}",
+        )
+
+
 def _size_error(points: NDArray[np.float64], size: float, where: Any) -> InputError:
-    allowed = f"one object, {SMALLEST * 1000:g} mm to {LARGEST:g} m across, in metres"
     if size < SMALLEST:
-        return InputError(
-            f"the cloud is {size * 1000:.2g} mm across, too small for a graspable object",
-            where=where,
-            allowed=allowed,
-            hint="check the unit (--unit m, cm, mm, inch)",
-        )
+        what = f"{size * 1000:.2g} mm across, too small for a graspable object"
+        hint = "check the unit (--unit m, cm, mm, inch)"
     # A camera sees some metres far: coordinates in the hundreds are another unit.
-    if np.abs(np.median(points, axis=0)).max() > FARTHEST or size > FARTHEST:
-        return InputError(
-            f"the cloud is {size:.4g} m across: these look like millimetres",
-            where=where,
-            allowed=allowed,
-            hint="add --unit mm",
-        )
+    elif np.abs(np.median(points, axis=0)).max() > FARTHEST or size > FARTHEST:
+        what, hint = f"{size:.4g} m across: these look like millimetres", "add --unit mm"
+    else:
+        what = f"{size:.2g} m across: a whole scene, not one object"
+        hint = "cut the object out first: rgrasp mesh and plan do so with --segment auto"
     return InputError(
-        f"the cloud is {size:.2g} m across: a whole scene, not one object",
+        f"the cloud is {what}",
         where=where,
-        allowed=allowed,
-        hint="cut the object out first: rgrasp mesh and plan do so with --segment auto",
+        allowed=f"one object, {SMALLEST * 1000:g} mm to {LARGEST:g} m across, in metres",
+        hint=hint,
     )
