@@ -109,10 +109,8 @@ def table_place(text: str) -> tuple[float, float] | None:
     if not rest:
         return TABLE_PLACE
     allowed = "table, or table:X,Y with the object's place in the world, m"
-    numbers = numbers_in(rest, "--camera-pose", allowed)
-    if len(numbers) != 2:
-        raise InputError(f"{len(numbers)} numbers", where="--camera-pose", allowed=allowed)
-    return float(numbers[0]), float(numbers[1])
+    x, y = _exactly(2, rest, "--camera-pose", allowed)
+    return float(x), float(y)
 
 
 def place(text: str, where: str) -> NDArray[np.float64]:
@@ -121,11 +119,7 @@ def place(text: str, where: str) -> NDArray[np.float64]:
     Raises:
         InputError: Not three finite numbers.
     """
-    allowed = "X,Y,Z in the world, m"
-    numbers = numbers_in(text, where, allowed)
-    if len(numbers) != 3:
-        raise InputError(f"{len(numbers)} numbers", where=where, allowed=allowed)
-    return numbers
+    return _exactly(3, text, where, "X,Y,Z in the world, m")
 
 
 def box(text: str, where: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -135,13 +129,17 @@ def box(text: str, where: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
         InputError: Not six finite numbers, or the corners are the other way round.
     """
     allowed = "X0,Y0,Z0,X1,Y1,Z1 in the world, m, the lower corner first"
-    numbers = numbers_in(text, where, allowed)
-    if len(numbers) != 6:
-        raise InputError(f"{len(numbers)} numbers", where=where, allowed=allowed)
-    low, high = numbers[:3], numbers[3:]
+    low, high = _exactly(6, text, where, allowed).reshape(2, 3)
     if (low >= high).any():
         raise InputError(f"a box of no size, {text}", where=where, allowed=allowed)
     return tuple(low.tolist()), tuple(high.tolist())
+
+
+def _exactly(count: int, text: str, where: str, allowed: str) -> NDArray[np.float64]:
+    numbers = numbers_in(text, where, allowed)
+    if len(numbers) != count:
+        raise InputError(f"{len(numbers)} numbers", where=where, allowed=allowed)
+    return numbers
 
 
 def numbers_in(text: str, where: str, allowed: str) -> NDArray[np.float64]:
