@@ -1,4 +1,4 @@
-"""Nested dictionaries and lists with arrays in them, as one NPZ or as JSON.
+"""Nested dictionaries and lists with arrays in them, as one NPZ.
 
 In the NPZ, `tree.npy` holds the JSON text, in which {"$array": "a0"} stands for the array `a0.npy`.
 Nothing in it is compressed or pickled, so that what is read is never larger than what was sent.
@@ -77,18 +77,6 @@ def tree_of_npz(data: bytes, where: str) -> Any:
             where=where,
             allowed="arrays, and in `tree` the JSON text that names them",
         ) from error
-
-
-def tree_of_json(data: bytes, where: str) -> Any:
-    """The data of a JSON text; arrays are lists there.
-
-    Raises:
-        InputError: Not JSON.
-    """
-    try:
-        return json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"is not readable JSON ({first_line(error)})", where=where) from error
 
 
 def _array(data: bytes) -> NDArray[Any]:

@@ -55,10 +55,23 @@ def read_json(path: Path) -> Any:
     Raises:
         InputError: Not JSON.
     """
+    return parse_json(_text(path, "text", "JSON"), path)
+
+
+def parse_json(text: str | bytes, where: object) -> Any:
+    """The data of a JSON text.
+
+    Args:
+        text: The text.
+        where: Its source, for messages.
+
+    Raises:
+        InputError: Not JSON.
+    """
     try:
-        return json.loads(_text(path, "text", "JSON"))
+        return json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"is not readable JSON ({first_line(error)})", where=path) from error
+        raise InputError(f"is not readable JSON ({first_line(error)})", where=where) from error
 
 
 def read_xml(path: Path) -> ET.Element:

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.trees import tree_of_json, tree_of_npz
+from pointsdf_cli.io.trees import tree_of_npz
+from pointsdf_cli.io.untrusted import parse_json
 from pointsdf_cli.planning.environment import Environment
 from pointsdf_cli.planning.mesh_choices import MeshChoices
 from pointsdf_cli.planning.object_choice import TargetChoice
@@ -193,7 +194,7 @@ def read_body(kind: type[AnyBody], data: bytes, content_type: str) -> AnyBody:
     """
     form = content_type.partition(";")[0].strip().lower()
     if form in ("", JSON):
-        tree = tree_of_json(data, "body")
+        tree = parse_json(data, "body")
     elif form in (NPZ, "application/octet-stream"):
         tree = tree_of_npz(data, "body")
     else:
