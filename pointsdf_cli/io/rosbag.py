@@ -94,21 +94,20 @@ class Bag:
             InputError: There is no such topic, or several are to choose from.
         """
         there = self.topics(IMAGE, COMPRESSED)
-        listed = ", ".join(there) or "no image topics at all"
-        if wanted is not None:
-            if wanted not in there:
-                raise InputError(
-                    f"has no images on {wanted}", where=self.path, allowed=listed,
-                    hint=f"--topic {_likeliest(there)}" if there else None,
-                )  # fmt: skip
-            return wanted
-        named = [t for t in there if "depth" in t and t.rpartition("/")[2] not in TRANSPORTS]
-        if len(named) != 1:
+        if wanted is None:
+            what = "which images are the depth images?"
+            found = [t for t in there if "depth" in t and t.rpartition("/")[2] not in TRANSPORTS]
+        else:
+            what, found = f"has no images on {wanted}", [t for t in there if t == wanted]
+        if len(found) != 1:
+            likely = [t for t in there if "depth" in t] or there
             raise InputError(
-                "which images are the depth images?", where=self.path, allowed=listed,
-                hint=f"--topic {_likeliest(there)}" if there else None,
-            )  # fmt: skip
-        return named[0]
+                what,
+                where=self.path,
+                allowed=", ".join(there) or "no image topics at all",
+                hint=f"--topic {likely[0]}" if likely else None,
+            )
+        return found[0]
 
     def depth_frames(self, topic: str, index: int, time: float | None, count: int) -> DepthFrames:
         """Consecutive depth images of a topic.
@@ -181,7 +180,7 @@ class Bag:
             size = frames.depths.shape[:0:-1]
             same = [t for t in there if self._describes(t, frames.frame, size)]
             topic = same[0] if len(same) == 1 else topic
-        message = next((m for _, _, m in self.messages([topic])), None) if topic in there else None
+        message = self._first(topic) if topic in there else None
         if message is None:
             raise InputError(
                 f"has no camera_info for {frames.topic} (looked for {topic})",
@@ -199,11 +198,15 @@ class Bag:
         )
 
     def _describes(self, topic: str, frame: str, size: tuple[int, ...]) -> bool:
-        found = next((m for _, _, m in self.messages([topic])), None)
+        found = self._first(topic)
         if found is None:
             return False
         same = found.header.frame_id.lstrip("/") == frame
         return bool(same and (found.width, found.height) == size)
+
+    def _first(self, topic: str) -> Any:
+        """The first message of a topic; None if there is none."""
+        return next((message for _, _, message in self.messages([topic])), None)
 
     def transforms(self, stamp: int, recorded: int) -> dict[tuple[str, str], Array]:
         """T_parent_child [4, 4] by (parent, child): the static ones, and of the moving ones those
@@ -277,10 +280,6 @@ def chain(transforms: dict[tuple[str, str], Array], world: str, camera: str) -> 
                 reached[other] = reached[at] @ pose
                 waiting.append(other)
     return reached.get(camera) if camera in neighbours or camera == world else None
-
-
-def _likeliest(topics: Sequence[str]) -> str:
-    return next((topic for topic in topics if "depth" in topic), topics[0])
 
 
 def _nanoseconds(stamp: Any) -> int:
