@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.hdf5 import OptionsDifferError
+from pointsdf_cli.io.hdf5 import OptionsDifferError, changed_options
 from pointsdf_cli.io.untrusted import read_json
 
 Value = TypeVar("Value")
@@ -92,10 +92,5 @@ def is_done(out: Path, record: Path, config: Mapping[str, Any]) -> bool:
     theirs = told.get("config") if isinstance(told, Mapping) else None
     if theirs == config:
         return True
-    theirs = theirs if isinstance(theirs, Mapping) else {}
-    changed = sorted(k for k in config.keys() | theirs.keys() if config.get(k) != theirs.get(k))
-    raise OptionsDifferError(
-        f"was made with other options ({', '.join(changed)})",
-        where=out,
-        hint="choose another --out, or add --force to replace it",
-    )
+    changed = changed_options(theirs if isinstance(theirs, Mapping) else {}, config)
+    raise OptionsDifferError.of_file(out, ", ".join(changed))

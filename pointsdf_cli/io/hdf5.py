@@ -10,7 +10,7 @@ import io
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,20 @@ from pointsdf_cli.io.provenance import created_by, git_commit
 class OptionsDifferError(InputError):
     """A finished artifact was made with other options: the user must decide, so a stage stops."""
 
+    @classmethod
+    def of_file(cls, path: Path, differences: str) -> OptionsDifferError:
+        """The error for a file, with the options that differ in words."""
+        return cls(
+            f"was made with other options ({differences})",
+            where=path,
+            hint="choose another --out, or add --force to replace it",
+        )
+
+
+def changed_options(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[str]:
+    """Names of the options that differ, sorted."""
+    return sorted(k for k in ours.keys() | theirs.keys() if ours.get(k) != theirs.get(k))
+
 
 NO_SEED = -1
 """The `seed` attribute of an artifact in which nothing was drawn."""
@@ -36,16 +50,19 @@ NO_SEED = -1
 
 @dataclass(frozen=True)
 class Artifact:
-    """The contents of one file: root attributes and datasets by name."""
+    """The contents of one file.
+
+    Attributes:
+        path: The file.
+        attributes: Root attributes by name.
+        datasets: Arrays by name.
+        config: Options that the file was made with.
+    """
 
     path: Path
     attributes: dict[str, Any]
-    datasets: dict[str, np.ndarray] = field(default_factory=dict)
-
-    @property
-    def config(self) -> dict[str, Any]:
-        """The options that the file was made with."""
-        return dict(json.loads(self.attributes.get("config_json", "{}")))
+    datasets: dict[str, np.ndarray]
+    config: dict[str, Any]
 
     @property
     def values(self) -> dict[str, Any]:
@@ -152,10 +169,7 @@ def read_artifact(
         for name in wanted:
             check_stored(path, file, name)
         datasets = {name: np.asarray(file[name][()]) for name in wanted}
-        artifact = Artifact(path, dict(file.attrs), datasets)
-    with attributes_as_input_error(path):
-        _ = artifact.config
-    return artifact
+        return Artifact(path, dict(file.attrs), datasets, options_of(file))
 
 
 @contextmanager
@@ -216,13 +230,6 @@ def artifacts_below(folder: Path) -> list[Path]:
     ]
 
 
-def schema_version(path: Path | str, default: int) -> int:
-    """The version that an artifact states; `default` if it states none."""
-    with open_hdf5(path) as file:
-        version = file.attrs.get("schema_version")
-        return int(version) if isinstance(version, (int, np.integer)) else default
-
-
 def schema_of(path: Path) -> str:
     """The schema that an HDF5 file states, in words if it states none."""
     with open_hdf5(path) as file:
@@ -264,13 +271,9 @@ def is_complete(path: Path | str, *, schema: str, version: int, config: Mapping[
         theirs = options_of(file)
     ours = json.loads(json.dumps(dict(config)))
     if theirs != ours:
-        changed = sorted(k for k in ours.keys() | theirs.keys() if ours.get(k) != theirs.get(k))
+        changed = changed_options(theirs, ours)
         differences = ", ".join(f"{k}: {theirs.get(k)} there, {ours.get(k)} now" for k in changed)
-        raise OptionsDifferError(
-            f"was made with other options ({differences})",
-            where=path,
-            hint="choose another --out, or add --force to replace it",
-        )
+        raise OptionsDifferError.of_file(path, differences)
     return True
 
 

@@ -11,13 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.visibility import ViewEvidence
-from pointsdf_cli.io.hdf5 import (
-    attributes_as_input_error,
-    read_artifact,
-    schema_version,
-    write_artifact,
-)
-from pointsdf_cli.io.layout import Column
+from pointsdf_cli.io.hdf5 import Artifact, attributes_as_input_error, read_artifact, write_artifact
+from pointsdf_cli.io.layout import Column, Layout
 from pointsdf_cli.io.view_evidence import evidence_arrays, evidence_layout, read_view_evidence
 
 SCHEMA, VERSION = "views", 2
@@ -84,9 +79,9 @@ def read_views(path: Path | str, with_depth: bool = False) -> Views:
     Raises:
         InputError: Not a views file of this version.
     """
-    with_evidence = schema_version(path, VERSION) > 1
+    with_evidence = _read(path, {}).attributes["schema_version"] > 1
     names = LAYOUT | (DEPTH if with_depth else {}) | (EVIDENCE if with_evidence else {})
-    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, oldest=OLDEST, names=names)
+    artifact = _read(path, names)
     attributes, datasets = artifact.attributes, artifact.datasets
     count = len(datasets["cloud"])
     known = read_view_evidence(path, datasets) if with_evidence else (ViewEvidence(),) * count
@@ -125,8 +120,12 @@ def read_views_header(path: Path | str) -> ViewsHeader:
     Raises:
         InputError: Not a views file of this version.
     """
-    artifact = read_artifact(path, schema=SCHEMA, version=VERSION, oldest=OLDEST, names={})
+    artifact = _read(path, {})
     with attributes_as_input_error(path):
         return ViewsHeader(
             str(artifact.attributes["mesh_hash"]), str(artifact.config.get("unit", "m"))
         )
+
+
+def _read(path: Path | str, names: Layout) -> Artifact:
+    return read_artifact(path, schema=SCHEMA, version=VERSION, oldest=OLDEST, names=names)

@@ -178,9 +178,5 @@ def _is_same(task: ObjectTask) -> bool:
         if about.get(key) != ours[key]
     ]
     if changed:
-        raise OptionsDifferError(
-            f"was made with other options ({', '.join(changed)})",
-            where=task.path,
-            hint="choose another --out, or add --force to replace it",
-        )
+        raise OptionsDifferError.of_file(task.path, ", ".join(changed))
     return True
