@@ -47,10 +47,7 @@ def file_sha256(path: Path | str) -> str:
         InputError: No ordinary file, or larger than any input.
     """
     with open_input(path, "artifact") as handle:
-        digest = hashlib.sha256()
-        while block := handle.read(1 << 20):
-            digest.update(block)
-        return digest.hexdigest()
+        return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def data_sha256(names: Iterable[str], *arrays: ArrayLike) -> str:

@@ -3,7 +3,6 @@ times."""
 
 from __future__ import annotations
 
-import hashlib
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import httpx
 
 from pointsdf_cli.errors import InputError, RgraspError
 from pointsdf_cli.io.atomic import unwritable
+from pointsdf_cli.io.provenance import file_sha256
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,10 @@ def download(url: str, path: Path, patience: Patience | None = None) -> str:
                 time.sleep(min(patience.first_wait * 2 ** (failures - 1), patience.longest_wait))
             except OSError as error:
                 raise unwritable(path, error) from error
-    digest = hashlib.sha256()
-    with open(part, "rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
+    digest = file_sha256(part)
     part.replace(path)
     tag.unlink(missing_ok=True)
-    return digest.hexdigest()
+    return digest
 
 
 def _fetch_rest(client: httpx.Client, url: str, part: Path, tag: Path, largest: int) -> None:
