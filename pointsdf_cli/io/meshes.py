@@ -250,12 +250,6 @@ def save_mesh(path: Path | str, vertices: ArrayLike, faces: ArrayLike) -> None:
         mesh.export(temporary)
 
 
-def centred(mesh: LoadedMesh) -> LoadedMesh:
-    """The mesh with the centre of its bounding box at the origin."""
-    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
-    return replace(mesh, vertices=mesh.vertices - middle)
-
-
 def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     check_input(path, "mesh")
     kind = path.suffix.lower()
