@@ -16,13 +16,11 @@ def one_thread_each() -> Iterator[None]:
     Libraries read these numbers once, when they are loaded: a started process must find them said
     already, because NumPy is loaded before it runs anything of ours.
     """
-    before = {name: os.environ.get(name) for name in NAMES}
+    before = {name: os.environ[name] for name in NAMES if name in os.environ}
     os.environ.update(dict.fromkeys(NAMES, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in NAMES:
+            del os.environ[name]
+        os.environ.update(before)

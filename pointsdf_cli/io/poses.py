@@ -64,13 +64,12 @@ def camera_pose(
 
 def _not_a_pose(numbers: NDArray[np.float64]) -> str:
     """Likely mistake behind numbers [N] that are no pose; empty if none is known."""
-    if len(numbers) == 9:
-        return ": are they intrinsics?"
-    if len(numbers) == 7:
-        return ": the quaternion is 0"
-    if len(numbers) == 16:
-        return ": the 3×3 block is not a rotation, or the last row is not 0, 0, 0, 1"
-    return ""
+    likely = {
+        9: ": are they intrinsics?",
+        7: ": the quaternion is 0",
+        16: ": the 3×3 block is not a rotation, or the last row is not 0, 0, 0, 1",
+    }
+    return likely.get(len(numbers), "")
 
 
 def write_pose(path: Path, pose: NDArray[np.float64]) -> None:
@@ -111,15 +110,6 @@ def table_place(text: str) -> tuple[float, float] | None:
     allowed = "table, or table:X,Y with the object's place in the world, m"
     x, y = _exactly(2, rest, "--camera-pose", allowed)
     return float(x), float(y)
-
-
-def place(text: str, where: str) -> NDArray[np.float64]:
-    """A point [3] of the world, m, as a user types it.
-
-    Raises:
-        InputError: Not three finite numbers.
-    """
-    return _exactly(3, text, where, "X,Y,Z in the world, m")
 
 
 def box(text: str, where: str) -> tuple[tuple[float, ...], tuple[float, ...]]:

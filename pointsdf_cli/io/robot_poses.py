@@ -85,9 +85,7 @@ def _of_json(path: Path) -> tuple[list[str] | None, list[Any]]:
         raise InputError("holds no list of poses", where=path, allowed=FORMS)
     labels = [_label(item) for item in data]
     named = [label for label in labels if label is not None]
-    if len(named) < len(data):
-        return None, data
-    return named, data
+    return (named if len(named) == len(data) else None), data
 
 
 def _label(item: Any) -> str | None:
@@ -102,8 +100,6 @@ def _of_csv(path: Path) -> tuple[list[str] | None, list[Any]]:
     except UnicodeDecodeError as error:
         raise InputError("is not readable text", where=path, allowed=FORMS) from error
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if not lines:
-        return None, []
     try:
         rows = [[word.strip() for word in row] for row in csv.reader(lines)]
     except csv.Error as error:
