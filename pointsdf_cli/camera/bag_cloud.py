@@ -132,32 +132,30 @@ def median_depth(depths: NDArray[np.float32]) -> tuple[NDArray[np.float64], floa
 
 
 def _camera(bag: Bag, frames: DepthFrames, wanted: str | None) -> Camera:
-    info = bag.camera_info(frames, wanted)
+    topic, info = bag.camera_info(frames, wanted)
     height, width = frames.depths.shape[1:]
     if (info.width, info.height) != (width, height):
         raise InputError(
-            f"{info.topic} is of images of {info.width} × {info.height}, and those on "
+            f"{topic} is of images of {info.width} × {info.height}, and those on "
             f"{frames.topic} have {width} × {height}",
             where=bag.path,
             allowed="the camera_info of the depth images themselves (--info-topic)",
         )
     # The matrix P belongs to the rectified image, the distortion to the image before rectification.
     named = re.search(r"(^|[/_])rect(ified)?($|[/_])", frames.topic)
-    rectified = named is not None and info.P[0, 0] > 0
-    if not rectified and np.abs(info.distortion).max(initial=0.0) > SMALLEST_DISTORTION:
+    rectified = named is not None and info.p[0] > 0
+    if not rectified and np.abs(info.d).max(initial=0.0) > SMALLEST_DISTORTION:
         raise InputError(
-            f"{info.topic} says that the images on {frames.topic} are distorted",
+            f"{topic} says that the images on {frames.topic} are distorted",
             where=bag.path,
             allowed="rectified depth images",
             hint="record the rectified topic (…/image_rect, from depth_image_proc or image_proc)",
         )
-    K = info.P[:, :3] if rectified else info.K
+    K = info.p.reshape(3, 4)[:, :3] if rectified else info.k.reshape(3, 3)
     try:
         return Camera(width, height, *(float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))))
     except InputError as error:
-        raise InputError(
-            f"{info.topic}: {error.what}", where=bag.path, allowed=error.allowed
-        ) from error
+        raise InputError(f"{topic}: {error.what}", where=bag.path, allowed=error.allowed) from error
 
 
 def _pose(bag: Bag, frames: DepthFrames, world: str | None) -> tuple[Array | None, list[str]]:

@@ -50,18 +50,6 @@ class DepthFrames:
     number: int
 
 
-@dataclass(frozen=True)
-class CameraInfo:
-    """A camera_info message: size [px], K [3, 3], P [3, 4], distortion coefficients."""
-
-    topic: str
-    width: int
-    height: int
-    K: Array
-    P: Array
-    distortion: Array
-
-
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag: a folder, .mcap or .db3 (or .bag, of ROS 1)."""
     return path.is_dir() or path.suffix.lower() in (*SUFFIXES, ".bag")
@@ -166,8 +154,9 @@ class Bag:
             "a topic with images",
         )  # fmt: skip
 
-    def camera_info(self, frames: DepthFrames, wanted: str | None) -> CameraInfo:
-        """The camera_info of depth images: beside their topic, or the only one of their frame.
+    def camera_info(self, frames: DepthFrames, wanted: str | None) -> tuple[str, Any]:
+        """Topic and message of the camera_info of depth images: beside their topic, or the only one
+        of their frame.
 
         Raises:
             InputError: There is none, or several are to choose from.
@@ -188,14 +177,7 @@ class Bag:
                 allowed=f"--info-topic: {', '.join(there)}" if there else "record it, too",
                 hint="--intrinsics K.json gives them by hand",
             )
-        return CameraInfo(
-            topic,
-            int(message.width),
-            int(message.height),
-            np.asarray(message.k, dtype=np.float64).reshape(3, 3),
-            np.asarray(message.p, dtype=np.float64).reshape(3, 4),
-            np.asarray(message.d, dtype=np.float64).ravel(),
-        )
+        return topic, message
 
     def _describes(self, topic: str, frame: str, size: tuple[int, ...]) -> bool:
         found = self._first(topic)
