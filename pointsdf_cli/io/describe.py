@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -71,12 +71,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
 
     checkpoint = read_checkpoint(path)
     datasets = {
-        name: {
-            "dtype": str(tensor.dtype).removeprefix("torch."),
-            "shape": list(tensor.shape),
-            "units": "",
-            "frame": "",
-        }
+        name: _dataset(str(tensor.dtype).removeprefix("torch."), tensor.shape, {})
         for name, tensor in sorted(checkpoint.weights.items())
     }
     facts = flattened(checkpoint.config)
@@ -109,15 +104,15 @@ def _hdf5(path: Path) -> dict[str, Any]:
     with open_hdf5(path) as file:
         facts = {name: _plain(value) for name, value in file.attrs.items()}
         datasets = {
-            name: {
-                "dtype": str(item.dtype),
-                "shape": list(item.shape or ()),
-                "units": str(item.attrs.get("units", "")),
-                "frame": str(item.attrs.get("frame", "")),
-            }
+            name: _dataset(str(item.dtype), item.shape or (), item.attrs)
             for name, item in sorted(datasets_of(path, file).items())
         }
     return {"facts": facts, "datasets": datasets}
+
+
+def _dataset(dtype: str, shape: Sequence[int], attributes: Mapping[str, Any]) -> dict[str, Any]:
+    told = {name: str(attributes.get(name, "")) for name in ("units", "frame")}
+    return {"dtype": dtype, "shape": list(shape)} | told
 
 
 def _mesh(path: Path, unit: str) -> dict[str, Any]:

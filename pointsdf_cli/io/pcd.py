@@ -20,7 +20,8 @@ from pointsdf_cli.io.ply import RawCloud, cut_short, stacked
 
 _HEADER_LIMIT = 1 << 14
 _NO_VIEWPOINT = ["0", "0", "0", "1", "0", "0", "0"]
-SINGLE = ("x", "y", "z", "rgb", "rgba", "normal_x", "normal_y", "normal_z")
+_NORMAL = ("normal_x", "normal_y", "normal_z")
+SINGLE = ("x", "y", "z", "rgb", "rgba", *_NORMAL)
 """Fields of one number a point."""
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 
@@ -56,15 +57,10 @@ def read_pcd(path: Path) -> RawCloud:
         columns = np.frombuffer(body, header.record, header.length)
     else:
         columns = _compressed_columns(body, header, path)
-    with_normals = {"normal_x", "normal_y", "normal_z"} <= set(names)
-    return RawCloud(
-        points=stacked(columns, "x", "y", "z", path),
-        normals=stacked(columns, "normal_x", "normal_y", "normal_z", path)
-        if with_normals
-        else None,
-        colours=_colours(columns, names),
-        comments=header.comments,
-    )
+    points, normals = stacked(columns, "x", "y", "z", path), None
+    if set(_NORMAL) <= set(names):
+        normals = stacked(columns, *_NORMAL, path)
+    return RawCloud(points, normals, _colours(columns, names), header.comments)
 
 
 def lzf_decompress(data: bytes, size: int) -> bytes:
