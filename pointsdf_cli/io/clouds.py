@@ -25,7 +25,7 @@ from pointsdf_cli.errors import InputError, require_near
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, rigid
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.cloud_text import read_npy, read_xyz
-from pointsdf_cli.io.input_files import check_input
+from pointsdf_cli.io.input_files import check_input, require_suffix
 from pointsdf_cli.io.meshes import UNITS
 from pointsdf_cli.io.pcd import read_pcd
 from pointsdf_cli.io.ply import read_ply, write_ply
@@ -175,12 +175,8 @@ def read_cloud(
     if frame is not None:
         require_choice(frame, Frame, "--frame")
     check_input(path, "cloud")
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        raise InputError(
-            f"unknown cloud format {path.suffix!r}", where=path, allowed=", ".join(CLOUD_SUFFIXES)
-        )
-    raw = reader(path)
+    require_suffix(path, CLOUD_SUFFIXES, "cloud format")
+    raw = _READERS[path.suffix.lower()](path)
     if len(raw.points) == 0:
         raise InputError("holds no points", where=path)
     raw = finite_points(raw, path, drop_invalid)

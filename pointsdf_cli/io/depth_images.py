@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.input_files import read_input
+from pointsdf_cli.io.input_files import read_input, require_suffix
 from pointsdf_cli.io.untrusted import read_npy_array
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy")
@@ -159,12 +159,7 @@ def _require_one_object(values: NDArray[Any], path: Path) -> None:
 
 
 def _image(path: Path) -> NDArray:
-    if path.suffix.lower() not in DEPTH_SUFFIXES:
-        raise InputError(
-            f"unknown format of depth images {path.suffix!r}",
-            where=path,
-            allowed=", ".join(DEPTH_SUFFIXES),
-        )
+    require_suffix(path, DEPTH_SUFFIXES, "format of depth images")
     with open_image(path) as image:
         if image.mode in ("RGB", "RGBA", "P", "CMYK"):
             raise InputError(

@@ -21,7 +21,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.hdf5_heap import heaps_end
 from pointsdf_cli.io.hdf5_objects import datasets_of
-from pointsdf_cli.io.input_files import check_input
+from pointsdf_cli.io.input_files import check_input, is_hidden
 from pointsdf_cli.io.layout import Layout, check_layout, check_stored
 from pointsdf_cli.io.provenance import created_by, git_commit
 
@@ -221,13 +221,8 @@ def open_hdf5(path: Path | str) -> Iterator[h5py.File]:
 
 
 def artifacts_below(folder: Path) -> list[Path]:
-    """The finished .h5 files of a folder and those below: hidden ones are under construction, or
-    somebody's notes beside an artifact (`._mug.h5`)."""
-    return [
-        path
-        for path in sorted(folder.rglob("*.h5"))
-        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
-    ]
+    """The finished .h5 files of a folder and those below, without hidden ones."""
+    return [path for path in sorted(folder.rglob("*.h5")) if not is_hidden(path, folder)]
 
 
 def schema_of(path: Path) -> str:

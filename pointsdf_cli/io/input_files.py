@@ -10,7 +10,7 @@ import errno
 import os
 import re
 import stat
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -95,6 +95,27 @@ def check_input(path: Path | str, kind: str) -> None:
         InputError: As `open_input`.
     """
     open_input(path, kind).close()
+
+
+def is_hidden(path: Path, folder: Path) -> bool:
+    """Whether a file below a folder is under construction, or somebody's notes beside another one
+    (`._mug.ply`, `.archives/`)."""
+    return any(part.startswith(".") for part in path.relative_to(folder).parts)
+
+
+def require_suffix(path: Path, known: Collection[str], what: str) -> None:
+    """Refuse a file whose suffix no reader knows.
+
+    Args:
+        path: The file.
+        known: Suffixes in small letters.
+        what: What the suffix names, such as "mesh format".
+
+    Raises:
+        InputError: It has another one.
+    """
+    if path.suffix.lower() not in known:
+        raise InputError(f"unknown {what} {path.suffix!r}", where=path, allowed=", ".join(known))
 
 
 def read_input(path: Path | str, kind: str) -> bytes:

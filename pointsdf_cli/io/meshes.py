@@ -17,7 +17,7 @@ from pointsdf_cli.choices import Unit, require_choice
 from pointsdf_cli.errors import InputError, require_near
 from pointsdf_cli.geometry.repair import ClosedMesh, close_mesh
 from pointsdf_cli.io.atomic import atomic_path
-from pointsdf_cli.io.input_files import check_input, largest_input, read_input
+from pointsdf_cli.io.input_files import is_hidden, largest_input, read_input, require_suffix
 from pointsdf_cli.io.provenance import file_sha256
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".dae", ".3mf")
@@ -97,7 +97,7 @@ def find_meshes(folder: Path | str, pattern: str = "*") -> list[Path]:
     found = sorted(
         path
         for path in matching_files
-        if path.suffix.lower() in MESH_SUFFIXES and not _is_hidden(path.relative_to(folder))
+        if path.suffix.lower() in MESH_SUFFIXES and not is_hidden(path, folder)
     )
     if not found:
         matching = "" if pattern == "*" else f" that match {pattern}"
@@ -114,11 +114,6 @@ def find_meshes(folder: Path | str, pattern: str = "*") -> list[Path]:
                 hint=f"move one of them away; or --pattern '*{path.suffix}', where there is one",
             )
     return found
-
-
-def _is_hidden(path: Path) -> bool:
-    """Under construction, or somebody's notes beside a mesh (`._mug.ply`, `.archives/`)."""
-    return any(part.startswith(".") for part in path.parts)
 
 
 def artifact_path(mesh: Path, meshes: Path | str, out: Path | str) -> Path:
@@ -251,13 +246,9 @@ def save_mesh(path: Path | str, vertices: ArrayLike, faces: ArrayLike) -> None:
 
 
 def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    check_input(path, "mesh")
-    kind = path.suffix.lower()
-    if kind not in MESH_SUFFIXES:
-        raise InputError(
-            f"unknown mesh format {path.suffix!r}", where=path, allowed=", ".join(MESH_SUFFIXES)
-        )
     data = read_input(path, "mesh")
+    require_suffix(path, MESH_SUFFIXES, "mesh format")
+    kind = path.suffix.lower()
     import trimesh
 
     try:
