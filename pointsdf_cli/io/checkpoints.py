@@ -255,9 +255,8 @@ def read_train_state(path: Path | str) -> dict[str, Any]:
     """
     import torch
 
-    _put_back(Path(path))
     state_file = Path(path) / TRAIN_STATE
-    if not state_file.exists():
+    if not has_train_state(path):
         raise InputError(
             f"has no {TRAIN_STATE}, so there is nothing to resume", where=path, hint="drop --resume"
         )

@@ -83,17 +83,14 @@ def find_meshes(folder: Path | str, pattern: str = "*") -> list[Path]:
                 allowed="a folder, or " + ", ".join(MESH_SUFFIXES),
             )
         return [folder]
-    no_pattern = InputError(
-        f"{pattern!r} is not a pattern of names below the folder",
-        where="--pattern",
-        allowed="such as '*.ply'",
-    )
-    if Path(pattern).is_absolute():
-        raise no_pattern
     try:
         matching_files = list(folder.rglob(pattern))
-    except ValueError as error:
-        raise no_pattern from error
+    except (ValueError, NotImplementedError) as error:  # such as a**b, or absolute
+        raise InputError(
+            f"{pattern!r} is not a pattern of names below the folder",
+            where="--pattern",
+            allowed="such as '*.ply'",
+        ) from error
     found = sorted(
         path
         for path in matching_files

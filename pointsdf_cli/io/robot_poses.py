@@ -83,8 +83,7 @@ def _of_json(path: Path) -> tuple[list[str] | None, list[Any]]:
         return list(data), list(data.values())
     if not isinstance(data, list):
         raise InputError("holds no list of poses", where=path, allowed=FORMS)
-    labels = [_label(item) for item in data]
-    named = [label for label in labels if label is not None]
+    named = [label for label in map(_label, data) if label is not None]
     return (named if len(named) == len(data) else None), data
 
 
