@@ -152,13 +152,12 @@ def write_grasps(
 ) -> None:
     """Write all attempts with one object as one HDF5 file."""
     names = {"joint_names": list(meta.joint_names), "preshape_joints": list(meta.preshape_joints)}
-    known = grasps.evidence or (ViewEvidence(),) * len(grasps)
     write_artifact(
         path,
         schema=SCHEMA,
         version=VERSION,
         layout=LAYOUT | EVIDENCE,
-        arrays=vars(grasps) | evidence_arrays(known),
+        arrays=vars(grasps) | evidence_arrays(grasps.evidence, len(grasps)),
         attributes=vars(meta) | names | {"kinds": list(KINDS), "causes": list(CAUSES)},
         seed=seed,
         config=config,

@@ -24,8 +24,14 @@ def evidence_layout(rows: str) -> dict[str, Column]:
     }
 
 
-def evidence_arrays(evidence: Sequence[ViewEvidence]) -> dict[str, NDArray[Any]]:
-    """Arrays of the datasets, with one row a view; NaN for an unknown window or plane."""
+def evidence_arrays(evidence: Sequence[ViewEvidence], count: int) -> dict[str, NDArray[Any]]:
+    """Arrays of the datasets, with one row a view; NaN for an unknown window or plane.
+
+    Args:
+        evidence: Of each view; empty if nothing is known of any.
+        count: Number of views.
+    """
+    evidence = evidence or (ViewEvidence(),) * count
     nothing = VisibilityImage(
         np.full(4, np.nan), np.zeros((SIZE, SIZE), bool), np.zeros((SIZE, SIZE), np.float32)
     )

@@ -60,13 +60,12 @@ def write_views(
     path: Path | str, views: Views, *, seed: int, config: Mapping[str, Any] | None = None
 ) -> None:
     """Write `views` as one HDF5 file."""
-    known = views.evidence or (ViewEvidence(),) * len(views.cloud)
     write_artifact(
         path,
         schema=SCHEMA,
         version=VERSION,
         layout=LAYOUT | EVIDENCE | ({} if views.depth is None else DEPTH),
-        arrays=vars(views) | evidence_arrays(known),
+        arrays=vars(views) | evidence_arrays(views.evidence, len(views.cloud)),
         attributes={name: getattr(views, name) for name in ATTRIBUTES},
         seed=seed,
         config=config,
