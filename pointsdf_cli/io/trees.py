@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import json
-import tokenize
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -17,14 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.untrusted import first_line, read_npy_header
+from pointsdf_cli.io.untrusted import NPY_ERRORS, first_line, read_npy_header
 
 REFERENCE = "$array"
 MOST_ARRAYS = 10_000
-_BROKEN = (
-    ValueError, KeyError, EOFError, OSError, SyntaxError, TypeError, OverflowError, MemoryError,
-    RuntimeError, tokenize.TokenError, zipfile.BadZipFile,
-)  # fmt: skip
+_BROKEN = (*NPY_ERRORS, KeyError, RuntimeError, zipfile.BadZipFile)
 
 
 def tree_to_npz(tree: Any) -> bytes:

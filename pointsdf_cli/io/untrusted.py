@@ -22,6 +22,11 @@ from pointsdf_cli.io.input_files import open_input, read_input
 
 MOST_NODES = 100_000
 DEEPEST = 100
+NPY_ERRORS = (
+    ValueError, EOFError, OSError, SyntaxError, TypeError, OverflowError, RecursionError,
+    MemoryError, tokenize.TokenError,
+)  # fmt: skip
+"""An NPY file's header is a Python expression, and its parser answers in all of these ways."""
 
 
 def read_yaml(path: Path, first_document: bool = False) -> Any:
@@ -101,11 +106,7 @@ def read_npy_array(path: Path, kind: str = "array") -> NDArray[Any]:
     try:
         with open_input(path, kind) as handle:
             return _mapped(handle)
-    except (
-        ValueError, EOFError, OSError, SyntaxError, TypeError, OverflowError, RecursionError,
-        MemoryError, tokenize.TokenError,
-    ) as error:  # fmt: skip
-        # The header is a Python expression, and its parser answers in all of these ways.
+    except NPY_ERRORS as error:
         raise InputError("is not a NumPy array, or is cut short", where=path) from error
 
 
