@@ -11,8 +11,8 @@ import os
 import re
 import stat
 from collections.abc import Collection, Mapping
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from pointsdf_cli.errors import InputError
 
@@ -63,7 +63,7 @@ def largest_input(kind: str) -> int:
     return max(LARGEST[kind], int(allowed) if allowed.isdecimal() else 0)
 
 
-def open_input(path: Path | str, kind: str) -> BinaryIO:
+def open_input(path: Path | str, kind: str) -> BufferedReader:
     """An input file, open for reading.
 
     Args:
