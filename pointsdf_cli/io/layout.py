@@ -58,14 +58,12 @@ def check_layout(path: Path, file: h5py.File, layout: Layout) -> None:
         sides = [side.strip() for side in shape.strip("[] ").split(",") if side.strip()]
         found = _array(path, file, name)
         ok = found.dtype.kind in _KINDS[column.kind[0]] and found.shape is not None
-        if ok and len(found.shape) == len(sides):
-            for side, length in zip(sides, found.shape, strict=True):
-                if side.isdecimal():
-                    ok = ok and length == int(side)
-                elif side != "*":
-                    ok = ok and lengths.setdefault(side, length) == length
-        else:
-            ok = False
+        ok = ok and len(found.shape) == len(sides)
+        for side, length in zip(sides, found.shape or (), strict=False):
+            if side.isdecimal():
+                ok = ok and length == int(side)
+            elif side != "*":
+                ok = ok and lengths.setdefault(side, length) == length
         if not ok:
             known = ", ".join(f"{side} = {n}" for side, n in lengths.items())
             raise InputError(
