@@ -109,7 +109,7 @@ def require_suffix(path: Path, known: Collection[str], what: str) -> None:
     Args:
         path: The file.
         known: Suffixes in small letters.
-        what: What the suffix names, such as "mesh format".
+        what: Name for the suffix in the message, such as "mesh format".
 
     Raises:
         InputError: It has another one.

@@ -28,7 +28,7 @@ def evidence_arrays(evidence: Sequence[ViewEvidence], count: int) -> dict[str, N
     """Arrays of the datasets, with one row a view; NaN for an unknown window or plane.
 
     Args:
-        evidence: Of each view; empty if nothing is known of any.
+        evidence: Entry of each view; empty if nothing is known of any.
         count: Number of views.
     """
     evidence = evidence or (ViewEvidence(),) * count
