@@ -52,15 +52,12 @@ class Judge:
 
     def __init__(self, robot: RobotDescription) -> None:
         self._kinematics = Kinematics(robot)
-        surface = robot_surface(robot, 0.004)
-        links = [(link, torch.from_numpy(points)) for link, points in surface.items()]
+        links = robot_surface(robot, 0.004).items()
         self._links = [(name, p) for name, p in links if name not in robot.links_on_table]
 
     def depths(self, plan: Plan, scene: TableScene) -> tuple[float, float]:
         """Penetration of the robot into the true object and into the table [m], 0 if none."""
-        with torch.no_grad():
-            points = torch.cat(self._kinematics.points(torch.from_numpy(plan.q), self._links))
-        points = points.numpy()
+        points = np.concatenate(self._kinematics.points(plan.q, self._links))
         inside = SignedDistance(scene.vertices, scene.faces, threads=1)(points)
         return max(0.0, -float(inside.min())), max(0.0, -float(points[:, 2].min()))
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import torch
 
 from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.robot.kinematics import Kinematics
@@ -30,8 +29,7 @@ class Poses(NamedTuple):
 
 def link_poses(kinematics: Kinematics, q: Array) -> Poses:
     """The poses of all links at q [B, J]."""
-    with torch.no_grad():
-        rotation, position = kinematics(torch.tensor(q))
+    rotation, position = kinematics(q)
     return Poses(rotation.numpy(), position.numpy())
 
 

@@ -126,8 +126,6 @@ class Reach(NamedTuple):
 @functools.lru_cache(maxsize=8)
 def reach_of(robot: RobotDescription) -> Reach:
     """The reach of a robot, from random configurations of its arm."""
-    import torch
-
     from pointsdf_cli.robot.kinematics import Kinematics
 
     kinematics = Kinematics(robot)
@@ -135,8 +133,7 @@ def reach_of(robot: RobotDescription) -> Reach:
     low, high = robot.lower[robot.arm], robot.upper[robot.arm]
     q = np.broadcast_to(robot.home, (2000, len(robot.home))).copy()
     q[:, robot.arm] = rng.uniform(low, high, (2000, len(low)))
-    with torch.no_grad():
-        palm = kinematics.palm(torch.from_numpy(q)).numpy()[:, :3, 3]
+    palm = kinematics.palm(q).numpy()[:, :3, 3]
     near = palm[(palm[:, 2] > 0.0) & (palm[:, 2] < 0.4)]
     if len(near) < 50:
         near = palm

@@ -8,7 +8,6 @@ and the least penetration of the object are passed on.
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.box import level_width
@@ -39,7 +38,7 @@ class HandOutline:
         self._kinematics = kinematics
         surface = robot_surface(robot, SPACING)
         links = [link for link in robot.hand_links if link in surface]
-        self._links = [(link, torch.tensor(surface[link])) for link in links]
+        self._links = [(link, surface[link]) for link in links]
         ranges = robot.preshape_ranges
         opened = self(np.stack([ranges[:, 0], ranges.mean(axis=1), ranges[:, 1]]))
         jaws = self.jaws = jaws_of(robot)
@@ -50,11 +49,9 @@ class HandOutline:
         arm = np.broadcast_to(
             self._robot.home[self._robot.arm], (len(preshape), len(self._robot.arm_joints))
         )
-        q = torch.from_numpy(self._robot.configuration(arm, preshape))
-        with torch.no_grad():
-            points = torch.cat(self._kinematics.points(q, self._links), dim=1).numpy()
-            palm = self._kinematics.palm(q[0]).numpy()
-        T_palm_world = invert_transform(palm)
+        q = self._robot.configuration(arm, preshape)
+        points = np.concatenate(self._kinematics.points(q, self._links), axis=1)
+        T_palm_world = invert_transform(self._kinematics.palm(q[0]))
         return np.asarray(points @ T_palm_world[:3, :3].T + T_palm_world[:3, 3])
 
 

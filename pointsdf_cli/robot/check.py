@@ -137,13 +137,9 @@ def _self_collisions(
 ) -> tuple[float, list[Finding]]:
     """At home, and pairs of links that touch whatever the robot does."""
     fine, coarse = SelfCollision(kinematics), SelfCollision(kinematics, 0.03, 0.0)
-    if not fine.pairs:
-        return float("inf"), []
     q = rng.uniform(robot.lower, robot.upper, (ANYWHERE, len(robot.lower)))
-    with torch.no_grad():
-        home = torch.from_numpy(np.stack([robot.home, open_hand(robot)]))
-        distance = fine(*kinematics(home)).numpy()
-        anywhere = coarse(*kinematics(torch.from_numpy(q))).numpy() < 0
+    distance = fine(*kinematics(np.stack([robot.home, open_hand(robot)]))).numpy()
+    anywhere = coarse(*kinematics(q)).numpy() < 0
     found = []
     for k, (a, b) in enumerate(fine.pairs):
         share = float(anywhere[:, k].mean())
@@ -159,13 +155,12 @@ def _self_collisions(
             what = f"{a} and {b} overlap in {share:.0%} of random configurations"
             fix = f"may_touch: [[{a}, {b}]], if they cannot be kept apart"
             found.append(Finding(WARNING, what, fix))
-    return float(distance.min()), found
+    return float(distance.min(initial=np.inf)), found
 
 
 def _table(robot: RobotDescription, kinematics: Kinematics) -> tuple[float, list[Finding]]:
-    q = torch.from_numpy(np.stack([robot.home, open_hand(robot)]))
-    with torch.no_grad():
-        links, height = table_clearance(robot, *kinematics(q))
+    q = np.stack([robot.home, open_hand(robot)])
+    links, height = table_clearance(robot, *kinematics(q))
     least = height.amin(dim=0).numpy()
     found = [
         Finding(
@@ -224,7 +219,5 @@ def _coverage(robot: RobotDescription, rng: np.random.Generator) -> tuple[int, f
 
 def _reached(robot: RobotDescription, kinematics: Kinematics, rng: np.random.Generator) -> float:
     q = rng.uniform(robot.lower, robot.upper, (POSES, len(robot.lower)))
-    with torch.no_grad():
-        palms = kinematics.palm(torch.from_numpy(q)).numpy()
     solver = InverseKinematics(robot, IkConfig(pool=4000))
-    return float(solver.solve(palms).any.mean())
+    return float(solver.solve(kinematics.palm(q).numpy()).any.mean())

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.robot.description import RobotDescription
@@ -60,13 +59,11 @@ def closing_of(robot: RobotDescription, steps: int = 25) -> Closing:
     q = np.repeat(start[None], steps, axis=0)
     q[:, robot.closing_columns] = (1 - share) * start[robot.closing_columns] + share * ends
     tips = fingertips(robot)
-    middles = [(tip, torch.from_numpy(surface[tip].mean(axis=0)[None])) for tip in tips]
+    middles = [(tip, surface[tip].mean(axis=0)[None]) for tip in tips]
 
     def in_palm(q: Array) -> Array:
-        with torch.no_grad():
-            points = kinematics.points(torch.from_numpy(q), middles)
-            palm = kinematics.palm(torch.from_numpy(q)).numpy()
-        world = np.stack([p.numpy()[:, 0] for p in points], axis=1)
+        palm = kinematics.palm(q).numpy()
+        world = np.concatenate(kinematics.points(q, middles), axis=1)
         apart = world - palm[:, None, :3, 3]
         return np.asarray(np.einsum("tba,tfb->tfa", palm[:, :3, :3], apart))
 

@@ -95,6 +95,8 @@ class SelfCollision:
         Args:
             rotation, position: [B, L, 3, 3] and [B, L, 3] of all links.
         """
+        if not self.pairs:
+            return position.new_zeros(len(position), 0)
         dtype = position.dtype
         centres = position.clone()
         for body in self._bodies.values():

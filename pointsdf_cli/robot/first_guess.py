@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 import yaml
 
 from pointsdf_cli.errors import InputError
@@ -135,12 +134,8 @@ def _rounded_within(values: Array, low: Array, high: Array, digits: int) -> list
 def _always_touching(robot: RobotDescription) -> list[list[str]]:
     """Pairs that overlap wherever the joints are: their shapes do, not the links."""
     coarse = SelfCollision(Kinematics(robot), 0.02, 0.0)
-    if not coarse.pairs:
-        return []
-    rng = np.random.default_rng(0)
-    q = torch.from_numpy(rng.uniform(robot.lower, robot.upper, (32, len(robot.lower))))
-    with torch.no_grad():
-        share = (coarse(*Kinematics(robot)(q)).numpy() < 0).mean(axis=0)
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (32, len(robot.lower)))
+    share = (coarse(*Kinematics(robot)(q)).numpy() < 0).mean(axis=0)
     return [list(pair) for pair, often in zip(coarse.pairs, share, strict=True) if often > 0.95]
 
 
@@ -148,11 +143,7 @@ def _touching_closed(robot: RobotDescription) -> list[list[str]]:
     """Pairs of the hand's links that meet when it closes on nothing."""
     fine = SelfCollision(Kinematics(robot))
     hand = set(robot.hand_links)
-    q = torch.from_numpy(closing_of(robot).q)
-    if not fine.pairs:
-        return []
-    with torch.no_grad():
-        least = fine(*Kinematics(robot)(q)).numpy().min(axis=0)
+    least = fine(*Kinematics(robot)(closing_of(robot).q)).numpy().min(axis=0)
     return [
         list(pair)
         for pair, distance in zip(fine.pairs, least, strict=True)
@@ -182,13 +173,10 @@ def _home(robot: RobotDescription) -> Array:
     q[: len(arms), robot.arm], q[-2, robot.arm] = arms, middle
     q = np.clip(np.round(q, 3), robot.lower, robot.upper)
     kinematics = Kinematics(robot)
-    collision = SelfCollision(kinematics)
-    with torch.no_grad():
-        poses = kinematics(torch.from_numpy(q))
-        slack = table_clearance(robot, *poses)[1].amin(dim=1)
-        if collision.pairs:
-            slack = torch.minimum(slack, collision(*poses).amin(dim=1))
-    free = np.flatnonzero(slack.numpy() > 0.01)
+    poses = kinematics(q)
+    distances = [table_clearance(robot, *poses)[1], SelfCollision(kinematics)(*poses)]
+    slack = np.concatenate(distances, axis=1).min(axis=1)
+    free = np.flatnonzero(slack > 0.01)
     return q[int(free[0]) if len(free) else int(slack.argmax())]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
@@ -71,8 +70,7 @@ def closing_speeds(robot: RobotDescription) -> dict[str, float]:
 
 def _axes(robot: RobotDescription, q: Array) -> dict[str, Array]:
     """The axes [3] of all joints in the world at a configuration [J]."""
-    with torch.no_grad():
-        rotation, _ = Kinematics(robot)(torch.from_numpy(q))
+    rotation, _ = Kinematics(robot)(q)
     place = {link: k for k, link in enumerate(robot.tree.links)}
     return {j.name: rotation[place[j.child]].numpy() @ j.axis for j in robot.tree.joints}
 
@@ -87,13 +85,10 @@ def _middles(robot: RobotDescription, links: tuple[str, ...], q: Array) -> Array
 def _in_palm_link(robot: RobotDescription, points: dict[str, Array], q: Array) -> list[Array]:
     """Points [P, 3] of links, in the frame of the palm's link, at configurations q: [T, P, 3]."""
     kinematics = Kinematics(robot)
-    with torch.no_grad():
-        rotation, position = kinematics(torch.from_numpy(q))
-        named = [(link, torch.from_numpy(p)) for link, p in points.items()]
-        world = kinematics.points(torch.from_numpy(q), named)
+    rotation, position = kinematics(q)
     at = kinematics.index(robot.palm_link)
     here, turned = position[:, None, at], rotation[:, at]
-    return [((p - here) @ turned).numpy() for p in world]
+    return [((p - here) @ turned).numpy() for p in kinematics.points(q, points.items())]
 
 
 def preshapes(tree: Tree, closing: dict[str, float]) -> dict[str, list[float]]:

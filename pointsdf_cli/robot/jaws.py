@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.robot.arm_chain import ArmChain
@@ -89,8 +88,7 @@ def _tips_at(robot: RobotDescription, preshape: Array) -> list[Array]:
     """Surface points [P, 3] of each fingertip in the palm frame."""
     q = robot.configuration(robot.home[robot.arm], preshape)
     surface, kinematics = robot_surface(robot), Kinematics(robot)
-    tips = [(tip, torch.from_numpy(surface[tip].copy())) for tip in fingertips(robot)]
-    with torch.no_grad():
-        world = [points.numpy() for points in kinematics.points(torch.from_numpy(q), tips)]
+    tips = [(tip, surface[tip]) for tip in fingertips(robot)]
+    world = [points.numpy() for points in kinematics.points(q, tips)]
     palm = ArmChain(robot).palm(q)
     return [(points - palm[:3, 3]) @ palm[:3, :3] for points in world]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import cross_matrix
 from pointsdf_cli.robot.description import RobotDescription
 
@@ -64,15 +65,16 @@ class Kinematics:
         self._palm = self._index[robot.palm_link]
         self._palm_offset = torch.from_numpy(np.array(robot.T_link_palm))
 
-    def __call__(self, q: Tensor) -> tuple[Tensor, Tensor]:
+    def __call__(self, q: Tensor | Array) -> tuple[Tensor, Tensor]:
         """Poses of all links in the world.
 
         Args:
-            q: [..., J].
+            q: [..., J]; gradients of a tensor that requires them flow through.
 
         Returns:
             Rotations [..., L, 3, 3] and positions [..., L, 3] in the order of `links`.
         """
+        q = _tensor(q)
         fixed, batch = self._tensors, q.shape[:-1]
         flat = q.reshape(-1, q.shape[-1])
         angle = torch.cat([flat, flat.new_zeros(len(flat), 1)], dim=1)[:, fixed.columns]
@@ -95,7 +97,7 @@ class Kinematics:
         all_positions = torch.cat(positions, dim=1)[:, fixed.order]
         return (all_rotations.reshape(*batch, -1, 3, 3), all_positions.reshape(*batch, -1, 3))
 
-    def poses(self, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def poses(self, q: Array) -> tuple[Array, Array]:
         """The same without gradients, in numpy: of a few configurations in a quarter of the time.
 
         Args:
@@ -124,7 +126,7 @@ class Kinematics:
         world = world[:, fixed.order]
         return world[..., :3], world[..., 3]
 
-    def palm(self, q: Tensor) -> Tensor:
+    def palm(self, q: Tensor | Array) -> Tensor:
         """T_world_palm [..., 4, 4] of configurations [..., J]."""
         rotation, position = self(q)
         return self.palm_of(rotation, position)
@@ -138,11 +140,13 @@ class Kinematics:
         """The place of a link in the results."""
         return self._index[link]
 
-    def points(self, q: Tensor, surface: Sequence[tuple[str, Tensor]]) -> list[Tensor]:
+    def points(
+        self, q: Tensor | Array, surface: Iterable[tuple[str, Tensor | Array]]
+    ) -> list[Tensor]:
         """World positions [..., P_l, 3] of points [P_l, 3] that are fixed to links."""
         rotation, position = self(q)
         return [
-            points @ rotation[..., self._index[link], :, :].transpose(-1, -2)
+            _tensor(points) @ rotation[..., self._index[link], :, :].transpose(-1, -2)
             + position[..., self._index[link], None, :]
             for link, points in surface
         ]
@@ -184,6 +188,11 @@ class _Constants(NamedTuple, Generic[Values]):
     base: Values
     columns: Values
     order: Values
+
+
+def _tensor(values: Tensor | Array) -> Tensor:
+    """Values as a tensor; an array is copied, as it may be read-only."""
+    return values if isinstance(values, Tensor) else torch.tensor(values)
 
 
 def homogeneous(rotation: Tensor, position: Tensor) -> Tensor:

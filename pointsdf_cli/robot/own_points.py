@@ -14,8 +14,6 @@ from pointsdf_cli.geometry.box import strictly_inside
 from pointsdf_cli.robot.description import RobotDescription
 
 if TYPE_CHECKING:
-    import torch
-
     from pointsdf_cli.robot.kinematics import Kinematics
 
 ROBOT_MARGIN = 0.03
@@ -24,26 +22,17 @@ ROBOT_MARGIN = 0.03
 
 def robot_points(robot: RobotDescription, q: Array) -> Array:
     """Samples [N, 3] of the robot's surface at a configuration [J], 1 cm apart, world, m."""
-    import torch
-
-    kinematics, links = _surface_of(robot)
-    with torch.no_grad():
-        return np.asarray(
-            torch.cat(kinematics.points(torch.from_numpy(np.array(q)), links)).numpy()
-        )
+    kinematics, surface = _surface_of(robot)
+    return np.concatenate(kinematics.points(q, surface.items()))
 
 
 @functools.lru_cache(maxsize=8)
-def _surface_of(robot: RobotDescription) -> tuple[Kinematics, list[tuple[str, torch.Tensor]]]:
+def _surface_of(robot: RobotDescription) -> tuple[Kinematics, dict[str, Array]]:
     """Kinematics of a robot, and surface samples [P, 3] of its links in their frames, m."""
-    import torch
-
     from pointsdf_cli.robot.kinematics import Kinematics
     from pointsdf_cli.robot.surface import robot_surface
 
-    surface = robot_surface(robot)
-    links = [(link, torch.from_numpy(np.array(points))) for link, points in surface.items()]
-    return Kinematics(robot), links
+    return Kinematics(robot), robot_surface(robot)
 
 
 def off_robot(points: Array, own: Array) -> NDArray[np.bool_]:

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
@@ -89,16 +88,12 @@ def hand_of(robot: RobotDescription) -> Hand:
     """The hand of a robot, its outline from the surface points of its links."""
     kinematics, chain = Kinematics(robot), ArmChain(robot)
     surface = robot_surface(robot)
-    links = [
-        (link, torch.from_numpy(surface[link])) for link in robot.hand_links if link in surface
-    ]
+    links = [(link, surface[link]) for link in robot.hand_links if link in surface]
 
     def outline(joints: Array) -> Array:
-        q = torch.from_numpy(robot.configuration(robot.home[robot.arm], joints))
-        with torch.no_grad():
-            points = torch.cat(kinematics.points(q, links)).numpy()
-            T_palm_world = invert_transform(chain.palm(q))
-        return apply_transform(T_palm_world, points)
+        q = robot.configuration(robot.home[robot.arm], joints)
+        points = np.concatenate(kinematics.points(q, links))
+        return apply_transform(invert_transform(chain.palm(q)), points)
 
     return Hand(robot.preshape_ranges, outline, robot.palm_reach, jaws_of(robot))
 

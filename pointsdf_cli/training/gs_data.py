@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
@@ -181,8 +180,7 @@ def _require_palm(kinematics: Kinematics, q: Array, T_world_palm: Array, file: P
     Raises:
         InputError: It gives other ones.
     """
-    with torch.no_grad():
-        now = kinematics.palm(torch.from_numpy(q)).numpy()
+    now = kinematics.palm(q).numpy()
     if not np.allclose(now, T_world_palm, atol=PALM_OFF):
         away = 1000 * float(np.linalg.norm(now[:3, 3] - T_world_palm[:3, 3]))
         raise InputError(

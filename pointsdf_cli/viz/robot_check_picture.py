@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-import torch
 import trimesh
 from numpy.typing import NDArray
 
@@ -34,8 +33,7 @@ def check_picture(robot: RobotDescription, size: int = 620) -> NDArray[np.uint8]
     closing, q = closing_of(robot), open_hand(robot)
     meshes = RobotMeshes(robot)
     kinematics = Kinematics(robot)
-    with torch.no_grad():
-        palm = kinematics.palm(torch.from_numpy(q)).numpy()
+    palm = kinematics.palm(q).numpy()
     drawn = meshes.at(q)
     corners = np.concatenate([part.vertices for part in drawn])
     high = corners.max(axis=0)
@@ -67,8 +65,7 @@ def robot_scene(robot: RobotDescription, name: str) -> Scene:
     closing = closing_of(robot)
     moving = MovingRobot(robot)
     kinematics = Kinematics(robot)
-    with torch.no_grad():
-        palm = kinematics.palm(torch.from_numpy(closing.q)).numpy()
+    palm = kinematics.palm(closing.q).numpy()
     parts = [*moving.parts, table_part(), axes("world", "axes", 0.2)]
     parts.append(axes("palm", "palm", 0.12, len(moving.bodies)))
     for k, tip in enumerate(closing.tips):
@@ -94,8 +91,7 @@ def robot_scene(robot: RobotDescription, name: str) -> Scene:
 
 def _hand(robot: RobotDescription, kinematics: Kinematics, q: Array) -> tuple[Array, Array]:
     """Corners of the hand's shapes, and its surface samples, in the world at q."""
-    with torch.no_grad():
-        rotation, position = (v.numpy() for v in kinematics(torch.from_numpy(q)))
+    rotation, position = (v.numpy() for v in kinematics(q))
     surface = robot_surface(robot)
     corners, samples = [], []
     for link in robot.hand_links:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.frames import apply_transform
@@ -47,8 +46,7 @@ class RobotMeshes:
 
     def at(self, q: NDArray[np.float64], hand_only: bool = False) -> list[Painted]:
         """The robot, or its hand alone, at one configuration [J], in the world."""
-        with torch.no_grad():
-            poses = homogeneous(*self._kinematics(torch.from_numpy(np.array(q)))).numpy()
+        poses = homogeneous(*self._kinematics(q)).numpy()
         return [
             Painted(apply_transform(poses[link], vertices), faces, colour)
             for link, vertices, faces, colour in self._parts

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from pointsdf_cli.robot.description import RobotDescription
@@ -34,9 +33,8 @@ class MovingRobot:
 
     def poses(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses [F, L, 4, 4] of all links in the world at configurations [F, J]; NaN where q is."""
-        with torch.no_grad():
-            rotation, position = self._kinematics(torch.from_numpy(np.array(q, dtype=np.float64)))
-            poses: NDArray[np.float64] = homogeneous(rotation, position).numpy()
+        rotation, position = self._kinematics(np.asarray(q, dtype=np.float64))
+        poses: NDArray[np.float64] = homogeneous(rotation, position).numpy()
         # Show all links or none: half a robot would mislead.
         poses[~np.isfinite(poses).all(axis=(1, 2, 3))] = np.nan
         return poses
