@@ -13,8 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pointsdf_cli.geometry.frames import cross_matrix, invert_transform
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import invert_transform
 from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.kinematics import columns_of, joint_levels, joint_motions
 
 
 class HandChain:
@@ -39,39 +41,20 @@ class HandChain:
             if link == robot.palm_link or not {*wanted}.isdisjoint(robot.tree.carried([link]))
         )
         joints = [robot.tree.above[link] for link in self.links[1:]]
-        columns = {name: i for i, name in enumerate(robot.hand_joints)}
 
-        def constant(arrays: list[np.ndarray]) -> Tensor:
-            return torch.tensor(np.array(arrays), dtype=torch.float32)[..., None]
+        def constant(array: Array) -> Tensor:
+            return torch.tensor(array, dtype=torch.float32)[..., None]
 
-        root = invert_transform(robot.T_link_palm)
-        self._root = constant([root[:3, :3]]), constant([root[:3, 3]])
+        root = invert_transform(robot.T_link_palm)[None]
+        self._root = constant(root[:, :3, :3]), constant(root[:, :3, 3])
         # Joints of one depth together: four fingers take as many steps as one.
         self._levels = []
-        above, order = [self.links[0]], [self.links[0]]
-        spare = len(columns)  # of a row of zeros, for joints that are fixed or rest
-        while level := [joint for joint in joints if joint.parent in above]:
-            crosses = [cross_matrix(joint.axis) for joint in level]
-            fixed = [joint.T_parent_joint[:3, :3] for joint in level]
-            turns = [joint.kind in ("revolute", "continuous") for joint in level]
-            slides = [joint.kind == "prismatic" for joint in level]
-            self._levels.append(
-                (
-                    torch.tensor([above.index(joint.parent) for joint in level]),
-                    torch.tensor([columns.get(joint.name, spare) for joint in level]),
-                    constant(fixed),
-                    constant([r @ k * t for r, k, t in zip(fixed, crosses, turns, strict=True)]),
-                    constant(
-                        [r @ k @ k * t for r, k, t in zip(fixed, crosses, turns, strict=True)]
-                    ),
-                    constant([joint.T_parent_joint[:3, 3] for joint in level]),
-                    constant(
-                        [r @ j.axis * s for r, j, s in zip(fixed, level, slides, strict=True)]
-                    ),
-                )
-            )
-            above = [joint.child for joint in level]
-            order += above
+        order = [self.links[0]]
+        for level, parents in joint_levels(joints, self.links[0]):
+            places = parents, columns_of(level, robot.hand_joints)
+            motions = map(constant, joint_motions(level))
+            self._levels.append((*map(torch.tensor, places), *motions))
+            order += [joint.child for joint in level]
         self._order = torch.tensor([order.index(link) for link in self.links])
         joints = list(robot.joints[len(robot.arm_joints) :])
         number = {link: k for k, link in enumerate(self.links)}

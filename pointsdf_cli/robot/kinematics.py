@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -13,6 +13,7 @@ from torch import Tensor
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import cross_matrix
 from pointsdf_cli.robot.description import RobotDescription
+from pointsdf_cli.robot.urdf import Joint
 
 Values = TypeVar("Values", NDArray[Any], Tensor)
 
@@ -32,36 +33,23 @@ class Kinematics:
         self.links = robot.tree.links
         self._index = {link: i for i, link in enumerate(self.links)}
         # Level by level, so that a level's joints are a slice.
-        levels = self._tree_levels()
-        joints = [robot.tree.joints[i] for here, _ in levels for i in here]
-        columns = {name: i for i, name in enumerate(robot.joint_names)}
-        # Joints that are not part of q rest at 0, through a column that is always zero.
-        spare = len(columns)
-        axes = np.array([j.axis for j in joints])
-        cross = cross_matrix(axes)
-        turning = np.array([j.kind in ("revolute", "continuous") for j in joints])[:, None, None]
-        sliding = np.array([j.kind == "prismatic" for j in joints])[:, None]
-        origins = np.array([j.T_parent_joint for j in joints])
-        fixed = origins[:, :3, :3]
+        levels = joint_levels(robot.tree.joints, self.links[0])
+        joints = [joint for here, _ in levels for joint in here]
         by_level = [self.links[0], *(joint.child for joint in joints)]
-        # Rodrigues: R(q) = R0 + sin q R0 K + (1 - cos q) R0 K²; p(q) = p0 + q R0 a if it slides.
         self._arrays = _Constants(
-            rotation=fixed.copy(),
-            sine=fixed @ cross * turning,
-            versine=fixed @ cross @ cross * turning,
-            offset=origins[:, :3, 3].copy(),
-            slide=np.einsum("jab,jb->ja", fixed, axes) * sliding,
+            *joint_motions(joints),
             base=np.array(robot.T_world_base[:3]),
-            columns=np.array([columns.get(j.name, spare) for j in joints]),
+            columns=np.array(columns_of(joints, robot.joint_names)),
             order=np.array([by_level.index(link) for link in self.links]),
         )
         # float64 agrees with a physics engine to rounding.
         self._tensors = _Constants(*map(torch.from_numpy, self._arrays))
-        ends = np.cumsum([0, *(len(here) for here, _ in levels)])
-        self._levels = [
-            (slice(int(begin), int(end)), None if above is None else torch.tensor(above))
-            for begin, end, (_, above) in zip(ends, ends[1:], levels, strict=False)
-        ]
+        self._levels: list[tuple[slice, Tensor | None]] = []
+        end, above = 0, 1
+        for here, parents in levels:
+            same = parents == list(range(above))  # nothing needs to be gathered
+            begin, end, above = end, end + len(here), len(here)
+            self._levels.append((slice(begin, end), None if same else torch.tensor(parents)))
         self._palm = self._index[robot.palm_link]
         self._palm_offset = torch.from_numpy(np.array(robot.T_link_palm))
 
@@ -151,23 +139,6 @@ class Kinematics:
             for link, points in surface
         ]
 
-    def _tree_levels(self) -> list[tuple[list[int], list[int] | None]]:
-        """For each depth the joints that lead there, and their parents' places one level up.
-
-        The places are None where they are 0, 1, 2, ... : nothing needs to be gathered.
-        """
-        joints = self.robot.tree.joints
-        levels: list[tuple[list[int], list[int] | None]] = []
-        above = [self.links[0]]
-        while True:
-            here = [i for i, joint in enumerate(joints) if joint.parent in above]
-            if not here:
-                return levels
-            parents = [above.index(joints[i].parent) for i in here]
-            same = parents == list(range(len(above)))
-            levels.append((here, None if same else parents))
-            above = [joints[i].child for i in here]
-
 
 class _Constants(NamedTuple, Generic[Values]):
     """Constants of forward kinematics, level by level: of L - 1 joints, by their links.
@@ -188,6 +159,43 @@ class _Constants(NamedTuple, Generic[Values]):
     base: Values
     columns: Values
     order: Values
+
+
+def joint_levels(joints: Iterable[Joint], root: str) -> list[tuple[list[Joint], list[int]]]:
+    """For each depth below a link the joints that lead there, and their parents' places one level
+    up."""
+    joints, above, levels = list(joints), [root], []
+    while here := [joint for joint in joints if joint.parent in above]:
+        levels.append((here, [above.index(joint.parent) for joint in here]))
+        above = [joint.child for joint in here]
+    return levels
+
+
+def columns_of(joints: Iterable[Joint], names: Sequence[str]) -> list[int]:
+    """Columns of joints in a configuration; others rest at 0, through one more column of zeros."""
+    return [names.index(j.name) if j.name in names else len(names) for j in joints]
+
+
+def joint_motions(joints: Sequence[Joint]) -> tuple[Array, Array, Array, Array, Array]:
+    """Constants of Rodrigues: R(q) = R0 + sin q R0 K + (1 - cos q) R0 K²; p(q) = p0 + q R0 a if it
+    slides.
+
+    Returns:
+        R0, R0 K and R0 K² [N, 3, 3], p0 and R0 a [N, 3], in the frame of each joint's parent; 0
+        where a joint does not move so.
+    """
+    axes = np.array([joint.axis for joint in joints])
+    turns = np.array([joint.kind in ("revolute", "continuous") for joint in joints])
+    slides = np.array([joint.kind == "prismatic" for joint in joints])
+    origins = np.array([joint.T_parent_joint for joint in joints])
+    fixed, cross = origins[:, :3, :3].copy(), cross_matrix(axes)
+    return (
+        fixed,
+        fixed @ cross * turns[:, None, None],
+        fixed @ cross @ cross * turns[:, None, None],
+        origins[:, :3, 3].copy(),
+        np.einsum("jab,jb->ja", fixed, axes) * slides[:, None],
+    )
 
 
 def _tensor(values: Tensor | Array) -> Tensor:
