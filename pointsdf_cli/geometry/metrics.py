@@ -67,7 +67,7 @@ class Shape:
         # fast where the surfaces meet, ten times where they lie apart.
         order = np.lexsort(np.floor((points - self.low) / (self.diagonal / 24)).T)
         self.points, self.normals = points[order], normals[order]
-        self._tree = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor.from_numpy(self.points))
+        self._tree = o3d.core.nns.NearestNeighborSearch(self.points)
         self._tree.knn_index()
         self._distance = SignedDistance(vertices, faces, threads=1)
 
@@ -84,9 +84,7 @@ class Shape:
 
     def nearest(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray]:
         """Distance [N] to, and index [N] of, the surface sample nearest to each point [N, 3]."""
-        index, squared = self._tree.knn_search(
-            o3d.core.Tensor.from_numpy(np.ascontiguousarray(points)), 1
-        )
+        index, squared = self._tree.knn_search(np.ascontiguousarray(points), 1)
         return np.sqrt(squared.numpy()[:, 0]), index.numpy()[:, 0]
 
 

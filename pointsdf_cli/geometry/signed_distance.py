@@ -37,9 +37,7 @@ class SignedDistance:
         corners = local[self._faces]
         self._normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self._scene = o3d.t.geometry.RaycastingScene(threads)
-        self._scene.add_triangles(
-            o3d.core.Tensor.from_numpy(local), o3d.core.Tensor.from_numpy(self._faces)
-        )
+        self._scene.add_triangles(local, self._faces)
         self._threads = threads
 
     def __call__(self, points: ArrayLike) -> NDArray[np.float32]:
@@ -47,16 +45,13 @@ class SignedDistance:
         local = self._local(points)
         if len(local) == 0:
             return np.zeros(0, dtype=np.float32)
-        nearest = self._scene.compute_closest_points(
-            o3d.core.Tensor.from_numpy(local), self._threads
-        )
+        nearest = self._scene.compute_closest_points(local, self._threads)
         offset = local - nearest["points"].numpy()
         distance = np.sqrt(np.einsum("ij,ij->i", offset, offset))
         normal = self._normals[nearest["primitive_ids"].numpy()]
         behind = np.einsum("ij,ij->i", offset, normal) < 0
-        rays = o3d.core.Tensor.from_numpy(_rays(local, _RAY_DIRECTIONS[0]))
-        crossings = self._scene.count_intersections(rays, self._threads).numpy()
-        inside = crossings % 2 == 1
+        rays = _rays(local, _RAY_DIRECTIONS[0])
+        inside = self._scene.count_intersections(rays, self._threads).numpy() % 2 == 1
         doubtful = np.flatnonzero(inside != behind)
         if len(doubtful):
             inside[doubtful] = self._winding_number(local[doubtful]) > 0
@@ -81,15 +76,10 @@ class SignedDistance:
             return np.zeros(0, dtype=np.int64)
         numbers = np.empty((len(_RAY_DIRECTIONS), len(local)), dtype=np.int64)
         for k, direction in enumerate(_RAY_DIRECTIONS):
-            hits = self._scene.list_intersections(
-                o3d.core.Tensor.from_numpy(_rays(local, direction)), self._threads
-            )
+            hits = self._scene.list_intersections(_rays(local, direction), self._threads)
             crossing = np.sign(self._normals[hits["primitive_ids"].numpy()] @ direction)
-            numbers[k] = np.rint(
-                np.bincount(
-                    hits["ray_ids"].numpy().astype(np.int64), crossing, minlength=len(local)
-                )
-            )
+            ray = hits["ray_ids"].numpy().astype(np.int64)
+            numbers[k] = np.rint(np.bincount(ray, crossing, minlength=len(local)))
         return np.median(numbers, axis=0).astype(np.int64)
 
 
@@ -117,7 +107,4 @@ def sample_surface(
 
 
 def _rays(origins: NDArray[np.float32], direction: NDArray[np.float32]) -> NDArray[np.float32]:
-    rays = np.empty((len(origins), 6), dtype=np.float32)
-    rays[:, :3] = origins
-    rays[:, 3:] = direction
-    return rays
+    return np.hstack([origins, np.broadcast_to(direction, origins.shape)])
