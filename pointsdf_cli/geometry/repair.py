@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array, Indices
 
 REMESH_RESOLUTION = 96
 """Cells along the longest side when a surface is rebuilt from its winding numbers."""
@@ -27,12 +28,12 @@ class ClosedMesh:
         repair: Repairs made; "none" without any.
     """
 
-    vertices: NDArray[np.float64]
+    vertices: Array
     faces: NDArray[np.int32]
     repair: str
 
 
-def close_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> ClosedMesh:
+def close_mesh(vertices: Array, faces: Indices) -> ClosedMesh:
     """Close, orient and unite a triangle soup.
 
     In order: as it is, where it is a manifold already; with duplicate vertices merged, holes
@@ -81,32 +82,23 @@ def close_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Close
     )
 
 
-def _as_manifold(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64]
-) -> manifold3d.Manifold | None:
+def _as_manifold(vertices: Array, faces: Indices) -> manifold3d.Manifold | None:
     """The solid of an oriented manifold surface, or None where it is not one."""
     if len(faces) == 0:
         return None
-    solid = manifold3d.Manifold(
-        manifold3d.Mesh64(
-            np.ascontiguousarray(vertices, dtype=np.float64),
-            np.ascontiguousarray(faces, dtype=np.uint64),
-        )
-    )
+    solid = _solid(vertices, faces)
     if solid.status() != manifold3d.Error.NoError or solid.is_empty():
         return None
     # An inside-out surface: turn it, rather than treat the world as solid.
-    return _turned(vertices, faces) if solid.volume() < 0 else solid
+    return _solid(vertices, faces[:, ::-1]) if solid.volume() < 0 else solid
 
 
-def _turned(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold3d.Manifold:
-    """The solid of a surface with every face turned over."""
+def _solid(vertices: Array, faces: Indices) -> manifold3d.Manifold:
+    """The solid of a surface as it is."""
     # Copies, because manifold3d takes no read-only arrays, which its own meshes are.
+    corners = np.array(vertices, dtype=np.float64, order="C")
     return manifold3d.Manifold(
-        manifold3d.Mesh64(
-            np.array(vertices, dtype=np.float64, order="C"),
-            np.array(np.asarray(faces)[:, ::-1], dtype=np.uint64, order="C"),
-        )
+        manifold3d.Mesh64(corners, np.array(faces, dtype=np.uint64, order="C"))
     )
 
 
@@ -121,7 +113,7 @@ def _unite(solid: manifold3d.Manifold) -> tuple[manifold3d.Manifold, str]:
         return solid, ""
     bodies = [piece for piece in pieces if piece.volume() > 0]
     inward = [piece for piece in pieces if piece.volume() < 0]
-    turned = [_turned(*_surface(piece)) for piece in inward]
+    turned = [_turned(piece) for piece in inward]
     united = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add)
     outside = [(piece - united).volume() > OUTSIDE * piece.volume() for piece in turned]
     wrong = [piece for piece, is_outside in zip(turned, outside, strict=True) if is_outside]
@@ -137,13 +129,13 @@ def _unite(solid: manifold3d.Manifold) -> tuple[manifold3d.Manifold, str]:
     return united, ", ".join(notes)
 
 
-def _surface(solid: manifold3d.Manifold) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices [V, 3] and faces [F, 3]."""
+def _turned(solid: manifold3d.Manifold) -> manifold3d.Manifold:
+    """A solid with every face turned over."""
     mesh = solid.to_mesh64()
-    return np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64)
+    return _solid(mesh.vert_properties[:, :3], mesh.tri_verts[:, ::-1])
 
 
-def _remesh(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold3d.Manifold:
+def _remesh(vertices: Array, faces: Indices) -> manifold3d.Manifold:
     """The level set of the winding number at one half, on a regular grid."""
     import igl
     from skimage.measure import marching_cubes
@@ -154,11 +146,8 @@ def _remesh(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold
     # The half cell keeps grid points off the faces of axis-aligned boxes.
     axes = [low[k] + (np.arange(counts[k]) - 2.5) * cell for k in range(3)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    winding = np.asarray(
-        igl.fast_winding_number(
-            np.ascontiguousarray(vertices), np.ascontiguousarray(faces, dtype=np.int64), grid
-        )
-    ).reshape(counts)
+    soup = np.ascontiguousarray(vertices), np.ascontiguousarray(faces, dtype=np.int64)
+    winding = np.asarray(igl.fast_winding_number(*soup, grid)).reshape(counts)
     # A soup turned inward winds around its inside the other way.
     if winding.min() < -0.5 and winding.max() < 0.5:
         winding = -winding
@@ -167,5 +156,4 @@ def _remesh(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold
     points, triangles, _, _ = marching_cubes(winding, 0.5, spacing=(cell, cell, cell))
     points = points + low - 2.5 * cell
     # skimage's winding order follows the gradient; the sign of the volume says which it is.
-    solid = _as_manifold(np.asarray(points, np.float64), np.asarray(triangles, np.int64))
-    return manifold3d.Manifold() if solid is None else solid
+    return _as_manifold(points, triangles) or manifold3d.Manifold()
