@@ -61,16 +61,26 @@ def _area(a: Array, b: Array) -> Array:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-def _planes(vertices: Array, faces: NDArray[np.integer]) -> tuple[Array, Array] | None:
-    """Unit normals [F, 3] and offsets [F] of the faces, or None where a corner lies before one."""
-    if len(faces) > FEW:
-        return None
+def face_planes(vertices: Array, faces: NDArray[np.integer]) -> tuple[Array, Array]:
+    """Unit normals [F, 3] and offsets [F] m of the planes of a mesh's faces, but those of no area.
+
+    Args:
+        vertices: [V, 3], m.
+        faces: [F, 3], counter-clockwise seen from outside.
+    """
     a, b, c = vertices[faces].swapaxes(0, 1)
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     real = length[:, 0] > 0
     normals = normals[real] / length[real]
-    offsets = (normals * a[real]).sum(axis=1)
+    return normals, (normals * a[real]).sum(axis=1)
+
+
+def _planes(vertices: Array, faces: NDArray[np.integer]) -> tuple[Array, Array] | None:
+    """The faces' planes, or None where a corner lies before one."""
+    if len(faces) > FEW:
+        return None
+    normals, offsets = face_planes(vertices, faces)
     corners = vertices[np.unique(faces)]
     # A few corners tell of most meshes that they are not convex; all of them take a hundred times
     # as long.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry import primitives
 from pointsdf_cli.geometry.frames import apply_transform
+from pointsdf_cli.geometry.inside import face_planes
 from pointsdf_cli.geometry.primitives import Triangles
 from pointsdf_cli.io.meshes import read_triangles
 
@@ -102,7 +103,7 @@ class Shape:
         """
         import torch
 
-        pose = torch.as_tensor(self.pose, dtype=points.dtype, device=points.device)
+        pose = points.new_tensor(self.pose)
         local = (points - pose[:3, 3]) @ pose[:3, :3]
         if self.kind == "sphere":
             return _norm(local) - self.size[0]
@@ -113,15 +114,13 @@ class Shape:
         if self.kind == "box":
             half = points.new_tensor(self.size) / 2
             return _outside_inside(local.abs() - half)
-        normals, offsets = self._planes(points)
+        normals, offsets = map(points.new_tensor, face_planes(*self.triangles()))
         return (local @ normals.T - offsets).amax(dim=-1)
 
     def lowest(self, rotation: Tensor, position: Tensor) -> Tensor:
         """Height [...] of the lowest point of the shape, exact, for links at (R [..., 3, 3], p)."""
-        import torch
-
         # The world's z axis in the shape's frame; the support function of the shape along it.
-        pose = torch.as_tensor(self.pose, dtype=rotation.dtype, device=rotation.device)
+        pose = rotation.new_tensor(self.pose)
         centre = position[..., 2] + rotation[..., 2, :] @ pose[:3, 3]
         up = rotation[..., 2, :] @ pose[:3, :3]
         if self.kind == "sphere":
@@ -131,21 +130,7 @@ class Shape:
             return centre - reach
         if self.kind == "box":
             return centre - (up.abs() @ (up.new_tensor(self.size) / 2))
-        vertices = torch.as_tensor(self.vertices, dtype=up.dtype, device=up.device)
-        return centre + (up @ vertices.T).amin(dim=-1)
-
-    def _planes(self, like: Tensor) -> tuple[Tensor, Tensor]:
-        import torch
-
-        vertices, faces = self.triangles()
-        a, b, c = (vertices[faces[:, k]] for k in range(3))
-        normals = np.cross(b - a, c - a)
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        offsets = (normals * a).sum(axis=1)
-        return (
-            torch.as_tensor(normals, dtype=like.dtype, device=like.device),
-            torch.as_tensor(offsets, dtype=like.dtype, device=like.device),
-        )
+        return centre + (up @ up.new_tensor(self.triangles()[0]).T).amin(dim=-1)
 
 
 def mesh_shape(path: Path, scale: NDArray[np.float64], pose: NDArray[np.float64]) -> Shape:
