@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy
-import torch
 import trimesh
 
 from pointsdf_cli.robot.closing import NEARER, Closing, closing_of, open_hand
@@ -15,7 +14,7 @@ from pointsdf_cli.robot.collision import SelfCollision, table_clearance
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.inverse_kinematics import IkConfig, InverseKinematics
 from pointsdf_cli.robot.kinematics import Kinematics
-from pointsdf_cli.robot.surface import SPACING, link_surface
+from pointsdf_cli.robot.surface import SPACING, clear_of, link_surface
 from pointsdf_cli.robot.urdf import MOVING
 
 ERROR, WARNING = "error", "warning"
@@ -207,13 +206,10 @@ def _coverage(robot: RobotDescription, rng: np.random.Generator) -> tuple[int, f
         for i, shape in enumerate(shapes):
             seed = int(rng.integers(2**31))
             drawn, _ = trimesh.sample.sample_surface(shape.as_mesh(), 500, seed=seed)
-            probe = torch.from_numpy(np.array(drawn, dtype=np.float64))
-            open_air = np.ones(len(drawn), dtype=bool)
-            for j, other in enumerate(shapes):
-                if j != i:  # what lies inside another shape is no surface of the link
-                    open_air &= other.signed_distance(probe).numpy() > 0
-            if open_air.any():
-                farthest = max(farthest, float(tree.query(drawn[open_air])[0].max()))
+            # What lies inside another shape is no surface of the link.
+            drawn = drawn[clear_of(np.array(drawn), [*shapes[:i], *shapes[i + 1 :]], 0.0)]
+            if len(drawn):
+                farthest = max(farthest, float(tree.query(drawn)[0].max()))
     return count, farthest
 
 

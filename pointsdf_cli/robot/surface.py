@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.shapes import Shape, cover_points
 
@@ -14,7 +16,7 @@ SPACING = 0.01
 """No point of a link's surface is farther than this [m] from a sample."""
 
 
-def link_surface(shapes: tuple[Shape, ...], spacing: float = SPACING) -> NDArray[np.float64]:
+def link_surface(shapes: tuple[Shape, ...], spacing: float = SPACING) -> Array:
     """Points [P, 3] on a union of shapes, link frame, that cover its surface within `spacing`.
 
     Each shape is covered by itself. What lies deeper than `spacing` inside another shape covers
@@ -28,18 +30,19 @@ def link_surface(shapes: tuple[Shape, ...], spacing: float = SPACING) -> NDArray
     kept = []
     for i, shape in enumerate(shapes):
         points = cover_points(shape, spacing)
-        outside = np.ones(len(points), dtype=bool)
-        for j, other in enumerate(shapes):
-            if i != j:
-                depth = other.signed_distance(torch.from_numpy(points)).numpy()
-                outside &= depth > -spacing
-        kept.append(points[outside])
+        kept.append(points[clear_of(points, [*shapes[:i], *shapes[i + 1 :]], -spacing)])
     return np.concatenate(kept) if kept else np.zeros((0, 3))
 
 
-def robot_surface(
-    robot: RobotDescription, spacing: float = SPACING
-) -> dict[str, NDArray[np.float64]]:
+def clear_of(points: Array, shapes: Iterable[Shape], distance: float) -> Mask:
+    """Mask of the points [N, 3] farther than a distance [m] outside of all shapes; link frame."""
+    clear = np.ones(len(points), dtype=bool)
+    for shape in shapes:
+        clear &= shape.signed_distance(torch.from_numpy(points)).numpy() > distance
+    return clear
+
+
+def robot_surface(robot: RobotDescription, spacing: float = SPACING) -> dict[str, Array]:
     """Surface points [P_l, 3] of every link that has a shape, in the link's frame, m.
 
     These are the points x of FK_l(q) at which the paper's constraints are evaluated
