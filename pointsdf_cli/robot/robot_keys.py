@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -51,9 +51,7 @@ class RobotKeys:
         names = self.data[key]
         if not isinstance(names, list) or not names:
             raise self.wrong(key, "is not a list of joints", ", ".join(known))
-        for name in names:
-            if not isinstance(name, str) or name not in known:
-                raise self.wrong(key, f"names {name!r}", "moving joints: " + ", ".join(known))
+        self._require_known(key, names, tuple(known), "moving joints: ")
         if len(set(names)) != len(names):
             raise self.wrong(key, "names a joint twice", "each joint once")
         return tuple(names)
@@ -74,9 +72,7 @@ class RobotKeys:
         value = self.data[key]
         if not isinstance(value, Mapping) or not value:
             raise self.wrong(key, "is not a mapping of joints", ", ".join(hand))
-        for name in value:
-            if name not in hand:
-                raise self.wrong(key, f"names {name!r}", "hand joints: " + ", ".join(hand))
+        self._require_known(key, value, hand, "hand joints: ")
         return dict(value)
 
     def vector(self, key: str, value: Any, count: int) -> Array:
@@ -115,10 +111,15 @@ class RobotKeys:
         value = self.data.get(key) or []
         if not isinstance(value, list):
             raise self.wrong(key, f"is {value!r}", "a list of links")
-        for link in value:
-            if link not in tree.links:
-                raise self.wrong(key, f"names {link!r}", ", ".join(tree.links))
+        self._require_known(key, value, tree.links)
         return list(value)
+
+    def _require_known(
+        self, key: str, names: Iterable[Any], known: tuple[str, ...], what: str = ""
+    ) -> None:
+        for name in names:
+            if name not in known:
+                raise self.wrong(key, f"names {name!r}", what + ", ".join(known))
 
     def pairs(self, tree: Tree) -> frozenset[frozenset[str]]:
         """Pairs of links of `may_touch`."""
