@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,10 +46,6 @@ class SamplingConfig:
         shares = (self.wide_share, self.near_share, 1 - self.wide_share - self.near_share)
         if min(shares) < -1e-9:
             raise InputError(f"shares of {shares}", where="sampling", allowed="three that sum to 1")
-
-    def as_dict(self) -> dict[str, Any]:
-        """For `config_json`."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)

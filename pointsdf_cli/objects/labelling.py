@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pointsdf_cli.errors import InputError
@@ -87,7 +87,7 @@ def label_file(task: LabelTask) -> LabelSummary | None:
     """
     if task.mesh is None:
         raise _no_mesh(task)
-    config = task.config.as_dict() | {"seed": task.seed, "name": task.name}
+    config = asdict(task.config) | {"seed": task.seed, "name": task.name}
     views = read_views_header(task.views)
     # The unit is compared too: the same file in another unit is another object.
     config |= {} if views.unit == "m" else {"unit": views.unit}
