@@ -12,10 +12,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Indices, Mask
 
 PLANE = 20
 """Number of points of each plane that gives a normal."""
@@ -179,11 +178,7 @@ def refined_axis(
 
 def turned(seen: OrientedPoints, direction: Array, point: Array) -> Turned:
     """Points about an axis; see `Turned`."""
-    away = seen.points - point
-    height = away @ direction
-    across = away - height[:, None] * direction
-    radius = np.linalg.norm(across, axis=1)
-    radial = across / np.maximum(radius, 1e-9)[:, None]
+    radius, height, radial = about_axis(seen.points, direction, point)
     u, v = perpendicular(direction)
     return Turned(
         radius,
@@ -195,9 +190,25 @@ def turned(seen: OrientedPoints, direction: Array, point: Array) -> Turned:
     )
 
 
-def azimuth_distance(first: Array, second: Array) -> Array:
-    """Difference of azimuths [rad], 0 to π."""
-    return np.abs((first - second + np.pi) % (2 * np.pi) - np.pi)
+def about_axis(points: Array, direction: Array, point: Array) -> tuple[Array, Array, Array]:
+    """Radii [N] m, heights [N] m and unit vectors from the axis [N, 3] of points [N, 3] about the
+    axis of this direction [3] through `point` [3]."""
+    away = points - point
+    height = away @ direction
+    across = away - height[:, None] * direction
+    radius = np.linalg.norm(across, axis=1)
+    return radius, height, across / np.maximum(radius, 1e-9)[:, None]
+
+
+def neighbours_apart(around: Turned, keys: Array) -> tuple[Array, Indices, Mask]:
+    """The nearest `NEIGHBOURS` of points by their keys [N, K].
+
+    Returns:
+        Distances [N, M] in the keys' unit, indices [N, M], and which are of another azimuth.
+    """
+    distance, index = cKDTree(keys).query(keys, k=min(NEIGHBOURS, len(keys)))
+    turn = around.azimuth[index] - around.azimuth[:, None]
+    return distance, index, np.abs((turn + np.pi) % (2 * np.pi) - np.pi) > APART
 
 
 def perpendicular(direction: Array) -> Array:
@@ -208,14 +219,13 @@ def perpendicular(direction: Array) -> Array:
     return np.stack([u, np.cross(direction, u)])
 
 
-def _pairs(around: Turned, near: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _pairs(around: Turned, near: float) -> tuple[Indices, Indices]:
     """Indices of points and of their partners: the nearest in radius, height and normal among
     points of another azimuth."""
     keys = np.stack(
         [around.radius, around.height, near * around.outward, near * around.upward], axis=1
     )
-    distance, index = cKDTree(keys).query(keys, k=min(NEIGHBOURS, len(keys)))
-    apart = azimuth_distance(around.azimuth[index], around.azimuth[:, None]) > APART
+    distance, index, apart = neighbours_apart(around, keys)
     nearest = apart.argmax(axis=1)
     rows = np.arange(len(keys))
     usable = apart.any(axis=1) & (distance[rows, nearest] < near)

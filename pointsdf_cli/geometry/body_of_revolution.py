@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pointsdf_cli.geometry.arrays import Array, Mask, Surface
-from pointsdf_cli.geometry.axis_fit import perpendicular
+from pointsdf_cli.geometry.axis_fit import about_axis, perpendicular
 
 CELLS = (160, 200)
 """Cells of the table along radius and height."""
@@ -125,11 +125,7 @@ class BodyOfRevolution:
         return replace(self, direction=rotation @ self.direction, point=point)
 
     def _place(self, points: Array) -> tuple[Array, Array, Array]:
-        away = np.asarray(points, dtype=np.float64) - self.point
-        height = away @ self.direction
-        across = away - height[:, None] * self.direction
-        radius = np.linalg.norm(across, axis=1)
-        return radius, height, across / np.maximum(radius, 1e-9)[:, None]
+        return about_axis(np.asarray(points, dtype=np.float64), self.direction, self.point)
 
     def _look_up(self, radius: Array, height: Array) -> tuple[Array, Array, Array]:
         """Values [N] and their derivatives [N] by radius and height."""

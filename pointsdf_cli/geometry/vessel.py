@@ -19,13 +19,12 @@ from scipy.spatial import cKDTree
 
 from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.axis_fit import (
-    APART,
     NEAR,
     AxisFit,
     OrientedPoints,
     Turned,
     axis_point,
-    azimuth_distance,
+    neighbours_apart,
     normal_directions,
     oriented_points,
     refined_axis,
@@ -195,8 +194,7 @@ def _agreeing(around: Turned, tolerance: float, size: float) -> Mask:
         NoVesselError: Too few agree, or too many contradict.
     """
     places = np.stack([around.radius, around.height], axis=1)
-    distance, index = cKDTree(places).query(places, k=min(24, len(places)))
-    apart = azimuth_distance(around.azimuth[index], around.azimuth[:, None]) > APART
+    distance, index, apart = neighbours_apart(around, places)
     alike = around.outward[index] * around.outward[:, None]
     alike = alike + around.upward[index] * around.upward[:, None] > 0.5
     used = apart & alike & (distance < NEAR * size)
