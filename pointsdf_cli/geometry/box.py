@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Mask
 
 
-def strictly_inside(points: ArrayLike, low: ArrayLike, high: ArrayLike) -> NDArray[np.bool_]:
+def strictly_inside(points: ArrayLike, low: ArrayLike, high: ArrayLike) -> Mask:
     """Mask of the points [N, 3] inside a box with the corners `low` and `high` [3], its faces
     excluded.
 

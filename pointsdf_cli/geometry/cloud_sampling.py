@@ -10,8 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pointsdf_cli.geometry.arrays import Array, Indices
 
-def systematic_sample(plane: ArrayLike, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+
+def systematic_sample(plane: ArrayLike, count: int, rng: np.random.Generator) -> Indices:
     """Indices of `count` points; a smaller cloud is kept whole and filled up by repeats.
 
     Args:
@@ -31,7 +33,7 @@ def systematic_sample(plane: ArrayLike, count: int, rng: np.random.Generator) ->
     return order[np.minimum(steps, total - 1)]
 
 
-def all_but_every(plane: ArrayLike, step: int, first: int) -> NDArray[np.int64]:
+def all_but_every(plane: ArrayLike, step: int, first: int) -> Indices:
     """Indices of all points but every `step`-th along the curve, from number `first` on.
 
     Args:
@@ -43,12 +45,12 @@ def all_but_every(plane: ArrayLike, step: int, first: int) -> NDArray[np.int64]:
     return np.sort(order[np.arange(len(order)) % step != first])
 
 
-def _along_curve(places: NDArray[np.float64]) -> NDArray[np.int64]:
+def _along_curve(places: Array) -> Indices:
     """Indices of the points in their order along the curve."""
     return np.argsort(_curve_position(places), kind="stable")
 
 
-def _curve_position(plane: NDArray[np.float64]) -> NDArray[np.uint64]:
+def _curve_position(plane: Array) -> NDArray[np.uint64]:
     """Positions [N] of points [N, 2] along a Morton curve over their box."""
     extent = float(np.ptp(plane, axis=0).max()) or 1.0
     cell = ((plane - plane.min(axis=0)) / extent * 65535.0).astype(np.uint64)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.cubic_cells import cubic_cells
 from pointsdf_cli.geometry.marching_cubes import CORNERS
 from pointsdf_cli.geometry.sampled_grid import Cells, SampledGrid, one_entry_each, sparse_zeros
@@ -36,7 +37,7 @@ class FineGrid(NamedTuple):
     step: float
     half_width: float
 
-    def positions(self, rows: NDArray[np.integer]) -> NDArray[np.float64]:
+    def positions(self, rows: NDArray[np.integer]) -> Array:
         """Positions of the corners of `rows` [N]: [N, 3], in the field's units."""
         return self.places[rows] * self.step - self.half_width
 
@@ -96,7 +97,7 @@ def _interpolated(grid: SampledGrid, cells: Cells, factor: int) -> NDArray[np.fl
     return np.maximum(block, wall[:, 2, None, None, :])
 
 
-def _straddling(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _straddling(inside: Mask) -> Mask:
     """Mask of the finer cells [C, f, f, f] that the surface crosses."""
     any_of, all_of = inside, inside
     for axis in (1, 2, 3):
@@ -108,7 +109,7 @@ def _straddling(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return any_of & ~all_of
 
 
-def _led_to(cells: Cells, inside: NDArray[np.bool_], last: int) -> Cells:
+def _led_to(cells: Cells, inside: Mask, last: int) -> Cells:
     """The neighbours, inside the grid, across every face that the surface cuts."""
     beyond = [np.zeros((0, 3), np.int32)]
     for axis, end in product(range(3), (0, -1)):

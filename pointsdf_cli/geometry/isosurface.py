@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import EmptyResultError, InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.fine_cells import FineGrid, refine_cells
 from pointsdf_cli.geometry.marching_cubes import cross_cells
 from pointsdf_cli.geometry.mise import SearchRules, find_surface_cells
@@ -88,7 +89,7 @@ class Isosurface:
         parts_dropped: Number of parts that were too small to keep.
     """
 
-    vertices: NDArray[np.float64]
+    vertices: Array
     faces: NDArray[np.int32]
     queries: int
     parts_dropped: int
@@ -128,7 +129,7 @@ def _vertices(
     low: NDArray[np.integer],
     high: NDArray[np.integer],
     asked: SampledGrid | None = None,
-) -> NDArray[np.float64]:
+) -> Array:
     """Zero crossings [V, 3] of the edges between the corners `low` and `high` [V], refined by one
     Newton step where a field is given."""
     start, end = grid.positions(low), grid.positions(high)
@@ -143,11 +144,11 @@ def _vertices(
 
 
 def _newton_step(
-    t: NDArray[np.float64],
-    at_0: NDArray[np.float64],
-    at_t: NDArray[np.float64],
-    at_1: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    t: Array,
+    at_0: Array,
+    at_t: Array,
+    at_1: Array,
+) -> Array:
     """One Newton step from t on each unit edge, kept between the two samples of opposite sign.
 
     The slope is that of the parabola through the three samples, so no gradient is asked for, the
@@ -163,8 +164,8 @@ def _newton_step(
 
 
 def _keep_large_parts(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], smallest: float
-) -> tuple[NDArray[np.float64], NDArray[np.int32], int]:
+    vertices: Array, faces: NDArray[np.int32], smallest: float
+) -> tuple[Array, NDArray[np.int32], int]:
     """Connected parts that enclose at least `smallest` of the largest part's volume.
 
     A cavity is a part of its own, measured by the volume that it encloses. It is smaller than its

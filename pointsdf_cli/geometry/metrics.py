@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.open3d_core import o3d
 from pointsdf_cli.geometry.signed_distance import SignedDistance, sample_surface
 
@@ -76,13 +77,13 @@ class Shape:
         """The diagonal of the bounding box [m]."""
         return float(np.linalg.norm(self.high - self.low))
 
-    def inside(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def inside(self, points: Array) -> Mask:
         """Whether points [N, 3] are inside: [N]."""
         inside = ((points >= self.low) & (points <= self.high)).all(axis=1)
         inside[inside] = self._distance.inside(points[inside])
         return inside
 
-    def nearest(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray]:
+    def nearest(self, points: Array) -> tuple[Array, NDArray]:
         """Distance [N] to, and index [N] of, the surface sample nearest to each point [N, 3]."""
         index, squared = self._tree.knn_search(np.ascontiguousarray(points), 1)
         return np.sqrt(squared.numpy()[:, 0]), index.numpy()[:, 0]
@@ -130,5 +131,5 @@ def failure(truth_diagonal: float) -> Score:
     return Score(iou=0.0, chamfer=truth_diagonal, normals=0.0, failed=True)
 
 
-def _mean_alignment(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def _mean_alignment(a: Array, b: Array) -> float:
     return float(np.abs(np.einsum("ij,ij->i", a, b)).mean())

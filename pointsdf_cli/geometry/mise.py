@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.arrays import Mask
 from pointsdf_cli.geometry.cubic_cells import bends, cubic_cells
 from pointsdf_cli.geometry.marching_cubes import CORNERS, cell_cases
 from pointsdf_cli.geometry.sampled_grid import Cells, SampledGrid
@@ -139,7 +140,7 @@ def _interpolate_smooth(grid: SampledGrid, cells: Cells, stride: int, smooth: fl
     grid.fill(cells[flat], stride, cubic_cells(around[flat], 2))
 
 
-def _straddling(cases: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _straddling(cases: NDArray[np.uint8]) -> Mask:
     """Mask of the cells that the zero level crosses."""
     return (cases != 0) & (cases != 255)
 

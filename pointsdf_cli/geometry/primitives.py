@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Indices
 
-Triangles = tuple[Array, NDArray[np.int64]]
+Triangles = tuple[Array, Indices]
 """Vertices [V, 3] and faces [F, 3], counter-clockwise seen from outside."""
 
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2

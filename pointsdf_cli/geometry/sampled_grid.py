@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import RgraspError
+from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.cubic_cells import STENCIL
 from pointsdf_cli.geometry.marching_cubes import CORNERS, cell_cases
 
@@ -70,7 +71,7 @@ class SampledGrid:
             raise RgraspError("the field gave values that are not finite numbers, one a point")
         return np.maximum(values, self._wall(points)).astype(np.float32)
 
-    def positions(self, rows: NDArray[np.integer]) -> NDArray[np.float64]:
+    def positions(self, rows: NDArray[np.integer]) -> Array:
         """Positions of the corners of `rows` [N]: [N, 3], in the field's units."""
         return self.places(rows).astype(np.float64) * self.step - self.half_width
 
@@ -211,7 +212,7 @@ def sparse_zeros(count: int) -> NDArray[np.int32]:
     return np.frombuffer(memory, dtype=np.int32)
 
 
-def one_entry_each(slot: NDArray[np.int32], flat: NDArray[np.int32]) -> NDArray[np.bool_]:
+def one_entry_each(slot: NDArray[np.int32], flat: NDArray[np.int32]) -> Mask:
     """Mask of the entries of `flat` [N], one for each distinct place.
 
     Writes each entry's number to its place in `slot`, where it stays, and reads them back: ten

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.signed_distance import SignedDistance, sample_surface
 
 MARGIN = 1.03
@@ -68,7 +69,7 @@ class SdfSamples:
 
 
 def sample_sdf(
-    vertices: NDArray[np.float64],
+    vertices: Array,
     faces: NDArray[np.int32],
     config: SamplingConfig,
     rng: np.random.Generator,
@@ -103,7 +104,7 @@ def sample_sdf(
     return samples
 
 
-def enclosed_volume(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> float:
+def enclosed_volume(vertices: Array, faces: NDArray[np.int32]) -> float:
     """The volume that a closed, outward oriented surface encloses (divergence theorem)."""
     a, b, c = (vertices - vertices.mean(axis=0))[faces].swapaxes(0, 1)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)

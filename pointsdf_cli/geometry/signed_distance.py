@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pointsdf_cli.geometry.arrays import Array, Indices, Mask
 from pointsdf_cli.geometry.open3d_core import o3d
 
 _RAY_DIRECTIONS = np.array(
@@ -57,7 +58,7 @@ class SignedDistance:
             inside[doubtful] = self._winding_number(local[doubtful]) > 0
         return np.where(inside, -distance, distance).astype(np.float32, copy=False)
 
-    def inside(self, points: ArrayLike) -> NDArray[np.bool_]:
+    def inside(self, points: ArrayLike) -> Mask:
         """Whether points [N, 3] lie inside, by the winding number alone: [N]."""
         return self._winding_number(self._local(points)) > 0
 
@@ -65,7 +66,7 @@ class SignedDistance:
         local = np.asarray(points, dtype=np.float64) - self._centre
         return np.ascontiguousarray(local, dtype=np.float32)
 
-    def _winding_number(self, local: NDArray[np.float32]) -> NDArray[np.int64]:
+    def _winding_number(self, local: NDArray[np.float32]) -> Indices:
         """Winding number of the surface around each point: the median of three rays.
 
         A ray that leaves through a face crosses with its normal (+1), one that enters against it
@@ -85,7 +86,7 @@ class SignedDistance:
 
 def sample_surface(
     vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Points [count, 3] uniform by area over a mesh, and the unit normals [count, 3] there."""
     vertices = np.asarray(vertices, dtype=np.float64)
     a, b, c = vertices[np.asarray(faces)].swapaxes(0, 1)

@@ -11,13 +11,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from pointsdf_cli.geometry.arrays import Array
+
 SHRINK, GROW = 0.5, -0.53
 """Weights of the two passes: 1/λ + 1/μ ≈ 0.11 passes features a few edges wide and wider."""
 
 
-def taubin_smooth(
-    vertices: NDArray[np.float64], faces: NDArray[np.integer], iterations: int
-) -> NDArray[np.float64]:
+def taubin_smooth(vertices: Array, faces: NDArray[np.integer], iterations: int) -> Array:
     """Vertices [V, 3] after `iterations` pairs of a shrinking and a growing pass; the faces stay.
 
     Args:

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 import trimesh
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 
 FIRM = 0.17
@@ -35,15 +35,13 @@ class StablePose:
         margin: Tilt at which it falls over [rad].
     """
 
-    T_table_object: NDArray[np.float64]
+    T_table_object: Array
     probability: float
     height: float
     margin: float
 
 
-def stable_poses(
-    vertices: NDArray[np.float64], centre_of_mass: NDArray[np.float64]
-) -> list[StablePose]:
+def stable_poses(vertices: Array, centre_of_mass: Array) -> list[StablePose]:
     """All resting poses of a mesh [V, 3], the most probable first (quasi-static: Goldberg 1999).
 
     Raises:
@@ -91,7 +89,7 @@ def foot_height(height: float) -> float:
     return 0.02 * height + 2e-4
 
 
-def tilt_margin(placed: NDArray[np.float64], mass: NDArray[np.float64]) -> float:
+def tilt_margin(placed: Array, mass: Array) -> float:
     """The angle [rad] of tilt at which a body falls over its nearest support edge; 0 if at once.
 
     Args:

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Mask
 
 SIZE = 64
 """Cells along each side of a visibility image."""
@@ -55,7 +55,7 @@ class VisibilityImage(NamedTuple):
     """
 
     window: Array
-    seen: NDArray[np.bool_]
+    seen: Mask
     free: NDArray[np.float32]
 
 
@@ -128,7 +128,7 @@ def visibility_image(
     )
 
 
-def _within(tangents: Array, middle: Array, reach: float) -> NDArray[np.bool_]:
+def _within(tangents: Array, middle: Array, reach: float) -> Mask:
     """Whether tangents [N, 2] lie in the square of half side `reach` about `middle` [2]."""
     away = np.abs(tangents - middle) < reach
     return np.asarray(away[:, 0] & away[:, 1])

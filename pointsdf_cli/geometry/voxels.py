@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array, Indices
 
 
 class Thinned(NamedTuple):
@@ -18,11 +18,11 @@ class Thinned(NamedTuple):
         voxel: i8 [N], the voxel of each point: `first[voxel]` is its representative.
     """
 
-    first: NDArray[np.int64]
-    voxel: NDArray[np.int64]
+    first: Indices
+    voxel: Indices
 
 
-def thin(points: NDArray[np.float64], side: float) -> Thinned:
+def thin(points: Array, side: float) -> Thinned:
     """Keep the first point of each voxel.
 
     Args:

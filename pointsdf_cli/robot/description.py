@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.assets import bundled_robots, robot_file
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Indices, Mask
 from pointsdf_cli.io.input_files import read_input
 from pointsdf_cli.io.untrusted import read_yaml
 from pointsdf_cli.robot.robot_keys import RobotKeys, read_only
@@ -85,7 +84,7 @@ class RobotDescription:
         return tuple(by_name[name] for name in self.joint_names)
 
     @cached_property
-    def slides(self) -> NDArray[np.bool_]:
+    def slides(self) -> Mask:
         """bool [J], prismatic joints."""
         return np.array([joint.kind == "prismatic" for joint in self.joints])
 
@@ -95,12 +94,12 @@ class RobotDescription:
         return slice(0, len(self.arm_joints))
 
     @cached_property
-    def preshape_columns(self) -> NDArray[np.int64]:
+    def preshape_columns(self) -> Indices:
         """Columns of the preshape joints in q."""
         return np.array([self.joint_names.index(name) for name in self.preshape_joints])
 
     @cached_property
-    def closing_columns(self) -> NDArray[np.int64]:
+    def closing_columns(self) -> Indices:
         """Columns of the closing joints in q."""
         return np.array([self.joint_names.index(name) for name in self.closing_joints])
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
 
@@ -41,10 +40,10 @@ class IkSolutions:
     """
 
     arm: Array
-    reached: NDArray[np.bool_]
+    reached: Mask
 
     @property
-    def any(self) -> NDArray[np.bool_]:
+    def any(self) -> Mask:
         """bool [B]: the palm pose has a solution."""
         return np.asarray(self.reached.any(axis=1))
 
@@ -97,7 +96,7 @@ class InverseKinematics:
             q[active] = self._step(q[active], error, jacobian)
         return IkSolutions(q.reshape(count, starts, -1), reached.reshape(count, starts))
 
-    def _error(self, q: Array, goals: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def _error(self, q: Array, goals: Array) -> tuple[Array, Array, Mask]:
         """Weighted pose errors [B, 6] and Jacobians [B, 6, A], and which poses are reached [B]."""
         error, jacobian = self.chain.pose_error(q, goals)
         way, turn = np.linalg.norm(error.reshape(-1, 2, 3), axis=2).T

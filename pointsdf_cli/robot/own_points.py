@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.arrays import Array, Mask
 from pointsdf_cli.geometry.box import strictly_inside
 from pointsdf_cli.robot.description import RobotDescription
 
@@ -35,7 +34,7 @@ def _surface_of(robot: RobotDescription) -> tuple[Kinematics, dict[str, Array]]:
     return Kinematics(robot), robot_surface(robot)
 
 
-def off_robot(points: Array, own: Array) -> NDArray[np.bool_]:
+def off_robot(points: Array, own: Array) -> Mask:
     """Mask of the points [N, 3] of a cloud that are not the robot's, given its samples [P, 3];
     world frame.
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry import primitives
+from pointsdf_cli.geometry.arrays import Array, Indices
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.inside import face_planes
 from pointsdf_cli.geometry.primitives import Triangles
@@ -41,9 +41,9 @@ class Shape:
 
     kind: str
     size: tuple[float, ...]
-    pose: NDArray[np.float64]
-    vertices: NDArray[np.float64] | None = None
-    faces: NDArray[np.int64] | None = None
+    pose: Array
+    vertices: Array | None = None
+    faces: Indices | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -51,7 +51,7 @@ class Shape:
         if any(value <= 0 for value in self.size):
             raise InputError(f"a {self.kind} of size {self.size}", allowed="sizes above 0 m")
 
-    def triangles(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def triangles(self) -> tuple[Array, Indices]:
         """Corners and faces of a hull, in its own frame.
 
         Raises:
@@ -61,7 +61,7 @@ class Shape:
             raise ValueError(f"a {self.kind} has no triangles of its own")
         return self.vertices, self.faces
 
-    def bounds(self) -> NDArray[np.float64]:
+    def bounds(self) -> Array:
         """The corners (low, high) [2, 3] of the tightest box around the shape, link frame."""
         rotation, position = self.pose[:3, :3], self.pose[:3, 3]
         if self.kind == "hull":
@@ -133,7 +133,7 @@ class Shape:
         return centre + (up @ up.new_tensor(self.triangles()[0]).T).amin(dim=-1)
 
 
-def mesh_shape(path: Path, scale: NDArray[np.float64], pose: NDArray[np.float64]) -> Shape:
+def mesh_shape(path: Path, scale: Array, pose: Array) -> Shape:
     """The convex hull of a mesh file, as physics engines take a link's mesh.
 
     Raises:
@@ -151,13 +151,13 @@ def mesh_shape(path: Path, scale: NDArray[np.float64], pose: NDArray[np.float64]
     return Shape("hull", (), pose, np.asarray(hull.vertices), np.asarray(hull.faces))
 
 
-def bounding_box(shapes: tuple[Shape, ...]) -> NDArray[np.float64]:
+def bounding_box(shapes: tuple[Shape, ...]) -> Array:
     """The corners (low, high) [2, 3] of a box around shapes, link frame."""
     corners = np.stack([shape.bounds() for shape in shapes])
     return np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
 
 
-def cover_points(shape: Shape, step: float) -> NDArray[np.float64]:
+def cover_points(shape: Shape, step: float) -> Array:
     """Points [N, 3] on a shape, link frame, such that no surface point is farther than `step`.
 
     Regular patches whose half diagonal (along the surface, so also through space) is below
@@ -182,7 +182,7 @@ def cover_points(shape: Shape, step: float) -> NDArray[np.float64]:
     return apply_transform(shape.pose, local)
 
 
-def _thinned(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+def _thinned(points: Array, radius: float) -> Array:
     """A subset of the points [N, 3] such that each point is within `radius` of a kept one."""
     from scipy.spatial import cKDTree
 
@@ -196,13 +196,13 @@ def _thinned(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
     return points[kept]
 
 
-def _line(length: float, step: float) -> NDArray[np.float64]:
+def _line(length: float, step: float) -> Array:
     """Middles of equal cells of [-length/2, length/2], each at most √2·step wide."""
     count = max(1, int(np.ceil(length / (np.sqrt(2) * step))))
     return (np.arange(count) + 0.5) / count * length - length / 2
 
 
-def _cover_box(size: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+def _cover_box(size: Array, step: float) -> Array:
     faces = []
     for axis in range(3):
         u, v = (k for k in range(3) if k != axis)
@@ -214,7 +214,7 @@ def _cover_box(size: NDArray[np.float64], step: float) -> NDArray[np.float64]:
     return np.concatenate(faces)
 
 
-def _cover_cylinder(radius: float, length: float, step: float) -> NDArray[np.float64]:
+def _cover_cylinder(radius: float, length: float, step: float) -> Array:
     angles = _line(2 * np.pi * radius, step) / radius
     heights = _line(length, step)
     angle, height = (g.ravel() for g in np.meshgrid(angles, heights))
@@ -231,7 +231,7 @@ def _cover_cylinder(radius: float, length: float, step: float) -> NDArray[np.flo
     return np.concatenate([side, *caps])
 
 
-def _cover_sphere(radius: float, step: float) -> NDArray[np.float64]:
+def _cover_sphere(radius: float, step: float) -> Array:
     rows = []
     latitudes = _line(np.pi * radius, step) / radius
     half_row = np.pi / len(latitudes) / 2

@@ -10,9 +10,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.errors import InputError
+from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import transform
 from pointsdf_cli.io.untrusted import read_xml
 from pointsdf_cli.robot.shapes import Shape, mesh_shape
@@ -42,8 +42,8 @@ class Joint:
     kind: str
     parent: str
     child: str
-    T_parent_joint: NDArray[np.float64]
-    axis: NDArray[np.float64]
+    T_parent_joint: Array
+    axis: Array
     lower: float
     upper: float
     velocity: float
@@ -303,7 +303,7 @@ def mesh_file(name: str, urdf: Path) -> Path:
     )
 
 
-def _origin(node: ET.Element, path: Path) -> NDArray[np.float64]:
+def _origin(node: ET.Element, path: Path) -> Array:
     origin = node.find("origin")
     roll, pitch, yaw = _vector(origin, "rpy", (0.0, 0.0, 0.0), path)
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
@@ -317,14 +317,12 @@ def _origin(node: ET.Element, path: Path) -> NDArray[np.float64]:
     return transform(rotation, _vector(origin, "xyz", (0.0, 0.0, 0.0), path))
 
 
-def _vector(
-    node: ET.Element | None, key: str, default: tuple[float, ...], path: Path
-) -> NDArray[np.float64]:
+def _vector(node: ET.Element | None, key: str, default: tuple[float, ...], path: Path) -> Array:
     text = None if node is None else node.get(key)
     return np.array(default) if text is None else _numbers(text, len(default), path)
 
 
-def _numbers(text: str | None, count: int, path: Path) -> NDArray[np.float64]:
+def _numbers(text: str | None, count: int, path: Path) -> Array:
     try:
         values = np.array([float(word) for word in (text or "").split()])
     except ValueError:
