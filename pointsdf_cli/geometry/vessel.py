@@ -195,8 +195,8 @@ def _agreeing(around: Turned, tolerance: float, size: float) -> Mask:
     """
     places = np.stack([around.radius, around.height], axis=1)
     distance, index, apart = neighbours_apart(around, places)
-    alike = around.outward[index] * around.outward[:, None]
-    alike = alike + around.upward[index] * around.upward[:, None] > 0.5
+    cosine = around.outward[index] * around.outward[:, None]
+    alike = cosine + around.upward[index] * around.upward[:, None] > 0.5
     used = apart & alike & (distance < NEAR * size)
     gap = around.outward[:, None] * (around.radius[index] - around.radius[:, None])
     gap = gap + around.upward[:, None] * (around.height[index] - around.height[:, None])
