@@ -20,9 +20,7 @@ PIXELS_A_SQUARE = 420
 
 
 def calibrate(
-    images: Annotated[
-        Path | None, typer.Argument(help="Folder of images of the board.", show_default=False)
-    ] = None,
+    images: Annotated[Path | None, typer.Argument(help="Folder of images of the board.")] = None,
     intrinsics: Annotated[
         str | None,
         typer.Option(
@@ -72,8 +70,7 @@ def calibrate(
         Path | None,
         typer.Option(
             help="Output pose [default: T_world_camera.json; with --eye-in-hand and without "
-            "--at T_gripper_camera.json].",
-            show_default=False,
+            "--at T_gripper_camera.json]."
         ),
     ] = None,
     write_board: Annotated[

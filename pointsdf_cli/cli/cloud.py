@@ -40,9 +40,7 @@ def cloud(
     far: Annotated[float, typer.Option(help="Largest depth to keep [m].")] = 2.5,
     mask: common.Mask = None,
     no_clean: common.NoClean = False,
-    out: Annotated[
-        Path | None, typer.Option(help="Output cloud [default: cloud.ply].", show_default=False)
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Output cloud [default: cloud.ply].")] = None,
     topic: Annotated[
         str | None,
         typer.Option(

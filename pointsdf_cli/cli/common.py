@@ -97,7 +97,6 @@ RobotInScene = Annotated[
     typer.Option(
         help="Robot, to remove its points from a scene: YAML, panda or lbr4_barrett "
         "[default: LBR4 with Allegro hand].",
-        show_default=False,
         callback=bundled_robot,
     ),
 ]
@@ -117,13 +116,11 @@ Checkpoint = Annotated[
     Path | None,
     typer.Option(
         help="Reconstruction weights [default: those that the success weights name, else "
-        "pointsdf_real].",
-        show_default=False,
+        "pointsdf_real]."
     ),
 ]
 GraspCheckpoint = Annotated[
-    Path | None,
-    typer.Option(help="Success weights [default: the robot's bundled ones].", show_default=False),
+    Path | None, typer.Option(help="Success weights [default: the robot's bundled ones].")
 ]
 Precision = Annotated[
     choices.Precision, typer.Option(help="Precision; auto takes bfloat16 where it is faster.")
@@ -156,7 +153,6 @@ Server = Annotated[
         metavar="URL",
         help="Plan on a running `rgrasp serve`, such as http://127.0.0.1:8765; its token is read "
         "from RGRASP_TOKEN.",
-        show_default=False,
     ),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress on stderr.")]
@@ -168,7 +164,6 @@ Workspace = Annotated[
         metavar="X0,Y0,Z0,X1,Y1,Z1",
         help="With --segment auto: workspace, a box in the world [m] [default: "
         "0.2,-0.9,-0.05,1.6,0.9,0.6].",
-        show_default=False,
     ),
 ]
 Intrinsics = Annotated[
@@ -177,14 +172,12 @@ Intrinsics = Annotated[
         metavar="K.json",
         help="Intrinsics of a depth image: K matrix, ROS camera_info, RealSense or Open3D "
         "intrinsics (JSON or YAML), or kinect2.",
-        show_default=False,
     ),
 ]
 DepthScale = Annotated[
     float | None,
     typer.Option(
-        help="Metres per unit of a depth image [default: 0.001 for integers, 1 for floats].",
-        show_default=False,
+        help="Metres per unit of a depth image [default: 0.001 for integers, 1 for floats]."
     ),
 ]
 Mask = Annotated[
@@ -193,7 +186,6 @@ Mask = Annotated[
         metavar="MASK.png",
         help="Mask image of the object, from any segmenter: its nonzero pixels; MASK.png:7 "
         "takes the pixels of value 7.",
-        show_default=False,
     ),
 ]
 CameraPose = Annotated[
@@ -202,7 +194,6 @@ CameraPose = Annotated[
         metavar="POSE",
         help="Camera pose in the world: X,Y,Z,QW,QX,QY,QZ, or a file. To try things out, "
         "table[:X,Y]: z = 0 is the observed table, the object at 0.6,0 or X,Y.",
-        show_default=False,
     ),
 ]
 NoClean = Annotated[

@@ -29,9 +29,7 @@ def mesh(
             "TIFF or PGM, or NPY); with --each several."
         ),
     ],
-    out: Annotated[
-        Path | None, typer.Option(help="Output mesh [default: mesh.ply].", show_default=False)
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Output mesh [default: mesh.ply].")] = None,
     resolution: Annotated[
         int, typer.Option(help="Cells along the box: 32, 64, 128, 256 or 512.")
     ] = 128,
@@ -42,8 +40,7 @@ def mesh(
         ),
     ] = None,
     checkpoint: Annotated[
-        Path | None,
-        typer.Option(help="Checkpoint [default: the bundled pointsdf_real].", show_default=False),
+        Path | None, typer.Option(help="Checkpoint [default: the bundled pointsdf_real].")
     ] = None,
     unit: Annotated[
         choices.Unit, typer.Option(help="Unit of the cloud, and so of the mesh.")
@@ -60,8 +57,7 @@ def mesh(
         typer.Option(
             help="auto: segment the object in a view of a table (a cloud needs its camera pose); "
             "none: the object is alone [default: auto for --camera-pose table and for depth "
-            "images, except with --mask and no --camera-pose; else none].",
-            show_default=False,
+            "images, except with --mask and no --camera-pose; else none]."
         ),
     ] = None,
     target: Annotated[

@@ -24,9 +24,7 @@ def plan(
             "PLY, PCD, XYZ, TXT, CSV or NPY."
         ),
     ],
-    out: Annotated[
-        Path | None, typer.Option(help="Output plan [default: plan.h5].", show_default=False)
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Output plan [default: plan.h5].")] = None,
     method: Annotated[
         choices.Method, typer.Option(help="Source of the object's shape.")
     ] = "reconstruction",
@@ -53,7 +51,6 @@ def plan(
             help="Camera pose in the world: X,Y,Z,QW,QX,QY,QZ, or a file, one for each view. "
             "To try things out, table[:X,Y]: z = 0 is the observed table, the object at "
             "0.6,0 or X,Y.",
-            show_default=False,
         ),
     ] = None,
     intrinsics: Annotated[
@@ -62,7 +59,6 @@ def plan(
             metavar="K.json",
             help="Intrinsics of depth images, one for all or one for each: K matrix, ROS "
             "camera_info, RealSense or Open3D intrinsics (JSON or YAML), or kinect2.",
-            show_default=False,
         ),
     ] = None,
     depth_scale: common.DepthScale = None,
@@ -72,7 +68,6 @@ def plan(
             metavar="MASK.png",
             help="Mask image of the object, from any segmenter, one for each view: its nonzero "
             "pixels; MASK.png:7 takes the pixels of value 7.",
-            show_default=False,
         ),
     ] = None,
     no_clean: common.NoClean = False,
@@ -83,7 +78,7 @@ def plan(
         choices.Segment, typer.Option(help="Segmentation; none for clouds of the object alone.")
     ] = "auto",
     environment: Annotated[
-        Path | None, typer.Option(help="YAML of the table and known obstacles.", show_default=False)
+        Path | None, typer.Option(help="YAML of the table and known obstacles.")
     ] = None,
     workspace: common.Workspace = None,
     ignore_others: Annotated[
@@ -103,8 +98,7 @@ def plan(
         float | None,
         typer.Option(
             help="Smallest distance to everything [m] [default: object and self 0.001, table "
-            "0.002].",
-            show_default=False,
+            "0.002]."
         ),
     ] = None,
     margin: Annotated[
@@ -117,8 +111,7 @@ def plan(
         float | None,
         typer.Option(
             help="Refuse grasps with a lower predicted probability  [default: 0.1; if none reaches "
-            "it, the best above 0.03, with a warning]",
-            show_default=False,
+            "it, the best above 0.03, with a warning]"
         ),
     ] = None,
     accept_unlikely: Annotated[
@@ -135,8 +128,7 @@ def plan(
         Path | None, typer.Option(help="Also write the motion as a ROS JointTrajectory in JSON.")
     ] = None,
     picture: Annotated[
-        Path | None,
-        typer.Option(help="Output picture [default: beside the plan].", show_default=False),
+        Path | None, typer.Option(help="Output picture [default: beside the plan].")
     ] = None,
     no_picture: Annotated[bool, typer.Option("--no-picture", help="Draw no picture.")] = False,
     each: Annotated[

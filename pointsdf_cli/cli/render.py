@@ -24,10 +24,7 @@ def render(
         ),
     ] = "reference",
     distance: Annotated[
-        float | None,
-        typer.Option(
-            help="Distance from camera to object [m]; 1.5 if not given.", show_default=False
-        ),
+        float | None, typer.Option(help="Distance from camera to object [m]; 1.5 if not given.")
     ] = None,
     sensor: Annotated[
         str,
@@ -47,8 +44,7 @@ def render(
         float | None,
         typer.Option(
             help="With --sensor ideal: standard deviation of the depth at 1.5 m [m]; grows "
-            "with its square.  [default: 0.001]",
-            show_default=False,
+            "with its square.  [default: 0.001]"
         ),
     ] = None,
     scene: Annotated[

@@ -36,8 +36,7 @@ def trial(
         typer.Option(
             help="Ablation of the reconstruction method to add: oracle, no-object-constraint, "
             "no-success-network, no-cleaning, no-free-space, no-support-plane, all "
-            "(of these), checkpoint=PATH.",
-            show_default=False,
+            "(of these), checkpoint=PATH."
         ),
     ] = None,
     yaws: Annotated[
