@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,6 @@ from pointsdf_cli.cli import common
 if TYPE_CHECKING:
     import numpy as np
 
-    from pointsdf_cli.io.batch import StageReport
     from pointsdf_cli.io.grasps import Grasps, GraspsMeta
     from pointsdf_cli.robot.description import RobotDescription
     from pointsdf_cli.simulation.attempt import PreshapeSource
@@ -200,7 +198,6 @@ def _collect(
     `tasks`, a shard of `every`, receive their final quotas. Without `whole` only the first round
     runs: later rounds redistribute quotas, which takes the results of all objects.
     """
-    from pointsdf_cli.io.batch import run_stage
     from pointsdf_cli.io.grasps import read_grasps
     from pointsdf_cli.simulation.collect import collect_object, next_quotas, wanted_of
 
@@ -211,14 +208,8 @@ def _collect(
     while True:
         rates = _Rates(reporter)
         todo = [(n, t) for n, t in tasks.items() if n not in refused and t.quota > 0]
-        with reporter.progress("collect-grasps", len(todo)) as progress:
-            report: StageReport[dict[str, int]] = run_stage(
-                todo,
-                collect_object,
-                jobs=jobs,
-                folders=(task.out.parent for task in tasks.values()),
-                on_done=functools.partial(rates.add, progress),
-            )
+        folders = (task.out.parent for task in tasks.values())
+        report = reporter.stage("collect-grasps", todo, collect_object, jobs, folders, rates.add)
         rates.say()
         for name, error in report.refused:
             refused[name] = error.what
@@ -249,8 +240,7 @@ class _Rates:
         self._causes: dict[str, int] = {}
         self._spoke = self._began = time.monotonic()
 
-    def add(self, progress: common.Progress, name: str, causes: dict[str, int] | None) -> None:
-        progress.advance(name)
+    def add(self, causes: dict[str, int] | None) -> None:
         for cause, count in (causes or {}).items():
             self._causes[cause] = self._causes.get(cause, 0) + count
         if time.monotonic() - self._spoke > self._EVERY:

@@ -10,9 +10,7 @@ from typing import Annotated
 import typer
 
 from pointsdf_cli import choices
-from pointsdf_cli.cli.reporter import Progress as Progress
 from pointsdf_cli.cli.reporter import Reporter as Reporter
-from pointsdf_cli.cli.reporter import finish_stage as finish_stage
 from pointsdf_cli.errors import InputError
 
 

@@ -48,16 +48,11 @@ def label_sdf(
     inside = sum(s.inside_fraction * s.points for s in made) / labelled if labelled else 0.0
     rate = labelled / report.seconds if report.seconds else 0.0
     by_mesh = {name: summary.inside_fraction for name, summary in report.made.items()}
-    common.finish_stage(
-        reporter,
-        report,
-        out,
-        skip_bad,
-        {
-            "points": labelled,
-            "inside_fraction": inside,
-            "points_per_second": rate,
-            "inside_fraction_by_mesh": by_mesh,
-        },
-        [f"{labelled} points, {inside:.1%} inside, {rate:.0f} a second"],
-    )
+    values = {
+        "points": labelled,
+        "inside_fraction": inside,
+        "points_per_second": rate,
+        "inside_fraction_by_mesh": by_mesh,
+    }
+    line = f"{labelled} points, {inside:.1%} inside, {rate:.0f} a second"
+    reporter.finish(report, out, skip_bad, values, [line])

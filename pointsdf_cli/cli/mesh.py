@@ -184,8 +184,7 @@ def _mesh_one(
     preload(("torch",))
     seen = settings.view(cloud, files, pose)
     points = seen.points
-    for line in seen.said:
-        reporter.say(line)
+    reporter.say(*seen.said)
     if len(points) < FEW:
         reporter.say(f"{cloud}: {len(points)} points are few: expect a poor shape below {FEW}")
     if seen.alone and np.ptp(points, axis=0).max() > SCENE:

@@ -61,15 +61,9 @@ def mesh_each(
         tasks.append((cloud.stem, task))
     require_apart((p for _, task in tasks for p in (task.out, task.record)), inputs)
     report = reporter.stage("mesh", tasks, mesh_cloud, jobs or common.job_count(0), [out])
-    common.finish_stage(
-        reporter,
-        report,
-        out,
-        skip_bad,
-        {"meshes": {name: asdict(summary) for name, summary in report.made.items()}},
-        [
-            f"{out / name}.{form}: {made.vertices} vertices, {made.faces} faces, "
-            f"{made.seconds:.2f} s"
-            for name, made in report.made.items()
-        ],
-    )
+    meshes = {name: asdict(summary) for name, summary in report.made.items()}
+    lines = [
+        f"{out / name}.{form}: {made.vertices} vertices, {made.faces} faces, {made.seconds:.2f} s"
+        for name, made in report.made.items()
+    ]
+    reporter.finish(report, out, skip_bad, {"meshes": meshes}, lines)

@@ -58,15 +58,11 @@ def make(
     rate = len(report.made) / report.seconds if report.seconds else 0.0
     if sheet:
         _draw_sheet(sheet, [out / f"{name}.ply" for name in sorted([*report.made, *report.kept])])
-    common.finish_stage(
-        reporter,
-        report,
-        out,
-        False,
-        {"objects_per_second": rate, "families": dict(sorted(mix.items())), "sheet": sheet},
-        [f"{len(mix)} families, {rate:.0f} objects a second; listed in {out / MANIFEST}"]
-        + ([f"{sheet}: contact sheet"] if sheet else []),
-    )
+    families = dict(sorted(mix.items()))
+    values = {"objects_per_second": rate, "families": families, "sheet": sheet}
+    lines = [f"{len(mix)} families, {rate:.0f} objects a second; listed in {out / MANIFEST}"]
+    lines += [f"{sheet}: contact sheet"] if sheet else []
+    reporter.finish(report, out, False, values, lines)
 
 
 @app.command("fetch")
@@ -114,8 +110,7 @@ def fetch(
             [f"{out}: {len(fetched)} fetched, {len(states) - len(fetched)} there already"],
         )
     if refused and skip_bad and states:
-        for error in refused:
-            reporter.say(f"skipped: {error.message}")
+        reporter.say(*(f"skipped: {error.message}" for error in refused))
     elif len(refused) == 1:
         raise refused[0]
     elif refused:

@@ -231,8 +231,7 @@ def plan(
         for cloud, name in zip(request.clouds, request.names, strict=True):
             if cloud.over_table:
                 raise _assumed_pose(name)
-    for note in notes:
-        reporter.say(note)
+    reporter.say(*notes)
     plan_one(
         reporter, request, settings, outputs, _as_typed(context.params), idle,
         server=server, threads=threads, accept_unlikely=accept_unlikely,

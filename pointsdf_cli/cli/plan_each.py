@@ -69,14 +69,9 @@ def plan_each(
     report = reporter.stage("plan", tasks, plan_scene, jobs or common.job_count(0), [out])
     done = [(name, task) for name, task in tasks if name in report.made or name in report.kept]
     found = {name: summary_of(task.out) for name, task in done}
-    common.finish_stage(
-        reporter,
-        report,
-        out,
-        skip_bad,
-        {"plans": {name: asdict(summary) for name, summary in found.items()}},
-        [f"{out / name}.h5: {_told(summary)}" for name, summary in found.items()],
-    )
+    plans = {name: asdict(summary) for name, summary in found.items()}
+    lines = [f"{out / name}.h5: {_told(summary)}" for name, summary in found.items()]
+    reporter.finish(report, out, skip_bad, {"plans": plans}, lines)
     least = settings.request.choices.acceptance().least
     _require_plans(found, out, 0.0 if accept_unlikely else least, skip_bad)
 

@@ -94,10 +94,8 @@ def plan_one(
 
         _say_if_from_another(reporter, request, settings.files)
         result = plan_at(server, request, settings.files)
-        for sentence in result.warnings:
-            reporter.say(f"warning: {sentence}")
-    for line in result.report:
-        reporter.say(line)
+        reporter.say(*(f"warning: {sentence}" for sentence in result.warnings))
+    reporter.say(*result.report)
     out, picture, trajectory = outputs.out, outputs.picture, outputs.trajectory
     answer = result.plan
     for stale in (trajectory, picture):  # a motion to another object must not outlive its plan

@@ -130,14 +130,9 @@ def render(
     redrawn = sum(summary.redrawn for summary in report.made.values())
     repaired = {n: s.repair for n, s in report.made.items() if s.repair != "none"}
     rate = made / report.seconds if report.seconds else 0.0
-    common.finish_stage(
-        reporter,
-        report,
-        out,
-        skip_bad,
-        {"views": made, "redrawn": redrawn, "views_per_second": rate, "repaired": repaired},
-        [
-            f"{made} views ({redrawn} drawn again), {rate:.0f} a second; "
-            f"{len(repaired)} meshes repaired"
-        ],
+    values = {"views": made, "redrawn": redrawn, "views_per_second": rate, "repaired": repaired}
+    line = (
+        f"{made} views ({redrawn} drawn again), {rate:.0f} a second; "
+        f"{len(repaired)} meshes repaired"
     )
+    reporter.finish(report, out, skip_bad, values, [line])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,10 +30,10 @@ class Reporter:
     quiet: bool = False
     as_json: bool = False
 
-    def say(self, text: str) -> None:
-        """Print one line of progress on stderr."""
-        if not self.quiet:
-            print(printable(text), file=sys.stderr, flush=True)
+    def say(self, *lines: str) -> None:
+        """Print lines of progress on stderr."""
+        for line in lines if not self.quiet else ():
+            print(printable(line), file=sys.stderr, flush=True)
 
     def result(self, values: Mapping[str, Any], lines: list[str] | None = None) -> None:
         """Print the command's result: `values` as JSON, or `lines` (by default "name: value")."""
@@ -48,14 +48,9 @@ class Reporter:
             for line in lines if lines is not None else [f"{k}: {v}" for k, v in values.items()]:
                 print(printable(line))
 
-    @contextmanager
-    def progress(self, title: str, total: int) -> Iterator[Progress]:
+    def progress(self, title: str, total: int) -> closing[Progress]:
         """A progress bar on a terminal, an occasional line elsewhere; nothing when quiet."""
-        progress = Progress(title, total, self.quiet)
-        try:
-            yield progress
-        finally:
-            progress.close()
+        return closing(Progress(title, total, self.quiet))
 
     def stage(
         self,
@@ -64,12 +59,46 @@ class Reporter:
         work: Callable[[Task], Result | None],
         jobs: int,
         folders: Iterable[Path] = (),
+        on_result: Callable[[Result | None], None] | None = None,
     ) -> StageReport[Result]:
-        """Run a stage as `run_stage` does, with its progress."""
+        """Run a stage as `run_stage` does, with its progress; `on_result` is told each result."""
         from pointsdf_cli.io.batch import run_stage
 
+        def done(name: str, result: Result | None) -> None:
+            progress.advance(name)
+            if on_result is not None:
+                on_result(result)
+
         with self.progress(title, len(tasks)) as progress:
-            return run_stage(tasks, work, jobs=jobs, folders=folders, on_done=progress.advance)
+            return run_stage(tasks, work, jobs=jobs, folders=folders, on_done=done)
+
+    def finish(
+        self,
+        report: StageReport[Any],
+        out: Path,
+        skip_bad: bool,
+        values: Mapping[str, Any],
+        lines: list[str],
+    ) -> None:
+        """Print a stage's result, then the inputs it could not use.
+
+        Raises:
+            InputError: Some inputs were refused and `--skip-bad` was not given.
+        """
+        refused = {name: error.what for name, error in report.refused}
+        counts = {"made": len(report.made), "kept": len(report.kept), "refused": len(refused)}
+        if report.made or report.kept or not refused:
+            seconds = round(report.seconds, 3)
+            head = (
+                f"{out}: {counts['made']} made, {counts['kept']} there already, "
+                f"{counts['refused']} refused, in {report.seconds:.1f} s"
+            )
+            told = {"out": out, **counts, "seconds": seconds, **values, "bad": refused}
+            self.result(told, [head, *lines])
+        if skip_bad and (report.made or report.kept):
+            self.say(*(f"skipped: {error.message}" for _, error in report.refused))
+            return
+        report.raise_if_refused()
 
 
 class Progress:
@@ -117,34 +146,3 @@ class Progress:
         """Remove the bar from the terminal."""
         if self._bar:
             self._bar.stop()
-
-
-def finish_stage(
-    reporter: Reporter,
-    report: StageReport[Any],
-    out: Path,
-    skip_bad: bool,
-    values: Mapping[str, Any],
-    lines: list[str],
-) -> None:
-    """Print a stage's result, then the inputs it could not use.
-
-    Raises:
-        InputError: Some inputs were refused and `--skip-bad` was not given.
-    """
-    refused = {name: error.what for name, error in report.refused}
-    counts = {"made": len(report.made), "kept": len(report.kept), "refused": len(refused)}
-    if report.made or report.kept or not refused:
-        reporter.result(
-            {"out": out, **counts, "seconds": round(report.seconds, 3), **values, "bad": refused},
-            [
-                f"{out}: {counts['made']} made, {counts['kept']} there already, "
-                f"{counts['refused']} refused, in {report.seconds:.1f} s",
-                *lines,
-            ],
-        )
-    if skip_bad and (report.made or report.kept):
-        for _, error in report.refused:
-            reporter.say(f"skipped: {error.message}")
-        return
-    report.raise_if_refused()

@@ -77,8 +77,7 @@ def segment(
         listing = list_objects(scene, files, camera_pose, corners, robot, not no_clean, start)
     except NoObjectError as error:
         raise InputError.of(error) from error
-    for note in listing.notes:
-        reporter.say(note)
+    reporter.say(*listing.notes)
     from pointsdf_cli.service.objects_picture import draw_labels, draw_numbers
 
     if labels is not None:

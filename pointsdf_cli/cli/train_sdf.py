@@ -122,8 +122,7 @@ def train_sdf(
         with workers.first_before_others(), reporter.progress("packing", len(pairs)) as bar:
             data = open_pack(pairs, folder, limits, lambda n, _: bar.advance(""), views)
         network, split, config, provenance, notes = run.begin(data, context.params)
-        for note in notes:
-            reporter.say(note)
+        reporter.say(*notes)
         if force and not resume and workers.is_first:
             forget_train_state(out)
         with stop_requests() as should_stop:

@@ -144,8 +144,7 @@ def trial(
     mine = shard_of(list(tasks.items()), shard)
     report = reporter.stage("trial", mine, run_trial_task, jobs, [out / "trials"])
     found, lines = write_results(out, tasks, report, pictures)
-    for name, why in found["refused"].items():
-        reporter.say(f"skipped: {name}: {why}")
+    reporter.say(*(f"skipped: {name}: {why}" for name, why in found["refused"].items()))
     if found["trials"]:
         found["report"] = out / "report.html"
         found["seconds"] = round(time.monotonic() - started, 3)
