@@ -10,6 +10,7 @@ import typer
 
 from pointsdf_cli import choices
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import InputError
 
 if TYPE_CHECKING:
     from pointsdf_cli.camera.calibration import Calibration
@@ -87,7 +88,6 @@ def calibrate(
     """
     from pointsdf_cli.camera.calibration import calibrate_from_files
     from pointsdf_cli.camera.charuco import CharucoBoard
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_new, require_place
     from pointsdf_cli.io.board_images import list_images
@@ -135,8 +135,6 @@ def calibrate(
 
 
 def _squares(text: str) -> tuple[int, int]:
-    from pointsdf_cli.errors import InputError
-
     sides = text.lower().replace("×", "x").split("x")
     if len(sides) != 2 or not all(side.strip().isdecimal() for side in sides):
         raise InputError(f"{text!r} squares", where="--squares", allowed="such as 5x7")

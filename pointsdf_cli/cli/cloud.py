@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import InputError
 
 if TYPE_CHECKING:
     from pointsdf_cli.camera.bag_cloud import BagOptions
@@ -72,7 +73,6 @@ def cloud(
     """
     from pointsdf_cli.camera.bag_cloud import BagOptions
     from pointsdf_cli.camera.scene_file import SceneFileOptions
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_place
     from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES
@@ -148,7 +148,6 @@ def _cloud_of_bag(
 
     from pointsdf_cli.camera.bag_cloud import cloud_of_bag
     from pointsdf_cli.camera.scene_file import cleaned_view
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.clouds import write_cloud
     from pointsdf_cli.io.poses import camera_pose, table_place
     from pointsdf_cli.planning.scene_input import stand_on_table, table_note

@@ -11,6 +11,7 @@ import typer
 
 from pointsdf_cli.choices import Preshapes
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -74,7 +75,6 @@ def collect_grasps(
 
     Example: rgrasp collect-grasps --meshes train/ --out grasps/ --count 9111
     """
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.atomic import require_folder, write_text_atomic
     from pointsdf_cli.io.batch import shard_of
     from pointsdf_cli.io.grasps import read_grasps
@@ -128,7 +128,6 @@ def _check_networks(
     Raises:
         InputError: One is of another kind, or nothing would use it.
     """
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
 
     if preshapes == "heuristic":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import RgraspError
 
 
 def doctor(quiet: common.Quiet = False, as_json: common.Json = False) -> None:
@@ -12,7 +13,6 @@ def doctor(quiet: common.Quiet = False, as_json: common.Json = False) -> None:
     Example: rgrasp doctor
     """
     from pointsdf_cli.doctor import examine
-    from pointsdf_cli.errors import RgraspError
 
     checks = examine()
     values = {check.name: {"ok": check.ok, "detail": check.detail} for check in checks}

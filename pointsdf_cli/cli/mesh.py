@@ -10,6 +10,7 @@ import typer
 from pointsdf_cli import choices
 from pointsdf_cli.cli import common
 from pointsdf_cli.cli.mesh_each import mesh_each
+from pointsdf_cli.errors import InputError
 
 if TYPE_CHECKING:
     from pointsdf_cli.camera.scene_file import SceneFileOptions
@@ -116,7 +117,6 @@ def mesh(
     Example: rgrasp mesh clouds/*.ply --each --out meshes/
     """
     from pointsdf_cli.camera.scene_file import SceneFileOptions
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_place
     from pointsdf_cli.io.each_file import require_each, require_without
@@ -242,8 +242,6 @@ def mesh_path(out: Path | None, form: str | None) -> Path:
     Raises:
         InputError: An unknown format, or two different ones.
     """
-    from pointsdf_cli.errors import InputError
-
     out = out or Path(f"mesh.{form or 'ply'}")
     suffix = out.suffix.lower().lstrip(".")
     form, known = form or suffix, get_args(choices.MeshFormat)

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import InputError
 
 app = typer.Typer(
     help="Household objects: made by rule, or fetched from the YCB set.",
@@ -90,7 +91,6 @@ def fetch(
 
     Example: rgrasp objects fetch ycb --out ycb/ --objects 003,006,025
     """
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.objects.fetch import YCB_BASE_URL, fetch_ycb
     from pointsdf_cli.objects.ycb_names import choose_ycb
 

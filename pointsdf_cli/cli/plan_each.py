@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import NoPlanError, UnlikelyPlanError
 
 if TYPE_CHECKING:
     from pointsdf_cli.camera.scene_file import SceneFileOptions
@@ -87,8 +88,6 @@ def _told(summary: PlanSummary) -> str:
 
 def _require_plans(found: dict[str, PlanSummary], out: Path, least: float, skip_bad: bool) -> None:
     """Raise the error of the worst outcome, which sets the exit code."""
-    from pointsdf_cli.errors import NoPlanError, UnlikelyPlanError
-
     without = [name for name, summary in found.items() if summary.reason]
     if without and not skip_bad:
         raise NoPlanError(

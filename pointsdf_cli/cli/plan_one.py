@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import InputError, NoPlanError, UnlikelyPlanError
 
 if TYPE_CHECKING:
     from pointsdf_cli.io.idle_processors import IdleProcessors
@@ -83,7 +84,6 @@ def plan_one(
         NoPlanError: No plan was found; the file says why.
         UnlikelyPlanError: The plan was written but is not likely to hold.
     """
-    from pointsdf_cli.errors import NoPlanError, UnlikelyPlanError
     from pointsdf_cli.io.motion_file import write_trajectory
     from pointsdf_cli.io.plans import OK, write_plan
 
@@ -134,7 +134,6 @@ def plan_one(
 
 def _is_failed_plan(path: Path) -> bool:
     """Whether a file is a plan that found no grasp; False for anything else."""
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.plans import NO_PLAN, read_plan
 
     try:
@@ -149,8 +148,6 @@ def _require_different(files: Mapping[str, Path]) -> None:
     Raises:
         InputError: Two have one path.
     """
-    from pointsdf_cli.errors import InputError
-
     places = [path.resolve() for path in files.values()]
     if len(set(places)) < len(places):
         raise InputError(

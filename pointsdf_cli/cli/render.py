@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import InputError
 
 
 def render(
@@ -80,8 +81,6 @@ def render(
     from pointsdf_cli.io.present import require_present
 
     require_present(meshes)
-
-    from pointsdf_cli.errors import InputError
 
     if scene == "table" and (keep_depth or above):
         option = "--keep-depth" if keep_depth else "--above"

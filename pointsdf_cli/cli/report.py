@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import InputError
 
 if TYPE_CHECKING:
     from pointsdf_cli.viz.data_report import DataFolder
@@ -65,8 +66,6 @@ def report(
     require_apart([page, *drawn], [artifacts, robot, meshes])
     made = _content(artifacts, robot, meshes, unit, title)
     if pictures and isinstance(made, str):
-        from pointsdf_cli.errors import InputError
-
         raise InputError(
             "is only for pages about views or labels",
             where="--pictures",
@@ -99,7 +98,6 @@ def _content(
     Raises:
         InputError: No page can be made of this.
     """
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.checkpoints import CONFIG
     from pointsdf_cli.io.hdf5 import artifacts_below, schema_of
     from pointsdf_cli.viz.data_report import scan
@@ -127,7 +125,6 @@ def _content(
 
 
 def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) -> str | DataFolder:
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.hdf5 import schema_of
 
     kind = schema_of(path)
@@ -163,8 +160,6 @@ def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) ->
 
 def _require_none(robot: Path | None, meshes: Path | None, kind: str) -> None:
     """Refuse options that a page about this kind does not use."""
-    from pointsdf_cli.errors import InputError
-
     for option, given in (("--robot", robot), ("--meshes", meshes)):
         if given is not None:
             raise InputError(f"not used for {kind}", where=option, hint="leave it out")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import InputError
 
 if TYPE_CHECKING:
     from pointsdf_cli.robot.check import RobotCheck
@@ -37,7 +38,6 @@ def check(
 
     Example: rgrasp robot check my_robot.yaml --picture my_robot.png
     """
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import atomic_path
     from pointsdf_cli.robot.description import load_robot

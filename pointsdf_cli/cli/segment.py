@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import InputError
 
 
 def segment(
@@ -53,7 +54,6 @@ def segment(
     Example: rgrasp segment depth.png --intrinsics K.json --camera-pose T.json
     """
     from pointsdf_cli.camera.scene_file import SceneFileOptions
-    from pointsdf_cli.errors import InputError
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.poses import box
 

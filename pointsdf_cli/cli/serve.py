@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import InputError, RgraspError
 
 
 def serve(
@@ -36,7 +37,6 @@ def serve(
 
     Example: rgrasp serve --port 8765
     """
-    from pointsdf_cli.errors import InputError, RgraspError
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.service.address import LOOPBACK, TOKEN

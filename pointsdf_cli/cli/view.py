@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from pointsdf_cli.cli import common
+from pointsdf_cli.errors import InputError
 
 
 def view(
@@ -68,8 +69,6 @@ def view(
     require_present(meshes)
     options = SceneOptions(load_robot(robot), meshes, most, unit)
     if export and (port or host):
-        from pointsdf_cli.errors import InputError
-
         raise InputError("--port or --host with --export", hint="a page needs no server")
     if export:
         require_apart([export], [*artifacts, robot, meshes])
