@@ -1,5 +1,6 @@
 """Names that options accept, each set in one place, importable without any library."""
 
+from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
 from pointsdf_cli.errors import InputError
@@ -35,3 +36,9 @@ def require_choice(value: str | None, choices: Any, option: str) -> None:
     if value not in known:
         what = option.lstrip("-").replace("-", " ")
         raise InputError(f"no {what} {value!r}", where=option, allowed=", ".join(known))
+
+
+def first_given(options: Mapping[str, object]) -> str | None:
+    """Name of the first option that was given; the value of the others is None or False."""
+    found = (name for name, value in options.items() if value is not None and value is not False)
+    return next(found, None)

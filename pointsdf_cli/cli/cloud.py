@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pointsdf_cli.choices import first_given
 from pointsdf_cli.cli import common
 from pointsdf_cli.errors import InputError
 
@@ -87,10 +88,9 @@ def cloud(
     options = SceneFileOptions(intrinsics, depth_scale, near, far, color, mask)
     reporter = common.Reporter(quiet, as_json)
     if is_bag(depth):
-        options_of_images = {"--color": color, "--depth-scale": depth_scale, "--mask": mask}
-        for option, given in options_of_images.items():
-            if given is not None:
-                raise InputError(f"{option} with a bag", where=depth, hint="leave it out")
+        of_images = {"--color": color, "--depth-scale": depth_scale, "--mask": mask}
+        if option := first_given(of_images):
+            raise InputError(f"{option} with a bag", where=depth, hint="leave it out")
         _cloud_of_bag(reporter, depth, bag, options, camera_pose, not no_clean, out)
         return
     if bag != BagOptions():

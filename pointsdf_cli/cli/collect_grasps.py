@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pointsdf_cli.choices import Preshapes
+from pointsdf_cli.choices import Preshapes, first_given
 from pointsdf_cli.cli import common
 from pointsdf_cli.errors import InputError
 
@@ -130,14 +130,13 @@ def _check_networks(
     """
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
 
-    if preshapes == "heuristic":
-        for option, value in (("--checkpoint", checkpoint), ("--grasp-checkpoint", grasps)):
-            if value is not None:
-                raise InputError(
-                    "the heuristic uses no network",
-                    where=option,
-                    hint="add --preshapes planned, or leave it out",
-                )
+    option = first_given({"--checkpoint": checkpoint, "--grasp-checkpoint": grasps})
+    if option and preshapes == "heuristic":
+        raise InputError(
+            "the heuristic uses no network",
+            where=option,
+            hint="add --preshapes planned, or leave it out",
+        )
     require_reconstructions([checkpoint])
     require_successes([grasps], robot)
 

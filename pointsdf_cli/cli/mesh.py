@@ -119,7 +119,7 @@ def mesh(
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_place
-    from pointsdf_cli.io.each_file import require_each, require_without
+    from pointsdf_cli.io.each_file import check_each
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions
     from pointsdf_cli.planning.mesh_choices import MeshChoices
     from pointsdf_cli.robot.description import load_robot
@@ -138,16 +138,14 @@ def mesh(
     settings = MeshSettings(
         meshing, segment, target, workspace, not no_clean, robot, checkpoint, device, start_at
     )
+    check_each(each, {"--picture": picture, "--mask": mask}, jobs, skip_bad)
     if each:
-        one = {"--picture": picture is not None, "--mask": mask is not None}
-        require_without(one, "leave one of the two out")
         common.torch_device(device)
         mesh_each(
             reporter, clouds, camera_pose, files, settings, inputs, out=out or Path("meshes"),
             form=form or "ply", jobs=jobs, threads=threads, force=force, skip_bad=skip_bad,
         )  # fmt: skip
         return
-    require_each({"--skip-bad": skip_bad, "--jobs": jobs is not None})
     if len(clouds) > 1:
         raise InputError(f"{len(clouds)} inputs", allowed="one", hint="add --each")
     out = mesh_path(out, form)

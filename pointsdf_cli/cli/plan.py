@@ -158,7 +158,7 @@ def plan(
 
     Example: rgrasp plan scenes/*.ply --each --out plans/
     """
-    from pointsdf_cli.io.each_file import require_each, require_without
+    from pointsdf_cli.io.each_file import check_each
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.poses import box, table_place
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
@@ -178,11 +178,9 @@ def plan(
     out = out or Path("plans" if each else "plan.h5")
     if picture is not None and no_picture:
         raise InputError("--picture with --no-picture", hint="leave one of the two out")
-    if each:
-        one = {"--trajectory": trajectory, "--picture": picture, "--server": server}
-        require_without({k: v is not None for k, v in one.items()}, "leave one of the two out")
-    else:
-        require_each({"--skip-bad": skip_bad, "--jobs": jobs is not None})
+    for_one = {"--trajectory": trajectory, "--picture": picture, "--server": server}
+    check_each(each, for_one, jobs, skip_bad)
+    if not each:
         common.check_suffix(out, "--out", (".h5", ".hdf5"))
         drawn = None if no_picture else picture or out.with_suffix(".png")
         outputs = PlanOutputs(out, drawn, trajectory)
@@ -274,8 +272,7 @@ def _check_server(server: str, threads: int, device: str) -> None:
     from pointsdf_cli.service.address import server_address
 
     server_address(server)
-    for option, given in (("--threads", threads != 0), ("--device", device != "cpu")):
-        if given:
-            raise InputError(
-                f"{option} with --server", hint=f"give {option} to `rgrasp serve`, or leave it out"
-            )
+    if option := choices.first_given({"--threads": threads != 0, "--device": device != "cpu"}):
+        raise InputError(
+            f"{option} with --server", hint=f"give {option} to `rgrasp serve`, or leave it out"
+        )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pointsdf_cli.choices import first_given
 from pointsdf_cli.cli import common
 from pointsdf_cli.errors import InputError
 
@@ -103,15 +104,13 @@ def _content(
     from pointsdf_cli.viz.data_report import scan
     from pointsdf_cli.viz.shape_report import shape_report
 
-    if not path.exists():
-        raise InputError("no such file or folder", where=path)
+    if (path / "trials.h5").is_file():
+        path = path / "trials.h5"
     if path.is_file() and path.suffix.lower() not in (".h5", ".hdf5"):
         _require_none(robot, meshes, "a cloud or a mesh")
         return shape_report(path, unit, title)
     if path.is_file():
         return _of_file(path, robot, meshes, title)
-    if (path / "trials.h5").is_file():
-        return _of_file(path / "trials.h5", robot, meshes, title)
     if (path / CONFIG).is_file():
         from pointsdf_cli.viz.checkpoint_report import checkpoint_report
 
@@ -160,9 +159,8 @@ def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) ->
 
 def _require_none(robot: Path | None, meshes: Path | None, kind: str) -> None:
     """Refuse options that a page about this kind does not use."""
-    for option, given in (("--robot", robot), ("--meshes", meshes)):
-        if given is not None:
-            raise InputError(f"not used for {kind}", where=option, hint="leave it out")
+    if option := first_given({"--robot": robot, "--meshes": meshes}):
+        raise InputError(f"not used for {kind}", where=option, hint="leave it out")
 
 
 def _of_grasps(files: list[Path], title: str) -> str:

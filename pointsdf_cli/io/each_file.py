@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pointsdf_cli.choices import first_given
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.hdf5 import OptionsDifferError, changed_options
 from pointsdf_cli.io.untrusted import read_json
@@ -45,33 +46,23 @@ def one_for_each(values: Sequence[Value], count: int, option: str) -> list[Value
     return own * count if len(own) == 1 else own
 
 
-def require_each(options: dict[str, bool]) -> None:
-    """Refuse options that are for many inputs, with one.
+def check_each(each: bool, for_one: Mapping[str, object], jobs: int | None, skip_bad: bool) -> None:
+    """Refuse options that do not fit the number of inputs.
 
     Args:
-        options: Whether each option was given.
+        each: Whether --each was given.
+        for_one: Options that name one output or one question where there are many; None for those
+            that were not given.
+        jobs, skip_bad: Options that are for many inputs.
 
     Raises:
         InputError: One was given.
     """
-    for option, given in options.items():
-        if given:
-            raise InputError(f"{option} without --each", hint=f"add --each, or leave {option} out")
-
-
-def require_without(options: dict[str, bool], instead: str) -> None:
-    """Refuse options that name one output or one question where there are many.
-
-    Args:
-        options: Whether each option was given.
-        instead: Hint.
-
-    Raises:
-        InputError: One was given.
-    """
-    for option, given in options.items():
-        if given:
-            raise InputError(f"{option} with --each", where=option, hint=instead)
+    option = first_given(for_one if each else {"--skip-bad": skip_bad, "--jobs": jobs})
+    if option and each:
+        raise InputError(f"{option} with --each", where=option, hint="leave one of the two out")
+    if option:
+        raise InputError(f"{option} without --each", hint=f"add --each, or leave {option} out")
 
 
 def is_done(out: Path, record: Path, config: Mapping[str, Any]) -> bool:
