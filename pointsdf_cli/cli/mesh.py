@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
@@ -9,7 +10,6 @@ import typer
 
 from pointsdf_cli import choices
 from pointsdf_cli.cli import common
-from pointsdf_cli.cli.mesh_each import mesh_each
 from pointsdf_cli.errors import InputError
 
 if TYPE_CHECKING:
@@ -118,13 +118,13 @@ def mesh(
     """
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.io.apart import require_apart
-    from pointsdf_cli.io.atomic import require_place
-    from pointsdf_cli.io.each_file import check_each
+    from pointsdf_cli.io.atomic import require_folder, require_place
+    from pointsdf_cli.io.each_file import check_each, require_one_name_each
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions
     from pointsdf_cli.planning.mesh_choices import MeshChoices
     from pointsdf_cli.robot.description import load_robot
     from pointsdf_cli.robot.start import start_configuration
-    from pointsdf_cli.service.each_mesh import MeshSettings
+    from pointsdf_cli.service.each_mesh import MeshSettings, MeshTask, mesh_cloud
 
     reporter = common.Reporter(quiet, as_json)
     # A wrong resolution is known before anything is read.
@@ -141,10 +141,22 @@ def mesh(
     check_each(each, {"--picture": picture, "--mask": mask}, jobs, skip_bad)
     if each:
         common.torch_device(device)
-        mesh_each(
-            reporter, clouds, camera_pose, files, settings, inputs, out=out or Path("meshes"),
-            form=form or "ply", jobs=jobs, threads=threads, force=force, skip_bad=skip_bad,
-        )  # fmt: skip
+        require_one_name_each(clouds)
+        out, suffix = require_folder(out or Path("meshes")), form or "ply"
+        tasks = []
+        for cloud in clouds:
+            path = out / f"{cloud.stem}.{suffix}"
+            task = MeshTask(cloud, files, camera_pose, path, settings, threads or 1, force)
+            tasks.append((cloud.stem, task))
+        require_apart((p for _, task in tasks for p in (task.out, task.record)), inputs)
+        report = reporter.stage("mesh", tasks, mesh_cloud, jobs or common.job_count(0), [out])
+        meshes = {name: asdict(summary) for name, summary in report.made.items()}
+        lines = [
+            f"{out / name}.{suffix}: {made.vertices} vertices, {made.faces} faces, "
+            f"{made.seconds:.2f} s"
+            for name, made in report.made.items()
+        ]
+        reporter.finish(report, out, skip_bad, {"meshes": meshes}, lines)
         return
     if len(clouds) > 1:
         raise InputError(f"{len(clouds)} inputs", allowed="one", hint="add --each")
