@@ -6,6 +6,8 @@ place that catches these; it prints the message and leaves with `exit_code`.
 
 from __future__ import annotations
 
+from functools import partial
+
 
 class RgraspError(Exception):
     """Something failed that is not a programming mistake (exit code 1).
@@ -46,7 +48,8 @@ class RgraspError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         # Exceptions with keyword arguments do not pickle by default; workers send these home.
-        return (_rebuild, (type(self), self.what, self.where, self.allowed, self.hint))
+        parts = {"where": self.where, "allowed": self.allowed, "hint": self.hint}
+        return (partial(type(self), **parts), (self.what,))
 
 
 class InputError(RgraspError):
@@ -97,9 +100,3 @@ class UnlikelyPlanError(RgraspError):
     """There is a plan, and it is not likely to hold (exit code 4)."""
 
     exit_code = 4
-
-
-def _rebuild(
-    cls: type[RgraspError], what: str, where: str | None, allowed: str | None, hint: str | None
-) -> RgraspError:
-    return cls(what, where=where, allowed=allowed, hint=hint)
