@@ -15,7 +15,7 @@ from types import FrameType
 from typing import NoReturn
 
 from pointsdf_cli import preload
-from pointsdf_cli.cli.memory import is_lack_of_memory, require_address_space
+from pointsdf_cli.cli.memory import causes, is_lack_of_memory, require_address_space
 from pointsdf_cli.cli.printable import printable
 from pointsdf_cli.deferred import defer_unused
 from pointsdf_cli.errors import InputError, RgraspError
@@ -78,10 +78,11 @@ def main() -> None:
         sys.exit(error.exit_code)
     except SystemExit as leave:
         # Typer has converted these exceptions to exit codes.
-        if _came_of(leave, KeyboardInterrupt):
+        handled = list(causes(leave))
+        if any(isinstance(error, KeyboardInterrupt) for error in handled):
             print(STOPPED, file=sys.stderr)
             sys.exit(130)
-        if _came_of(leave, BrokenPipeError):
+        if any(isinstance(error, BrokenPipeError) for error in handled):
             _nobody_reads()
         try:
             sys.stdout.flush()  # here, and not when Python has ended and nobody can say what failed
@@ -186,16 +187,6 @@ def _unheard(error: OSError) -> NoReturn:
     print(f"rgrasp: the output cannot be written ({error.strerror})", file=sys.stderr)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.exit(1)
-
-
-def _came_of(error: BaseException, kind: type[BaseException]) -> bool:
-    """Whether an exception was raised while one of that kind was handled."""
-    found: BaseException | None = error
-    while found is not None:
-        if isinstance(found, kind):
-            return True
-        found = found.__cause__ or found.__context__
-    return False
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -26,14 +27,21 @@ NEAR = 0.8
 """Share of a limit of address space from which a failure may be due to that limit."""
 
 
+def causes(error: BaseException) -> Iterator[BaseException]:
+    """An exception, then each that it came of or was raised while handling, the last one first."""
+    found: BaseException | None = error
+    while found is not None:
+        yield found
+        found = found.__cause__ or found.__context__
+
+
 def is_lack_of_memory(error: BaseException) -> bool:
     """Whether an error, or one of its causes, means that memory ran out.
 
     Near a limit (`ulimit -v`) any unexpected error counts: libraries that get no memory continue
     and fail somewhere else, as does the interpreter's own parser.
     """
-    found: BaseException | None = error
-    while found is not None:
+    for found in causes(error):
         if isinstance(found, MemoryError):
             return True
         if isinstance(found, OSError) and found.errno == errno.ENOMEM:
@@ -43,7 +51,6 @@ def is_lack_of_memory(error: BaseException) -> bool:
             words in said for words in _SAID
         ):
             return True
-        found = found.__cause__ or found.__context__
     return _limit_was_near()
 
 
