@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pointsdf_cli import choices
 from pointsdf_cli.cli.reporter import Reporter as Reporter
 from pointsdf_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from pointsdf_cli.planning.grasp_planner import PlanOptions
+    from pointsdf_cli.service.identity import PlannerFiles
 
 
 def job_count(jobs: int) -> int:
@@ -247,21 +251,27 @@ def check_suffix(path: Path, option: str, suffixes: tuple[str, ...]) -> None:
 
 
 def say_if_from_another(
-    reporter: Reporter, checkpoint: Path | None, grasp_checkpoint: Path | None, robot: Path | None
+    reporter: Reporter, files: PlannerFiles | PlanOptions, method: str = "reconstruction"
 ) -> None:
     """Warn if the success network was trained on another reconstruction than it will read.
+
+    Args:
+        reporter: Receives the warning.
+        files: Robot and networks.
+        method: One of `choices.Method`; partial views read no reconstruction.
 
     Raises:
         InputError: No such checkpoint or robot.
     """
-    if checkpoint is None and grasp_checkpoint is None:
+    checkpoint, success = files.checkpoint, files.grasp_checkpoint
+    if method != "reconstruction" or (checkpoint is None and success is None):
         return
 
     from pointsdf_cli.models.bundled_success import bundled_success
     from pointsdf_cli.models.grasp_checkpoint import reconstruction_for, reconstruction_of_training
     from pointsdf_cli.robot.description import load_robot
 
-    success = grasp_checkpoint or bundled_success(load_robot(robot))
+    success = success or bundled_success(load_robot(files.robot))
     if success is None:  # the robot has no bundled one: planning will ask for it
         return
     read = checkpoint or reconstruction_for(success)

@@ -163,7 +163,7 @@ def plan(
     from pointsdf_cli.io.poses import box, table_place
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
     from pointsdf_cli.planning.environment import Environment, read_environment
-    from pointsdf_cli.planning.option_checks import RECONSTRUCTION, check_segment
+    from pointsdf_cli.planning.option_checks import check_segment
     from pointsdf_cli.planning.plan_request import PlanChoices, PlanRequest
     from pointsdf_cli.preload import preload
     from pointsdf_cli.robot.description import load_robot
@@ -216,8 +216,7 @@ def plan(
     settings = PlanSettings(request, target, planner, device)
     if each:
         common.torch_device(device)
-        if method == RECONSTRUCTION:
-            common.say_if_from_another(reporter, checkpoint, grasp_checkpoint, robot)
+        common.say_if_from_another(reporter, planner, method)
         plan_each(
             reporter, clouds, camera_pose or [], files, settings, inputs, out=out,
             pictures=not no_picture, jobs=jobs, threads=threads, force=force, skip_bad=skip_bad,

@@ -14,7 +14,6 @@ from pointsdf_cli.errors import InputError, NoPlanError, UnlikelyPlanError
 if TYPE_CHECKING:
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.planning.plan_request import PlanRequest, PlanResult
-    from pointsdf_cli.service.identity import PlannerFiles
     from pointsdf_cli.service.plan_settings import PlanSettings
 
 
@@ -92,7 +91,7 @@ def plan_one(
     else:
         from pointsdf_cli.service.client import plan_at
 
-        _say_if_from_another(reporter, request, settings.files)
+        common.say_if_from_another(reporter, settings.files, request.choices.method)
         result = plan_at(server, request, settings.files)
         reporter.say(*(f"warning: {sentence}" for sentence in result.warnings))
     reporter.say(*result.report)
@@ -173,18 +172,8 @@ def _plan_here(
     resident = Resident(files, common.torch_device(settings.device))
     use_threads(threads or idle.count())
     resident.planner(request.choices)  # what cannot be loaded is told first
-    _say_if_from_another(reporter, request, files)
+    common.say_if_from_another(reporter, files, request.choices.method)
     return resident.plan(request, lambda sentence: reporter.say(f"warning: {sentence}"))
-
-
-def _say_if_from_another(
-    reporter: common.Reporter, request: PlanRequest, files: PlannerFiles
-) -> None:
-    """Warn if the success network learned from another reconstruction; partial views read none."""
-    from pointsdf_cli.planning.option_checks import RECONSTRUCTION
-
-    if request.choices.method == RECONSTRUCTION:
-        common.say_if_from_another(reporter, files.checkpoint, files.grasp_checkpoint, files.robot)
 
 
 def _config(options: dict[str, Any], clouds: Sequence[str], seed: int) -> dict[str, Any]:

@@ -138,7 +138,7 @@ def trial(
     )
     execution = ExecutorConfig(shake=shake, hold=hold, push=push)
     config = TrialConfig(planning, execution=execution, sensor=sensor)
-    common.say_if_from_another(reporter, checkpoint, grasp_checkpoint, robot)
+    common.say_if_from_another(reporter, planning)
     tasks = make_tasks(trials, config, out, record, force)
     started = time.monotonic()
     mine = shard_of(list(tasks.items()), shard)
