@@ -48,8 +48,8 @@ class RgraspError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         # Exceptions with keyword arguments do not pickle by default; workers send these home.
-        parts = {"where": self.where, "allowed": self.allowed, "hint": self.hint}
-        return (partial(type(self), **parts), (self.what,))
+        whole = partial(type(self), where=self.where, allowed=self.allowed, hint=self.hint)
+        return whole, (self.what,)
 
 
 class InputError(RgraspError):

@@ -59,8 +59,8 @@ def make(
     rate = len(report.made) / report.seconds if report.seconds else 0.0
     if sheet:
         _draw_sheet(sheet, [out / f"{name}.ply" for name in sorted([*report.made, *report.kept])])
-    families = dict(sorted(mix.items()))
-    values = {"objects_per_second": rate, "families": families, "sheet": sheet}
+    counts = dict(sorted(mix.items()))
+    values = {"objects_per_second": rate, "families": counts, "sheet": sheet}
     lines = [f"{len(mix)} families, {rate:.0f} objects a second; listed in {out / MANIFEST}"]
     lines += [f"{sheet}: contact sheet"] if sheet else []
     reporter.finish(report, out, False, values, lines)
