@@ -40,32 +40,25 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "read_depth_image": "camera.scene_file",
-    "View": "camera.view",
-    "InputError": "errors",
-    "RgraspError": "errors",
-    "EmptySurfaceError": "geometry.isosurface",
-    "Cloud": "io.clouds",
-    "read_cloud": "io.clouds",
-    "write_cloud": "io.clouds",
-    "write_trajectory": "io.motion_file",
-    "read_plan": "io.plans",
-    "write_plan": "io.plans",
-    "Completion": "models.completion",
-    "complete": "models.completion",
-    "Reconstruction": "models.reconstruction",
-    "load_model": "models.registry",
-    "Environment": "planning.environment",
-    "Obstacle": "planning.environment",
-    "read_environment": "planning.environment",
-    "GraspPlanner": "planning.grasp_planner",
-    "PlanOptions": "planning.grasp_planner",
-    "MotionConfig": "planning.motion",
-    "TargetChoice": "planning.object_choice",
-    "plan_on_table": "planning.plan_on_table",
-    "PlannerConfig": "planning.planner",
+_NAMES = {
+    "camera.scene_file": "read_depth_image",
+    "camera.view": "View",
+    "errors": "InputError RgraspError",
+    "geometry.isosurface": "EmptySurfaceError",
+    "io.clouds": "Cloud read_cloud write_cloud",
+    "io.motion_file": "write_trajectory",
+    "io.plans": "read_plan write_plan",
+    "models.completion": "Completion complete",
+    "models.reconstruction": "Reconstruction",
+    "models.registry": "load_model",
+    "planning.environment": "Environment Obstacle read_environment",
+    "planning.grasp_planner": "GraspPlanner PlanOptions",
+    "planning.motion": "MotionConfig",
+    "planning.object_choice": "TargetChoice",
+    "planning.plan_on_table": "plan_on_table",
+    "planning.planner": "PlannerConfig",
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 __all__ = [*_HOMES]
 
 
