@@ -160,6 +160,15 @@ def _write_board(reporter: common.Reporter, path: Path, board: CharucoBoard) -> 
 
 def _values(found: Calibration) -> dict[str, Any]:
     solved, used = found.hand_eye, found.hand_eye.used
+    columns = {
+        "image": found.images,
+        "corners": found.corners,
+        "error_px": solved.error_px,
+        "error_mm": solved.error_mm,
+        "error_deg": solved.error_deg,
+        "used": used.tolist(),
+    }
+    rows = zip(*columns.values(), strict=True)
     return {
         "images_used": int(used.sum()),
         "outliers": found.outliers,
@@ -171,21 +180,8 @@ def _values(found: Calibration) -> dict[str, Any]:
         "sigma_mm": solved.sigma_mm,
         "sigma_deg": solved.sigma_deg,
         "T_target_board": solved.Z,
-        "images": [
-            {
-                "image": image,
-                "corners": corners,
-                "error_px": pixels,
-                "error_mm": millimetres,
-                "error_deg": degrees,
-                "used": bool(was_used),
-            }
-            for image, corners, pixels, millimetres, degrees, was_used in zip(
-                found.images, found.corners, solved.error_px, solved.error_mm, solved.error_deg,
-                used, strict=True,
-            )
-        ],
-    }  # fmt: skip
+        "images": [dict(zip(columns, row, strict=True)) for row in rows],
+    }
 
 
 def _lines(values: Mapping[str, Any], out: Path, name: str) -> list[str]:
