@@ -79,10 +79,19 @@ def collect_grasps(
     from pointsdf_cli.io.batch import shard_of
     from pointsdf_cli.io.grasps import read_grasps
     from pointsdf_cli.io.meshes import find_meshes
+    from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
     from pointsdf_cli.robot.description import load_robot
 
     machine, found = load_robot(robot), find_meshes(meshes, pattern)
-    _check_networks(preshapes, checkpoint, grasp_checkpoint, machine)
+    networks = {"--checkpoint": checkpoint, "--grasp-checkpoint": grasp_checkpoint}
+    if preshapes == "heuristic" and (option := first_given(networks)):
+        raise InputError(
+            "the heuristic uses no network",
+            where=option,
+            hint="add --preshapes planned, or leave it out",
+        )
+    require_reconstructions([checkpoint])
+    require_successes([grasp_checkpoint], machine)
 
     # Seconds of imports: only for what can be used.
     from pointsdf_cli.simulation.attempt import AttemptConfig
@@ -112,33 +121,12 @@ def collect_grasps(
     if refused and not items and shard is None:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in sorted(refused.items())[:5])
         raise InputError(f"no mesh could be used: {reasons}", where=meshes)
-    strips, page = _films(items, tasks, out, record, pictures), out / "report.html"
+    strips, page = _films(items, tasks, machine, out, record, pictures), out / "report.html"
     title = f"rgrasp grasps: {out.name}"
     write_text_atomic(page, grasp_report(items, sorted(refused.items()), strips, title))
     values = {"out": out, "objects": len(items), "refused": refused, **_counts(items, push > 0)}
     seconds = round(time.monotonic() - started, 3)
     reporter.result({**values, "report": page, "seconds": seconds}, [_line(values), f"{page}"])
-
-
-def _check_networks(
-    preshapes: Preshapes, checkpoint: Path | None, grasps: Path | None, robot: RobotDescription
-) -> None:
-    """Check the networks that propose preshapes.
-
-    Raises:
-        InputError: One is of another kind, or nothing would use it.
-    """
-    from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
-
-    option = first_given({"--checkpoint": checkpoint, "--grasp-checkpoint": grasps})
-    if option and preshapes == "heuristic":
-        raise InputError(
-            "the heuristic uses no network",
-            where=option,
-            hint="add --preshapes planned, or leave it out",
-        )
-    require_reconstructions([checkpoint])
-    require_successes([grasps], robot)
 
 
 def _source(
@@ -257,6 +245,7 @@ class _Rates:
 def _films(
     items: list[tuple[str, Grasps, GraspsMeta]],
     tasks: dict[str, CollectTask],
+    robot: RobotDescription,
     out: Path,
     record: int,
     pictures: bool,
@@ -264,21 +253,17 @@ def _films(
     """Pictures for the report, and GIF films of the first `record` of the same attempts."""
     for stale in out.glob("film-*.gif"):
         stale.unlink()
-    if not (pictures or record):
+    if not items or not (pictures or record):
         return []
     from pointsdf_cli.simulation.replay import film_of, pick_attempts
     from pointsdf_cli.viz.grasp_report import film_strip, write_gif
     from pointsdf_cli.viz.robot_picture import RobotMeshes
 
     strips = []
-    meshes = None
+    meshes = RobotMeshes(robot, sections=20)
     for n, (name, row) in enumerate(pick_attempts(items, max(6, -(-record // 2)))):
         grasps = next(g for other, g, _ in items if other == name)
         film, moments = film_of(tasks[name], grasps, row)
-        if meshes is None:
-            from pointsdf_cli.robot.description import load_robot
-
-            meshes = RobotMeshes(load_robot(tasks[name].robot), sections=20)
         if pictures and n < 12:
             strips.append((film.title, film_strip(meshes, film)))
         if n < record:
