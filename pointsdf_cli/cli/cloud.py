@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -114,14 +115,10 @@ def _cloud_of_image(
     out: Path,
 ) -> None:
     """Write the cloud of a depth image."""
-    from dataclasses import replace
-
-    from pointsdf_cli.io.clouds import write_cloud
     from pointsdf_cli.planning.scene_input import depth_view
 
     made, pixels, unseen = depth_view(depth, options, pose, cleaned, reporter.say)
-    write_cloud(out, replace(made, pixels=None, image=None))
-    values, line = _told(out, made)
+    values, line = _write(out, made)
     lines = [
         f"{line}; {unseen} pixels without a depth between {options.near:g} and {options.far:g} m "
         "dropped"
@@ -144,11 +141,8 @@ def _cloud_of_bag(
     out: Path,
 ) -> None:
     """Write the cloud of a bag's depth images and report its sources."""
-    from dataclasses import replace
-
     from pointsdf_cli.camera.bag_cloud import cloud_of_bag
     from pointsdf_cli.camera.scene_file import cleaned_view
-    from pointsdf_cli.io.clouds import write_cloud
     from pointsdf_cli.io.poses import camera_pose, table_place
     from pointsdf_cli.planning.scene_input import stand_on_table, table_note
 
@@ -170,11 +164,10 @@ def _cloud_of_bag(
         said.append(table_note(made, place))
     elif made.T_world_camera is None:
         said.append("rgrasp mesh needs no pose, rgrasp plan will ask for --camera-pose")
-    write_cloud(out, replace(made, pixels=None, image=None))
+    values, line = _write(out, made)
     source = f"image {frames.number}" if frames.number >= 0 else f"the image at {bag.time:g} s"
     if bag.frames > 1:
         source = f"{bag.frames} images from {source}"
-    values, line = _told(out, made)
     about = {"topic": frames.topic, "frame_id": frames.frame, "stamps": frames.stamps}
     reporter.result(
         {**values, **about, "said": said},
@@ -182,9 +175,13 @@ def _cloud_of_bag(
     )
 
 
-def _told(out: Path, made: Cloud) -> tuple[dict[str, object], str]:
+def _write(out: Path, made: Cloud) -> tuple[dict[str, object], str]:
+    """Write a cloud; returns what is told of each, as values and as the beginning of a line."""
     import numpy as np
 
+    from pointsdf_cli.io.clouds import write_cloud
+
+    write_cloud(out, replace(made, pixels=None, image=None))
     middle = float(np.median(made.points[:, 2]))
     values: dict[str, object] = {"out": out, "points": len(made.points), "median_depth": middle}
     line = f"{out}: {len(made.points)} points in the camera frame, median depth {middle:.3f} m"
