@@ -85,6 +85,7 @@ def plan_one(
     """
     from pointsdf_cli.io.motion_file import write_trajectory
     from pointsdf_cli.io.plans import OK, write_plan
+    from pointsdf_cli.io.provenance import file_sha256
 
     if server is None:
         result = _plan_here(reporter, request, settings, threads, idle)
@@ -100,7 +101,9 @@ def plan_one(
     for stale in (trajectory, picture):  # a motion to another object must not outlive its plan
         if stale is not None:
             stale.resolve().unlink(missing_ok=True)  # of a symbolic link, its target
-    config = _config(result.options, request.names, request.seed) | dict(asked)
+    sums = [file_sha256(path) for path in request.names]
+    scene = {"clouds": list(request.names), "cloud_sha256": sums, "seed": request.seed}
+    config = {**result.options, **scene, **asked}
     write_plan(out, answer, seed=request.seed, config=config)
     found = answer.status == OK
     if trajectory is not None and found:
@@ -174,14 +177,6 @@ def _plan_here(
     resident.planner(request.choices)  # what cannot be loaded is told first
     common.say_if_from_another(reporter, files, request.choices.method)
     return resident.plan(request, lambda sentence: reporter.say(f"warning: {sentence}"))
-
-
-def _config(options: dict[str, Any], clouds: Sequence[str], seed: int) -> dict[str, Any]:
-    """Provenance for the plan file."""
-    from pointsdf_cli.io.provenance import file_sha256
-
-    sums = [file_sha256(path) for path in clouds]
-    return options | {"clouds": list(clouds), "cloud_sha256": sums, "seed": seed}
 
 
 def _report(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib import import_module
 from typing import Annotated
 
 import typer
@@ -59,15 +60,13 @@ def serve(
     require_reconstructions([checkpoint])
     require_successes([grasp_checkpoint], load_robot(robot))
     try:
-        import fastapi
-        import fastapi_offline
-        import uvicorn
+        for library in ("fastapi", "fastapi_offline", "uvicorn"):
+            import_module(library)
     except ImportError as error:
         raise RgraspError(
             f"the server needs FastAPI and uvicorn, and {error.name} is not installed",
             hint="in rgrasp's folder: pip install -c constraints.txt '.[serve]'",
         ) from error
-    del fastapi, fastapi_offline, uvicorn
 
     # Seconds of imports: only for options that can be used.
     from pointsdf_cli.cli.signals import stop_requests

@@ -93,12 +93,8 @@ def train_sdf(
 
     # Seconds of imports: only for what can be used.
     from pointsdf_cli.cli.signals import stop_requests
+    from pointsdf_cli.io import checkpoints
     from pointsdf_cli.io.apart import require_apart
-    from pointsdf_cli.io.checkpoints import (
-        forget_train_state,
-        read_train_state,
-        require_checkpoint_place,
-    )
     from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.training import sdf_loop
@@ -109,11 +105,11 @@ def train_sdf(
 
     common.torch_device(device)
     require_apart([out, pack], [views, labels, start_from])
-    require_checkpoint_place(out, replace=resume or force)
+    checkpoints.require_checkpoint_place(out, replace=resume or force)
     run = SdfRun(views, out, model, preset, start_from, held_out, resume)
     run.started_from()
     if resume:
-        read_train_state(out)  # packing takes minutes or hours
+        checkpoints.read_train_state(out)  # packing takes minutes or hours
     with join_workers(device) as (workers, device):
         reporter = common.Reporter(quiet or not workers.is_first, as_json)
         use_threads(threads or max(1, idle_processors() // workers.local_count))
@@ -124,7 +120,7 @@ def train_sdf(
         network, split, config, provenance, notes = run.begin(data, context.params)
         reporter.say(*notes)
         if force and not resume and workers.is_first:
-            forget_train_state(out)
+            checkpoints.forget_train_state(out)
         with stop_requests() as should_stop:
             result = sdf_loop.train_sdf(
                 data, split, network, config, out, provenance=provenance, resume=resume,
