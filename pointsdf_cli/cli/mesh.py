@@ -13,8 +13,7 @@ from pointsdf_cli.cli import common
 from pointsdf_cli.errors import InputError
 
 if TYPE_CHECKING:
-    from pointsdf_cli.camera.scene_file import SceneFileOptions
-    from pointsdf_cli.service.each_mesh import MeshSettings
+    from pointsdf_cli.service.each_mesh import MeshTask
 
 FEW = 200
 """Number of points below which a shape is mostly poor."""
@@ -164,20 +163,12 @@ def mesh(
     require_apart([out, picture], inputs)
     require_place(out, force)
     common.check_picture(picture, force)
-    _mesh_one(reporter, clouds[0], files, camera_pose, settings, out, picture, threads)
+    task = MeshTask(clouds[0], files, camera_pose, out, settings, threads, force)
+    _mesh_one(reporter, task, picture)
 
 
-def _mesh_one(
-    reporter: common.Reporter,
-    cloud: Path,
-    files: SceneFileOptions,
-    pose: str | None,
-    settings: MeshSettings,
-    out: Path,
-    picture: Path | None,
-    threads: int,
-) -> None:
-    """Mesh one cloud and report.
+def _mesh_one(reporter: common.Reporter, task: MeshTask, picture: Path | None) -> None:
+    """Mesh one cloud and report; 0 threads stand for the idle processors.
 
     Raises:
         InputError: The cloud cannot be used.
@@ -192,7 +183,8 @@ def _mesh_one(
 
     idle = IdleProcessors()
     preload(("torch",))
-    seen = settings.view(cloud, files, pose)
+    cloud, settings, unit = task.cloud, task.settings, task.files.unit
+    seen = settings.view(cloud, task.files, task.pose)
     points = seen.points
     reporter.say(*seen.said)
     if len(points) < FEW:
@@ -204,12 +196,12 @@ def _mesh_one(
     from pointsdf_cli.models.registry import load_model, use_threads
     from pointsdf_cli.planning.complete_mesh import complete_mesh
 
-    use_threads(threads or idle.count())
+    use_threads(task.threads or idle.count())
     model = load_model(settings.checkpoint, common.torch_device(settings.device))
     completed = complete_mesh(model, seen, settings.choices, str(cloud))
     made = completed.mesh
-    vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[files.unit]
-    save_mesh(out, vertices, made.faces)
+    vertices = apply_transform(seen.T_frame_camera, made.vertices) / UNITS[unit]
+    save_mesh(task.out, vertices, made.faces)
     if picture:
         # Matplotlib and Open3D take longer to load than the mesh takes to make.
         from pointsdf_cli.viz.reconstruction_gallery import GalleryRow, draw_gallery
@@ -219,12 +211,12 @@ def _mesh_one(
         )
         draw_gallery(picture, [row])
     values: dict[str, Any] = {
-        "out": out,
+        "out": task.out,
         "picture": picture,
         "vertices": len(vertices),
         "faces": len(made.faces),
         "extent": np.ptp(vertices, axis=0),
-        "unit": files.unit,
+        "unit": unit,
         "frame": seen.frame,
         "points": len(points),
         "resolution": settings.choices.resolution,
