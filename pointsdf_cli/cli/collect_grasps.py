@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -77,7 +78,6 @@ def collect_grasps(
     """
     from pointsdf_cli.io.atomic import require_folder, write_text_atomic
     from pointsdf_cli.io.batch import shard_of
-    from pointsdf_cli.io.grasps import read_grasps
     from pointsdf_cli.io.meshes import find_meshes
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
     from pointsdf_cli.robot.description import load_robot
@@ -112,12 +112,7 @@ def collect_grasps(
     started = time.monotonic()
     # Otherwise another run's grasps of objects that this count does not reach would count, too.
     require_same_options(task for task in tasks.values() if not task.quota)
-    refused = _collect(tasks, every, jobs, reporter, whole=shard is None)
-    items = [
-        (name, *read_grasps(task.out))
-        for name, task in tasks.items()
-        if task.out.is_file() and name not in refused
-    ]
+    items, refused = _collect(tasks, every, jobs, reporter, whole=shard is None)
     if refused and not items and shard is None:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in sorted(refused.items())[:5])
         raise InputError(f"no mesh could be used: {reasons}", where=meshes)
@@ -178,8 +173,9 @@ def _collect(
     jobs: int,
     reporter: common.Reporter,
     whole: bool,
-) -> dict[str, str]:
-    """Run rounds until every quota is met or exhausted; returns the reasons of refused files.
+) -> tuple[list[tuple[str, Grasps, GraspsMeta]], dict[str, str]]:
+    """Run rounds until every quota is met or exhausted; returns the grasps of each object, and
+    the reasons of refused files.
 
     `tasks`, a shard of `every`, receive their final quotas. Without `whole` only the first round
     runs: later rounds redistribute quotas, which takes the results of all objects.
@@ -200,20 +196,18 @@ def _collect(
         for name, error in report.refused:
             refused[name] = error.what
             reporter.say(f"skipped: {error.message}")
-        if not whole:
-            return refused
-        executed = {
-            name: int(read_grasps(task.out)[0].executed.sum())
+        items = [
+            (name, *read_grasps(task.out))
             for name, task in tasks.items()
             if task.out.is_file() and name not in refused
-        }
-        more = next_quotas(quotas, executed, splits, wanted)
+        ]
+        executed = {name: int(grasps.executed.sum()) for name, grasps, _ in items}
+        more = next_quotas(quotas, executed, splits, wanted) if whole else None
         if more is None:
-            return refused
+            return items, refused
         quotas = more
-        tasks.update(
-            {name: replace(task, quota=quotas[name], force=False) for name, task in tasks.items()}
-        )
+        for name, task in tasks.items():
+            tasks[name] = replace(task, quota=quotas[name], force=False)
 
 
 class _Rates:
@@ -223,17 +217,16 @@ class _Rates:
 
     def __init__(self, reporter: common.Reporter) -> None:
         self._reporter = reporter
-        self._causes: dict[str, int] = {}
+        self._causes: Counter[str] = Counter()
         self._spoke = self._began = time.monotonic()
 
     def add(self, causes: dict[str, int] | None) -> None:
-        for cause, count in (causes or {}).items():
-            self._causes[cause] = self._causes.get(cause, 0) + count
+        self._causes.update(causes or {})
         if time.monotonic() - self._spoke > self._EVERY:
             self.say()
 
     def say(self) -> None:
-        total = sum(self._causes.values())
+        total = self._causes.total()
         if not total:
             return
         self._spoke = time.monotonic()
