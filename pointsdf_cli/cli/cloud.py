@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -73,10 +74,13 @@ def cloud(
 
     Example: rgrasp cloud bag/ --topic /camera/depth/image_rect_raw --world-frame base_link
     """
+    import numpy as np
+
     from pointsdf_cli.camera.bag_cloud import BagOptions
     from pointsdf_cli.camera.scene_file import SceneFileOptions
     from pointsdf_cli.io.apart import require_apart
     from pointsdf_cli.io.atomic import require_place
+    from pointsdf_cli.io.clouds import write_cloud
     from pointsdf_cli.io.depth_images import DEPTH_SUFFIXES
     from pointsdf_cli.io.rosbag import is_bag
 
@@ -87,60 +91,56 @@ def cloud(
         raise InputError(f"{out.suffix!r} is not written", where="--out", allowed=".ply")
     bag = BagOptions(topic, info_topic, world_frame, index, time, frames)
     options = SceneFileOptions(intrinsics, depth_scale, near, far, color, mask)
-    reporter = common.Reporter(quiet, as_json)
+    reporter, cleaned = common.Reporter(quiet, as_json), not no_clean
     if is_bag(depth):
         of_images = {"--color": color, "--depth-scale": depth_scale, "--mask": mask}
         if option := first_given(of_images):
             raise InputError(f"{option} with a bag", where=depth, hint="leave it out")
-        _cloud_of_bag(reporter, depth, bag, options, camera_pose, not no_clean, out)
-        return
-    if bag != BagOptions():
+        made, about, told = _cloud_of_bag(depth, bag, options, camera_pose, cleaned)
+    elif bag != BagOptions():
         raise InputError("is not a bag, but an option for bags is given", where=depth)
-    if intrinsics is None:
+    elif intrinsics is None:
         raise InputError(
             "a depth image needs its intrinsics", where=depth, hint="add --intrinsics K.json"
         )
-    if depth.suffix.lower() not in DEPTH_SUFFIXES:
+    elif depth.suffix.lower() not in DEPTH_SUFFIXES:
         allowed = ", ".join(DEPTH_SUFFIXES)
         raise InputError(f"{depth.suffix!r} is not a depth image", where=depth, allowed=allowed)
-    _cloud_of_image(reporter, depth, options, camera_pose, not no_clean, out)
+    else:
+        made, about, told = _cloud_of_image(depth, options, camera_pose, cleaned, reporter.say)
+    write_cloud(out, replace(made, pixels=None, image=None))
+    count, middle = len(made.points), float(np.median(made.points[:, 2]))
+    posed = made.T_world_camera is not None
+    values = {"out": out, "points": count, "median_depth": middle, "has_pose": posed}
+    line = f"{out}: {count} points in the camera frame, median depth {middle:.3f} m{told[0]}"
+    reporter.result({**values, **about}, [line, *told[1:]])
 
 
 def _cloud_of_image(
-    reporter: common.Reporter,
     depth: Path,
     options: SceneFileOptions,
     pose: str | None,
     cleaned: bool,
-    out: Path,
-) -> None:
-    """Write the cloud of a depth image."""
+    say: Callable[[str], None],
+) -> tuple[Cloud, dict[str, object], list[str]]:
+    """Cloud of a depth image; what is told of it as values, the end of a line, and more lines."""
     from pointsdf_cli.planning.scene_input import depth_view
 
-    made, pixels, unseen = depth_view(depth, options, pose, cleaned, reporter.say)
-    values, line = _write(out, made)
-    lines = [
-        f"{line}; {unseen} pixels without a depth between {options.near:g} and {options.far:g} m "
-        "dropped"
-    ]
+    made, pixels, unseen = depth_view(depth, options, pose, cleaned, say)
+    near, far = options.near, options.far
+    told = [f"; {unseen} pixels without a depth between {near:g} and {far:g} m dropped"]
     if made.T_world_camera is None:
-        lines.append(
+        told.append(
             "no --camera-pose: rgrasp mesh needs none, rgrasp plan will ask for --camera-pose"
         )
     dropped = pixels - len(made.points)
-    reporter.result({**values, "dropped": dropped, "has_colours": made.colours is not None}, lines)
+    return made, {"dropped": dropped, "has_colours": made.colours is not None}, told
 
 
 def _cloud_of_bag(
-    reporter: common.Reporter,
-    path: Path,
-    bag: BagOptions,
-    options: SceneFileOptions,
-    pose: str | None,
-    cleaned: bool,
-    out: Path,
-) -> None:
-    """Write the cloud of a bag's depth images and report its sources."""
+    path: Path, bag: BagOptions, options: SceneFileOptions, pose: str | None, cleaned: bool
+) -> tuple[Cloud, dict[str, object], list[str]]:
+    """Cloud of a bag's depth images; what is told of it and its sources, as of an image."""
     from pointsdf_cli.camera.bag_cloud import cloud_of_bag
     from pointsdf_cli.camera.scene_file import cleaned_view
     from pointsdf_cli.io.poses import camera_pose, table_place
@@ -164,25 +164,8 @@ def _cloud_of_bag(
         said.append(table_note(made, place))
     elif made.T_world_camera is None:
         said.append("rgrasp mesh needs no pose, rgrasp plan will ask for --camera-pose")
-    values, line = _write(out, made)
     source = f"image {frames.number}" if frames.number >= 0 else f"the image at {bag.time:g} s"
     if bag.frames > 1:
         source = f"{bag.frames} images from {source}"
-    about = {"topic": frames.topic, "frame_id": frames.frame, "stamps": frames.stamps}
-    reporter.result(
-        {**values, **about, "said": said},
-        [f"{line}, from {source} on {frames.topic} ({frames.frame})", *said],
-    )
-
-
-def _write(out: Path, made: Cloud) -> tuple[dict[str, object], str]:
-    """Write a cloud; returns what is told of each, as values and as the beginning of a line."""
-    import numpy as np
-
-    from pointsdf_cli.io.clouds import write_cloud
-
-    write_cloud(out, replace(made, pixels=None, image=None))
-    middle = float(np.median(made.points[:, 2]))
-    values: dict[str, object] = {"out": out, "points": len(made.points), "median_depth": middle}
-    line = f"{out}: {len(made.points)} points in the camera frame, median depth {middle:.3f} m"
-    return {**values, "has_pose": made.T_world_camera is not None}, line
+    about = {"topic": frames.topic, "frame_id": frames.frame, "stamps": frames.stamps, "said": said}
+    return made, about, [f", from {source} on {frames.topic} ({frames.frame})", *said]
