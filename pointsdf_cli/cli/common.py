@@ -149,14 +149,6 @@ Frame = Annotated[
 DropInvalid = Annotated[
     bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
 ]
-Server = Annotated[
-    str | None,
-    typer.Option(
-        metavar="URL",
-        help="Plan on a running `rgrasp serve`, such as http://127.0.0.1:8765; its token is read "
-        "from RGRASP_TOKEN.",
-    ),
-]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress on stderr.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite existing output.")]

@@ -141,7 +141,14 @@ def plan(
     ] = False,
     jobs: common.EachJobs = None,
     skip_bad: common.EachSkipBad = False,
-    server: common.Server = None,
+    server: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL",
+            help="Plan on a running `rgrasp serve`, such as http://127.0.0.1:8765; its token is "
+            "read from RGRASP_TOKEN.",
+        ),
+    ] = None,
     threads: common.Threads = 0,
     seed: common.Seed = 0,
     device: common.Device = "cpu",

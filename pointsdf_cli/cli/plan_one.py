@@ -44,7 +44,12 @@ class PlanOutputs:
         require_apart([self.out, self.picture, self.trajectory], inputs)
         files = {"--out": self.out, "--picture": self.picture, "--trajectory": self.trajectory}
         asked = {option: path for option, path in files.items() if path is not None}
-        _require_different(asked)
+        if len({path.resolve() for path in asked.values()}) < len(asked):
+            raise InputError(
+                "two outputs have one path",
+                where=", ".join(f"{option} {path}" for option, path in asked.items()),
+                allowed="one each",
+            )
         common.check_picture(self.picture, force=True)  # its suffix
         # Other files may belong to another plan.
         its_own = {self.out, self.out.with_suffix(".png")} if _is_failed_plan(self.out) else set()
@@ -87,13 +92,22 @@ def plan_one(
     from pointsdf_cli.io.plans import OK, write_plan
     from pointsdf_cli.io.provenance import file_sha256
 
+    files = settings.files
     if server is None:
-        result = _plan_here(reporter, request, settings, threads, idle)
+        # Seconds of imports: only for clouds and options that can be used.
+        from pointsdf_cli.models.registry import use_threads
+        from pointsdf_cli.service.resident import Resident
+
+        resident = Resident(files, common.torch_device(settings.device))
+        use_threads(threads or idle.count())
+        resident.planner(request.choices)  # what cannot be loaded is told first
+        common.say_if_from_another(reporter, files, request.choices.method)
+        result = resident.plan(request, lambda sentence: reporter.say(f"warning: {sentence}"))
     else:
         from pointsdf_cli.service.client import plan_at
 
-        common.say_if_from_another(reporter, settings.files, request.choices.method)
-        result = plan_at(server, request, settings.files)
+        common.say_if_from_another(reporter, files, request.choices.method)
+        result = plan_at(server, request, files)
         reporter.say(*(f"warning: {sentence}" for sentence in result.warnings))
     reporter.say(*result.report)
     out, picture, trajectory = outputs.out, outputs.picture, outputs.trajectory
@@ -120,7 +134,7 @@ def plan_one(
         sys.stdout.flush()  # the plan is on disk: who reads this need not wait for the picture
         from pointsdf_cli.service.plan_settings import draw_plan
 
-        draw_plan(picture, result, settings.files.robot)
+        draw_plan(picture, result, files.robot)
     if not found:
         raise NoPlanError(f"no plan ({answer.reason}): {answer.sentence.rstrip('.')}", where=out)
     least = result.least
@@ -142,41 +156,6 @@ def _is_failed_plan(path: Path) -> bool:
         return path.is_file() and read_plan(path).status == NO_PLAN
     except InputError:
         return False
-
-
-def _require_different(files: Mapping[str, Path]) -> None:
-    """Check that each file has a path of its own.
-
-    Raises:
-        InputError: Two have one path.
-    """
-    places = [path.resolve() for path in files.values()]
-    if len(set(places)) < len(places):
-        raise InputError(
-            "two outputs have one path",
-            where=", ".join(f"{option} {path}" for option, path in files.items()),
-            allowed="one each",
-        )
-
-
-def _plan_here(
-    reporter: common.Reporter,
-    request: PlanRequest,
-    settings: PlanSettings,
-    threads: int,
-    idle: IdleProcessors,
-) -> PlanResult:
-    """Load networks and robot in this process, and plan."""
-    # Seconds of imports: only for clouds and options that can be used.
-    from pointsdf_cli.models.registry import use_threads
-    from pointsdf_cli.service.resident import Resident
-
-    files = settings.files
-    resident = Resident(files, common.torch_device(settings.device))
-    use_threads(threads or idle.count())
-    resident.planner(request.choices)  # what cannot be loaded is told first
-    common.say_if_from_another(reporter, files, request.choices.method)
-    return resident.plan(request, lambda sentence: reporter.say(f"warning: {sentence}"))
 
 
 def _report(
