@@ -6,47 +6,34 @@ import importlib.metadata
 import os
 import platform
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 PACKAGES = ("numpy", "torch", "open3d", "trimesh", "manifold3d", "h5py", "libigl", "pybullet")
 
 
-@dataclass(frozen=True)
-class Check:
-    """One line of the doctor's report.
+def examine() -> dict[str, tuple[bool, str]]:
+    """All checks by their subject, basic parts first; a check that raises has failed.
 
-    Attributes:
-        name: Subject of the check.
-        ok: Whether it is as it must be.
-        detail: Finding; if it failed, the remedy.
+    Returns:
+        Whether each subject is as it must be, and the finding; if it failed, the remedy.
     """
-
-    name: str
-    ok: bool
-    detail: str
-
-
-def examine() -> list[Check]:
-    """All checks, basic parts first; a check that raises has failed."""
-    checks: list[tuple[str, Callable[[], tuple[bool, str]]]] = [
-        ("versions", _versions),
-        ("processor", _processor),
-        ("assets", _assets),
-        ("signed distance of a sphere", _sphere_distance),
-        ("winding signs of overlapping boxes", _overlap),
-        ("depth of a sphere", _sphere_depth),
-        ("artifact round trip", _round_trip),
-        ("kinematics of the stretched arm", _stretched_arm),
-    ]
-    results = []
-    for name, check in checks:
+    checks: dict[str, Callable[[], tuple[bool, str]]] = {
+        "versions": _versions,
+        "processor": _processor,
+        "assets": _assets,
+        "signed distance of a sphere": _sphere_distance,
+        "winding signs of overlapping boxes": _overlap,
+        "depth of a sphere": _sphere_depth,
+        "artifact round trip": _round_trip,
+        "kinematics of the stretched arm": _stretched_arm,
+    }
+    results = {}
+    for name, check in checks.items():
         try:
-            ok, detail = check()
+            results[name] = check()
         except Exception as error:  # whatever is broken, the other checks are still worth having
-            ok, detail = False, f"{type(error).__name__}: {error}"
-        results.append(Check(name, ok, detail))
+            results[name] = False, f"{type(error).__name__}: {error}"
     return results
 
 
@@ -78,11 +65,9 @@ def _processor() -> tuple[bool, str]:
 
 
 def _assets() -> tuple[bool, str]:
-    from pointsdf_cli.assets import assets_folder
+    from pointsdf_cli.assets import assets_folder, bundled_robots
 
-    folder = assets_folder()
-    robots = sorted(path.stem for path in (folder / "robots").glob("*.yaml"))
-    return True, f"{folder} (robots: {', '.join(robots) or 'none'})"
+    return True, f"{assets_folder()} (robots: {', '.join(bundled_robots()) or 'none'})"
 
 
 def _sphere_distance() -> tuple[bool, str]:

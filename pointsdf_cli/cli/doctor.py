@@ -15,9 +15,9 @@ def doctor(quiet: common.Quiet = False, as_json: common.Json = False) -> None:
     from pointsdf_cli.doctor import examine
 
     checks = examine()
-    values = {check.name: {"ok": check.ok, "detail": check.detail} for check in checks}
-    lines = [f"{'ok  ' if c.ok else 'FAIL'}  {c.name}: {c.detail}" for c in checks]
+    values = {name: {"ok": ok, "detail": detail} for name, (ok, detail) in checks.items()}
+    lines = [f"{'ok  ' if ok else 'FAIL'}  {name}: {d}" for name, (ok, d) in checks.items()]
     common.Reporter(quiet, as_json).result(values, lines)
-    failed = [check.name for check in checks if not check.ok]
+    failed = [name for name, (ok, _) in checks.items() if not ok]
     if failed:
         raise RgraspError(f"{len(failed)} checks failed: {', '.join(failed)}")
