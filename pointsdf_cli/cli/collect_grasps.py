@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from pointsdf_cli.io.grasps import Grasps, GraspsMeta
     from pointsdf_cli.robot.description import RobotDescription
-    from pointsdf_cli.simulation.attempt import PreshapeSource
     from pointsdf_cli.simulation.collect import CollectTask
 
 
@@ -104,7 +103,14 @@ def collect_grasps(
     config = replace(config, execution=replace(config.execution, shake=shake, push=push))
     try_robot(machine)  # report a wrong robot once, here, instead of from every worker
     out = require_folder(out)
-    source = _source(preshapes, robot, checkpoint, grasp_checkpoint)
+    source = None
+    if preshapes == "planned":
+        from pointsdf_cli.planning.grasp_planner import PlanOptions
+        from pointsdf_cli.planning.planned_preshapes import PlannedPreshapes
+
+        options = PlanOptions(robot=robot, checkpoint=checkpoint, grasp_checkpoint=grasp_checkpoint)
+        source = PlannedPreshapes(options)
+        source.as_dict()  # report a wrong checkpoint once, here, instead of from every worker
     every = make_tasks(found, meshes, out, count, config, seed, robot, force, source, unit)
     mine = set(shard_of(sorted(every), shard))
     tasks = {name: task for name, task in every.items() if name in mine}
@@ -122,25 +128,6 @@ def collect_grasps(
     values = {"out": out, "objects": len(items), "refused": refused, **_counts(items, push > 0)}
     seconds = round(time.monotonic() - started, 3)
     reporter.result({**values, "report": page, "seconds": seconds}, [_line(values), f"{page}"])
-
-
-def _source(
-    preshapes: Preshapes, robot: Path | None, checkpoint: Path | None, grasps: Path | None
-) -> PreshapeSource | None:
-    """Source of preshapes; None for the heuristic.
-
-    Raises:
-        InputError: A network cannot be read.
-    """
-    if preshapes == "heuristic":
-        return None
-    from pointsdf_cli.planning.grasp_planner import PlanOptions
-    from pointsdf_cli.planning.planned_preshapes import PlannedPreshapes
-
-    options = PlanOptions(robot=robot, checkpoint=checkpoint, grasp_checkpoint=grasps)
-    source = PlannedPreshapes(options)
-    source.as_dict()  # report a wrong checkpoint once, here, instead of from every worker
-    return source
 
 
 def _counts(items: list[tuple[str, Grasps, GraspsMeta]], pushed: bool) -> dict[str, int]:

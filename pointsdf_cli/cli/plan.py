@@ -252,7 +252,7 @@ def _assumed_pose(where: str) -> InputError:
 
 
 _RECORDED = (
-    "target", "start", "segment", "workspace", "environment", "ignore_others", "unit",
+    "target", "start", "segment", "workspace", "ignore_others", "obstacles", "unit",
     "frame", "camera_pose", "intrinsics", "depth_scale", "mask",
 )  # fmt: skip
 """Options that the plan's provenance holds as they were typed."""
@@ -265,7 +265,6 @@ def _as_typed(given: Mapping[str, Any]) -> dict[str, Any]:
         **{name: None if given[name] == () else given[name] for name in _RECORDED},
         "environment": environment and str(environment),
         "clean": not given["no_clean"],
-        "obstacles": given["obstacles"],
     }
 
 

@@ -68,9 +68,9 @@ def view(
         kind_of(path)
     require_present(meshes)
     options = SceneOptions(load_robot(robot), meshes, most, unit)
-    if export and (port or host):
-        raise InputError("--port or --host with --export", hint="a page needs no server")
     if export:
+        if port or host:
+            raise InputError("--port or --host with --export", hint="a page needs no server")
         require_apart([export], [*artifacts, robot, meshes])
         common.check_suffix(export, "--export", (".html", ".htm"))
         require_place(export, force)
