@@ -97,43 +97,39 @@ def _content(
     labels to make one of.
 
     Raises:
-        InputError: No page can be made of this.
+        InputError: No page can be made of this, or an option is given that it does not use.
     """
     from pointsdf_cli.io.checkpoints import CONFIG
     from pointsdf_cli.io.hdf5 import artifacts_below, schema_of
-    from pointsdf_cli.viz.data_report import scan
-    from pointsdf_cli.viz.shape_report import shape_report
+    from pointsdf_cli.viz.data_report import scan, single
 
     if (path / "trials.h5").is_file():
         path = path / "trials.h5"
-    if path.is_file() and path.suffix.lower() not in (".h5", ".hdf5"):
-        _require_none(robot, meshes, "a cloud or a mesh")
-        return shape_report(path, unit, title)
     if path.is_file():
-        return _of_file(path, robot, meshes, title)
-    if (path / CONFIG).is_file():
+        kind = schema_of(path) if path.suffix.lower() in (".h5", ".hdf5") else "a cloud or a mesh"
+    elif (path / CONFIG).is_file():
+        kind = "a checkpoint"
+    else:
+        files = artifacts_below(path)
+        kinds = [schema_of(file) for file in files]
+        if {"views", "labels"} & set(kinds) or "grasps" not in kinds:
+            return scan(path, meshes)
+        grasps = [p for p, kind in zip(files, kinds, strict=True) if kind == "grasps"]
+        return _of_grasps(grasps, title)
+    data = kind in ("views", "labels")
+    unused = {"--robot": robot if kind != "plan" else None, "--meshes": None if data else meshes}
+    if option := first_given(unused):
+        raise InputError(f"not used for {kind}", where=option, hint="leave it out")
+    if data:
+        return single(path, kind, meshes)
+    if kind == "a cloud or a mesh":
+        from pointsdf_cli.viz.shape_report import shape_report
+
+        return shape_report(path, unit, title)
+    if kind == "a checkpoint":
         from pointsdf_cli.viz.checkpoint_report import checkpoint_report
 
-        _require_none(robot, meshes, "a checkpoint")
         return checkpoint_report(path, title)
-    files = artifacts_below(path)
-    kinds = [schema_of(file) for file in files]
-    if {"views", "labels"} & set(kinds) or "grasps" not in kinds:
-        return scan(path, meshes)
-    return _of_grasps([p for p, kind in zip(files, kinds, strict=True) if kind == "grasps"], title)
-
-
-def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) -> str | DataFolder:
-    from pointsdf_cli.io.hdf5 import schema_of
-
-    kind = schema_of(path)
-    _require_none(
-        None if kind == "plan" else robot, None if kind in ("views", "labels") else meshes, kind
-    )
-    if kind in ("views", "labels"):
-        from pointsdf_cli.viz.data_report import single
-
-        return single(path, kind, meshes)
     if kind == "grasps":
         return _of_grasps([path], title)
     if kind == "plan":
@@ -155,12 +151,6 @@ def _of_file(path: Path, robot: Path | None, meshes: Path | None, title: str) ->
         where=path,
         allowed="views, labels, grasps, plan, trials",
     )
-
-
-def _require_none(robot: Path | None, meshes: Path | None, kind: str) -> None:
-    """Refuse options that a page about this kind does not use."""
-    if option := first_given({"--robot": robot, "--meshes": meshes}):
-        raise InputError(f"not used for {kind}", where=option, hint="leave it out")
 
 
 def _of_grasps(files: list[Path], title: str) -> str:
