@@ -242,6 +242,14 @@ def check_suffix(path: Path, option: str, suffixes: tuple[str, ...]) -> None:
         )
 
 
+def take_threads(threads: int) -> None:
+    """Compute with so many processor threads; 0 stands for as many as there are idle ones."""
+    from pointsdf_cli.io.idle_processors import idle_processors
+    from pointsdf_cli.models.registry import use_threads
+
+    use_threads(threads or idle_processors())
+
+
 def say_if_from_another(
     reporter: Reporter, files: PlannerFiles | PlanOptions, method: str = "reconstruction"
 ) -> None:

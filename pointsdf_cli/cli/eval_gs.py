@@ -55,9 +55,7 @@ def eval_gs(
 
     from pointsdf_cli.io.apart import require_apart, require_outside
     from pointsdf_cli.io.atomic import write_text_atomic
-    from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.io.strict_json import to_json
-    from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.training import gs_evaluation as evaluation
     from pointsdf_cli.training.gs_data import read_grasp_data
     from pointsdf_cli.training.gs_table import compare
@@ -69,7 +67,7 @@ def eval_gs(
     require_apart([cache], inputs)
     require_outside(cache, grasps, "--cache")
     labelled = dict(zip(common.labels_of(checkpoint), checkpoint, strict=True))
-    use_threads(threads or idle_processors())
+    common.take_threads(threads)
     data = read_grasp_data(grasps, machine)
     reporter = common.Reporter(quiet, as_json)
     cache = cache or common.cache_beside(grasps)

@@ -70,8 +70,6 @@ def serve(
 
     # Seconds of imports: only for options that can be used.
     from pointsdf_cli.cli.signals import stop_requests
-    from pointsdf_cli.io.idle_processors import idle_processors
-    from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.planning.plan_request import PlanChoices
     from pointsdf_cli.service.identity import PlannerFiles
     from pointsdf_cli.service.resident import Resident
@@ -79,7 +77,7 @@ def serve(
 
     files = PlannerFiles(robot, checkpoint, grasp_checkpoint)
     resident = Resident(files, common.torch_device(device))
-    use_threads(threads or idle_processors())
+    common.take_threads(threads)
     resident.identity()  # of the files that are loaded now
     resident.planner(PlanChoices())
     with stop_requests() as stopped:

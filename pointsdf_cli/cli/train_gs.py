@@ -77,9 +77,7 @@ def train_gs(
     from pointsdf_cli.cli.signals import stop_requests
     from pointsdf_cli.io import checkpoints
     from pointsdf_cli.io.apart import require_apart, require_outside
-    from pointsdf_cli.io.idle_processors import idle_processors
     from pointsdf_cli.models.grasp_checkpoint import check_hand
-    from pointsdf_cli.models.registry import use_threads
     from pointsdf_cli.training.gs_data import read_grasp_data
     from pointsdf_cli.training.gs_loop import Fitted, SuccessTraining, train_success
     from pointsdf_cli.training.gs_outcome import Checkpointer, resumable_state
@@ -92,7 +90,7 @@ def train_gs(
     require_apart([out, cache], [grasps, sdf, robot])
     require_outside(cache, grasps, "--cache")
     checkpoints.require_checkpoint_place(out, replace=resume or force)
-    use_threads(threads or idle_processors())
+    common.take_threads(threads)
     state = resumable_state(out, variant, sdf) if resume else None
     reporter = common.Reporter(quiet, as_json)
     data = read_grasp_data(grasps, machine)
