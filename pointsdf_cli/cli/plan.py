@@ -141,14 +141,7 @@ def plan(
     ] = False,
     jobs: common.EachJobs = None,
     skip_bad: common.EachSkipBad = False,
-    server: Annotated[
-        str | None,
-        typer.Option(
-            metavar="URL",
-            help="Plan on a running `rgrasp serve`, such as http://127.0.0.1:8765; its token is "
-            "read from RGRASP_TOKEN.",
-        ),
-    ] = None,
+    server: common.Server = None,
     threads: common.Threads = 0,
     seed: common.Seed = 0,
     device: common.Device = "cpu",
@@ -165,7 +158,9 @@ def plan(
 
     Example: rgrasp plan scenes/*.ply --each --out plans/
     """
-    from pointsdf_cli.io.each_file import check_each
+    from pointsdf_cli.io.apart import require_apart
+    from pointsdf_cli.io.atomic import require_folder
+    from pointsdf_cli.io.each_file import check_each, one_for_each, require_one_name_each
     from pointsdf_cli.io.idle_processors import IdleProcessors
     from pointsdf_cli.io.poses import box, table_place
     from pointsdf_cli.models.checkpoint_kinds import require_reconstructions, require_successes
@@ -208,6 +203,7 @@ def plan(
         preload(("torch",) if no_picture else ("torch", "open3d"))
     # What reads clouds is loaded for options that can be used.
     from pointsdf_cli.camera.scene_file import options_of_views
+    from pointsdf_cli.service.each_plan import PlanTask
     from pointsdf_cli.service.identity import PlannerFiles
     from pointsdf_cli.service.plan_settings import PlanSettings
 
@@ -224,11 +220,18 @@ def plan(
     if each:
         common.torch_device(device)
         common.say_if_from_another(reporter, planner, method)
-        plan_each(
-            reporter, clouds, camera_pose or [], files, settings, inputs, out=out,
-            pictures=not no_picture, jobs=jobs, threads=threads, force=force, skip_bad=skip_bad,
-            accept_unlikely=accept_unlikely,
-        )  # fmt: skip
+        require_one_name_each(clouds)
+        typed = one_for_each(camera_pose or [], len(clouds), "--camera-pose")
+        out = require_folder(out)
+        tasks = []
+        for cloud, pose, file in zip(clouds, typed, files, strict=True):
+            path = out / f"{cloud.stem}.h5"
+            image = None if no_picture else path.with_suffix(".png")
+            task = PlanTask(cloud, file, pose, path, image, settings, threads or 1, force)
+            tasks.append((cloud.stem, task))
+        require_apart((p for _, task in tasks for p in (task.out, task.picture)), inputs)
+        least = 0.0 if accept_unlikely else search.acceptance().least
+        plan_each(reporter, tasks, out, least, jobs, skip_bad)
         return
     request, notes = settings.read(clouds, camera_pose or [], files)
     if trajectory is not None:
