@@ -149,6 +149,14 @@ Frame = Annotated[
 DropInvalid = Annotated[
     bool, typer.Option("--drop-invalid", help="Leave out points that are NaN or infinite.")
 ]
+Server = Annotated[
+    str | None,
+    typer.Option(
+        metavar="URL",
+        help="Plan on a running `rgrasp serve`, such as http://127.0.0.1:8765; its token is read "
+        "from RGRASP_TOKEN.",
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress on stderr.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite existing output.")]
@@ -305,8 +313,8 @@ def cache_beside(folder: Path) -> Path:
     return whole.with_name(whole.name + "-cache")
 
 
-def check_picture(path: Path | None, force: bool) -> Path | None:
-    """Check, before any work, that a PNG can be written at `path`; returns `path`.
+def check_picture(path: Path | None, force: bool) -> None:
+    """Check, before any work, that a PNG can be written at `path`; None is passed over.
 
     Raises:
         InputError: It has another suffix, exists already, or its folder cannot be written.
@@ -314,11 +322,10 @@ def check_picture(path: Path | None, force: bool) -> Path | None:
     from pointsdf_cli.io.atomic import require_place
 
     if path is None:
-        return None
+        return
     if path.suffix.lower() != ".png" or path.is_dir():
         raise InputError("is not a PNG file name", where=path, allowed="a name that ends in .png")
     require_place(path, force)
-    return path
 
 
 def torch_device(name: str) -> str:

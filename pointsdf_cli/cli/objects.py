@@ -48,7 +48,7 @@ def make(
     from pointsdf_cli.objects.store import MANIFEST, check_count, make_objects
 
     chosen = None if families is None else [name.strip() for name in families.split(",")]
-    sheet = common.check_picture(sheet, force)
+    common.check_picture(sheet, force)
     reporter = common.Reporter(quiet, as_json)
     total = len(shard_of(range(check_count(count)), shard))
     with reporter.progress("objects", total) as progress:
@@ -95,7 +95,7 @@ def fetch(
     from pointsdf_cli.objects.ycb_names import choose_ycb
 
     wanted = None if objects is None else [name.strip() for name in objects.split(",")]
-    sheet = common.check_picture(sheet, force)
+    common.check_picture(sheet, force)
     reporter = common.Reporter(quiet, as_json)
     with reporter.progress("fetch", len(choose_ycb(wanted))) as progress:
         states, refused = fetch_ycb(

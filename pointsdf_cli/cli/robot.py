@@ -113,15 +113,13 @@ def init(
 
 
 def _values(robot: RobotDescription, found: RobotCheck, picture: Path | None) -> dict[str, object]:
-    start, end = found.closing.paths[0], found.closing.paths[-1]
+    tips = zip(found.closing.tips, found.closing.paths[0], found.closing.paths[-1], strict=True)
     return {
         "robot": robot.name,
         "passed": found.passed,
         "arm_joints": list(robot.arm_joints),
         "hand_joints": list(robot.hand_joints),
-        "fingertips": {
-            tip: {"open": start[k], "closed": end[k]} for k, tip in enumerate(found.closing.tips)
-        },
+        "fingertips": {tip: {"open": start, "closed": end} for tip, start, end in tips},
         "nearer": found.closing.nearer,
         "samples": found.samples,
         "farthest": found.farthest,
@@ -134,17 +132,14 @@ def _values(robot: RobotDescription, found: RobotCheck, picture: Path | None) ->
 
 
 def _lines(robot: RobotDescription, found: RobotCheck, picture: Path | None) -> list[str]:
-    start, end = found.closing.paths[0], found.closing.paths[-1]
+    tips = zip(found.closing.tips, found.closing.paths[0], found.closing.paths[-1], strict=True)
     return [
         f"{robot.name}: {len(robot.arm_joints)} arm joints, "
         f"{len(robot.hand_joints)} hand joints, {len(robot.preshape_joints)} of them "
         "chosen by a grasp",
         f"fingertips: {', '.join(found.closing.tips)}; from open to closed, in the palm's "
         "frame [m]:",
-        *(
-            f"  {tip}: ({_numbers(start[k])}) to ({_numbers(end[k])})"
-            for k, tip in enumerate(found.closing.tips)
-        ),
+        *(f"  {tip}: ({_numbers(start)}) to ({_numbers(end)})" for tip, start, end in tips),
         f"at home: {_length(found.self_distance)} between links, "
         f"{_length(found.table_distance)} above the table",
         f"inverse kinematics: {found.reached:.0%} of palm poses that the arm can take",

@@ -58,7 +58,7 @@ def segment(
     from pointsdf_cli.io.poses import box
 
     reporter = common.Reporter(quiet, as_json)
-    outputs = [path for path in (picture, labels) if path is not None]
+    outputs = [picture, labels]
     require_apart(outputs, [scene, camera_pose, intrinsics, color, mask, robot, start])
     for path in outputs:
         common.check_picture(path, force)
