@@ -167,5 +167,6 @@ def _cloud_of_bag(
     source = f"image {frames.number}" if frames.number >= 0 else f"the image at {bag.time:g} s"
     if bag.frames > 1:
         source = f"{bag.frames} images from {source}"
-    about = {"topic": frames.topic, "frame_id": frames.frame, "stamps": frames.stamps, "said": said}
-    return made, about, [f", from {source} on {frames.topic} ({frames.frame})", *said]
+    about = {"topic": frames.topic, "frame_id": frames.frame, "stamps": frames.stamps}
+    line = f", from {source} on {frames.topic} ({frames.frame})"
+    return made, {**about, "said": said}, [line, *said]

@@ -224,11 +224,11 @@ def plan(
         typed = one_for_each(camera_pose or [], len(clouds), "--camera-pose")
         out = require_folder(out)
         tasks = []
-        for cloud, pose, file in zip(clouds, typed, files, strict=True):
-            path = out / f"{cloud.stem}.h5"
+        for view, pose, file in zip(clouds, typed, files, strict=True):
+            path = out / f"{view.stem}.h5"
             image = None if no_picture else path.with_suffix(".png")
-            task = PlanTask(cloud, file, pose, path, image, settings, threads or 1, force)
-            tasks.append((cloud.stem, task))
+            task = PlanTask(view, file, pose, path, image, settings, threads or 1, force)
+            tasks.append((view.stem, task))
         require_apart((p for _, task in tasks for p in (task.out, task.picture)), inputs)
         least = 0.0 if accept_unlikely else search.acceptance().least
         plan_each(reporter, tasks, out, least, jobs, skip_bad)
