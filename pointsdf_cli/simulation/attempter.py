@@ -40,7 +40,7 @@ from pointsdf_cli.simulation.executor import Executor
 from pointsdf_cli.simulation.feet import nearest_pose, on_its_foot
 from pointsdf_cli.simulation.heuristic import draw_preshape, hand_of
 from pointsdf_cli.simulation.observe import Observer, resample
-from pointsdf_cli.simulation.reach import Reach, Reacher
+from pointsdf_cli.simulation.reach import Reach, Reacher, start_cause
 from pointsdf_cli.simulation.settle import placed, settle, shows
 from pointsdf_cli.simulation.sim_object import SimObject
 from pointsdf_cli.simulation.verdict import Outcome
@@ -118,70 +118,59 @@ class Attempter:
         """
         scene = self.scene(item, index // SCENE_ATTEMPTS)
         rng = self._rng(item, 2, index)
-        if self._propose is not None:
-            return self._planned(item, scene, index, rng)
-        points = apply_transform(scene.T_world_camera, scene.cloud)
+        preshape = self._drawn if self._propose is None else self._planned
+        kind, T_world_palm, reach = preshape(item, scene, index, rng)
+        cloud = resample(scene.cloud, CLOUD_SIZE, rng)
+        outcome = None
+        if not reach.cause:
+            outcome = self.execute(item, scene.T_world_object, reach.q, reach.lift)
+        return Attempt(index, scene, cloud, kind, T_world_palm, reach, outcome)
+
+    def _drawn(
+        self, item: SimObject, scene: ObservedScene, index: int, rng: np.random.Generator
+    ) -> tuple[str, Array, Reach]:
+        """Kind and palm pose [4, 4] of a preshape of the heuristic, and the path to it."""
         preshape = draw_preshape(
-            points,
+            apply_transform(scene.T_world_camera, scene.cloud),
             scene.T_world_camera[:3, 3],
             self.robot.T_world_base[:3, 3],
             self._hand,
             self.config.heuristic,
             rng,
         )
-        cloud = resample(scene.cloud, CLOUD_SIZE, rng)
         arms = self._reacher.arms(preshape.T_world_palm)
         if len(arms):
             self.checks.show(self._standing(item, scene.T_world_object), scene.T_world_object)
         reach = self._reacher(preshape.T_world_palm, preshape.joints, arms)
-        outcome = None
-        if reach.label == 0:
-            outcome = self.execute(item, scene.T_world_object, reach.q, reach.lift)
-        return Attempt(index, scene, cloud, preshape.kind, preshape.T_world_palm, reach, outcome)
+        return preshape.kind, preshape.T_world_palm, reach
 
     def _planned(
         self, item: SimObject, scene: ObservedScene, index: int, rng: np.random.Generator
-    ) -> Attempt:
-        """Attempt with a preshape from the planner.
+    ) -> tuple[str, Array, Reach]:
+        """Kind and palm pose [4, 4] of a preshape from the planner, and the lift from there.
 
         A motion is not looked for: `plan` searches one later. A preshape inside the true object
         counts as lost, since a plan cannot know it.
         """
-        cloud = resample(scene.cloud, CLOUD_SIZE, rng)
-        proposed = self._proposals(item, scene, index // SCENE_ATTEMPTS)
-        which = index % SCENE_ATTEMPTS
-        none = np.empty((0, len(self.robot.arm_joints)))
-        if which >= len(proposed):
-            home = self.robot.home
-            palm = self._reacher.chain.palm(home)
-            reach = Reach(NO_CONFIGURATION, "no_plan", home, home[None][:0], none)
-            return Attempt(index, scene, cloud, KINDS[0], palm, reach, None)
-        one = proposed[which]
-        self.checks.show(self._standing(item, scene.T_world_object), scene.T_world_object)
-        hits = self.checks.collisions(one.q)
-        label, cause, lift = LOST, "", none
-        if hits:
-            touched = next(kind for kind in ("object", "table", "self") if kind in hits)
-            label = LOST if touched == "object" else NO_CONFIGURATION
-            cause = f"start_in_{touched}"
-        elif (path := lift_path(self._reacher.chain, one.q)) is None:
-            label, cause = NO_MOTION, "no_lift"
-        else:
-            lift = path
-        reach = Reach(label, cause, one.q, one.q[None], lift)
-        outcome = None
-        if not cause:
-            outcome = self.execute(item, scene.T_world_object, one.q, lift)
-        return Attempt(index, scene, cloud, one.kind, one.T_world_palm, reach, outcome)
-
-    def _proposals(
-        self, item: SimObject, scene: ObservedScene, index: int
-    ) -> list[PlannedPreshape]:
-        """Preshapes of a scene, cached for its attempts."""
         assert self._propose is not None
         if self._proposed is None or self._proposed[0] is not scene:
-            self._proposed = scene, self._propose(scene, self._rng(item, 3, index))
-        return self._proposed[1]
+            stream = self._rng(item, 3, index // SCENE_ATTEMPTS)
+            self._proposed = scene, self._propose(scene, stream)
+        proposed, which = self._proposed[1], index % SCENE_ATTEMPTS
+        chain, home = self._reacher.chain, self.robot.home
+        if which >= len(proposed):
+            return KINDS[0], chain.palm(home), Reach(NO_CONFIGURATION, "no_plan", home)
+        one = proposed[which]
+        self.checks.show(self._standing(item, scene.T_world_object), scene.T_world_object)
+        cause = start_cause(self.checks.collisions(one.q))
+        if cause:
+            label = LOST if cause == "start_in_object" else NO_CONFIGURATION
+            reach = Reach(label, cause, one.q)
+        elif (lift := lift_path(chain, one.q)) is None:
+            reach = Reach(NO_MOTION, "no_lift", one.q)
+        else:
+            reach = Reach(LOST, "", one.q, lift=lift)
+        return one.kind, one.T_world_palm, reach
 
     def execute(
         self,
@@ -238,11 +227,9 @@ class Attempter:
             InputError: The object never comes to rest, or no view shows it.
         """
         key = (item.mesh.name, item.mesh.identity, index)
-        if self._last_scene is not None and self._last_scene[0] == key:
-            return self._last_scene[1]
-        scene = self._draw_scene(item, self._rng(item, 1, index))
-        self._last_scene = (key, scene)
-        return scene
+        if self._last_scene is None or self._last_scene[0] != key:
+            self._last_scene = key, self._draw_scene(item, self._rng(item, 1, index))
+        return self._last_scene[1]
 
     def _draw_scene(self, item: SimObject, rng: np.random.Generator) -> ObservedScene:
         problem = InputError("never comes to rest on a table", where=item.mesh.name)

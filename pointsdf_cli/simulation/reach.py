@@ -9,7 +9,7 @@ attempts without such a path are labelled.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,16 +55,15 @@ class Reach:
             "no_lift", "no_path", "no_plan".
         q: [J], the preshape; without a path, one that was tried; NaN for the arm without inverse
             kinematics.
-        approach: [T, J], path from home to the preshape; the preshape alone for a planned one;
-            empty without one.
+        approach: [T, J], path from home to the preshape; empty without one, and for a planned one.
         lift: [K, A], arm joints along the lift; empty without one.
     """
 
     label: int
     cause: str
     q: Array
-    approach: Array
-    lift: Array
+    approach: Array = field(default_factory=lambda: np.empty((0, 0)))
+    lift: Array = field(default_factory=lambda: np.empty((0, 0)))
 
 
 class Reacher:
@@ -104,18 +103,13 @@ class Reacher:
         arms = self.arms(T_world_palm) if arms is None else arms
         if not len(arms):
             q = robot.configuration(np.full(len(robot.arm_joints), np.nan), joints)
-            return self._none(NO_CONFIGURATION, "no_ik", q)
-        free, touched = [], "self"
-        for arm in arms:
-            hits = self._world.collisions(robot.configuration(arm, joints))
-            if not hits:
-                free.append(arm)
-            else:
-                touched = next(kind for kind in ("object", "table", "self") if kind in hits)
-        if not free:
-            q = robot.configuration(arms[-1], joints)
-            return self._none(NO_CONFIGURATION, f"start_in_{touched}", q)
-        return self._way(T_world_palm, np.array(free), joints)
+            return Reach(NO_CONFIGURATION, "no_ik", q)
+        tried = robot.configuration(arms, joints)
+        causes = [start_cause(self._world.collisions(q)) for q in tried]
+        free = arms[[not cause for cause in causes]]
+        if not len(free):
+            return Reach(NO_CONFIGURATION, causes[-1], tried[-1])
+        return self._way(T_world_palm, free, joints)
 
     @property
     def chain(self) -> ArmChain:
@@ -146,7 +140,7 @@ class Reacher:
             if approach is not None:
                 q = robot.configuration(arms[k], joints)
                 return Reach(0, "", q, approach, lifts[k])
-        return self._none(NO_MOTION, cause, robot.configuration(arms[0], joints))
+        return Reach(NO_MOTION, cause, robot.configuration(arms[0], joints))
 
     def _approach(
         self, retreat: Array, T_world_palm: Array, back: Array, joints: Array
@@ -187,10 +181,11 @@ class Reacher:
         dense = interpolate(path, self._resolution)
         return not any(self._world.collisions(dense[i]) for i in _coarse_first(len(dense)))
 
-    def _none(self, label: int, cause: str, q: Array) -> Reach:
-        joints = len(self._robot.joint_names)
-        arm = len(self._robot.arm_joints)
-        return Reach(label, cause, q, np.empty((0, joints)), np.empty((0, arm)))
+
+def start_cause(touched: set[str]) -> str:
+    """Cause of a preshape in which the robot touches these; empty if it touches nothing."""
+    order = ("object", "table", "self")
+    return next((f"start_in_{kind}" for kind in order if kind in touched), "")
 
 
 def interpolate(path: Array, resolution: Array) -> Array:
@@ -206,17 +201,11 @@ def interpolate(path: Array, resolution: Array) -> Array:
     return np.concatenate(pieces)
 
 
-def _coarse_first(count: int) -> list[int]:
+def _coarse_first(count: int) -> NDArray[np.int64]:
     """Indices below `count`: the ends first, then halves, quarters, …"""
-    order, seen = [], set()
-    stride = 1 << max(count - 1, 1).bit_length()
-    while stride >= 1:
-        for i in range(count - 1, -1, -stride):
-            if i not in seen:
-                seen.add(i)
-                order.append(i)
-        stride //= 2
-    return order
+    back = np.arange(count)
+    stride = np.where(back == 0, count, back & -back)  # the largest that comes to each
+    return count - 1 - np.argsort(-stride, kind="stable")
 
 
 def _different(arms: Array) -> Array:
