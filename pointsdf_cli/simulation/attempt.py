@@ -137,26 +137,23 @@ class Attempt:
 def as_grasps(attempts: list[Attempt]) -> Grasps:
     """Arrays of attempts with one object, for storage."""
 
-    def column(values: list[Any], dtype: type) -> NDArray[Any]:
-        return np.array(values, dtype=dtype)
-
     def measured(name: str) -> NDArray[np.float32]:
         values = [np.nan if a.outcome is None else getattr(a.outcome, name) for a in attempts]
-        return np.array(values, dtype=np.float32)
+        return np.array(values, np.float32)
 
     return Grasps(
-        cloud=column([a.cloud for a in attempts], np.float32),
-        T_world_camera=column([a.scene.T_world_camera for a in attempts], np.float64),
-        T_world_object=column([a.scene.T_world_object for a in attempts], np.float64),
-        T_world_palm=column([a.T_world_palm for a in attempts], np.float64),
-        q=column([a.reach.q for a in attempts], np.float64),
-        label=column([a.label for a in attempts], np.int8),
-        kind=column([KINDS.index(a.kind) for a in attempts], np.int8),
-        cause=column([CAUSES.index(a.cause) for a in attempts], np.int8),
+        cloud=np.array([a.cloud for a in attempts], np.float32),
+        T_world_camera=np.array([a.scene.T_world_camera for a in attempts], np.float64),
+        T_world_object=np.array([a.scene.T_world_object for a in attempts], np.float64),
+        T_world_palm=np.array([a.T_world_palm for a in attempts], np.float64),
+        q=np.array([a.reach.q for a in attempts], np.float64),
+        label=np.array([a.label for a in attempts], np.int8),
+        kind=np.array([KINDS.index(a.kind) for a in attempts], np.int8),
+        cause=np.array([CAUSES.index(a.cause) for a in attempts], np.int8),
         lift_height=measured("lift_height"),
         slip=measured("slip"),
-        attempt=column([a.index for a in attempts], np.int32),
-        scene=column([a.index // SCENE_ATTEMPTS for a in attempts], np.int32),
+        attempt=np.array([a.index for a in attempts], np.int32),
+        scene=np.array([a.index // SCENE_ATTEMPTS for a in attempts], np.int32),
         evidence=tuple(a.scene.evidence for a in attempts),
-        unshaken=column([a.unshaken for a in attempts], np.int8),
+        unshaken=np.array([a.unshaken for a in attempts], np.int8),
     )

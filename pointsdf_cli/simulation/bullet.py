@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from pointsdf_cli.errors import RgraspError
+from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.frames import wxyz_from_rotation
 
 
 class Bullet:
@@ -39,6 +41,11 @@ class Bullet:
         if inspect.isbuiltin(found):
             return functools.partial(found, physicsClientId=self._client)
         return found
+
+
+def bullet_place(pose: Array) -> tuple[list[float], list[float]]:
+    """Position [3] and quaternion [4], scalar last, of a pose [4, 4] as PyBullet takes them."""
+    return pose[:3, 3].tolist(), wxyz_from_rotation(pose[:3, :3])[[1, 2, 3, 0]].tolist()
 
 
 @contextlib.contextmanager

@@ -9,14 +9,9 @@ import numpy as np
 
 from pointsdf_cli.errors import RgraspError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import (
-    invert_transform,
-    rotation_from_wxyz,
-    transform,
-    wxyz_from_rotation,
-)
+from pointsdf_cli.geometry.frames import invert_transform, rotation_from_wxyz, transform
 from pointsdf_cli.io.scratch import temporary_files
-from pointsdf_cli.simulation.bullet import Bullet
+from pointsdf_cli.simulation.bullet import Bullet, bullet_place
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.physics import ROLLING_FRICTION, SPINNING_FRICTION, PhysicsConfig
 from pointsdf_cli.simulation.sim_object import SimObject
@@ -56,7 +51,7 @@ class BulletObject:
             raise RgraspError(
                 "PyBullet cannot read the object's convex pieces", where=item.mesh.name
             )
-        position, xyzw = self._body_pose(T_world_object)
+        position, xyzw = bullet_place(T_world_object @ self._T_mesh_body)
         self.body: int = bullet.createMultiBody(
             item.mass, shape, basePosition=position, baseOrientation=xyzw
         )
@@ -73,7 +68,7 @@ class BulletObject:
 
     def place(self, T_world_object: Array) -> None:
         """Place it at rest, without physics."""
-        position, xyzw = self._body_pose(T_world_object)
+        position, xyzw = bullet_place(T_world_object @ self._T_mesh_body)
         self._bullet.resetBasePositionAndOrientation(self.body, position, xyzw)
 
     def pose(self) -> Array:
@@ -97,11 +92,6 @@ class BulletObject:
         self._bullet.applyExternalForce(
             self.body, -1, force.tolist(), self.centre().tolist(), self._bullet.WORLD_FRAME
         )
-
-    def _body_pose(self, T_world_object: Array) -> tuple[list[float], list[float]]:
-        """Position [3] and quaternion [4] (scalar last, for PyBullet) of the body frame."""
-        T = T_world_object @ self._T_mesh_body
-        return T[:3, 3].tolist(), wxyz_from_rotation(T[:3, :3])[[1, 2, 3, 0]].tolist()
 
 
 def write_pieces(pieces: Pieces, path: Path, skin: float) -> None:

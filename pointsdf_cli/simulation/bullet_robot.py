@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.frames import invert_transform, rotation_vector, wxyz_from_rotation
+from pointsdf_cli.geometry.frames import invert_transform, rotation_vector
 from pointsdf_cli.robot.arm_chain import ArmChain
 from pointsdf_cli.robot.description import RobotDescription
-from pointsdf_cli.simulation.bullet import Bullet, silence
+from pointsdf_cli.simulation.bullet import Bullet, bullet_place, silence
+from pointsdf_cli.simulation.physics import JOINT_RECOVERY
 
 GEAR_FORCE, GEAR_RECOVERY = 1000.0, 1.0
 """Coupling of joints: largest force [N or N m], share of an error that a step takes back."""
@@ -27,7 +28,7 @@ class BulletRobot:
         robot: The robot.
         files: URDFs of the robot's parts.
         T_world_root: [4, 4], pose of their roots.
-        recovery: Share of a joint's position error that is corrected in a step.
+        step: Step of the simulation [s].
     """
 
     def __init__(
@@ -36,10 +37,9 @@ class BulletRobot:
         robot: RobotDescription,
         files: Sequence[Path],
         T_world_root: Array,
-        recovery: float,
+        step: float,
     ) -> None:
-        self._bullet, self.robot = bullet, robot
-        self._recovery = recovery
+        self._bullet, self.robot, self._step = bullet, robot, step
         self.bodies: list[int] = []
         self.links: dict[str, tuple[int, int]] = {}
         """Body and number of each link, by name."""
@@ -81,7 +81,7 @@ class BulletRobot:
 
     def _load(self, file: Path, T_world_root: Array) -> int:
         b = self._bullet
-        wxyz = wxyz_from_rotation(T_world_root[:3, :3])
+        position, xyzw = bullet_place(T_world_root)
         flags = b.URDF_USE_SELF_COLLISION | b.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
         flags |= b.URDF_IGNORE_VISUAL_SHAPES  # loading takes two thirds of the time
         try:
@@ -89,8 +89,8 @@ class BulletRobot:
                 return int(
                     b.loadURDF(
                         str(file),
-                        basePosition=T_world_root[:3, 3].tolist(),
-                        baseOrientation=wxyz[[1, 2, 3, 0]].tolist(),
+                        basePosition=position,
+                        baseOrientation=xyzw,
                         useFixedBase=True,
                         flags=flags,
                     )
@@ -145,7 +145,7 @@ class BulletRobot:
                 self._bullet.POSITION_CONTROL,
                 targetPositions=q[columns[places]].tolist(),
                 targetVelocities=speeds[places].tolist(),
-                positionGains=[self._recovery] * len(places),
+                positionGains=[JOINT_RECOVERY * self._step] * len(places),
                 velocityGains=[1.0] * len(places),
                 forces=forces[places].tolist(),
             )
@@ -197,7 +197,6 @@ class CarriedHand(BulletRobot):
     Args:
         chain: Kinematics of the robot's arm.
         q: [J], configuration of the robot.
-        step: Step of the simulation [s].
     """
 
     def __init__(
@@ -205,32 +204,29 @@ class CarriedHand(BulletRobot):
         bullet: Bullet,
         robot: RobotDescription,
         files: Sequence[Path],
-        recovery: float,
+        step: float,
         chain: ArmChain,
         q: Array,
-        step: float,
     ) -> None:
-        self._chain, self._step = chain, step
+        self._chain = chain
         self._T_palm_link = invert_transform(robot.T_link_palm)
         self._q = np.array(q, dtype=float)
-        T_world_palm_link = self._palm_links(self._q[None])[0]
-        super().__init__(bullet, robot, files, T_world_palm_link, recovery)
+        super().__init__(bullet, robot, files, self._palm_link(self._q), step)
         self._absent = [k for k, at in enumerate(self._joints) if at is None]
 
     def place(self, q: ArrayLike) -> None:
         """Place the hand at its pose in this configuration [J], at rest."""
         self._q = np.array(q, dtype=float)
-        pose = self._palm_links(self._q[None])[0]
-        place, xyzw = pose[:3, 3].tolist(), wxyz_from_rotation(pose[:3, :3])[[1, 2, 3, 0]].tolist()
+        position, xyzw = bullet_place(self._palm_link(self._q))
         for body in self.bodies:
-            self._bullet.resetBasePositionAndOrientation(body, place, xyzw)
+            self._bullet.resetBasePositionAndOrientation(body, position, xyzw)
         super().place(q)
 
     def follow(self, arm: Array) -> Iterator[None]:
         """Carry the hand along the arm's configurations [K, A], one a step."""
         q = np.tile(self._q, (len(arm) + 1, 1))
         q[1:, self.robot.arm] = arm
-        poses = self._palm_links(q)
+        poses = self._palm_link(q)
         turns = poses[1:, :3, :3] @ poses[:-1, :3, :3].transpose(0, 2, 1)
         turning = rotation_vector(turns) / self._step
         try:
@@ -248,8 +244,8 @@ class CarriedHand(BulletRobot):
         for body in self.bodies:
             self._bullet.resetBaseVelocity(body, speed.tolist(), turning.tolist())
 
-    def _palm_links(self, q: Array) -> Array:
-        """Poses [K, 4, 4] of the palm link at configurations [K, J]."""
+    def _palm_link(self, q: Array) -> Array:
+        """Poses [..., 4, 4] of the palm link at configurations [..., J]."""
         return self._chain.palm(q) @ self._T_palm_link
 
     def state(self) -> tuple[Array, Array]:

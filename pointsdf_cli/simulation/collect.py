@@ -47,11 +47,11 @@ class CollectTask:
         config: Settings that determine outcomes.
         seed: Random seed.
         robot: YAML file of the robot; the bundled one if None.
-        patience: Two numbers: the largest number of attempts (executed or not) before the first
-            executed grasp, and its increase for each executed grasp.
         force: Replace an existing file.
         source: Planner that proposes preshapes; the paper's heuristic if None.
         unit: Unit of the mesh.
+        patience: Two numbers: the largest number of attempts (executed or not) before the first
+            executed grasp, and its increase for each executed grasp.
     """
 
     name: str
@@ -62,14 +62,15 @@ class CollectTask:
     config: AttemptConfig
     seed: int
     robot: Path | None = None
-    patience: tuple[int, int] = (60, 12)
     force: bool = False
     source: PreshapeSource | None = None
     unit: str = "m"
+    patience: tuple[int, int] = (60, 12)
 
-    def most_attempts(self, executed: int) -> int:
-        """Largest number of attempts for a number of executed grasps."""
-        return self.patience[0] + self.patience[1] * executed
+    def goes_on(self, attempts: int, executed: int) -> bool:
+        """Whether a further attempt is wanted after some, of which some were executed."""
+        most = self.patience[0] + self.patience[1] * executed
+        return executed < self.quota and attempts < most
 
 
 def collect_object(task: CollectTask) -> dict[str, int] | None:
@@ -86,18 +87,18 @@ def collect_object(task: CollectTask) -> dict[str, int] | None:
     torch.set_num_threads(1)
     config = _options_of(task)
     done: Grasps | None = None
+    index = executed = 0
     if not task.force and is_complete(task.out, schema=SCHEMA, version=VERSION, config=config):
         done, _ = read_grasps(task.out)
-        if _finished(done, task):
+        index, executed = len(done), int(done.executed.sum())
+        if not task.goes_on(index, executed):
             return None
     mesh = load_mesh(task.mesh, task.unit)
     item = prepare_object(replace(mesh, name=task.name))
     attempter = _attempter(task.robot, task.config, task.seed, task.source)
     attempter.check(item)
     attempts = []
-    index = 0 if done is None else len(done)
-    executed = 0 if done is None else int(done.executed.sum())
-    while executed < task.quota and index < task.most_attempts(executed):
+    while task.goes_on(index, executed):
         try:
             attempt = attempter.attempt(item, index)
         except InputError:
@@ -188,17 +189,7 @@ def make_tasks(
     quotas = first_quotas(splits, count)
     return {
         name: CollectTask(
-            name,
-            mesh,
-            path,
-            quotas[name],
-            splits[name],
-            config,
-            seed,
-            robot,
-            force=force,
-            source=source,
-            unit=unit,
+            name, mesh, path, quotas[name], splits[name], config, seed, robot, force, source, unit
         )
         for name, (mesh, path) in paths.items()
     }
@@ -253,11 +244,6 @@ def _spread(names: Sequence[str], count: int) -> dict[str, int]:
     return {name: base + (i < rest) for i, name in enumerate(names)}
 
 
-def _finished(grasps: Grasps, task: CollectTask) -> bool:
-    executed = int(grasps.executed.sum())
-    return executed >= task.quota or len(grasps) >= task.most_attempts(executed)
-
-
 @functools.lru_cache(maxsize=1)
 def _attempter(
     robot: Path | None, config: AttemptConfig, seed: int, source: PreshapeSource | None
@@ -269,7 +255,7 @@ def _attempter(
 
 def wanted_of(splits: dict[str, str], quotas: dict[str, int]) -> dict[str, int]:
     """Number of executed grasps in the first quotas of each split."""
-    totals: dict[str, Any] = {TRAIN: 0, TEST: 0}
-    for name, quota in quotas.items():
-        totals[splits[name]] += quota
-    return totals
+    return {
+        split: sum(quota for name, quota in quotas.items() if splits[name] == split)
+        for split in (TRAIN, TEST)
+    }

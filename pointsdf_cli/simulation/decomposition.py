@@ -113,16 +113,22 @@ def decompose(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Pieces
     )
     pieces = []
     for corners, _ in parts:
-        try:
-            piece = trimesh.convex.convex_hull(corners)
-        except (ValueError, QhullError):
-            continue
-        if not piece.volume > 0:  # flat: nothing to collide with
-            continue
-        pieces.append((np.asarray(piece.vertices), np.asarray(piece.faces)))
+        piece = hull_of(corners)
+        if piece is not None:
+            pieces.append((np.asarray(piece.vertices), np.asarray(piece.faces)))
     if not pieces:
         raise InputError("has no convex piece of any volume")
     return pieces
+
+
+def hull_of(points: NDArray[np.floating], sliver: float = 0.0) -> trimesh.Trimesh | None:
+    """Convex hull of points [N, 3]; None if its volume is at most `sliver` [m³], as there is then
+    nothing to collide with."""
+    try:
+        hull = trimesh.convex.convex_hull(np.asarray(points, dtype=float))
+    except (ValueError, QhullError):
+        return None
+    return hull if hull.volume > sliver else None
 
 
 def with_few_faces(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:

@@ -60,12 +60,11 @@ class ExecutorConfig:
     push: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.shake <= 100:
-            raise InputError(f"{self.shake:g} m/s²", where="--shake", allowed="0 to 100 m/s²")
-        if not 0 <= self.hold <= 600:
-            raise InputError(f"{self.hold:g} s", where="--hold", allowed="0 to 600 s")
-        if not 0 <= self.push <= 1000:
-            raise InputError(f"{self.push:g} N", where="--push", allowed="0 to 1000 N")
+        for name, most, unit in (("shake", 100, "m/s²"), ("hold", 600, "s"), ("push", 1000, "N")):
+            value = getattr(self, name)
+            if not 0 <= value <= most:
+                what, allowed = f"{value:g} {unit}", f"0 to {most} {unit}"
+                raise InputError(what, where=f"--{name}", allowed=allowed)
 
 
 LONGEST_SETTLING = 2.0

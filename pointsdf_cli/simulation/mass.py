@@ -89,17 +89,13 @@ def mass_of(name: str, solid: trimesh.Trimesh) -> float:
     known = YCB_MASSES.get(name.rpartition("/")[2])
     if known is not None:
         return known
-    hull = float(solid.convex_hull.volume)
-    return estimated_mass(float(solid.volume), float(solid.area), hull)
-
-
-def estimated_mass(volume: float, area: float, hull_volume: float) -> float:
-    """Mass [kg] of a closed surface by its volume [m³], area [m²] and convex hull's volume [m³]."""
-    return float(np.clip(unbounded_mass(volume, area, hull_volume), LIGHTEST, HEAVIEST))
+    mass = unbounded_mass(float(solid.volume), float(solid.area), float(solid.convex_hull.volume))
+    return float(np.clip(mass, LIGHTEST, HEAVIEST))
 
 
 def unbounded_mass(volume: float, area: float, hull_volume: float) -> float:
-    """The estimate of `estimated_mass` without bounds [kg]."""
+    """Estimated mass [kg], without bounds, of a closed surface by its volume [m³], area [m²] and
+    convex hull's volume [m³]."""
     mass = DENSITY * volume
     if volume < FULLNESS * hull_volume:
         mass = min(mass, WALL_DENSITY * WALL * area)

@@ -7,17 +7,14 @@ are close enough. manifold3d makes the cuts and keeps every part closed.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import trimesh
 from manifold3d import Error, Manifold, Mesh
 from numpy.typing import NDArray
-from scipy.spatial import QhullError
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.simulation.decomposition import Pieces, with_few_corners, with_few_faces
+from pointsdf_cli.simulation.decomposition import Pieces, hull_of, with_few_corners, with_few_faces
 
 MOST_PIECES = 64
 """Number of pieces that ends the cutting. With the sixteen of the collection a biplane's wings are
@@ -49,7 +46,10 @@ def quick_pieces(vertices: Array, faces: NDArray[np.integer]) -> Pieces:
     """
     solid = _solid(vertices, faces)
     if solid is None:
-        return [with_few_corners(_hull(vertices), MOST_CORNERS)]
+        hull = hull_of(vertices, SLIVER)
+        if hull is None:
+            raise InputError("the points span no volume")
+        return [with_few_corners(hull, MOST_CORNERS)]
     parts = [_Part(solid)]
     whole = solid.volume()
     while len(parts) < MOST_PIECES:
@@ -61,14 +61,8 @@ def quick_pieces(vertices: Array, faces: NDArray[np.integer]) -> Pieces:
             parts[worst].excess = 0.0  # no plane helps: leave it as it is
             continue
         parts[worst : worst + 1] = cut
-    pieces = []
-    for part in parts:
-        try:
-            hull = _hull(np.asarray(part.hull.to_mesh().vert_properties)[:, :3])
-        except InputError:
-            continue  # a sliver: nothing to collide with
-        pieces.append(with_few_corners(hull, MOST_CORNERS))
-    return pieces
+    hulls = [hull_of(_corners(part.hull), SLIVER) for part in parts]
+    return [with_few_corners(hull, MOST_CORNERS) for hull in hulls if hull is not None]
 
 
 class _Part:
@@ -82,7 +76,7 @@ class _Part:
 
 def _best_cut(part: _Part) -> list[_Part] | None:
     """Parts with the least excess, among cuts along the part's principal axes."""
-    corners = np.asarray(part.solid.to_mesh().vert_properties)[:, :3].astype(float)
+    corners = _corners(part.solid)
     _, axes = np.linalg.eigh(np.cov(corners.T))
     best: list[_Part] | None = None
     # A cut may gain nothing: halves of a ring have as much excess as the ring, quarters less.
@@ -113,11 +107,5 @@ def _solid(vertices: Array, faces: NDArray[np.integer]) -> Manifold | None:
     return solid
 
 
-def _hull(points: Any) -> trimesh.Trimesh:
-    try:
-        hull = trimesh.convex.convex_hull(np.asarray(points, dtype=float))
-    except (ValueError, QhullError) as error:
-        raise InputError("the points span no volume") from error
-    if not hull.volume > SLIVER:
-        raise InputError("the points span no volume")
-    return hull
+def _corners(solid: Manifold) -> Array:
+    return np.asarray(solid.to_mesh().vert_properties)[:, :3].astype(float)

@@ -67,18 +67,8 @@ def prepare_object(mesh: LoadedMesh, cache: Path | None = None, fine: bool = Fal
         poses = stable_poses(mesh.vertices, centre)
     except InputError as error:
         raise InputError.of(error, mesh.name) from error
-    if not fine:
-        pieces = convex_pieces(mesh, cache=cache)
-    else:
-        pieces = quick_pieces(mesh.vertices, mesh.faces)
+    pieces = quick_pieces(mesh.vertices, mesh.faces) if fine else convex_pieces(mesh, cache)
     # Bounded below: contact solvers fail at moments near 0, as flat objects have about one axis.
     moments = np.maximum(moments, 1e-6)
     body = [((corners - centre) @ axes, faces) for corners, faces in pieces]
-    return SimObject(
-        mesh=mesh,
-        pieces=body,
-        T_mesh_body=transform(axes, centre),
-        mass=mass,
-        inertia=moments,
-        poses=poses,
-    )
+    return SimObject(mesh, body, transform(axes, centre), mass, moments, poses)

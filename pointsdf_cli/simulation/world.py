@@ -262,14 +262,12 @@ class World:
         b.changeDynamics(self._table, -1, lateralFriction=TABLE_FRICTION)
 
     def _add_robot(self, q: Array, hand_alone: bool) -> None:
-        b, robot = self._bullet, self.robot
-        recovery = JOINT_RECOVERY * self.physics.step
+        b, robot, step = self._bullet, self.robot, self.physics.step
         self.joints: BulletRobot
         if hand_alone:
-            step = self.physics.step
-            self.joints = CarriedHand(b, robot, self._hand, recovery, self.chain, q, step)
+            self.joints = CarriedHand(b, robot, self._hand, step, self.chain, q)
         else:
-            self.joints = BulletRobot(b, robot, self._whole, robot.T_world_base, recovery)
+            self.joints = BulletRobot(b, robot, self._whole, robot.T_world_base, step)
         links = self.joints.links
         for link in sorted(robot.links_on_table & set(links)):
             body, number = links[link]
