@@ -74,7 +74,6 @@ _SCENES = {
 def _set_down(scene: Scene, T_world_mesh: NDArray[np.float64]) -> Scene:
     """A scene of meshes, moved as a whole."""
     parts = tuple(
-        replace(part, vertices=apply_transform(T_world_mesh, part.vertices).astype(np.float32))
-        for part in scene.parts
+        replace(part, vertices=apply_transform(T_world_mesh, part.vertices)) for part in scene.parts
     )
     return replace(scene, parts=parts)

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib import get_data_path
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.open3d_core import o3d
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.io.meshes import load_mesh
+from pointsdf_cli.viz.lettering import lettering
 
 BACKGROUND = (250, 250, 248)
 INK = (40, 40, 44)
@@ -124,7 +124,6 @@ def draw_sheet(items: Sequence[SheetItem]) -> Image.Image:
     columns = min(COLUMNS, len(items))
     rows = -(-len(items) // columns)
     text = max(10, TILE // 16)
-    font_bold, font = _font(text, bold=True), _font(text, bold=False)
     pitch = TILE + 2 * text + text
     gap = TILE // 20
     sheet = Image.new("RGB", (columns * (TILE + gap) + gap, rows * pitch + gap), color=BACKGROUND)
@@ -137,14 +136,11 @@ def draw_sheet(items: Sequence[SheetItem]) -> Image.Image:
         tile = shaded_view(item.vertices, item.faces, TILE, colour)
         sheet.paste(Image.fromarray(tile), (left, top))
         middle = left + TILE // 2
-        pen.text((middle, top + TILE), item.label, fill=INK, font=font_bold, anchor="mt")
-        pen.text(
-            (middle, top + TILE + int(1.25 * text)),
-            size_caption(item.vertices),
-            fill=FAINT_INK,
-            font=font,
-            anchor="mt",
-        )
+        for below, words, ink, font in (
+            (0, item.label, INK, lettering(text, bold=True)),
+            (int(1.25 * text), size_caption(item.vertices), FAINT_INK, lettering(text)),
+        ):
+            pen.text((middle, top + TILE + below), words, fill=ink, font=font, anchor="mt")
     return sheet
 
 
@@ -199,9 +195,3 @@ def _palette() -> Image.Image:
     image = Image.new("P", (1, 1))
     image.putpalette(np.concatenate([shades, greys]).round().astype(np.uint8).ravel().tolist())
     return image
-
-
-def _font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
-    # matplotlib ships DejaVu Sans, so the sheet looks the same on every machine.
-    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / name), size)

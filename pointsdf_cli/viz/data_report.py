@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pointsdf_cli.errors import InputError
-from pointsdf_cli.io.hdf5 import artifacts_below, mesh_unit, open_hdf5, schema_of
+from pointsdf_cli.io.hdf5 import artifacts_below, schema_of
 from pointsdf_cli.io.labels import Labels, read_labels
-from pointsdf_cli.io.meshes import MESH_SUFFIXES, LoadedMesh, load_mesh
-from pointsdf_cli.io.provenance import file_sha256
+from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.io.views import Views, read_views
 from pointsdf_cli.viz import html
+from pointsdf_cli.viz.scene_sources import mesh_folders, mesh_of, meshes_below
 from pointsdf_cli.viz.sheets import sdf_slices, views_sheet
 
 SHOWN = 6
@@ -46,24 +47,14 @@ def scan(folder: Path, meshes: Path | None = None) -> DataFolder:
             where=folder,
             allowed="a folder that rgrasp render or label-sdf wrote to",
         )
-    return DataFolder(found["views"], found["labels"], _meshes_below(folder, meshes))
+    return DataFolder(found["views"], found["labels"], list(meshes_below(folder, meshes)))
 
 
 def single(path: Path, schema: str, meshes: Path | None = None) -> DataFolder:
     """One file of views or labels, by its `schema`; its mesh is searched in meshes/ beside views/,
     and below `meshes`."""
-    here = path.resolve().parent
-    beside = [here, here.parent / "meshes"]
-    found = _meshes_below(*(folder for folder in (*beside, meshes) if folder and folder.is_dir()))
     views, labels = ([path] if schema == kind else [] for kind in ("views", "labels"))
-    return DataFolder(views, labels, found)
-
-
-def _meshes_below(*folders: Path | None) -> list[Path]:
-    roots = [folder for folder in folders if folder is not None]
-    return sorted(
-        {p for root in roots for p in root.rglob("*") if p.suffix.lower() in MESH_SUFFIXES}
-    )
+    return DataFolder(views, labels, list(meshes_below(*mesh_folders(path), meshes)))
 
 
 def data_report(found: DataFolder, title: str) -> str:
@@ -113,23 +104,15 @@ def sample_items(
     found: DataFolder,
 ) -> tuple[list[tuple[LoadedMesh, Views]], list[tuple[LoadedMesh, Labels]]]:
     """The artifacts shown on the page, for pictures as files."""
-    views = [(m, read_views(path)) for path in _spread(found.views) for m in _mesh(path, found)]
-    labels = [(m, read_labels(path)) for path in _spread(found.labels) for m in _mesh(path, found)]
+    views = [(mesh, read_views(path)) for path, mesh in _with_mesh(found.views, found.meshes)]
+    labels = [(mesh, read_labels(path)) for path, mesh in _with_mesh(found.labels, found.meshes)]
     return views, labels
 
 
-def _spread(paths: list[Path]) -> list[Path]:
-    if not paths:
-        return []
-    return [paths[k] for k in np.unique(np.linspace(0, len(paths) - 1, SHOWN).astype(int))]
-
-
-def _mesh(artifact: Path, found: DataFolder) -> list[LoadedMesh]:
-    """Mesh of an artifact, by its hash; empty if it is not found."""
-    with open_hdf5(artifact) as file:
-        name, digest = str(file.attrs["mesh_file"]), str(file.attrs["mesh_hash"])
-        unit = mesh_unit(file)
-    for path in found.meshes:
-        if path.name == name and file_sha256(path) == digest:
-            return [load_mesh(path, unit)]
-    return []
+def _with_mesh(paths: list[Path], meshes: list[Path]) -> Iterator[tuple[Path, LoadedMesh]]:
+    """Some of the artifacts, spread evenly, each with its mesh; without those whose mesh is not
+    found."""
+    for k in np.unique(np.linspace(0, len(paths) - 1, SHOWN).astype(int)) if paths else ():
+        _, mesh = mesh_of(paths[k], meshes)
+        if mesh is not None:
+            yield paths[k], mesh

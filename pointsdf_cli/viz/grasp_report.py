@@ -13,7 +13,7 @@ from PIL import Image
 
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.io.atomic import atomic_path
-from pointsdf_cli.io.grasps import CAUSES, HELD, KINDS, Grasps, GraspsMeta
+from pointsdf_cli.io.grasps import CAUSES, HELD, KINDS, LOST, Grasps, GraspsMeta
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.viz import html
 from pointsdf_cli.viz.robot_picture import RobotMeshes
@@ -116,17 +116,7 @@ def grasp_report(
         html.heading("By object"),
         html.table(
             ("object", "split", "attempts", "executed", "held", "held of executed"),
-            [
-                (
-                    name,
-                    meta.split,
-                    len(grasps),
-                    int(grasps.executed.sum()),
-                    int((grasps.label == HELD).sum()),
-                    share(int((grasps.label == HELD).sum()), int(grasps.executed.sum())),
-                )
-                for name, grasps, meta in items
-            ],
+            [(name, meta.split, *_counts(grasps.label)) for name, grasps, meta in items],
         ),
     ]
     if refused:
@@ -149,17 +139,17 @@ def png_bytes(image: NDArray[np.uint8]) -> bytes:
 def _rates(items: Sequence[tuple[str, Grasps, GraspsMeta]]) -> list[tuple[object, ...]]:
     rows: list[tuple[object, ...]] = []
     for split in ("train", "test"):
+        of_split = [grasps for _, grasps, meta in items if meta.split == split]
         for i, kind in enumerate(KINDS):
-            attempts = executed = held = 0
-            for _, grasps, meta in items:
-                if meta.split != split:
-                    continue
-                of_kind = grasps.kind == i
-                attempts += int(of_kind.sum())
-                executed += int((of_kind & grasps.executed).sum())
-                held += int((of_kind & (grasps.label == HELD)).sum())
-            rows.append((split, kind, attempts, executed, held, share(held, executed)))
+            labels = [grasps.label[grasps.kind == i] for grasps in of_split]
+            rows.append((split, kind, *_counts(np.concatenate([[], *labels]))))
     return rows
+
+
+def _counts(label: NDArray) -> tuple[int, int, int, str]:
+    """Attempts with labels [G], executed and held ones, and the share of these two."""
+    executed, held = int((label >= LOST).sum()), int((label == HELD).sum())
+    return len(label), executed, held, share(held, executed)
 
 
 def _causes(items: Sequence[tuple[str, Grasps, GraspsMeta]]) -> list[tuple[object, ...]]:

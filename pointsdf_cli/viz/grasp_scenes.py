@@ -30,7 +30,7 @@ def grasps_scene(path: Path, options: SceneOptions) -> Scene:
     robot = MovingRobot(options.robot)
     thing, palm = len(robot.bodies), len(robot.bodies) + 1
     parts = [*robot.parts, table_part(), axes("palm", "palm", 0.08, palm)]
-    for part in named_mesh(meta.mesh_file, meta.mesh_hash, path, options):
+    for part in named_mesh(path, options):
         parts.append(replace(part, layer="object", colour=OBJECT_COLOUR, body=thing, opacity=0.6))
     captions = []
     for frame, k in enumerate(chosen):
@@ -113,16 +113,15 @@ def trial_scene(path: Path, options: SceneOptions) -> Scene:
             row.object,
             "object",
             "mesh",
-            believed.astype(np.float32),
-            np.asarray(evidence.faces, np.int32),
+            believed,
+            evidence.faces,
             OBJECT_COLOUR,
             thing,
             opacity=0.6,
         ),
     ]
     if len(evidence.obstacle_faces):
-        around = np.asarray(evidence.obstacle_vertices, np.float32)
-        faces = np.asarray(evidence.obstacle_faces, np.int32)
+        around, faces = evidence.obstacle_vertices, evidence.obstacle_faces
         parts.append(Part("others", "others", "mesh", around, faces, OTHER_COLOUR, opacity=0.5))
     chosen = spread(len(evidence.times), 200)
     q = np.concatenate([evidence.trajectory[chosen], evidence.q])

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from pointsdf_cli.viz.scene import Scene
 
-_PLAIN = ("name", "layer", "kind", "body", "frame", "opacity")
+_PLAIN = ("title", "slider", "rate", "captions", "facts", "bodies", "layers")
+_PLAIN_OF_PART = ("name", "layer", "kind", "body", "frame", "opacity")
 _MARK = "<!--SCENE-->"
 _START = '<script id="scene" type="application/json">'
 
@@ -31,20 +32,14 @@ def scene_as_json(scene: Scene) -> dict[str, Any]:
     """The scene in plain types."""
     low, high = scene.bounds()
     return {
-        "title": scene.title,
-        "slider": scene.slider,
-        "rate": scene.rate,
-        "captions": list(scene.captions),
-        "facts": [list(fact) for fact in scene.facts],
-        "bodies": list(scene.bodies),
-        "layers": list(scene.layers),
+        **{name: getattr(scene, name) for name in _PLAIN},
         "low": low.tolist(),
         "high": high.tolist(),
         # By columns, as WebGL takes matrices.
         "poses": _base64(np.swapaxes(scene.poses, -1, -2), "<f4"),
         "parts": [
             {
-                **{name: getattr(part, name) for name in _PLAIN},
+                **{name: getattr(part, name) for name in _PLAIN_OF_PART},
                 "vertices": _base64(part.vertices, "<f4"),
                 "colours": _base64(np.clip(part.vertex_colours() * 255, 0, 255).round(), "u1"),
                 "faces": None if part.faces is None else _base64(part.faces, "<u4"),

@@ -8,14 +8,15 @@ from pathlib import Path
 
 from PIL import ImageFont
 
-FONT = "mpl-data/fonts/ttf/DejaVuSans.ttf"
+FONTS = Path("mpl-data/fonts/ttf")
 
 
 @cache
-def lettering(size: int) -> ImageFont.ImageFont | ImageFont.FreeTypeFont:
+def lettering(size: int, bold: bool = False) -> ImageFont.ImageFont | ImageFont.FreeTypeFont:
     """DejaVu Sans at this size in pixels; Pillow's own font if matplotlib has none."""
     spec = find_spec("matplotlib")
     for folder in (spec.submodule_search_locations or ()) if spec else ():
-        if (Path(folder) / FONT).is_file():
-            return ImageFont.truetype(str(Path(folder) / FONT), size)
+        font = folder / FONTS / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")
+        if font.is_file():
+            return ImageFont.truetype(str(font), size)
     return ImageFont.load_default(size)

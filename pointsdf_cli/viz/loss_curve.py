@@ -26,17 +26,18 @@ def loss_figure(history: Sequence[Mapping[str, float]]) -> Figure:
     minutes = [entry["seconds"] / 60.0 for entry in history]
     figure = Figure(figsize=(8, 3.2), layout="constrained")
     losses, overlap = figure.subplots(1, 2)
-    for key, label in (
-        ("train_loss", "training"),
-        ("view_loss", "held-out views"),
-        ("object_loss", "held-out objects"),
+    for axes, key, label in (
+        (losses, "train_loss", "training"),
+        (losses, "view_loss", "held-out views"),
+        (losses, "object_loss", "held-out objects"),
+        (overlap, "view_iou", "held-out views"),
+        (overlap, "object_iou", "held-out objects"),
     ):
-        losses.plot(minutes, [entry[key] for entry in history], label=label, marker=".")
-    losses.set(xlabel="training time [min]", ylabel="loss", yscale="log")
-    for key, label in (("view_iou", "held-out views"), ("object_iou", "held-out objects")):
-        overlap.plot(minutes, [entry[key] for entry in history], label=label, marker=".")
-    overlap.set(xlabel="training time [min]", ylabel="IoU on the labelled points")
+        axes.plot(minutes, [entry[key] for entry in history], label=label, marker=".")
+    losses.set(ylabel="loss", yscale="log")
+    overlap.set(ylabel="IoU on the labelled points")
     for axes in (losses, overlap):
+        axes.set(xlabel="training time [min]")
         axes.grid(alpha=0.3)
         axes.legend(frameon=False)
     return figure

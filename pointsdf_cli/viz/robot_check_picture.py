@@ -16,10 +16,9 @@ from pointsdf_cli.robot.kinematics import Kinematics
 from pointsdf_cli.robot.surface import robot_surface
 from pointsdf_cli.viz.robot_picture import RobotMeshes
 from pointsdf_cli.viz.robot_scene import MovingRobot, table_part
-from pointsdf_cli.viz.scene import Part, Scene, axes
+from pointsdf_cli.viz.scene import AXES, Part, Scene, axes
 from pointsdf_cli.viz.shading import Painted, dots, look_at, shaded_image, table_mesh
 
-AXES = ((0.85, 0.1, 0.1), (0.1, 0.6, 0.1), (0.15, 0.25, 0.9))
 PATH_COLOUR, SAMPLE_COLOUR = (0.95, 0.65, 0.05), (1.0, 0.55, 0.25)
 
 
@@ -31,28 +30,19 @@ def check_picture(robot: RobotDescription, size: int = 620) -> NDArray[np.uint8]
     surface samples.
     """
     closing, q = closing_of(robot), open_hand(robot)
-    meshes = RobotMeshes(robot)
-    kinematics = Kinematics(robot)
-    palm = kinematics.palm(q).numpy()
-    drawn = meshes.at(q)
-    corners = np.concatenate([part.vertices for part in drawn])
-    high = corners.max(axis=0)
-    middle = (corners.min(axis=0) + high) / 2
-    far = 1.5 * float(np.linalg.norm(np.ptp(corners, axis=0)))
-    whole = look_at(middle + far * np.array([0.62, -0.68, 0.4]), middle)
+    meshes, palm = RobotMeshes(robot), _palm(robot, q)
+    drawn, only = meshes.at(q), meshes.at(q, hand_only=True)
+    middle, extent = _middle(np.concatenate([part.vertices for part in drawn]))
+    whole = look_at(middle + 1.5 * extent * np.array([0.62, -0.68, 0.4]), middle)
     frames = [*_frame(robot.T_world_base, 0.15), *_frame(palm, 0.15)]
-    hand, links = _hand(robot, kinematics, q)
-    centre = (hand.min(axis=0) + hand.max(axis=0)) / 2
-    near = 1.9 * float(np.linalg.norm(np.ptp(hand, axis=0)))
+    hand, links = _hand(robot, meshes.link_poses(q))
+    centre, scale = _middle(hand)
     side = palm[:3, :3] @ np.array([0.75, 0.35, 0.56]) + [0, 0, 0.25]
-    close = look_at(centre + near * side / np.linalg.norm(side), centre, palm[:3, 2])
+    close = look_at(centre + 1.9 * scale * side / np.linalg.norm(side), centre, palm[:3, 2])
     ways = _ways(closing, palm)
-    arm = [part for part in drawn if not _inside(part, hand)]
-    scale = float(np.linalg.norm(np.ptp(hand, axis=0)))
-    only = [part for part in drawn if _inside(part, hand)]
     return np.concatenate(
         [
-            shaded_image([*arm, *only, table_mesh(), *frames], whole, (size, size)),
+            shaded_image([*drawn, table_mesh(), *frames], whole, (size, size)),
             shaded_image([*only, *_frame(palm, 0.4 * scale), *ways], close, (size, size)),
             shaded_image([*only, dots(links, 0.0065 * scale, SAMPLE_COLOUR)], close, (size, size)),
         ],
@@ -64,20 +54,17 @@ def robot_scene(robot: RobotDescription, name: str) -> Scene:
     """The robot at home, closing its hand frame by frame, with frames and samples as layers."""
     closing = closing_of(robot)
     moving = MovingRobot(robot)
-    kinematics = Kinematics(robot)
-    palm = kinematics.palm(closing.q).numpy()
     parts = [*moving.parts, table_part(), axes("world", "axes", 0.2)]
     parts.append(axes("palm", "palm", 0.12, len(moving.bodies)))
     for k, tip in enumerate(closing.tips):
-        way = closing.paths[:, k].astype(np.float32)
-        segments = np.repeat(way, 2, axis=0)[1:-1]
+        way = np.repeat(closing.paths[:, k], 2, axis=0)[1:-1]
         body = len(moving.bodies)
-        parts.append(Part(tip, "fingertip paths", "lines", segments, None, PATH_COLOUR, body))
+        parts.append(Part(tip, "fingertip paths", "lines", way, None, PATH_COLOUR, body))
     for link, points in robot_surface(robot).items():
-        body = kinematics.index(link)
-        samples = points.astype(np.float32)
-        parts.append(Part(link, "samples", "points", samples, None, SAMPLE_COLOUR, body))
-    poses = np.concatenate([moving.poses(closing.q), palm[:, None]], axis=1)
+        body = moving.bodies.index(link)
+        parts.append(Part(link, "samples", "points", points, None, SAMPLE_COLOUR, body))
+    palm = _palm(robot, closing.q)[:, None]
+    poses = np.concatenate([moving.poses(closing.q), palm], axis=1)
     share = np.linspace(0, 100, len(closing.q))
     facts = (
         ("robot", robot.name),
@@ -89,23 +76,28 @@ def robot_scene(robot: RobotDescription, name: str) -> Scene:
     return Scene(name, tuple(parts), bodies, poses, captions, "closing", 12.0, facts)
 
 
-def _hand(robot: RobotDescription, kinematics: Kinematics, q: Array) -> tuple[Array, Array]:
-    """Corners of the hand's shapes, and its surface samples, in the world at q."""
-    rotation, position = (v.numpy() for v in kinematics(q))
+def _palm(robot: RobotDescription, q: Array) -> Array:
+    """T_world_palm [..., 4, 4] at configurations [..., J]."""
+    return np.asarray(Kinematics(robot).palm(q).numpy())
+
+
+def _hand(robot: RobotDescription, poses: Array) -> tuple[Array, Array]:
+    """Corners of the hand's shapes, and its surface samples, with all links at poses [L, 4, 4]."""
     surface = robot_surface(robot)
     corners, samples = [], []
     for link in robot.hand_links:
-        i = kinematics.index(link)
+        pose = poses[robot.tree.links.index(link)]
         for shape in robot.tree.shapes[link]:
-            corners.append(shape.triangulated()[0] @ rotation[i].T + position[i])
+            corners.append(apply_transform(pose, shape.triangulated()[0]))
         if link in surface:
-            samples.append(surface[link] @ rotation[i].T + position[i])
+            samples.append(apply_transform(pose, surface[link]))
     return np.concatenate(corners), np.concatenate(samples)
 
 
-def _inside(part: Painted, hand: Array) -> bool:
-    low, high = hand.min(axis=0) - 1e-6, hand.max(axis=0) + 1e-6
-    return bool(((part.vertices >= low) & (part.vertices <= high)).all())
+def _middle(points: Array) -> tuple[Array, float]:
+    """Middle [3] and diagonal [m] of the box around points [N, 3]."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return (low + high) / 2, float(np.linalg.norm(high - low))
 
 
 def _frame(pose: Array, length: float) -> list[Painted]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.robot.description import RobotDescription
@@ -19,39 +19,45 @@ TIP_COLOUR = (0.95, 0.93, 0.86)
 ColouredShape = tuple[int, NDArray[np.float64], NDArray[np.int64], tuple[float, float, float]]
 
 
-def coloured_shapes(robot: RobotDescription, sections: int) -> Iterator[ColouredShape]:
-    """Shapes of all links: index of the link, vertices [V, 3], faces [F, 3] and colour; cylinders
-    have `sections` facets."""
-    hand = set(robot.hand_links)
-    for i, link in enumerate(robot.tree.links):
-        for shape in robot.tree.shapes[link]:
-            colour = ARM_COLOURS[i % 2]
-            if link in hand:
-                colour = TIP_COLOUR if shape.kind == "sphere" else HAND_COLOUR
-            yield i, *shape.triangulated(sections), colour
-
-
 class RobotMeshes:
     """The robot's shapes as meshes, to be painted at any configuration.
 
     Args:
         robot: The robot.
         sections: Facets of a cylinder.
+
+    Attributes:
+        shapes: Shapes of all links: index of the link, vertices [V, 3] in its frame, m, faces
+            [F, 3] and colour.
     """
 
     def __init__(self, robot: RobotDescription, sections: int = 40) -> None:
         self._kinematics = Kinematics(robot)
-        self._parts = list(coloured_shapes(robot, sections))
         self._hand = {i for i, link in enumerate(robot.tree.links) if link in robot.hand_links}
+        self.shapes: list[ColouredShape] = [
+            (i, *shape.triangulated(sections), self._colour(i, shape.kind))
+            for i, link in enumerate(robot.tree.links)
+            for shape in robot.tree.shapes[link]
+        ]
+
+    def link_poses(self, q: ArrayLike) -> NDArray[np.float64]:
+        """Poses [..., L, 4, 4] of all links in the world at configurations [..., J]."""
+        links = self._kinematics(np.asarray(q, dtype=np.float64))
+        return np.asarray(homogeneous(*links).numpy())
 
     def at(self, q: NDArray[np.float64], hand_only: bool = False) -> list[Painted]:
         """The robot, or its hand alone, at one configuration [J], in the world."""
-        poses = homogeneous(*self._kinematics(q)).numpy()
+        poses = self.link_poses(q)
         return [
             Painted(apply_transform(poses[link], vertices), faces, colour)
-            for link, vertices, faces, colour in self._parts
+            for link, vertices, faces, colour in self.shapes
             if not hand_only or link in self._hand
         ]
+
+    def _colour(self, link: int, kind: str) -> tuple[float, float, float]:
+        if link not in self._hand:
+            return ARM_COLOURS[link % 2]
+        return TIP_COLOUR if kind == "sphere" else HAND_COLOUR
 
 
 def robot_poses_picture(

@@ -16,6 +16,9 @@ WORLD = -1
 
 Colour = tuple[float, float, float]
 
+AXES: tuple[Colour, ...] = ((0.85, 0.1, 0.1), (0.1, 0.6, 0.1), (0.15, 0.25, 0.9))
+"""Colours of the axes of a frame."""
+
 
 @dataclass(frozen=True)
 class Part:
@@ -25,8 +28,8 @@ class Part:
         name: Name of the part.
         layer: Name of the layer; parts of a layer are shown and hidden together.
         kind: One of `KINDS`. Lines join vertices 0-1, 2-3, and so on.
-        vertices: f4 [V, 3], in the body's frame, m.
-        faces: i4 [F, 3] of a mesh; None for the others.
+        vertices: [V, 3], in the body's frame, m; kept as f4.
+        faces: [F, 3] of a mesh, kept as i4; None for the others.
         colour: Red, green, blue in [0, 1], or f4 [V, 3] with one for each vertex.
         body: Index into `Scene.bodies`, or WORLD.
         frame: The only frame that shows it; None for all.
@@ -36,8 +39,8 @@ class Part:
     name: str
     layer: str
     kind: str
-    vertices: NDArray[np.float32]
-    faces: NDArray[np.int32] | None = None
+    vertices: NDArray[np.floating]
+    faces: NDArray[np.integer] | None = None
     colour: Colour | NDArray[np.float32] = (0.6, 0.6, 0.6)
     body: int = WORLD
     frame: int | None = None
@@ -46,6 +49,9 @@ class Part:
     def __post_init__(self) -> None:
         if self.kind not in KINDS or (self.kind == "mesh") != (self.faces is not None):
             raise InputError(f"a part of kind {self.kind!r}", allowed=", ".join(KINDS))
+        object.__setattr__(self, "vertices", np.asarray(self.vertices, np.float32))
+        if self.faces is not None:
+            object.__setattr__(self, "faces", np.asarray(self.faces, np.int32))
 
     def vertex_colours(self) -> NDArray[np.float32]:
         """Colours f4 [V, 3] of the vertices."""
@@ -162,9 +168,9 @@ def joined(scenes: Sequence[Scene]) -> Scene:
 
 def axes(name: str, layer: str, size: float, body: int = WORLD) -> Part:
     """A frame's axes as lines of length `size` [m]: x red, y green, z blue."""
-    vertices = np.zeros((6, 3), dtype=np.float32)
+    vertices = np.zeros((6, 3))
     vertices[[1, 3, 5], [0, 1, 2]] = size
-    colour = np.repeat([[0.85, 0.1, 0.1], [0.1, 0.6, 0.1], [0.15, 0.25, 0.9]], 2, axis=0)
+    colour = np.repeat(AXES, 2, axis=0)
     return Part(name, layer, "lines", vertices, None, colour.astype(np.float32), body)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from pointsdf_cli.errors import InputError
 from pointsdf_cli.io.clouds import CLOUD_SUFFIXES
 from pointsdf_cli.io.describe import is_cloud
 from pointsdf_cli.io.hdf5 import mesh_unit, open_hdf5, schema_of
-from pointsdf_cli.io.meshes import MESH_SUFFIXES, load_mesh
+from pointsdf_cli.io.meshes import MESH_SUFFIXES, LoadedMesh, load_mesh
 from pointsdf_cli.io.provenance import file_sha256
 from pointsdf_cli.robot.description import RobotDescription, load_robot
 from pointsdf_cli.viz.scene import Part
@@ -103,34 +103,50 @@ def spread(count: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
-def mesh_part(name: str, vertices: NDArray, faces: NDArray, opacity: float = 1.0) -> Part:
-    return Part(
-        name,
-        "mesh",
-        "mesh",
-        np.asarray(vertices, np.float32),
-        np.asarray(faces, np.int32),
-        MESH_COLOUR,
-        opacity=opacity,
-    )
-
-
-def named_mesh(name: str, digest: str, artifact: Path, options: SceneOptions) -> list[Part]:
+def named_mesh(artifact: Path, options: SceneOptions) -> list[Part]:
     """Mesh of an artifact as parts; empty if it is not found beside it, or in meshes/ beside its
     folder.
 
     Raises:
         InputError: The given folder of meshes does not hold it.
     """
-    here = artifact.resolve().parent
-    folders = [options.meshes] if options.meshes else [here, here.parent / "meshes"]
-    with open_hdf5(artifact) as file:
-        unit = mesh_unit(file)
-    for folder in folders:
-        for path in sorted(folder.rglob("*")) if folder.is_dir() else []:
-            if path.name == name and path.is_file() and file_sha256(path) == digest:
-                mesh = load_mesh(path, options.unit if unit == "m" else unit)
-                return [mesh_part(name, mesh.vertices, mesh.faces, 0.35)]
+    folders = [options.meshes] if options.meshes else mesh_folders(artifact)
+    name, mesh = mesh_of(artifact, meshes_below(*folders), options.unit)
+    if mesh is not None:
+        return [Part(name, "mesh", "mesh", mesh.vertices, mesh.faces, MESH_COLOUR, opacity=0.35)]
     if options.meshes:
         raise InputError(f"does not hold {name} of {artifact}", where=f"--meshes {options.meshes}")
     return []
+
+
+def mesh_folders(artifact: Path) -> list[Path]:
+    """Folders in which the mesh of an artifact is looked for: its own, and meshes/ beside it."""
+    here = artifact.resolve().parent
+    return [here, here.parent / "meshes"]
+
+
+def meshes_below(*folders: Path | None) -> Iterator[Path]:
+    """Mesh files below folders, of which some may be None or not exist."""
+    for folder in folders:
+        for path in sorted(folder.rglob("*")) if folder else ():
+            if path.suffix.lower() in MESH_SUFFIXES and path.is_file():
+                yield path
+
+
+def mesh_of(
+    artifact: Path, files: Iterable[Path], unit: str = "m"
+) -> tuple[str, LoadedMesh | None]:
+    """Name of an artifact's mesh, and that mesh if one of the files is it, by name and hash.
+
+    Args:
+        artifact: Views, labels or grasps.
+        files: Mesh files.
+        unit: Unit of the mesh if the artifact's is metres.
+    """
+    with open_hdf5(artifact) as file:
+        name, digest = str(file.attrs["mesh_file"]), str(file.attrs["mesh_hash"])
+        stored = mesh_unit(file)
+    for path in files:
+        if path.name == name and file_sha256(path) == digest:
+            return name, load_mesh(path, unit if stored == "m" else stored)
+    return name, None

@@ -50,11 +50,9 @@ def shape_report(path: Path, unit: str, title: str) -> str:
 def _sides(points: NDArray[np.floating]) -> Figure:
     """Points [N, 3] of the world along its axes."""
     figure, axes = plt.subplots(1, 3, figsize=(12, 4), layout="constrained")
-    for axis, (across, up), names in zip(
-        axes, ((1, 2), (0, 2), (0, 1)), (("y", "z"), ("x", "z"), ("x", "y")), strict=True
-    ):
+    for axis, (across, up) in zip(axes, ((1, 2), (0, 2), (0, 1)), strict=True):
         axis.scatter(points[:, across], points[:, up], c=points[:, 2], s=0.7, cmap="viridis")
-        axis.set(aspect="equal", xlabel=f"{names[0]} [m]", ylabel=f"{names[1]} [m]")
+        axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]")
     axes[0].invert_xaxis()  # y is to the left of who looks along x
     return figure
 

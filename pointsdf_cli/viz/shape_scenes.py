@@ -13,7 +13,7 @@ from pointsdf_cli.io.labels import read_labels
 from pointsdf_cli.io.meshes import load_mesh
 from pointsdf_cli.io.views import read_views
 from pointsdf_cli.viz.scene import Part, Scene, axes, by_height
-from pointsdf_cli.viz.scene_sources import SceneOptions, mesh_part, named_mesh, spread
+from pointsdf_cli.viz.scene_sources import MESH_COLOUR, SceneOptions, named_mesh, spread
 
 # Orientation of a cloud in the camera's frame without a camera pose: the viewing direction is
 # ahead, the image's downward direction is down.
@@ -49,14 +49,14 @@ def mesh_scene(path: Path, options: SceneOptions) -> Scene:
     """A mesh in its own frame."""
     mesh = load_mesh(path, options.unit)
     size = float(np.ptp(mesh.vertices, axis=0).max())
-    parts = (mesh_part(path.name, mesh.vertices, mesh.faces), axes("mesh", "axes", size / 2))
+    surface = Part(path.name, "mesh", "mesh", mesh.vertices, mesh.faces, MESH_COLOUR)
     extent = " × ".join(f"{side:.3f}" for side in np.ptp(mesh.vertices, axis=0))
     facts = (
         ("mesh", f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces"),
         ("extent", f"{extent} m"),
         ("repair", mesh.repair),
     )
-    return Scene(path.name, parts, facts=facts)
+    return Scene(path.name, (surface, axes("mesh", "axes", size / 2)), facts=facts)
 
 
 def views_scene(path: Path, options: SceneOptions) -> Scene:
@@ -64,7 +64,7 @@ def views_scene(path: Path, options: SceneOptions) -> Scene:
     views = read_views(path)
     chosen = spread(len(views.cloud), options.most)
     width, height = views.image_size
-    parts, poses = list(named_mesh(views.mesh_file, views.mesh_hash, path, options)), []
+    parts, poses = list(named_mesh(path, options)), []
     for frame, k in enumerate(chosen):
         T_object_camera = invert_transform(views.T_camera_object[k])
         points = apply_transform(T_object_camera, views.cloud[k]).astype(np.float32)
@@ -89,15 +89,14 @@ def labels_scene(path: Path, options: SceneOptions) -> Scene:
     """Points with their signed distance: inside blue, outside red, the surface white."""
     labels = read_labels(path)
     chosen = spread(len(labels.sdf), 20_000)
-    points, sdf = np.asarray(labels.points[chosen]), np.asarray(labels.sdf[chosen])
+    points, sdf = labels.points[chosen], labels.sdf[chosen]
     strength = np.clip(np.abs(sdf) / max(float(np.percentile(np.abs(sdf), 90)), 1e-9), 0, 1)
-    colours = np.ones((len(sdf), 3), np.float32)
-    fade = 1 - strength
-    colours[sdf < 0, 0], colours[sdf < 0, 1] = fade[sdf < 0], fade[sdf < 0]
-    colours[sdf > 0, 1], colours[sdf > 0, 2] = fade[sdf > 0], fade[sdf > 0]
+    colours, fade = np.ones((len(sdf), 3), np.float32), 1 - strength[:, None]
     inside = sdf < 0
+    colours[inside, :2] = fade[inside]
+    colours[sdf > 0, 1:] = fade[sdf > 0]
     parts = tuple(
-        Part(name, name, "points", points[mask].astype(np.float32), None, colours[mask])
+        Part(name, name, "points", points[mask], None, colours[mask])
         for name, mask in (("inside", inside), ("outside", ~inside))
     )
     facts = (("points", str(len(labels.sdf))), ("shown", str(len(chosen))))
@@ -110,5 +109,5 @@ def _frustum(K: NDArray[np.float64], width: int, height: int, depth: float) -> P
     edge = depth * corners @ np.linalg.inv(K).T
     pairs = [(np.zeros(3), corner) for corner in edge]
     pairs += [(edge[k], edge[(k + 1) % 4]) for k in range(4)]
-    vertices = np.array(pairs, dtype=np.float32).reshape(-1, 3)
+    vertices = np.array(pairs).reshape(-1, 3)
     return Part("camera", "camera", "lines", vertices, None, (0.2, 0.2, 0.2), 0)

@@ -113,11 +113,10 @@ def only_controls(server: Any) -> bool:
     Returns:
         Whether this version of viser can be told so.
     """
-    handlers: dict[Any, list[Callable[..., Any]]] | None
-    handlers = getattr(server, "_incoming_handlers", None)
-    kinds = {kind.__name__: kind for kind in handlers or {}}
+    handlers: dict[Any, list[Callable[..., Any]]] = getattr(server, "_incoming_handlers", {})
+    kinds = {kind.__name__: kind for kind in handlers}
     update = kinds.pop("GuiUpdateMessage", None)
-    if handlers is None or update is None or len(handlers[update]) != 1:
+    if update is None or len(handlers[update]) != 1:
         return False
     for kind in kinds.values():
         server.unregister_handler(kind)
@@ -134,15 +133,12 @@ def only_controls(server: Any) -> bool:
 
 
 def _name_of(url: str) -> str | None:
-    try:
+    with suppress(ValueError):
         return urlsplit(url).hostname
-    except ValueError:
-        return None
+    return None
 
 
 def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
+    with suppress(ValueError):
+        return bool(ipaddress.ip_address(name))
+    return False
