@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
@@ -53,9 +53,10 @@ class BulletRobot:
             root = bullet.getBodyInfo(body)[0].decode()
             self.links.setdefault(root, (body, -1))
             self.bodies.append(body)
-        self._joints = [by_name.get(name) for name in robot.joint_names]
-        self._all = range(len(self._joints))
-        self._found: dict[tuple[int, ...], list[tuple[int, list[int], list[int]]]] = {}
+        joints = np.array([by_name.get(name, (-1, -1)) for name in robot.joint_names])
+        self._body, self._number = joints.T
+        """Bodies [J] of the joints, and their numbers there; -1 for those that are absent."""
+        self._all = np.arange(len(joints))
         self._couple(by_name)
 
     def _couple(self, by_name: dict[str, tuple[int, int]]) -> None:
@@ -118,7 +119,7 @@ class BulletRobot:
 
     def state(self) -> tuple[Array, Array]:
         """Joint positions and velocities, [J] each."""
-        values = np.zeros((2, len(self._joints)))
+        values = np.zeros((2, len(self._all)))
         for body, columns, numbers in self._by_body(self._all):
             states = self._bullet.getJointStates(body, numbers)
             values[:, columns] = np.array([state[:2] for state in states]).T
@@ -138,7 +139,7 @@ class BulletRobot:
         columns = np.asarray(columns)
         speeds = np.zeros(len(columns)) if speeds is None else speeds
         q, forces, speeds = (np.asarray(values, float) for values in (q, forces, speeds))
-        for body, places, numbers in self._by_body(columns.tolist()):
+        for body, places, numbers in self._by_body(columns):
             self._bullet.setJointMotorControlArray(
                 body,
                 numbers,
@@ -153,7 +154,7 @@ class BulletRobot:
     def drive_at(self, speeds: ArrayLike, columns: ArrayLike, forces: ArrayLike) -> None:
         """Set speed targets for the joints at `columns` of q, with their largest efforts."""
         forces, speeds = np.asarray(forces, float), np.asarray(speeds, float)
-        for body, places, numbers in self._by_body(np.asarray(columns).tolist()):
+        for body, places, numbers in self._by_body(np.asarray(columns)):
             self._bullet.setJointMotorControlArray(
                 body,
                 numbers,
@@ -165,27 +166,19 @@ class BulletRobot:
     def follow(self, arm: Array) -> Iterator[None]:
         """Move the arm through configurations [K, A]; yields when the next step may be made."""
         columns = np.arange(arm.shape[1])
-        q = np.zeros(len(self._joints))
+        q = np.zeros(len(self._all))
         for target in arm:
             q[columns] = target
             self.drive_to(q, columns, self.robot.effort[columns])
             yield
 
-    def _by_body(self, columns: Sequence[int]) -> list[tuple[int, list[int], list[int]]]:
+    def _by_body(self, columns: NDArray[np.intp]) -> Iterator[tuple[int, NDArray, list[int]]]:
         """Group joints (columns in q) by body: body, places in the list, numbers in the body."""
-        key = tuple(columns)
-        if key not in self._found:
-            joints = [self._joints[column] for column in key]
-            places = [
-                (body, [(k, at[1]) for k, at in enumerate(joints) if at and at[0] == body])
-                for body in self.bodies
-            ]
-            self._found[key] = [
-                (body, [k for k, _ in found], [number for _, number in found])
-                for body, found in places
-                if found
-            ]
-        return self._found[key]
+        of = self._body[columns]
+        for body in self.bodies:
+            places = np.flatnonzero(of == body)
+            if len(places):
+                yield body, places, self._number[columns[places]].tolist()
 
 
 class CarriedHand(BulletRobot):
@@ -212,7 +205,7 @@ class CarriedHand(BulletRobot):
         self._T_palm_link = invert_transform(robot.T_link_palm)
         self._q = np.array(q, dtype=float)
         super().__init__(bullet, robot, files, self._palm_link(self._q), step)
-        self._absent = [k for k, at in enumerate(self._joints) if at is None]
+        self._absent = self._body < 0
 
     def place(self, q: ArrayLike) -> None:
         """Place the hand at its pose in this configuration [J], at rest."""

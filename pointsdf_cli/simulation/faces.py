@@ -50,13 +50,13 @@ def upright_box(points: Array) -> Box:
     level = points[:, :2]
     centred = level - level.mean(axis=0)
     _, vectors = np.linalg.eigh(centred.T @ centred)
-    first = np.array([*vectors[:, 1], 0.0])
-    up = np.array([0.0, 0.0, 1.0])
-    return box_along(points, np.stack([first, np.cross(up, first), up]))
+    return box_along(points, vectors[:, 1])
 
 
-def box_along(points: Array, axes: Array) -> Box:
-    """The box of a cloud [N, 3] along given axes [3, 3], the vertical last."""
+def box_along(points: Array, level: Array) -> Box:
+    """The upright box of a cloud [N, 3] along a level direction [2], unit."""
+    first, up = np.array([*level, 0.0]), np.array([0.0, 0.0, 1.0])
+    axes = np.stack([first, np.cross(up, first), up])
     along = points @ axes.T
     low, high = along.min(axis=0), along.max(axis=0)
     low[2] = min(low[2], 0.0) if low[2] < 0.02 else low[2]  # it stands on the table

@@ -9,6 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
+from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.stable_poses import StablePose, foot_height
 from pointsdf_cli.simulation.decomposition import Pieces
 from pointsdf_cli.simulation.sim_object import SimObject
@@ -30,9 +31,7 @@ def on_its_foot(item: SimObject, pose: StablePose) -> SimObject:
     them is flat for none.
     """
     to_mesh, up, height = item.T_mesh_body, pose.T_table_object[2, :3], pose.T_table_object[2, 3]
-    pieces = [
-        (corners @ to_mesh[:3, :3].T + to_mesh[:3, 3], faces) for corners, faces in item.pieces
-    ]
+    pieces = [(apply_transform(to_mesh, corners), faces) for corners, faces in item.pieces]
     corners = np.concatenate([corners for corners, _ in pieces])
     above = corners @ up + height
     level = pose.T_table_object[:2, :3]

@@ -32,11 +32,8 @@ def snug_box(points: Array) -> Box:
     Jaws need the narrowest direction; principal axes of a square's two visible sides are its
     diagonals.
     """
-    up = np.array([0.0, 0.0, 1.0])
-    boxes = []
-    for turn in np.arange(TURNS) * (np.pi / 2 / TURNS):
-        first = np.array([np.cos(turn), np.sin(turn), 0.0])
-        boxes.append(box_along(points, np.stack([first, np.cross(up, first), up])))
+    turns = np.arange(TURNS) * (np.pi / 2 / TURNS)
+    boxes = [box_along(points, np.array([np.cos(turn), np.sin(turn)])) for turn in turns]
     return min(boxes, key=lambda box: float(box.half[0] * box.half[1]))
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from pointsdf_cli.camera.cleaning import clean
@@ -75,8 +76,7 @@ class Observer:
 
     def __init__(self, robot: RobotDescription, placement: CameraPlacement | None = None) -> None:
         self.placement = placement or CameraPlacement()
-        self._robot = RobotMeshes(robot, sections=16)
-        self._home = robot.home
+        self._robot = [(p.vertices, p.faces) for p in RobotMeshes(robot, 16).at(robot.home)]
         self._own = robot_points(robot, robot.home)
 
     def depth_cloud(
@@ -104,15 +104,13 @@ class Observer:
             T_world_camera: [4, 4].
             rng: Random generator of the sensor's errors.
         """
-        parts: list[tuple[Array, NDArray[np.int64]]] = [
+        parts = [
             (apply_transform(pose, item.mesh.vertices), item.mesh.faces.astype(np.int64))
             for item, pose in standing
         ]
-        parts += [(p.vertices, p.faces) for p in self._robot.at(self._home)]
-        parts.append(_table())
-        vertices = np.concatenate([vertices for vertices, _ in parts])
-        starts = np.cumsum([0] + [len(vertices) for vertices, _ in parts[:-1]])
-        faces = np.concatenate([f + start for (_, f), start in zip(parts, starts, strict=True)])
+        vertices, faces = trimesh.util.append_faces(
+            *zip(*parts, *self._robot, _table(), strict=True)
+        )
         camera = self.placement.camera
         patch = MeshCaster(vertices, faces, camera).cast(invert_transform(T_world_camera))
         depth = self.placement.measures.observe(depth_image(patch, camera), camera, rng)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, transform
@@ -25,7 +24,7 @@ NEAR = 0.02
 """Points farther from an object's box than this [m] are of something else."""
 
 
-def settle(world: World, item: SimObject, pose: StablePose) -> NDArray[np.float64] | None:
+def settle(world: World, item: SimObject, pose: StablePose) -> Array | None:
     """Pose T_table_object [4, 4] in which an object comes to rest, even if it topples first; None
     if it does not."""
     place = transform(np.eye(3), [0.5, 0.0, DROP])

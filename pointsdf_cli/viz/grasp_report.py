@@ -66,20 +66,12 @@ def draw_frame(
 
 def film_strip(robot: RobotMeshes, film: Film) -> NDArray[np.uint8]:
     """All frames side by side, seen from one place."""
-    eye, target = _viewpoint(robot, film)
-    return np.concatenate(
-        [draw_frame(robot, film.mesh, frame, eye, target) for frame in film.frames], axis=1
-    )
+    return np.concatenate(_drawn(robot, film), axis=1)
 
 
 def write_gif(path: Path, robot: RobotMeshes, film: Film, rate: float) -> None:
     """An attempt as an animated GIF with `rate` frames a second."""
-    eye, target = _viewpoint(robot, film)
-    beside = film.beside or [()] * len(film.frames)
-    images = [
-        Image.fromarray(draw_frame(robot, film.mesh, frame, eye, target, beside=parts)).quantize(64)
-        for frame, parts in zip(film.frames, beside, strict=True)
-    ]
+    images = [Image.fromarray(image).quantize(64) for image in _drawn(robot, film)]
     with atomic_path(path) as temporary:
         images[0].save(
             temporary, save_all=True, append_images=images[1:], duration=round(1000 / rate), loop=0
@@ -161,6 +153,16 @@ def _causes(items: Sequence[tuple[str, Grasps, GraspsMeta]]) -> list[tuple[objec
 
 EYES = ((0.55, -0.65, 0.35), (0.55, 0.65, 0.35), (0.85, 0.0, 0.35), (0.0, -0.85, 0.35))
 """Possible camera positions relative to the target [m]."""
+
+
+def _drawn(robot: RobotMeshes, film: Film) -> list[NDArray[np.uint8]]:
+    """All frames [height, width, 3], seen from one place."""
+    eye, target = _viewpoint(robot, film)
+    beside = film.beside or [()] * len(film.frames)
+    return [
+        draw_frame(robot, film.mesh, frame, eye, target, beside=parts)
+        for frame, parts in zip(film.frames, beside, strict=True)
+    ]
 
 
 def _viewpoint(robot: RobotMeshes, film: Film) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -104,25 +104,17 @@ def trial_scene(path: Path, options: SceneOptions) -> Scene:
     thing = len(robot.bodies)
     points = np.asarray(evidence.cloud, np.float32)
     # The reconstruction is stored at the object's first pose; it moves with the object.
-    believed = apply_transform(invert_transform(evidence.T_world_object[0]), evidence.vertices)
+    T_object_world, faces = invert_transform(evidence.T_world_object[0]), evidence.faces
+    believed = apply_transform(T_object_world, evidence.vertices)
     parts = [
         *robot.parts,
         table_part(),
         Part("cloud", "cloud", "points", points, None, by_height(points)),
-        Part(
-            row.object,
-            "object",
-            "mesh",
-            believed,
-            evidence.faces,
-            OBJECT_COLOUR,
-            thing,
-            opacity=0.6,
-        ),
+        Part(row.object, "object", "mesh", believed, faces, OBJECT_COLOUR, thing, opacity=0.6),
     ]
     if len(evidence.obstacle_faces):
-        around, faces = evidence.obstacle_vertices, evidence.obstacle_faces
-        parts.append(Part("others", "others", "mesh", around, faces, OTHER_COLOUR, opacity=0.5))
+        around = evidence.obstacle_vertices, evidence.obstacle_faces
+        parts.append(Part("others", "others", "mesh", *around, OTHER_COLOUR, opacity=0.5))
     chosen = spread(len(evidence.times), 200)
     q = np.concatenate([evidence.trajectory[chosen], evidence.q])
     before = np.repeat(evidence.T_world_object[:1], len(chosen), axis=0)
@@ -135,13 +127,6 @@ def trial_scene(path: Path, options: SceneOptions) -> Scene:
         ("ended", row.cause),
         ("reason", row.reason or "–"),
     )
-    return Scene(
-        path.name,
-        tuple(parts),
-        (*robot.bodies, "object"),
-        np.concatenate([robot.poses(q), stands[:, None]], axis=1),
-        tuple(captions),
-        "moment",
-        20.0,
-        facts,
-    )
+    bodies = (*robot.bodies, "object")
+    poses = np.concatenate([robot.poses(q), stands[:, None]], axis=1)
+    return Scene(path.name, tuple(parts), bodies, poses, tuple(captions), "moment", 20.0, facts)

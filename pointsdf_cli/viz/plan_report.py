@@ -49,20 +49,14 @@ def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
         ]
     if plan.rejected.reasons:
         rejected = plan.rejected
+        chances, objectives = rejected.success_probability.tolist(), rejected.objective.tolist()
+        seeds = zip(rejected.reasons, chances, objectives, rejected.slack, strict=True)
         parts += [
             html.heading("Rejected"),
             html.note("Slack is the distance minus the required clearance: below 0 is too near."),
             html.table(
                 ("reason", "success", "objective", *(f"slack to {slack} [mm]" for slack in SLACKS)),
-                [
-                    (
-                        reason,
-                        float(rejected.success_probability[k]),
-                        float(rejected.objective[k]),
-                        *(_mm(value) for value in rejected.slack[k]),
-                    )
-                    for k, reason in enumerate(rejected.reasons)
-                ],
+                [(*seed, *map(_mm, slacks)) for *seed, slacks in seeds],
             ),
         ]
     return html.page(title, parts)

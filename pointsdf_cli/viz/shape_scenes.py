@@ -64,24 +64,15 @@ def views_scene(path: Path, options: SceneOptions) -> Scene:
     views = read_views(path)
     chosen = spread(len(views.cloud), options.most)
     width, height = views.image_size
-    parts, poses = list(named_mesh(path, options)), []
+    parts, poses = named_mesh(path, options), invert_transform(views.T_camera_object[chosen])
     for frame, k in enumerate(chosen):
-        T_object_camera = invert_transform(views.T_camera_object[k])
-        points = apply_transform(T_object_camera, views.cloud[k]).astype(np.float32)
-        colours = by_height(views.cloud[k])
+        points, colours = apply_transform(poses[frame], views.cloud[k]), by_height(views.cloud[k])
         parts.append(Part(f"view {k}", "cloud", "points", points, None, colours, frame=frame))
-        poses.append(T_object_camera)
     parts += [_frustum(views.K, width, height, 0.1), axes("mesh", "axes", 0.05)]
     facts = (("views", str(len(views.cloud))), ("mesh", views.mesh_file))
+    captions = tuple(f"view {k}" for k in chosen)
     return Scene(
-        path.name,
-        tuple(parts),
-        ("camera",),
-        np.array(poses)[:, None],
-        tuple(f"view {k}" for k in chosen),
-        "view",
-        4.0,
-        facts,
+        path.name, tuple(parts), ("camera",), poses[:, None], captions, "view", facts=facts
     )
 
 

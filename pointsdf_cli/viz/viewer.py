@@ -25,6 +25,7 @@ class Viewer:
 
     Attributes:
         port: Port to listen on.
+        frame: The frame that is shown.
 
     Raises:
         RgraspError: viser is not installed.
@@ -57,7 +58,7 @@ class Viewer:
             (part, self._add(i, part)) for i, part in enumerate(scene.parts)
         ]
         self._hidden: set[str] = set()
-        self._frame = 0
+        self.frame = 0
         self._look_at_it()
         self._add_controls()
         self.show(0)
@@ -73,29 +74,24 @@ class Viewer:
         with redirect_stdout(io.StringIO()):
             self._server.stop()
 
-    @property
-    def frame(self) -> int:
-        """The frame that is shown."""
-        return self._frame
-
     def show(self, frame: int) -> None:
         """Move every body to its pose in a frame."""
-        self._frame = min(max(frame, 0), self.scene.frames - 1)
+        self.frame = min(max(frame, 0), self.scene.frames - 1)
         with self._server.atomic():
             for body, handle in enumerate(self._bodies):
-                pose = self.scene.pose(body, self._frame)
+                pose = self.scene.pose(body, self.frame)
                 handle.visible = bool(np.isfinite(pose).all())
                 if handle.visible:
                     handle.position = pose[:3, 3]
                     handle.wxyz = wxyz_from_rotation(pose[:3, :3])
             self._show_parts()
-        self._caption.content = self.scene.captions[self._frame] or " "
+        self._caption.content = self.scene.captions[self.frame] or " "
 
     def run(self) -> None:
         """Play while the button is on, until interrupted."""
         while True:
-            if self._play.value and self._frame + 1 < self.scene.frames:
-                self._slider.value = self._frame + 1
+            if self._play.value and self.frame + 1 < self.scene.frames:
+                self._slider.value = self.frame + 1
                 time.sleep(1 / self.scene.rate)
             else:
                 self._play.value = False
@@ -103,7 +99,7 @@ class Viewer:
 
     def _show_parts(self) -> None:
         for part, handle in self._parts:
-            now = part.frame is None or part.frame == self._frame
+            now = part.frame is None or part.frame == self.frame
             handle.visible = now and part.layer not in self._hidden
 
     def _add(self, number: int, part: Part) -> Any:
