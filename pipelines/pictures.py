@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 from pointsdf_cli.camera.noise import DepthNoise
 from pointsdf_cli.viz.sheets import save_figure
@@ -15,7 +15,8 @@ from pointsdf_cli.viz.sheets import save_figure
 def noise_picture(path: Path) -> None:
     """Deviation against depth, and a tilted plane at 1.5 m measured with it, seen from the side."""
     noise, rng = DepthNoise(), np.random.default_rng(0)
-    figure, (law, side) = plt.subplots(1, 2, figsize=(10, 3.4))
+    figure = Figure(figsize=(10, 3.4))
+    law, side = figure.subplots(1, 2)
     depth = np.linspace(0.5, 4.0, 200, dtype=np.float32)
     law.plot(depth, 1e3 * noise.deviation(depth), label="σ(z) = σ₀·(z / 1.5 m)²")
     law.plot(1.5, 1e3 * noise.sigma, "o", label=f"σ₀ = {1e3 * noise.sigma:g} mm at 1.5 m")

@@ -13,6 +13,7 @@ import numpy as np
 
 from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
+from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.geometry.stable_poses import STANDING, draw_pose
 from pointsdf_cli.geometry.visibility import ViewEvidence
@@ -39,7 +40,7 @@ from pointsdf_cli.simulation.attempt import (
 from pointsdf_cli.simulation.executor import Executor
 from pointsdf_cli.simulation.feet import nearest_pose, on_its_foot
 from pointsdf_cli.simulation.heuristic import draw_preshape, hand_of
-from pointsdf_cli.simulation.observe import Observer, resample
+from pointsdf_cli.simulation.observe import Observer
 from pointsdf_cli.simulation.reach import Reach, Reacher, start_cause
 from pointsdf_cli.simulation.settle import placed, settle, shows
 from pointsdf_cli.simulation.sim_object import SimObject
@@ -120,11 +121,11 @@ class Attempter:
         rng = self._rng(item, 2, index)
         preshape = self._drawn if self._propose is None else self._planned
         kind, T_world_palm, reach = preshape(item, scene, index, rng)
-        cloud = resample(scene.cloud, CLOUD_SIZE, rng)
+        cloud = scene.cloud[systematic_sample(scene.cloud[:, :2], CLOUD_SIZE, rng)]
         outcome = None
         if not reach.cause:
             outcome = self.execute(item, scene.T_world_object, reach.q, reach.lift)
-        return Attempt(index, scene, cloud, kind, T_world_palm, reach, outcome)
+        return Attempt(index, scene, cloud.astype(np.float32), kind, T_world_palm, reach, outcome)
 
     def _drawn(
         self, item: SimObject, scene: ObservedScene, index: int, rng: np.random.Generator

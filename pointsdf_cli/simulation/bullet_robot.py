@@ -53,10 +53,10 @@ class BulletRobot:
             root = bullet.getBodyInfo(body)[0].decode()
             self.links.setdefault(root, (body, -1))
             self.bodies.append(body)
+        # Body of each joint, and its number there; -1 if it is absent.
         joints = np.array([by_name.get(name, (-1, -1)) for name in robot.joint_names])
         self._body, self._number = joints.T
-        """Bodies [J] of the joints, and their numbers there; -1 for those that are absent."""
-        self._all = np.arange(len(joints))
+        self._all = list(self._by_body(np.arange(len(joints))))
         self._couple(by_name)
 
     def _couple(self, by_name: dict[str, tuple[int, int]]) -> None:
@@ -113,14 +113,14 @@ class BulletRobot:
 
     def place(self, q: ArrayLike) -> None:
         """Put the robot at a configuration [J] at rest, without physics."""
-        for body, columns, numbers in self._by_body(self._all):
+        for body, columns, numbers in self._all:
             values = [[float(value)] for value in np.asarray(q)[columns]]
             self._bullet.resetJointStatesMultiDof(body, numbers, values, [[0.0]] * len(values))
 
     def state(self) -> tuple[Array, Array]:
         """Joint positions and velocities, [J] each."""
-        values = np.zeros((2, len(self._all)))
-        for body, columns, numbers in self._by_body(self._all):
+        values = np.zeros((2, len(self._body)))
+        for body, columns, numbers in self._all:
             states = self._bullet.getJointStates(body, numbers)
             values[:, columns] = np.array([state[:2] for state in states]).T
         return values[0], values[1]
@@ -166,7 +166,7 @@ class BulletRobot:
     def follow(self, arm: Array) -> Iterator[None]:
         """Move the arm through configurations [K, A]; yields when the next step may be made."""
         columns = np.arange(arm.shape[1])
-        q = np.zeros(len(self._all))
+        q = np.zeros(len(self._body))
         for target in arm:
             q[columns] = target
             self.drive_to(q, columns, self.robot.effort[columns])

@@ -147,10 +147,8 @@ def _link_without_shape(name: str) -> ET.Element:
 def _fixed(parent: str, child: str, pose: Array) -> ET.Element:
     """A joint that keeps a link at `pose` [4, 4] of another."""
     node = ET.Element("joint", name=f"{child} carried", type="fixed")
-    ET.SubElement(node, "parent", link=parent)
     ET.SubElement(node, "child", link=child)
-    node.append(_origin(pose))
-    return node
+    return _led_from(parent, node, pose)
 
 
 def _led_from(parent: str, joint: ET.Element, pose: Array) -> ET.Element:

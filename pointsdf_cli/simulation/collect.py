@@ -204,9 +204,7 @@ def first_quotas(splits: dict[str, str], count: int) -> dict[str, int]:
     if count < 1:
         raise InputError(f"{count} grasps", where="--count", allowed="1 or more")
     by_split = {s: sorted(n for n, t in splits.items() if t == s) for s in (TRAIN, TEST)}
-    if not by_split[TEST]:
-        return _spread(by_split[TRAIN], count)
-    test = round(count * 1821 / 9111)
+    test = round(count * 1821 / 9111) if by_split[TEST] else 0
     return _spread(by_split[TRAIN], count - test) | _spread(by_split[TEST], test)
 
 

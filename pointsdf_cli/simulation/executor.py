@@ -258,16 +258,13 @@ class Executor:
     def _shake(self) -> None:
         """Lateral accelerations back and forth, first along x, then along y, at 4 Hz."""
         world, config = self._world, self._config
-        down = -GRAVITY
-        for axis in (0, 1):
+        for axis in np.eye(3)[:2]:
             steps = round(SHAKE_TIME / 2 / world.physics.step)
             for k in range(steps):
                 pull = config.shake * np.sin(2 * np.pi * 4.0 * k * world.physics.step)
-                gravity = [0.0, 0.0, down]
-                gravity[axis] = float(pull)
-                world.set_gravity(gravity)
+                world.set_gravity(pull * axis - [0.0, 0.0, GRAVITY])
                 self._advance(1, "shake")
-        world.set_gravity([0, 0, down])
+        world.set_gravity([0, 0, -GRAVITY])
         self._wait(0.25, "shake")
 
     def _hold_test(self) -> None:

@@ -17,9 +17,7 @@ from pointsdf_cli.camera.sensor import DepthSensor
 from pointsdf_cli.camera.sensor_presets import load_sensor
 from pointsdf_cli.camera.table_objects import nearest_object
 from pointsdf_cli.camera.view import View
-from pointsdf_cli.errors import InputError
 from pointsdf_cli.geometry.arrays import Array
-from pointsdf_cli.geometry.cloud_sampling import systematic_sample
 from pointsdf_cli.geometry.frames import apply_transform, invert_transform, plane_in_camera
 from pointsdf_cli.geometry.visibility import ViewEvidence, visibility_image
 from pointsdf_cli.robot.description import RobotDescription
@@ -140,18 +138,6 @@ class Observer:
         plane = None if table is None else plane_in_camera(table, T_world_camera)
         image = visibility_image(points, others, plane, 1.0 / self.placement.camera.fx)
         return View(points, T_world_camera, ViewEvidence(image, plane))
-
-
-def resample(points: Array, count: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Sample `count` points [count, 3] of a cloud, each once before any twice.
-
-    Raises:
-        InputError: The cloud is empty.
-    """
-    if not len(points):
-        raise InputError("an empty cloud", allowed="one point or more")
-    chosen = systematic_sample(points[:, :2], count, rng)
-    return points[chosen].astype(np.float32)
 
 
 def _table() -> tuple[Array, NDArray[np.int64]]:

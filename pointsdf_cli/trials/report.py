@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -95,9 +94,8 @@ PICTURE_NOTE = (
 def success_figure(summaries: Sequence[Summary]) -> Figure:
     """Bar charts by camera, beside the published rates, and by object, with Wilson intervals."""
     objects = list(dict.fromkeys(item for s in summaries for item in s.by_object))[:24]
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(13, 3.8), width_ratios=(1, max(1.2, 0.18 * len(objects)))
-    )
+    figure = Figure(figsize=(13, 3.8))
+    left, right = figure.subplots(1, 2, width_ratios=(1, max(1.2, 0.18 * len(objects))))
     cameras = [*dict.fromkeys(c for s in summaries for c in s.by_camera), "all"]
     none = wilson(0, 0)  # not tried: no bar
     width = 0.8 / (2 * len(summaries))

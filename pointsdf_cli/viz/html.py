@@ -7,11 +7,6 @@ import html
 import io
 from collections.abc import Iterable, Sequence
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 _STYLE = """
@@ -54,10 +49,9 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def picture(figure: Figure, alt: str) -> str:
-    """A figure as a PNG inside the page; the figure is closed."""
+    """A figure as a PNG inside the page."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=90, bbox_inches="tight")
-    plt.close(figure)
     return png(buffer.getvalue(), alt)
 
 

@@ -15,8 +15,6 @@ from pointsdf_cli.viz.scene import Scene
 
 _PLAIN = ("title", "slider", "rate", "captions", "facts", "bodies", "layers")
 _PLAIN_OF_PART = ("name", "layer", "kind", "body", "frame", "opacity")
-_MARK = "<!--SCENE-->"
-_START = '<script id="scene" type="application/json">'
 
 
 def scene_page(scene: Scene) -> str:
@@ -25,7 +23,8 @@ def scene_page(scene: Scene) -> str:
     # Escape "<", which could close the script element early.
     data = json.dumps(scene_as_json(scene)).replace("<", "\\u003c")
     page = template.read_text(encoding="utf-8").replace("<!--TITLE-->", html.escape(scene.title))
-    return page.replace(_MARK, f"{_START}{data}</script>")
+    script = f'<script id="scene" type="application/json">{data}</script>'
+    return page.replace("<!--SCENE-->", script)
 
 
 def scene_as_json(scene: Scene) -> dict[str, Any]:

@@ -62,11 +62,9 @@ class PlanScene:
         """Object, seen points, obstacles and table."""
         points = self.points[:: max(1, len(self.points) // MOST_POINTS)]
         meshes = [table_mesh(), dots(points, POINT_SIZE, SEEN_COLOUR)]
-        coloured = [(mesh, OBSTACLE_COLOUR) for mesh in self.obstacles]
+        meshes += [Painted(*mesh, OBSTACLE_COLOUR) for mesh in self.obstacles]
         if self.believed is not None:
-            coloured.append((self.believed, BELIEVED_COLOUR))
-        for (vertices, faces), colour in coloured:
-            meshes.append(Painted(vertices, np.asarray(faces, dtype=np.int64), colour))
+            meshes.append(Painted(*self.believed, BELIEVED_COLOUR))
         return meshes
 
 

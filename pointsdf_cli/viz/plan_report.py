@@ -18,7 +18,8 @@ from pointsdf_cli.viz.shading import Painted
 def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
     """HTML page of a plan, with the robot at the start, half-way and at the grasp."""
     parts = [html.table(("", ""), _facts(plan))]
-    things = _completed(plan)
+    completed = Painted(plan.object_vertices, plan.object_faces, BELIEVED_COLOUR)
+    things = [completed] if len(plan.object_faces) else []
     if plan.status == OK and len(plan.times):
         moments = plan.trajectory[np.linspace(0, len(plan.times) - 1, 3).round().astype(int)]
         buffer = io.BytesIO()
@@ -60,14 +61,6 @@ def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
             ),
         ]
     return html.page(title, parts)
-
-
-def _completed(plan: Plan) -> list[Painted]:
-    """The completed object, if the plan has it."""
-    if not len(plan.object_faces):
-        return []
-    vertices, faces = plan.object_vertices.astype(np.float64), plan.object_faces.astype(np.int64)
-    return [Painted(vertices, faces, BELIEVED_COLOUR)]
 
 
 def _facts(plan: Plan) -> list[tuple[str, object]]:

@@ -117,9 +117,8 @@ def _draw_cloud(axis: Any, cloud: NDArray[np.floating], framing: NDArray[np.floa
     axis.scatter(*cloud[order, :2].T, c=cloud[order, 2], cmap="viridis", s=1.5, linewidths=0)
     middle = (framing.min(axis=0) + framing.max(axis=0)) / 2
     half = 0.54 * np.ptp(framing, axis=0)[[0, 2]].max()
-    axis.set_xlim(middle[0] - half, middle[0] + half)
-    axis.set_ylim(-middle[2] + half, -middle[2] - half)
-    axis.set_aspect("equal")
+    across, down = (middle[0] - half, middle[0] + half), (-middle[2] + half, -middle[2] - half)
+    axis.set(xlim=across, ylim=down, aspect="equal")
 
 
 def _draw_slice(axis: Any, row: GalleryRow, sdf: FieldFunction) -> None:
@@ -152,7 +151,6 @@ def _draw_slice(axis: Any, row: GalleryRow, sdf: FieldFunction) -> None:
 
 
 def _bare(axis: Any) -> None:
-    axis.set_xticks([])
-    axis.set_yticks([])
+    axis.set(xticks=[], yticks=[])
     for spine in axis.spines.values():
         spine.set_visible(False)

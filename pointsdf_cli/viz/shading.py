@@ -28,8 +28,8 @@ class Painted:
         unlit: Show exactly that colour, without shading.
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    vertices: NDArray[np.floating]
+    faces: NDArray[np.integer]
     colour: tuple[float, float, float]
     unlit: bool = False
 

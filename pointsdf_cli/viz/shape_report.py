@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -49,7 +48,8 @@ def shape_report(path: Path, unit: str, title: str) -> str:
 
 def _sides(points: NDArray[np.floating]) -> Figure:
     """Points [N, 3] of the world along its axes."""
-    figure, axes = plt.subplots(1, 3, figsize=(12, 4), layout="constrained")
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    axes = figure.subplots(1, 3)
     for axis, (across, up) in zip(axes, ((1, 2), (0, 2), (0, 1)), strict=True):
         axis.scatter(points[:, across], points[:, up], c=points[:, 2], s=0.7, cmap="viridis")
         axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]")
@@ -58,8 +58,8 @@ def _sides(points: NDArray[np.floating]) -> Figure:
 
 
 def _turned(mesh: LoadedMesh) -> Figure:
-    figure, axes = plt.subplots(1, len(AZIMUTHS), figsize=(12, 4), layout="constrained")
-    for axis, azimuth in zip(axes, AZIMUTHS, strict=True):
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    for axis, azimuth in zip(figure.subplots(1, len(AZIMUTHS)), AZIMUTHS, strict=True):
         axis.imshow(shaded_view(mesh.vertices, mesh.faces, 320, azimuth=float(np.radians(azimuth))))
         axis.axis("off")
     return figure

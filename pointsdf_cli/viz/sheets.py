@@ -5,11 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -23,10 +18,9 @@ from pointsdf_cli.io.views import Views
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = 90) -> None:
-    """Write a figure as PNG, as a whole or not at all, and close it."""
+    """Write a figure as PNG, as a whole or not at all."""
     with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=dpi, bbox_inches="tight", metadata={"Software": "rgrasp"})
-    plt.close(figure)
 
 
 def views_sheet(items: Sequence[tuple[LoadedMesh, Views]], columns: int = 4) -> Figure:
@@ -34,9 +28,8 @@ def views_sheet(items: Sequence[tuple[LoadedMesh, Views]], columns: int = 4) -> 
 
     The clouds are drawn in the camera frame, as the camera sees them, coloured by depth.
     """
-    figure, axes = plt.subplots(
-        len(items), 1 + columns, figsize=(2.1 * (1 + columns), 2.3 * len(items)), squeeze=False
-    )
+    figure = Figure(figsize=(2.1 * (1 + columns), 2.3 * len(items)))
+    axes = figure.subplots(len(items), 1 + columns, squeeze=False)
     for row, (mesh, views) in zip(axes, items, strict=True):
         K, (width, height) = views.K, views.image_size
         camera = Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
@@ -53,10 +46,8 @@ def views_sheet(items: Sequence[tuple[LoadedMesh, Views]], columns: int = 4) -> 
                 continue
             cloud = views.cloud[k]
             axis.scatter(cloud[:, 0], cloud[:, 1], c=cloud[:, 2], s=0.7, cmap="viridis_r")
-            axis.set_aspect("equal")
+            axis.set(aspect="equal", xticks=[], yticks=[])
             axis.invert_yaxis()
-            axis.set_xticks([])
-            axis.set_yticks([])
             across, down, deep = np.ptp(cloud, axis=0) * 100
             axis.set_title(f"view {k}\n{across:.0f} × {down:.0f} × {deep:.0f} cm", fontsize=7)
     return figure
@@ -70,9 +61,8 @@ def sdf_slices(items: Sequence[tuple[LoadedMesh, Labels]], resolution: int = 160
     """
     columns = 2
     rows = -(-len(items) // columns)
-    figure, axes = plt.subplots(
-        rows, 2 * columns, figsize=(3 * 2 * columns, 3 * rows), squeeze=False
-    )
+    figure = Figure(figsize=(3 * 2 * columns, 3 * rows))
+    axes = figure.subplots(rows, 2 * columns, squeeze=False)
     for axis in axes.ravel():
         axis.axis("off")
     for k, (mesh, labels) in enumerate(items):
@@ -100,8 +90,6 @@ def sdf_slices(items: Sequence[tuple[LoadedMesh, Labels]], resolution: int = 160
         inside = f"{(labels.sdf[near] < 0).mean():.0%} inside" if near.any() else "none"
         points = (labels.points[near] - centre)[:, plane] * 100
         right.scatter(points[:, 0], points[:, 1], c=labels.sdf[near] * 100, s=2, **style)
-        right.set_xlim(*extent[:2])
-        right.set_ylim(*extent[2:])
-        right.set_aspect("equal")
+        right.set(xlim=extent[:2], ylim=extent[2:], aspect="equal")
         right.set_title(f"labels in the slab, {inside}", fontsize=8)
     return figure
