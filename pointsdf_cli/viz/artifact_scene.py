@@ -48,11 +48,7 @@ def scenes_of(paths: Sequence[Path], options: SceneOptions) -> Scene:
         if still_cloud and path.suffix.lower() in CLOUD_SUFFIXES:
             T_world_mesh = cloud_place(read_cloud(path, options.unit, drop_invalid=True))
             break
-    placed = []
-    for scene in scenes:
-        still = all(part.layer in ("mesh", "axes") for part in scene.parts)
-        placed.append(_set_down(scene, T_world_mesh) if still else scene)
-    return joined(placed)
+    return joined([_set_down(scene, T_world_mesh) for scene in scenes])
 
 
 def _robot(path: Path, options: SceneOptions) -> Scene:
@@ -72,7 +68,9 @@ _SCENES = {
 
 
 def _set_down(scene: Scene, T_world_mesh: NDArray[np.float64]) -> Scene:
-    """A scene of meshes, moved as a whole."""
+    """A scene of meshes alone, moved as a whole; any other as it is."""
+    if any(part.layer not in ("mesh", "axes") for part in scene.parts):
+        return scene
     parts = tuple(
         replace(part, vertices=apply_transform(T_world_mesh, part.vertices)) for part in scene.parts
     )

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pointsdf_cli.errors import InputError
 
-KINDS = ("mesh", "points", "lines")
 WORLD = -1
 """Index of the body that never moves."""
 
@@ -27,7 +27,7 @@ class Part:
     Attributes:
         name: Name of the part.
         layer: Name of the layer; parts of a layer are shown and hidden together.
-        kind: One of `KINDS`. Lines join vertices 0-1, 2-3, and so on.
+        kind: What it is drawn as. Lines join vertices 0-1, 2-3, and so on.
         vertices: [V, 3], in the body's frame, m; kept as f4.
         faces: [F, 3] of a mesh, kept as i4; None for the others.
         colour: Red, green, blue in [0, 1], or f4 [V, 3] with one for each vertex.
@@ -38,7 +38,7 @@ class Part:
 
     name: str
     layer: str
-    kind: str
+    kind: Literal["mesh", "points", "lines"]
     vertices: NDArray[np.floating]
     faces: NDArray[np.integer] | None = None
     colour: Colour | NDArray[np.float32] = (0.6, 0.6, 0.6)
@@ -47,8 +47,6 @@ class Part:
     opacity: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS or (self.kind == "mesh") != (self.faces is not None):
-            raise InputError(f"a part of kind {self.kind!r}", allowed=", ".join(KINDS))
         object.__setattr__(self, "vertices", np.asarray(self.vertices, np.float32))
         if self.faces is not None:
             object.__setattr__(self, "faces", np.asarray(self.faces, np.int32))
@@ -90,9 +88,6 @@ class Scene:
                 f"{len(self.bodies)} bodies",
                 allowed="[F, B, 4, 4]",
             )
-        for part in self.parts:
-            if not WORLD <= part.body < len(self.bodies):
-                raise InputError(f"{part.name!r} is fixed to no body", allowed=str(self.bodies))
 
     @property
     def frames(self) -> int:
