@@ -131,14 +131,9 @@ class Attempter:
         self, item: SimObject, scene: ObservedScene, index: int, rng: np.random.Generator
     ) -> tuple[str, Array, Reach]:
         """Kind and palm pose [4, 4] of a preshape of the heuristic, and the path to it."""
-        preshape = draw_preshape(
-            apply_transform(scene.T_world_camera, scene.cloud),
-            scene.T_world_camera[:3, 3],
-            self.robot.T_world_base[:3, 3],
-            self._hand,
-            self.config.heuristic,
-            rng,
-        )
+        points = apply_transform(scene.T_world_camera, scene.cloud)
+        camera, base = scene.T_world_camera[:3, 3], self.robot.T_world_base[:3, 3]
+        preshape = draw_preshape(points, camera, base, self._hand, self.config.heuristic, rng)
         arms = self._reacher.arms(preshape.T_world_palm)
         if len(arms):
             self.checks.show(self._standing(item, scene.T_world_object), scene.T_world_object)

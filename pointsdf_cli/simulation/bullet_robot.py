@@ -66,15 +66,9 @@ class BulletRobot:
             if joint.mimic is None or not {joint.name, joint.mimic[0]} <= by_name.keys():
                 continue
             (body, number), (leader, first) = by_name[joint.name], by_name[joint.mimic[0]]
+            axis, origin = [1, 0, 0], [0, 0, 0]
             gear = b.createConstraint(
-                leader,
-                first,
-                body,
-                number,
-                b.JOINT_GEAR,
-                jointAxis=[1, 0, 0],
-                parentFramePosition=[0, 0, 0],
-                childFramePosition=[0, 0, 0],
+                leader, first, body, number, b.JOINT_GEAR, axis, origin, origin
             )
             b.changeConstraint(
                 gear, gearRatio=-1 / joint.mimic[1], erp=GEAR_RECOVERY, maxForce=GEAR_FORCE
@@ -87,15 +81,7 @@ class BulletRobot:
         flags |= b.URDF_IGNORE_VISUAL_SHAPES  # loading takes two thirds of the time
         try:
             with silence():
-                return int(
-                    b.loadURDF(
-                        str(file),
-                        basePosition=position,
-                        baseOrientation=xyzw,
-                        useFixedBase=True,
-                        flags=flags,
-                    )
-                )
+                return int(b.loadURDF(str(file), position, xyzw, useFixedBase=True, flags=flags))
         except b.error as error:
             raise InputError(
                 "PyBullet cannot load this URDF",

@@ -113,14 +113,8 @@ def collect_object(task: CollectTask) -> dict[str, int] | None:
     made = as_grasps(attempts)
     grasps = made if done is None else join_grasps([done, made])
     robot = attempter.robot
-    meta = GraspsMeta(
-        task.mesh.name,
-        mesh.sha256,
-        task.split,
-        robot.name,
-        robot.joint_names,
-        robot.preshape_joints,
-    )
+    joints = robot.joint_names, robot.preshape_joints
+    meta = GraspsMeta(task.mesh.name, mesh.sha256, task.split, robot.name, *joints)
     write_grasps(task.out, grasps, meta, seed=task.seed, config=config)
     return made.count()
 

@@ -39,14 +39,8 @@ def grasps_scene(path: Path, options: SceneOptions) -> Scene:
         parts.append(Part(f"cloud {k}", "cloud", "points", points, None, colours, frame=frame))
         cause, kind = CAUSES[grasps.cause[k]], KINDS[grasps.kind[k]]
         captions.append(f"attempt {int(grasps.attempt[k])}: {kind}, {cause}")
-    poses = np.concatenate(
-        [
-            robot.poses(grasps.q[chosen]),
-            grasps.T_world_object[chosen][:, None],
-            grasps.T_world_palm[chosen][:, None],
-        ],
-        axis=1,
-    )
+    others = np.stack([grasps.T_world_object, grasps.T_world_palm], axis=1)
+    poses = np.concatenate([robot.poses(grasps.q[chosen]), others[chosen]], axis=1)
     counts = ", ".join(f"{cause} {n}" for cause, n in grasps.count().items() if n)
     facts = (("object", meta.mesh_file), ("attempts", str(len(grasps))), ("causes", counts))
     bodies = (*robot.bodies, "object", "palm")
