@@ -28,7 +28,7 @@ from pointsdf_cli.io.poses import camera_pose
 from pointsdf_cli.robot.description import load_robot
 from pointsdf_cli.viz.plan_picture import BELIEVED_COLOUR
 from pointsdf_cli.viz.robot_picture import RobotMeshes
-from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh
+from pointsdf_cli.viz.shading import Painted, Stage, look_at, table_mesh
 from pointsdf_cli.viz.sheets import save_figure
 
 HEIGHT = 440
@@ -47,14 +47,14 @@ def draw(capture: Path, mesh: Path, plan: Path, picture: Path) -> None:
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     away = T_world_camera[:3, 3] - middle
     views = [look_at(middle + way, middle) for way in (away, away * (-1, -1, 1))]
-    completed = [shaded_image([shape, table_mesh()], view, (270, HEIGHT), 0.5) for view in views]
+    completed = [Stage([shape, table_mesh()]).image(view, (270, HEIGHT), 0.5) for view in views]
 
     planned = read_plan(plan)
     if planned.status != "ok":
         sys.exit(f"{plan}: no plan ({planned.reason})")
     eye = middle + (0.75, 1.0, 0.55)
     scene = [*RobotMeshes(load_robot()).at(planned.q), shape, table_mesh()]
-    grasp = shaded_image(scene, look_at(eye, middle + (-0.2, 0.0, 0.15)), (520, HEIGHT), 0.55)
+    grasp = Stage(scene).image(look_at(eye, middle + (-0.2, 0.0, 0.15)), (520, HEIGHT), 0.55)
 
     pictures = [read_colour(capture / "color.jpg"), np.concatenate(completed, axis=1), grasp]
     shares = [image.shape[1] / image.shape[0] for image in pictures]

@@ -230,9 +230,7 @@ def next_quotas(
 
 def _spread(names: Sequence[str], count: int) -> dict[str, int]:
     """Distribute `count` over the names as evenly as whole numbers allow."""
-    if not names:
-        return {}
-    base, rest = divmod(count, len(names))
+    base, rest = divmod(count, max(1, len(names)))
     return {name: base + (i < rest) for i, name in enumerate(names)}
 
 

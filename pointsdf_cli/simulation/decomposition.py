@@ -62,8 +62,7 @@ def convex_pieces(mesh: LoadedMesh, cache: Path | None = None) -> Pieces:
     Raises:
         InputError: The mesh encloses no volume.
     """
-    settings = f"{mesh.identity} {VERSION}"
-    key = hashlib.sha256(settings.encode()).hexdigest()
+    key = hashlib.sha256(f"{mesh.identity} {VERSION}".encode()).hexdigest()
     path = (cache or cache_folder()) / "decompositions" / f"{key[:32]}.npz"
     if path.is_file():
         try:

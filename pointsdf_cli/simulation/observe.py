@@ -13,7 +13,6 @@ from pointsdf_cli.camera.cleaning import clean
 from pointsdf_cli.camera.noise import DepthNoise
 from pointsdf_cli.camera.pinhole import CAMERAS, Camera
 from pointsdf_cli.camera.raycast import MeshCaster, depth_image
-from pointsdf_cli.camera.sensor import DepthSensor
 from pointsdf_cli.camera.sensor_presets import load_sensor
 from pointsdf_cli.camera.table_objects import nearest_object
 from pointsdf_cli.camera.view import View
@@ -50,11 +49,6 @@ class CameraPlacement:
 
     def __post_init__(self) -> None:
         load_sensor(self.sensor)
-
-    @property
-    def measures(self) -> DepthSensor:
-        """Sensor that measures the depth."""
-        return load_sensor(self.sensor).with_noise(self.noise)
 
     def draw(self, target: Array, rng: np.random.Generator) -> Array:
         """T_world_camera [4, 4] of a camera that looks at `target` [3]."""
@@ -111,7 +105,8 @@ class Observer:
         )
         camera = self.placement.camera
         patch = MeshCaster(vertices, faces, camera).cast(invert_transform(T_world_camera))
-        depth = self.placement.measures.observe(depth_image(patch, camera), camera, rng)
+        sensor = load_sensor(self.placement.sensor).with_noise(self.placement.noise)
+        depth = sensor.observe(depth_image(patch, camera), camera, rng)
         return depth.astype(np.float64)
 
     def object_view(

@@ -62,9 +62,8 @@ def film_of(task: CollectTask, grasps: Grasps, row: int) -> tuple[Film, Film]:
             hint="it was made with another version of rgrasp or PyBullet; collect it again with "
             "--force",
         )
-    title = (
-        f"{task.name}, {KINDS[grasps.kind[row]]}: {cause}, rose {100 * outcome.lift_height:.1f} cm"
-    )
+    rise = f"rose {100 * outcome.lift_height:.1f} cm"
+    title = f"{task.name}, {KINDS[grasps.kind[row]]}: {cause}, {rise}"
     start = (grasps.q[row], grasps.T_world_object[row])
     moving = [(moment.phase, (moment.q, moment.T_world_object)) for moment in recorder.moments]
     last = dict(moving)

@@ -16,7 +16,7 @@ from pointsdf_cli.simulation.film import Moment
 from pointsdf_cli.trials.summary import variant_of
 from pointsdf_cli.viz.grasp_report import OBJECT_COLOUR, Film, placed, write_gif
 from pointsdf_cli.viz.robot_picture import RobotMeshes
-from pointsdf_cli.viz.shading import Painted, dots, look_at, shaded_image, table_mesh
+from pointsdf_cli.viz.shading import Painted, Stage, dots, look_at, table_mesh
 
 BELIEVED_COLOUR = (0.86, 0.45, 0.20)
 OTHER_COLOUR = (0.72, 0.55, 0.55)
@@ -47,7 +47,7 @@ def trial_strip(
     around = [_others(others, poses) for poses in every]
     points = evidence.cloud[:: max(1, len(evidence.cloud) // 500)]
     first = [table, true, *around[0], dots(points, POINT, CLOUD_COLOUR)]
-    pictures = [shaded_image(first, look_at(near, middle), SIZE)]
+    pictures = [Stage(first).image(look_at(near, middle), SIZE)]
     behind = middle + np.array([-0.45, -0.75, 0.45]) * max(0.4, 2.2 * reach)
     pictures.append(_side_by_side(true, evidence, look_at(behind, middle), table))
     for which in _shown(evidence.phases):
@@ -55,7 +55,7 @@ def trial_strip(
         target = np.array([middle[0], middle[1], 0.13])
         camera = look_at(target + (0.42, -0.62, 0.3), target)
         parts = [*robot.at(evidence.q[which]), table, thing, *around[which]]
-        pictures.append(shaded_image(parts, camera, SIZE, 0.62))
+        pictures.append(Stage(parts).image(camera, SIZE, 0.62))
     return np.concatenate(pictures, axis=1)
 
 
@@ -106,13 +106,13 @@ def _shown(phases: tuple[str, ...]) -> list[int]:
 
 def _side_by_side(true: Painted, evidence: Evidence, camera: Array, table: Painted) -> Image:
     """Reconstruction and truth in one picture; the reconstruction is half transparent."""
-    lower = shaded_image([table, true], camera, SIZE)
+    lower = Stage([table, true]).image(camera, SIZE)
     if not len(evidence.faces):
         return lower
     surfaces = [(evidence.vertices, evidence.faces, BELIEVED_COLOUR)]
     if len(evidence.obstacle_faces):
         surfaces.append((evidence.obstacle_vertices, evidence.obstacle_faces, OTHER_COLOUR))
     seen = [Painted(v.astype(float), f.astype(int), colour) for v, f, colour in surfaces]
-    upper = shaded_image([table, *seen], camera, SIZE)
+    upper = Stage([table, *seen]).image(camera, SIZE)
     mixed = upper.astype(float) * 0.5 + lower.astype(float) * 0.5
     return mixed.astype(np.uint8)

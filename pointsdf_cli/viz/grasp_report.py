@@ -17,7 +17,7 @@ from pointsdf_cli.io.grasps import CAUSES, HELD, KINDS, LOST, Grasps, GraspsMeta
 from pointsdf_cli.io.meshes import LoadedMesh
 from pointsdf_cli.viz import html
 from pointsdf_cli.viz.robot_picture import RobotMeshes
-from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh
+from pointsdf_cli.viz.shading import Painted, Stage, look_at, table_mesh
 
 OBJECT_COLOUR = (0.25, 0.60, 0.35)
 Frame = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -61,7 +61,7 @@ def draw_frame(
     """One moment [height, width, 3], seen from `eye` [3] towards `target` [3]."""
     q, pose = frame
     scene = [*robot.at(q), table_mesh(), placed(mesh, pose, OBJECT_COLOUR), *beside]
-    return shaded_image(scene, look_at(eye, target), size, 0.62, oversampling)
+    return Stage(scene).image(look_at(eye, target), size, 0.62, oversampling)
 
 
 def film_strip(robot: RobotMeshes, film: Film) -> NDArray[np.uint8]:

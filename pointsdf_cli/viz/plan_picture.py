@@ -20,7 +20,7 @@ from pointsdf_cli.geometry.arrays import Array
 from pointsdf_cli.io.atomic import atomic_path
 from pointsdf_cli.viz.lettering import lettering
 from pointsdf_cli.viz.robot_picture import RobotMeshes
-from pointsdf_cli.viz.shading import Painted, Stage, dots, look_at, shaded_image, table_mesh
+from pointsdf_cli.viz.shading import Painted, Stage, dots, look_at, table_mesh
 
 Mesh = tuple[Array, NDArray[np.integer]]
 
@@ -91,7 +91,7 @@ def overview(robot: RobotMeshes, q: Array, scene: PlanScene) -> NDArray[np.uint8
     hand = robot.at(q)[-1].vertices.mean(axis=0)
     side = 1.0 if hand[1] > scene.centre[1] else -1.0
     camera = look_at((1.75, 1.75 * side, 1.15), (0.3, 0.0, 0.45))
-    return shaded_image([*robot.at(q), *scene.painted()], camera, SIZE, FIELD_OF_VIEW)
+    return Stage([*robot.at(q), *scene.painted()]).image(camera, SIZE, FIELD_OF_VIEW)
 
 
 def close_ups(robot: RobotMeshes, q: Array, scene: PlanScene) -> list[NDArray[np.uint8]]:

@@ -23,9 +23,8 @@ def plan_report(plan: Plan, robot: RobotDescription, title: str) -> str:
     if plan.status == OK and len(plan.times):
         moments = plan.trajectory[np.linspace(0, len(plan.times) - 1, 3).round().astype(int)]
         buffer = io.BytesIO()
-        Image.fromarray(robot_poses_picture(robot, list(moments), 380, things)).save(
-            buffer, format="png"
-        )
+        picture = Image.fromarray(robot_poses_picture(robot, list(moments), 380, things))
+        picture.save(buffer, format="png")
         parts += [
             html.heading("Start, half-way, grasp"),
             html.png(buffer.getvalue(), "the robot at the start, half-way and at the grasp"),

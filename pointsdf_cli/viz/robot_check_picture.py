@@ -17,7 +17,7 @@ from pointsdf_cli.robot.surface import robot_surface
 from pointsdf_cli.viz.robot_picture import RobotMeshes
 from pointsdf_cli.viz.robot_scene import MovingRobot, table_part
 from pointsdf_cli.viz.scene import AXES, Part, Scene, axes
-from pointsdf_cli.viz.shading import Painted, dots, look_at, shaded_image, table_mesh
+from pointsdf_cli.viz.shading import Painted, Stage, dots, look_at, table_mesh
 
 PATH_COLOUR, SAMPLE_COLOUR = (0.95, 0.65, 0.05), (1.0, 0.55, 0.25)
 
@@ -40,14 +40,13 @@ def check_picture(robot: RobotDescription, size: int = 620) -> NDArray[np.uint8]
     side = palm[:3, :3] @ np.array([0.75, 0.35, 0.56]) + [0, 0, 0.25]
     close = look_at(centre + 1.9 * scale * side / np.linalg.norm(side), centre, palm[:3, 2])
     ways = _ways(closing, palm)
-    return np.concatenate(
-        [
-            shaded_image([*drawn, table_mesh(), *frames], whole, (size, size)),
-            shaded_image([*only, *_frame(palm, 0.4 * scale), *ways], close, (size, size)),
-            shaded_image([*only, dots(links, 0.0065 * scale, SAMPLE_COLOUR)], close, (size, size)),
-        ],
-        axis=1,
-    )
+    square = (size, size)
+    pictures = [
+        Stage([*drawn, table_mesh(), *frames]).image(whole, square),
+        Stage([*only, *_frame(palm, 0.4 * scale), *ways]).image(close, square),
+        Stage([*only, dots(links, 0.0065 * scale, SAMPLE_COLOUR)]).image(close, square),
+    ]
+    return np.concatenate(pictures, axis=1)
 
 
 def robot_scene(robot: RobotDescription, name: str) -> Scene:

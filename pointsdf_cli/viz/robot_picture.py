@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pointsdf_cli.geometry.frames import apply_transform
 from pointsdf_cli.robot.description import RobotDescription
 from pointsdf_cli.robot.kinematics import Kinematics, homogeneous
-from pointsdf_cli.viz.shading import Painted, look_at, shaded_image, table_mesh
+from pointsdf_cli.viz.shading import Painted, Stage, look_at, table_mesh
 
 ARM_COLOURS = ((0.93, 0.53, 0.20), (0.72, 0.74, 0.76))
 HAND_COLOUR = (0.30, 0.33, 0.40)
@@ -71,7 +71,6 @@ def robot_poses_picture(
     meshes = RobotMeshes(robot)
     camera = look_at((1.9, -2.0, 1.25), (0.25, 0.0, 0.55))
     pictures = [
-        shaded_image([*meshes.at(q), table_mesh(), *things], camera, (height, height))
-        for q in poses
+        Stage([*meshes.at(q), table_mesh(), *things]).image(camera, (height, height)) for q in poses
     ]
     return np.concatenate(pictures, axis=1)

@@ -157,17 +157,6 @@ class Stage:
         return colours, hit[hidden]
 
 
-def shaded_image(
-    meshes: Sequence[Painted],
-    T_world_camera: NDArray[np.float64],
-    size: tuple[int, int] = (480, 480),
-    field_of_view: float = 0.7,
-    oversampling: int = 2,
-) -> NDArray[np.uint8]:
-    """A picture [height, width, 3] of meshes, as `Stage.image` makes it."""
-    return Stage(meshes).image(T_world_camera, size, field_of_view, oversampling)
-
-
 def _every_second(
     seen: Callable[[NDArray[np.floating], NDArray[np.floating]], list[NDArray[np.float32]]],
     width: int,
