@@ -88,9 +88,8 @@ def label_image(
         number: [N], number of each point's object, up to 255; 0 for none.
         size: (width, height).
     """
-    width, height = size
-    on = np.zeros((height, width), dtype=np.uint8)
-    u, v = np.clip(np.rint(pixels), 0, [width - 1, height - 1]).astype(int).T
+    on = np.zeros(size[::-1], dtype=np.uint8)
+    u, v = np.clip(np.rint(pixels), 0, np.subtract(size, 1)).astype(int).T
     on[v, u] = number
     image = Image.fromarray(on, "P")
     shown = [COLOURS[k % len(COLOURS)] for k in range(255)]
