@@ -27,7 +27,7 @@ class Part:
     Attributes:
         name: Name of the part.
         layer: Name of the layer; parts of a layer are shown and hidden together.
-        kind: What it is drawn as. Lines join vertices 0-1, 2-3, and so on.
+        kind: Way of drawing it. Lines join vertices 0-1, 2-3, and so on.
         vertices: [V, 3], in the body's frame, m; kept as f4.
         faces: [F, 3] of a mesh, kept as i4; None for the others.
         colour: Red, green, blue in [0, 1], or f4 [V, 3] with one for each vertex.
